@@ -1,0 +1,1 @@
+"""GRBL serial driver, gantry controller and mock serial port for an XY stage with a stylus."""

@@ -1,0 +1,29 @@
+"""Build file of the package; see package.xml for what it is."""
+
+from setuptools import find_packages, setup
+
+NAME = "gantry_driver"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
+        ("share/" + NAME, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    description="GRBL serial driver, gantry controller and mock serial port for an XY stage with a stylus",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "serial_driver = gantry_driver.nodes.serial_driver_node:main",
+            "gantry_controller = gantry_driver.nodes.controller_node:main",
+            "mock_grbl = gantry_driver.mock.main:main",
+            "gantry_goal = gantry_driver.cli.gantry_goal:main",
+            "gantry_prepare = gantry_driver.cli.gantry_prepare:main",
+        ],
+    },
+)

@@ -1,0 +1,1 @@
+"""Harris corners, stereo matching, hand-eye calibration and panel recognition."""

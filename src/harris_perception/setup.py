@@ -1,0 +1,30 @@
+"""Build file of the package; see package.xml for what it is."""
+
+from setuptools import find_packages, setup
+
+NAME = "harris_perception"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
+        ("share/" + NAME, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    description="Harris corners, stereo matching, hand-eye calibration and panel recognition",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "camera = harris_perception.nodes.camera_node:main",
+            "corners = harris_perception.nodes.corners_node:main",
+            "stereo = harris_perception.nodes.stereo_node:main",
+            "stylus_tracker = harris_perception.nodes.stylus_node:main",
+            "recognition = harris_perception.nodes.recognition_node:main",
+            "hand_eye = harris_perception.nodes.hand_eye_node:main",
+        ],
+    },
+)

@@ -1,0 +1,147 @@
+"""Stereo pairs over a Unix socket: how a simulated camera hands its pictures to the camera node.
+
+One message is a header (magic, count, height, width, channels, stamp) and the raw pixels of ``count`` pictures of
+equal size. The server never waits for a slow reader: a reader that has not taken its last pair misses the next one, as
+with a real device.
+"""
+
+from __future__ import annotations
+
+import os
+import selectors
+import socket
+import struct
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+_HEADER = struct.Struct("<4sIIIIq")
+_MAGIC = b"ICU1"
+MAX_BYTES = 64 * 1024 * 1024
+
+Picture = npt.NDArray[np.uint8]
+
+
+class FrameServer:
+    """Serves pictures to any number of readers on a Unix socket; all calls return at once."""
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        self.path = path
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.bind(str(path))
+        self._listener.listen(4)
+        self._listener.setblocking(False)
+        self._readers: dict[socket.socket, memoryview] = {}
+
+    def reader_count(self) -> int:
+        """Accept waiting readers and return how many are connected."""
+        while True:
+            try:
+                reader, _ = self._listener.accept()
+            except BlockingIOError:
+                return len(self._readers)
+            reader.setblocking(False)
+            reader.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8 * 1024 * 1024)
+            self._readers[reader] = memoryview(b"")
+
+    def send(self, pictures: list[Picture], stamp_ns: int) -> None:
+        """Offer pictures of one shape, (H, W, 3) uint8, taken at ``stamp_ns`` (ROS time), to every reader."""
+        height, width, channels = pictures[0].shape
+        header = _HEADER.pack(_MAGIC, len(pictures), height, width, channels, stamp_ns)
+        message = memoryview(b"".join([header, *(np.ascontiguousarray(p).data for p in pictures)]))
+        self.reader_count()
+        for reader, left in list(self._readers.items()):
+            if not left:
+                self._readers[reader] = message
+        self.flush()
+
+    def flush(self) -> bool:
+        """Push what the readers can take now; return whether everything has gone."""
+        for reader, left in list(self._readers.items()):
+            try:
+                while left:
+                    left = left[reader.send(left) :]
+                self._readers[reader] = left
+            except BlockingIOError:
+                self._readers[reader] = left
+            except OSError:
+                reader.close()
+                del self._readers[reader]
+        return not any(self._readers.values())
+
+    def wait_writable(self, timeout_s: float) -> None:
+        """Wait until a reader can take more, at most ``timeout_s``."""
+        with selectors.DefaultSelector() as selector:
+            for reader, left in self._readers.items():
+                if left:
+                    selector.register(reader, selectors.EVENT_WRITE)
+            if selector.get_map():
+                selector.select(timeout_s)
+
+    def close(self) -> None:
+        for reader in self._readers:
+            reader.close()
+        self._readers.clear()
+        self._listener.close()
+        self.path.unlink(missing_ok=True)
+
+
+class FrameClient:
+    """Reads pictures from a :class:`FrameServer`.
+
+    Raises
+    ------
+    OSError
+        From the constructor, when nobody serves at ``path``.
+    """
+
+    def __init__(self, path: Path, *, connect_timeout_s: float = 1.0) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.settimeout(connect_timeout_s)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 * 1024 * 1024)
+            self._socket.connect(os.fspath(path))
+        except OSError:
+            self._socket.close()
+            raise
+
+    def read(self, timeout_s: float) -> tuple[list[Picture], int]:
+        """Return the next pictures, each (H, W, C) uint8, and their stamp in ns.
+
+        Raises
+        ------
+        TimeoutError
+            If nothing arrived in time; the next call may succeed when nothing of a message had arrived.
+        ConnectionError
+            If the server has gone or sends something else; the client must be closed.
+        """
+        self._socket.settimeout(timeout_s)
+        header = self._receive(_HEADER.size)
+        magic, count, height, width, channels, stamp_ns = _HEADER.unpack(header)
+        size = height * width * channels
+        if magic != _MAGIC or not 0 < count * size <= MAX_BYTES:
+            raise ConnectionError(f"not a frame: magic {magic!r}, {count} pictures of {width} x {height} x {channels}")
+        body = np.frombuffer(self._receive(count * size), np.uint8).reshape(count, height, width, channels)
+        return list(body), stamp_ns
+
+    def _receive(self, size: int) -> bytearray:
+        buffer = bytearray(size)
+        view = memoryview(buffer)
+        done = 0
+        while done < size:
+            try:
+                got = self._socket.recv_into(view[done:])
+            except TimeoutError:
+                if done:
+                    raise ConnectionError(f"the picture stopped after {done} of {size} bytes") from None
+                raise
+            if not got:
+                raise ConnectionError("the camera has gone")
+            done += got
+        return buffer
+
+    def close(self) -> None:
+        self._socket.close()

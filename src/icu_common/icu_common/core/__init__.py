@@ -1,0 +1,1 @@
+"""Pure values: no rclpy, no sockets, no clock."""

@@ -1,0 +1,220 @@
+"""The pinhole camera with plumb-bob distortion and rectification, as in sensor_msgs/CameraInfo (REP-104).
+
+Raw pixels are those of ``image_raw``; rectified coordinates are those after the rotation R, where a stereo pair has
+its rows aligned. Three-dimensional points are in the rectified frame of the camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from icu_common.core.geometry import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraModel:
+    """One calibrated camera.
+
+    Parameters
+    ----------
+    name
+        The camera's name, as in the calibration file.
+    width, height
+        Size of the raw picture in pixels.
+    k
+        (3, 3) intrinsic matrix of the raw picture, pixels.
+    d
+        (5,) plumb-bob distortion k1, k2, p1, p2, k3.
+    r
+        (3, 3) rotation rectified_from_raw.
+    p
+        (3, 4) projection of the rectified picture; ``p[0, 3] = -fx * baseline`` for the right camera of a pair.
+    """
+
+    name: str
+    width: int
+    height: int
+    k: Array
+    d: Array
+    r: Array
+    p: Array
+
+    def __post_init__(self) -> None:
+        for field_name, shape in (("k", (3, 3)), ("d", (5,)), ("r", (3, 3)), ("p", (3, 4))):
+            value = np.asarray(getattr(self, field_name), dtype=np.float64)
+            if value.shape != shape:
+                raise ValueError(f"camera {self.name}: {field_name} has shape {value.shape}, {shape} is needed")
+            if not np.isfinite(value).all():
+                raise ValueError(f"camera {self.name}: {field_name} is not finite")
+            object.__setattr__(self, field_name, value)
+        if not (self.k[0, 0] > 0 and self.k[1, 1] > 0):
+            raise ValueError(f"camera {self.name} is not calibrated: focal length {self.k[0, 0]}, {self.k[1, 1]}")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self.width, self.height
+
+    def rectify(self, raw_px: npt.ArrayLike) -> Array:
+        """Map raw pixels (N, 2) to rectified pixels (N, 2)."""
+        xy = self._undistort(np.asarray(raw_px, dtype=np.float64).reshape(-1, 2))
+        turned = np.column_stack([xy, np.ones(len(xy))]) @ self.r.T @ self.p[:, :3].T
+        return np.asarray(turned[:, :2] / turned[:, 2:])
+
+    def _undistort(self, raw_px: Array) -> Array:
+        # Fixed-point inversion of the distortion, iterated until it stands still: OpenCV's default of five rounds
+        # leaves 0.01 px in the picture's corners, and its two major versions name the longer form differently.
+        target: Array = (raw_px - self.k[:2, 2]) / (self.k[0, 0], self.k[1, 1])
+        target[:, 0] -= self.k[0, 1] / self.k[0, 0] * target[:, 1]
+        xy: Array = target.copy()
+        for _ in range(50):
+            step = target - self._distort(xy)
+            xy = xy + step
+            if not step.size or np.abs(step).max() < 1e-12:
+                break
+        return xy
+
+    def _distort(self, xy: Array) -> Array:
+        a, b = xy.T
+        k1, k2, p1, p2, k3 = self.d
+        r2 = a * a + b * b
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        u = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
+        v = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
+        return np.column_stack([u, v])
+
+    def rays(self, raw_px: npt.ArrayLike) -> Array:
+        """Return (N, 3) directions with z = 1, in the rectified frame, for raw pixels (N, 2)."""
+        uv = self.rectify(raw_px)
+        x = (uv[:, 0] - self.p[0, 2]) / self.p[0, 0]
+        y = (uv[:, 1] - self.p[1, 2]) / self.p[1, 1]
+        return np.column_stack([x, y, np.ones(len(x))])
+
+    def project(self, points: npt.ArrayLike) -> Array:
+        """Project (N, 3) points in metres, in this camera's rectified frame, to raw pixels (N, 2).
+
+        Points behind the camera give NaN.
+        """
+        xyz = np.asarray(points, dtype=np.float64).reshape(-1, 3) @ self.r
+        x, y, z = xyz.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            a, b = np.where(z > 0, x / z, np.nan), np.where(z > 0, y / z, np.nan)
+        u, v = self._distort(np.column_stack([a, b])).T
+        return np.column_stack([self.k[0, 0] * u + self.k[0, 1] * v + self.k[0, 2], self.k[1, 1] * v + self.k[1, 2]])
+
+    def rectification_maps(self) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """Return the two maps of ``cv2.remap`` that make the rectified picture (same size) from the raw one."""
+        maps = cv2.initUndistortRectifyMap(self.k, self.d, self.r, self.p[:, :3], self.size, cv2.CV_16SC2)
+        return np.asarray(maps[0]), np.asarray(maps[1])
+
+    @classmethod
+    def load(cls, path: Path) -> CameraModel:
+        """Read the YAML form that ROS's camera_info_manager and camera_calibration write.
+
+        Raises
+        ------
+        ValueError
+            If the file lacks a key, a matrix has the wrong size, or the distortion model is not plumb_bob.
+        """
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        try:
+            return cls.from_mapping(document)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path}: not a camera calibration: {error!r}") from error
+
+    @classmethod
+    def from_mapping(cls, document: Mapping[str, Any]) -> CameraModel:
+        model = document["distortion_model"]
+        if model != "plumb_bob":
+            raise ValueError(f"distortion_model {model!r}: only plumb_bob is known")
+
+        def matrix(key: str, rows: int, columns: int) -> Array:
+            data = np.asarray(document[key]["data"], dtype=np.float64)
+            if data.size != rows * columns:
+                raise ValueError(f"{key} has {data.size} values, {rows * columns} are needed")
+            return data.reshape(rows, columns)
+
+        return cls(
+            name=str(document["camera_name"]),
+            width=int(document["image_width"]),
+            height=int(document["image_height"]),
+            k=matrix("camera_matrix", 3, 3),
+            d=matrix("distortion_coefficients", 1, 5)[0],
+            r=matrix("rectification_matrix", 3, 3),
+            p=matrix("projection_matrix", 3, 4),
+        )
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the document that :meth:`load` reads."""
+
+        def matrix(value: Array) -> dict[str, Any]:
+            rows = np.atleast_2d(value)
+            return {"rows": rows.shape[0], "cols": rows.shape[1], "data": [float(x) for x in rows.ravel()]}
+
+        return {
+            "image_width": self.width,
+            "image_height": self.height,
+            "camera_name": self.name,
+            "camera_matrix": matrix(self.k),
+            "distortion_model": "plumb_bob",
+            "distortion_coefficients": matrix(self.d),
+            "rectification_matrix": matrix(self.r),
+            "projection_matrix": matrix(self.p),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class StereoModel:
+    """A calibrated pair; points are in the left camera's rectified frame.
+
+    Raises
+    ------
+    ValueError
+        If the projections do not belong to one rectified pair (focal lengths differ, no baseline).
+    """
+
+    left: CameraModel
+    right: CameraModel
+
+    def __post_init__(self) -> None:
+        if abs(self.left.p[0, 0] - self.right.p[0, 0]) > 1e-6 * self.left.p[0, 0]:
+            raise ValueError(f"focal lengths differ: {self.left.p[0, 0]} and {self.right.p[0, 0]} px")
+        if not self.baseline > 0:
+            raise ValueError(f"baseline {self.baseline} m: the right camera's P[0, 3] must be negative")
+
+    @property
+    def focal_px(self) -> float:
+        return float(self.left.p[0, 0])
+
+    @property
+    def baseline(self) -> float:
+        """Distance of the cameras in metres."""
+        return float(-self.right.p[0, 3] / self.right.p[0, 0])
+
+    def triangulate(self, left_rectified_px: npt.ArrayLike, right_rectified_px: npt.ArrayLike) -> Array:
+        """Return (N, 3) points in metres from rectified pixels (N, 2) of both pictures.
+
+        Depth is ``focal * baseline / disparity``; a disparity that is not positive gives NaN. The row is the mean of
+        both pictures' rows.
+        """
+        left = np.asarray(left_rectified_px, dtype=np.float64).reshape(-1, 2)
+        right = np.asarray(right_rectified_px, dtype=np.float64).reshape(-1, 2)
+        disparity = (left[:, 0] - self.left.p[0, 2]) - (right[:, 0] - self.right.p[0, 2])
+        with np.errstate(divide="ignore"):
+            z = np.where(disparity > 0, self.focal_px * self.baseline / disparity, np.nan)
+        x = (left[:, 0] - self.left.p[0, 2]) / self.left.p[0, 0] * z
+        row = 0.5 * ((left[:, 1] - self.left.p[1, 2]) + (right[:, 1] - self.right.p[1, 2]))
+        return np.column_stack([x, row / self.left.p[1, 1] * z, z])
+
+    def project_right(self, points: npt.ArrayLike) -> Array:
+        """Project (N, 3) points of the left rectified frame to raw pixels (N, 2) of the right picture."""
+        shifted = np.asarray(points, dtype=np.float64).reshape(-1, 3) - np.array([self.baseline, 0.0, 0.0])
+        return self.right.project(shifted)

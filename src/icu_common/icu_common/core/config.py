@@ -1,0 +1,192 @@
+"""Frozen dataclasses as the one declaration of a setting: type, default, range, unit and description.
+
+A class derived from :class:`Config` validates itself at construction; ``icu_common.nodes.parameters`` turns the same
+class into ROS parameters, and the YAML keys in ``config/params`` equal its field names.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+_KEY = "icu_setting"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """What is known of one field beside its type and default."""
+
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+
+def setting(
+    default: Any,
+    description: str,
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    unit: str = "",
+    choices: tuple[str, ...] = (),
+    read_only: bool = False,
+) -> Any:
+    """Declare one field of a :class:`Config`.
+
+    Parameters
+    ----------
+    default
+        bool, int, float, str, or a tuple of one of these.
+    description
+        One sentence for people; it becomes the ROS parameter's description.
+    minimum, maximum
+        Closed bounds; for a tuple they hold for each element.
+    unit
+        SI or named here, for the description.
+    choices
+        Allowed strings.
+    read_only
+        The ROS parameter cannot change while the node runs.
+    """
+    info = Setting(
+        description=description,
+        minimum=minimum,
+        maximum=maximum,
+        unit=unit,
+        choices=choices,
+        read_only=read_only,
+    )
+    return field(default=default, metadata={_KEY: info})
+
+
+def nested(config_class: type[Any]) -> Any:
+    """Declare a field that holds another :class:`Config`; its parameters get the field's name and a dot in front."""
+    return field(default_factory=config_class)
+
+
+class ConfigError(ValueError):
+    """A setting has the wrong type or lies outside its bounds; the message names the value and the bound."""
+
+
+class Config:
+    """Base of all configurations: ``@dataclass(frozen=True, slots=True, kw_only=True) class MyConfig(Config)``."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        for item in settings_of(type(self), deep=False):
+            check(item, getattr(self, item.name))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConfigItem:
+    """One field of a configuration: dotted ``name``, python ``kind`` (bool, int, float, str or tuple of one)."""
+
+    name: str
+    kind: Any
+    default: Any
+    setting: Setting
+
+
+def settings_of(config_class: type[Any], *, deep: bool = True, prefix: str = "") -> Iterator[ConfigItem]:
+    """Iterate over the settings of a configuration class, nested ones (``deep``) with dotted names."""
+    hints = typing.get_type_hints(config_class)
+    for item in dataclasses.fields(config_class):
+        kind = hints[item.name]
+        if isinstance(kind, type) and issubclass(kind, Config):
+            if deep:
+                yield from settings_of(kind, prefix=f"{prefix}{item.name}.")
+            continue
+        info = item.metadata.get(_KEY)
+        if info is None:
+            raise TypeError(f"{config_class.__name__}.{item.name} is not declared by setting() or nested()")
+        yield ConfigItem(name=prefix + item.name, kind=kind, default=item.default, setting=info)
+
+
+def check(item: ConfigItem, value: Any) -> None:
+    """Raise :class:`ConfigError` unless ``value`` has the item's type and lies inside its bounds."""
+    origin = typing.get_origin(item.kind)
+    if origin is tuple:
+        element = typing.get_args(item.kind)[0]
+        if not isinstance(value, tuple):
+            raise ConfigError(f"{item.name} = {value!r}: a tuple of {element.__name__} is needed")
+        for part in value:
+            _check_scalar(item, element, part)
+    else:
+        _check_scalar(item, item.kind, value)
+
+
+def _check_scalar(item: ConfigItem, kind: Any, value: Any) -> None:
+    info = item.setting
+    number = kind in (int, float)
+    accepted: Any = (int, float) if kind is float else kind
+    if not isinstance(value, accepted) or (number and isinstance(value, bool)):
+        raise ConfigError(f"{item.name} = {value!r}: {kind.__name__} is needed")
+    if number:
+        if not math.isfinite(value):
+            raise ConfigError(f"{item.name} = {value!r} is not finite")
+        if info.minimum is not None and value < info.minimum:
+            raise ConfigError(f"{item.name} = {value!r} is below its minimum {info.minimum:g} {info.unit}".rstrip())
+        if info.maximum is not None and value > info.maximum:
+            raise ConfigError(f"{item.name} = {value!r} is above its maximum {info.maximum:g} {info.unit}".rstrip())
+    if info.choices and value not in info.choices:
+        raise ConfigError(f"{item.name} = {value!r} is none of {', '.join(info.choices)}")
+
+
+C = TypeVar("C")
+
+
+def from_mapping(config_class: type[C], values: Mapping[str, Any]) -> C:
+    """Build a configuration from dotted names, for example from YAML; lists become tuples, ints become floats.
+
+    Raises
+    ------
+    ConfigError
+        For unknown names (with the known ones), wrong types and values outside their bounds.
+    """
+    items = {item.name: item for item in settings_of(config_class)}
+    unknown = sorted(set(values) - set(items))
+    if unknown:
+        raise ConfigError(f"{config_class.__name__} has no setting {', '.join(unknown)}; it has {', '.join(items)}")
+    converted = {name: _convert(items[name], value) for name, value in values.items()}
+    return _build(config_class, converted, "")
+
+
+def _convert(item: ConfigItem, value: Any) -> Any:
+    if typing.get_origin(item.kind) is tuple and not isinstance(value, (str, tuple)):
+        element = typing.get_args(item.kind)[0]
+        value = tuple(float(v) if element is float and type(v) is int else v for v in value)
+    elif item.kind is float and type(value) is int:
+        value = float(value)
+    return value
+
+
+def _build(config_class: type[C], values: Mapping[str, Any], prefix: str) -> C:
+    hints = typing.get_type_hints(config_class)
+    arguments: dict[str, Any] = {}
+    for item in dataclasses.fields(config_class):  # type: ignore[arg-type]
+        name, kind = prefix + item.name, hints[item.name]
+        if isinstance(kind, type) and issubclass(kind, Config):
+            arguments[item.name] = _build(kind, values, name + ".")
+        elif name in values:
+            arguments[item.name] = values[name]
+    return config_class(**arguments)
+
+
+def to_mapping(config: Any, prefix: str = "") -> dict[str, Any]:
+    """Return the dotted names and values of a configuration."""
+    result: dict[str, Any] = {}
+    for item in dataclasses.fields(config):
+        value = getattr(config, item.name)
+        if isinstance(value, Config):
+            result.update(to_mapping(value, f"{prefix}{item.name}."))
+        else:
+            result[prefix + item.name] = value
+    return result

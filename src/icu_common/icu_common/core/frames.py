@@ -1,0 +1,11 @@
+"""Names of frames (REP-105) and joints; their meaning is in docs/architecture.md."""
+
+BASE = "base_link"
+PANEL = "panel_link"
+CAMERA_LEFT = "camera_left_optical_frame"
+CAMERA_RIGHT = "camera_right_optical_frame"
+
+JOINT_X = "gantry_x_joint"
+JOINT_Y = "gantry_y_joint"
+JOINT_STYLUS = "stylus_joint"
+JOINTS = (JOINT_X, JOINT_Y, JOINT_STYLUS)

@@ -1,0 +1,145 @@
+"""Rigid transforms, planes and rays, with frames in the names: ``a_from_b`` maps points of frame b into frame a."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transform:
+    """A rigid transform ``a_from_b``: ``p_a = rotation @ p_b + translation``.
+
+    Parameters
+    ----------
+    rotation
+        (3, 3) float64, orthonormal with determinant +1.
+    translation
+        (3,) float64 in metres.
+
+    Raises
+    ------
+    ValueError
+        If the shapes are wrong, a value is not finite, or the matrix is not a rotation.
+    """
+
+    rotation: Array
+    translation: Array
+
+    def __post_init__(self) -> None:
+        rotation = np.asarray(self.rotation, dtype=np.float64)
+        translation = np.asarray(self.translation, dtype=np.float64)
+        if rotation.shape != (3, 3) or translation.shape != (3,):
+            raise ValueError(f"a transform needs (3, 3) and (3,), not {rotation.shape} and {translation.shape}")
+        if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+            raise ValueError("a transform must be finite")
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
+            raise ValueError(f"not a rotation matrix: {rotation.tolist()}")
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation", translation)
+
+    @classmethod
+    def identity(cls) -> Transform:
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_quaternion(cls, xyzw: npt.ArrayLike, translation: npt.ArrayLike) -> Transform:
+        """Build from a quaternion in ROS order (x, y, z, w), which is normalised here.
+
+        Raises
+        ------
+        ValueError
+            If the quaternion has no length.
+        """
+        q = np.asarray(xyzw, dtype=np.float64)
+        length = float(np.linalg.norm(q))
+        if not length > 1e-9:
+            raise ValueError(f"quaternion {q.tolist()} has no direction")
+        x, y, z, w = q / length
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        return cls(rotation, np.asarray(translation, dtype=np.float64))
+
+    def quaternion(self) -> Array:
+        """Return (4,) x, y, z, w with w >= 0 (Shepperd's method: divide by the largest of the four)."""
+        r = self.rotation
+        candidates = np.array([r[0, 0], r[1, 1], r[2, 2], np.trace(r)])
+        i = int(np.argmax(candidates))
+        q = np.empty(4)
+        if i == 3:
+            q[:] = (r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1 + candidates[3])
+        else:
+            j, k = (i + 1) % 3, (i + 2) % 3
+            q[i] = 1 + r[i, i] - r[j, j] - r[k, k]
+            q[j] = r[j, i] + r[i, j]
+            q[k] = r[k, i] + r[i, k]
+            q[3] = r[k, j] - r[j, k]
+        q /= np.linalg.norm(q)
+        return q if q[3] >= 0 else -q
+
+    def apply(self, points: npt.ArrayLike) -> Array:
+        """Map points of frame b, (3,) or (N, 3) in metres, into frame a."""
+        result: Array = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
+        return result
+
+    def inverse(self) -> Transform:
+        """Return ``b_from_a``."""
+        return Transform(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def __matmul__(self, other: Transform) -> Transform:
+        """Chain ``a_from_b @ b_from_c`` to ``a_from_c``."""
+        return Transform(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """Points p with ``normal . p = offset``; normal (3,) of unit length, offset in metres, both in one frame."""
+
+    normal: Array
+    offset: float
+
+    @classmethod
+    def through(cls, point: npt.ArrayLike, normal: npt.ArrayLike) -> Plane:
+        n = np.asarray(normal, dtype=np.float64)
+        n = n / np.linalg.norm(n)
+        return cls(n, float(n @ np.asarray(point, dtype=np.float64)))
+
+    def distance(self, points: npt.ArrayLike) -> Array:
+        """Signed distance in metres of (N, 3) or (3,) points, positive on the normal's side."""
+        result: Array = np.asarray(points, dtype=np.float64) @ self.normal - self.offset
+        return result
+
+    def intersect_ray(self, origin: npt.ArrayLike, direction: npt.ArrayLike) -> Array:
+        """Return the (3,) point where the ray from ``origin`` meets the plane.
+
+        Raises
+        ------
+        ValueError
+            If the ray is parallel to the plane or the plane lies behind its origin.
+        """
+        o = np.asarray(origin, dtype=np.float64)
+        d = np.asarray(direction, dtype=np.float64)
+        slope = float(self.normal @ d)
+        if abs(slope) < 1e-9 * float(np.linalg.norm(d)):
+            raise ValueError("the ray is parallel to the plane")
+        along = (self.offset - float(self.normal @ o)) / slope
+        if along <= 0:
+            raise ValueError("the plane lies behind the ray's origin")
+        return o + along * d
+
+
+def nearest_rotation(matrix: npt.ArrayLike) -> Array:
+    """Return the rotation (3, 3) nearest to ``matrix`` in the Frobenius norm (orthogonal Procrustes)."""
+    u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=np.float64))
+    flip = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))])
+    result: Array = u @ flip @ vt
+    return result

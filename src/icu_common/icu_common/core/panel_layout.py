@@ -1,0 +1,294 @@
+"""Layout of a front panel in millimetres: the one truth for its picture, its controls and its drawing.
+
+Origin at the lower left corner of the panel's face, x right, y up; ``height_mm`` is how far a control stands proud.
+Read from ``config/scopes/<model>.yaml``; errors name the file and the line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+CONTROL_KINDS = ("button", "knob", "touch_area", "connector")
+SHAPES = ("rectangle", "circle")
+
+
+class LayoutError(ValueError):
+    """A layout file is wrong; the message has the form ``file:line: what is wrong``."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Control:
+    """One thing on the panel that can be touched, or that must be avoided.
+
+    ``position_mm`` is the centre, ``size_mm`` (width, height) or twice the diameter for a circle. ``lit_colour`` is the
+    colour of its lamp when lit, empty without a lamp.
+    """
+
+    name: str
+    kind: str
+    position_mm: tuple[float, float]
+    size_mm: tuple[float, float]
+    shape: str = "rectangle"
+    height_mm: float = 0.0
+    label: str = ""
+    colour: str = "#404448"
+    lit_colour: str = ""
+
+    def contains_mm(self, x: float, y: float) -> bool:
+        """Tell whether the point (x, y) in mm lies on the control's face."""
+        dx, dy = x - self.position_mm[0], y - self.position_mm[1]
+        half_width, half_height = self.size_mm[0] / 2, self.size_mm[1] / 2
+        if self.shape == "circle":
+            return (dx / half_width) ** 2 + (dy / half_height) ** 2 <= 1
+        return abs(dx) <= half_width and abs(dy) <= half_height
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rectangle:
+    """Artwork: lower left corner, width and height in mm; ``fill`` may be empty for an outline of ``line_mm``."""
+
+    rectangle_mm: tuple[float, float, float, float]
+    fill: str = ""
+    outline: str = ""
+    line_mm: float = 0.4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Circle:
+    """Artwork: centre x, y and radius in mm."""
+
+    circle_mm: tuple[float, float, float]
+    fill: str = ""
+    outline: str = ""
+    line_mm: float = 0.4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """Artwork: from x, y to x, y in mm."""
+
+    line_from_to_mm: tuple[float, float, float, float]
+    colour: str = "#d8dcd8"
+    line_mm: float = 0.4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Text:
+    """Artwork: Hershey simplex capitals of ``height_mm``, centred at ``at_mm``."""
+
+    text: str
+    at_mm: tuple[float, float]
+    height_mm: float = 3.0
+    colour: str = "#e8ece8"
+    line_mm: float = 0.4
+
+
+Artwork = Rectangle | Circle | Line | Text
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PanelLayout:
+    """A whole front panel; ``colour`` is the face's, ``artwork`` is drawn in order, then the controls."""
+
+    model: str
+    title: str
+    size_mm: tuple[float, float]
+    colour: str
+    controls: tuple[Control, ...]
+    artwork: tuple[Artwork, ...]
+
+    def control(self, name: str) -> Control:
+        """Return the control with that name.
+
+        Raises
+        ------
+        KeyError
+            With the known names.
+        """
+        for control in self.controls:
+            if control.name == name:
+                return control
+        raise KeyError(f"{self.model} has no control {name!r}; it has {', '.join(c.name for c in self.controls)}")
+
+
+class _LineLoader(yaml.SafeLoader):
+    """Safe YAML that remembers on which line each mapping starts."""
+
+
+def _mapping_with_line(loader: _LineLoader, node: yaml.MappingNode) -> dict[str, Any]:
+    mapping: dict[str, Any] = {}
+    for key_node, value_node in node.value:
+        key = loader.construct_object(key_node, deep=True)
+        if key in mapping:
+            raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", key_node.start_mark)
+        mapping[key] = loader.construct_object(value_node, deep=True)
+    mapping["__line__"] = node.start_mark.line + 1
+    return mapping
+
+
+_LineLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping_with_line)
+
+
+def load_layout(path: Path) -> PanelLayout:
+    """Read and check a layout file.
+
+    Raises
+    ------
+    LayoutError
+        ``file:line: what is wrong``.
+    OSError
+        If the file cannot be read.
+    """
+    return parse_layout(path.read_text(encoding="utf-8"), str(path))
+
+
+def parse_layout(text: str, file_name: str = "layout") -> PanelLayout:
+    """Check the text of a layout file; see :func:`load_layout`."""
+    try:
+        document = yaml.load(text, Loader=_LineLoader)  # a SafeLoader with line numbers
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise LayoutError(f"{file_name}:{line}: {error.problem}") from error
+    if not isinstance(document, dict):
+        raise LayoutError(f"{file_name}:1: a mapping with model, size_mm and controls is needed")
+    return _Reader(file_name).layout(document)
+
+
+class _Reader:
+    """Turns the YAML document into dataclasses, or into one error with file and line."""
+
+    def __init__(self, file_name: str) -> None:
+        self.file_name = file_name
+
+    def layout(self, document: dict[str, Any]) -> PanelLayout:
+        self.known(document, {"model", "title", "size_mm", "colour", "controls", "artwork"})
+        width, height = self.numbers(document, "size_mm", 2, positive=True)
+        controls: list[Control] = []
+        for entry in self.entries(document, "controls"):
+            control = self.one_control(entry)
+            if control.name in {c.name for c in controls}:
+                raise self.error(entry, f"control {control.name!r} stands twice")
+            x, y = control.position_mm
+            half_width, half_height = control.size_mm[0] / 2, control.size_mm[1] / 2
+            if not (half_width <= x <= width - half_width and half_height <= y <= height - half_height):
+                raise self.error(
+                    entry,
+                    f"control {control.name!r} at ({x:g}, {y:g}) reaches outside the panel {width:g} x {height:g} mm",
+                )
+            controls.append(control)
+        if not controls:
+            raise self.error(document, "no controls")
+        return PanelLayout(
+            model=self.text(document, "model"),
+            title=self.text(document, "title", self.text(document, "model")),
+            size_mm=(width, height),
+            colour=self.colour(document, "colour", "#303438"),
+            controls=tuple(controls),
+            artwork=tuple(self.one_artwork(entry) for entry in self.entries(document, "artwork")),
+        )
+
+    def one_control(self, entry: dict[str, Any]) -> Control:
+        fields = {"name", "kind", "position_mm", "size_mm", "shape", "height_mm", "label", "colour", "lit_colour"}
+        self.known(entry, fields)
+        name = self.text(entry, "name")
+        if not name.replace("_", "").isalnum() or not name[0].isalpha():
+            raise self.error(entry, f"name {name!r}: a letter, then letters, digits and '_' are needed")
+        x, y = self.numbers(entry, "position_mm", 2)
+        width, height = self.numbers(entry, "size_mm", 2, positive=True)
+        return Control(
+            name=name,
+            kind=self.choice(entry, "kind", CONTROL_KINDS),
+            position_mm=(x, y),
+            size_mm=(width, height),
+            shape=self.choice(entry, "shape", SHAPES, "rectangle"),
+            height_mm=self.numbers({**entry, "height_mm": [entry.get("height_mm", 0.0)]}, "height_mm", 1)[0],
+            label=self.text(entry, "label", ""),
+            colour=self.colour(entry, "colour", "#404448"),
+            lit_colour=self.colour(entry, "lit_colour", ""),
+        )
+
+    def one_artwork(self, entry: dict[str, Any]) -> Artwork:
+        line_mm = self.numbers({**entry, "line_mm": [entry.get("line_mm", 0.4)]}, "line_mm", 1, positive=True)[0]
+        if "rectangle_mm" in entry:
+            self.known(entry, {"rectangle_mm", "fill", "outline", "line_mm"})
+            x, y, width, height = self.numbers(entry, "rectangle_mm", 4)
+            fill, outline = self.colour(entry, "fill", ""), self.colour(entry, "outline", "")
+            return Rectangle(rectangle_mm=(x, y, width, height), fill=fill, outline=outline, line_mm=line_mm)
+        if "circle_mm" in entry:
+            self.known(entry, {"circle_mm", "fill", "outline", "line_mm"})
+            x, y, radius = self.numbers(entry, "circle_mm", 3)
+            fill, outline = self.colour(entry, "fill", ""), self.colour(entry, "outline", "")
+            return Circle(circle_mm=(x, y, radius), fill=fill, outline=outline, line_mm=line_mm)
+        if "line_from_to_mm" in entry:
+            self.known(entry, {"line_from_to_mm", "colour", "line_mm"})
+            x0, y0, x1, y1 = self.numbers(entry, "line_from_to_mm", 4)
+            return Line(
+                line_from_to_mm=(x0, y0, x1, y1), colour=self.colour(entry, "colour", "#d8dcd8"), line_mm=line_mm
+            )
+        if "text" in entry:
+            self.known(entry, {"text", "at_mm", "height_mm", "colour", "line_mm"})
+            x, y = self.numbers(entry, "at_mm", 2)
+            height = self.numbers({**entry, "height_mm": [entry.get("height_mm", 3.0)]}, "height_mm", 1, positive=True)[
+                0
+            ]
+            colour = self.colour(entry, "colour", "#e8ece8")
+            return Text(text=self.text(entry, "text"), at_mm=(x, y), height_mm=height, colour=colour, line_mm=line_mm)
+        raise self.error(entry, "artwork needs one of rectangle_mm, circle_mm, line_from_to_mm, text")
+
+    def error(self, entry: dict[str, Any], what: str) -> LayoutError:
+        return LayoutError(f"{self.file_name}:{entry.get('__line__', 1)}: {what}")
+
+    def known(self, entry: dict[str, Any], names: set[str]) -> None:
+        unknown = set(entry) - names - {"__line__"}
+        if unknown:
+            raise self.error(
+                entry, f"unknown key {', '.join(sorted(map(str, unknown)))}; known: {', '.join(sorted(names))}"
+            )
+
+    def entries(self, document: dict[str, Any], key: str) -> list[dict[str, Any]]:
+        value = document.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
+            raise self.error(document, f"{key} must be a list of mappings")
+        return value
+
+    def text(self, entry: dict[str, Any], key: str, default: str | None = None) -> str:
+        value = entry.get(key, default)
+        if not isinstance(value, str) or (default is None and not value):
+            raise self.error(entry, f"{key} = {value!r}: a text is needed (quote it)")
+        return value
+
+    def choice(self, entry: dict[str, Any], key: str, choices: tuple[str, ...], default: str | None = None) -> str:
+        value = self.text(entry, key, default)
+        if value not in choices:
+            raise self.error(entry, f"{key} = {value!r} is none of {', '.join(choices)}")
+        return value
+
+    def colour(self, entry: dict[str, Any], key: str, default: str) -> str:
+        value = self.text(entry, key, default)
+        if value and not (
+            len(value) == 7 and value[0] == "#" and all(c in "0123456789abcdefABCDEF" for c in value[1:])
+        ):
+            raise self.error(entry, f'{key} = {value!r}: a colour such as "#ff8800" is needed')
+        return value
+
+    def numbers(self, entry: dict[str, Any], key: str, count: int, *, positive: bool = False) -> tuple[float, ...]:
+        value = entry.get(key)
+        good = isinstance(value, list) and len(value) == count
+        if not good or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value or ()):
+            raise self.error(entry, f"{key} = {value!r}: {count} numbers are needed")
+        assert isinstance(value, list)
+        numbers = tuple(float(v) for v in value)
+        if any(v != v or abs(v) > 1e4 for v in numbers) or (positive and min(numbers) <= 0):
+            raise self.error(
+                entry, f"{key} = {value!r}: {'positive ' if positive else ''}numbers up to 10000 are needed"
+            )
+        return numbers
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Return (red, green, blue), 0 to 255, of a colour such as ``#ff8800``."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)

@@ -1,0 +1,1 @@
+"""What needs rclpy: parameters, QoS profiles, message conversions, process start and end."""

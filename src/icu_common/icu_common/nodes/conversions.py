@@ -1,0 +1,245 @@
+"""The only place where messages are packed and unpacked; everything else works on numpy arrays and dataclasses."""
+
+from __future__ import annotations
+
+import array
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion, TransformStamped, Vector3
+from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointField
+from std_msgs.msg import Header
+
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.geometry import Array, Transform
+from icu_common.core.results import GoalResult, Outcome
+
+_CHANNELS = {"mono8": (np.uint8, 1), "mono16": (np.uint16, 1), "bgr8": (np.uint8, 3), "rgb8": (np.uint8, 3)}
+_CHANNELS |= {"bgra8": (np.uint8, 4), "rgba8": (np.uint8, 4)}
+_CHANNELS |= {f"bayer_{p}8": (np.uint8, 1) for p in ("rggb", "bggr", "gbrg", "grbg")}
+
+LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
+
+
+def time_message(stamp_ns: int) -> Time:
+    """Return a Time of ``stamp_ns`` nanoseconds of ROS time."""
+    return Time(sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
+
+
+def stamp_ns(time: Time) -> int:
+    """Return nanoseconds of ROS time."""
+    return int(time.sec) * 1_000_000_000 + int(time.nanosec)
+
+
+def header(stamp: int, frame: str) -> Header:
+    """Return a Header with ``stamp`` in nanoseconds."""
+    return Header(stamp=time_message(stamp), frame_id=frame)
+
+
+def image_message(picture: npt.NDArray[Any], encoding: str, head: Header) -> Image:
+    """Pack (H, W) or (H, W, C); filling ``array.array`` from a buffer is the fast way in rclpy (see ros decisions)."""
+    contiguous = np.ascontiguousarray(picture)
+    message = Image(header=head, height=contiguous.shape[0], width=contiguous.shape[1], encoding=encoding)
+    message.step = contiguous.strides[0]
+    data = array.array("B")
+    data.frombytes(contiguous.data.cast("B"))
+    message.data = data
+    return message
+
+
+def image_array(message: Image) -> npt.NDArray[Any]:
+    """Return a view on the message's pixels, (H, W) or (H, W, C), without a copy; do not write into it.
+
+    Raises
+    ------
+    ValueError
+        For an unknown encoding, or a size that does not fit the data.
+    """
+    if message.encoding not in _CHANNELS:
+        raise ValueError(f"encoding {message.encoding!r} is none of {', '.join(_CHANNELS)}")
+    dtype, channels = _CHANNELS[message.encoding]
+    row = message.width * channels * np.dtype(dtype).itemsize
+    if message.step < row or len(message.data) < message.step * message.height:
+        raise ValueError(
+            f"{message.width} x {message.height} {message.encoding} with step {message.step} does not fit "
+            f"{len(message.data)} bytes"
+        )
+    rows = np.frombuffer(message.data, np.uint8)[: message.step * message.height].reshape(message.height, message.step)
+    picture = rows[:, :row].view(np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<"))
+    return picture if channels == 1 else picture.reshape(message.height, message.width, channels)
+
+
+def cloud_message(columns: Sequence[str], values: npt.ArrayLike, head: Header) -> PointCloud2:
+    """Pack (N, len(columns)) float32 values as an unorganised cloud with these field names."""
+    rows = np.ascontiguousarray(np.asarray(values, dtype=np.float32).reshape(-1, len(columns)))
+    fields = [
+        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, name in enumerate(columns)
+    ]
+    cloud = PointCloud2(header=head, height=1, width=len(rows), fields=fields, is_dense=bool(np.isfinite(rows).all()))
+    cloud.point_step = 4 * len(columns)
+    cloud.row_step = cloud.point_step * len(rows)
+    data = array.array("B")
+    data.frombytes(rows.data.cast("B") if rows.size else b"")
+    cloud.data = data
+    return cloud
+
+
+def cloud_array(cloud: PointCloud2, columns: Sequence[str]) -> npt.NDArray[np.float32]:
+    """Return (N, len(columns)) float32 of the named FLOAT32 fields.
+
+    Raises
+    ------
+    ValueError
+        If a field is missing or not FLOAT32.
+    """
+    offsets = {f.name: f.offset for f in cloud.fields if f.datatype == PointField.FLOAT32}
+    missing = [name for name in columns if name not in offsets]
+    if missing:
+        raise ValueError(f"the cloud has no float32 field {', '.join(missing)}; it has {', '.join(offsets)}")
+    count = cloud.width * cloud.height
+    raw = np.frombuffer(cloud.data, np.uint8)[: count * cloud.point_step].reshape(count, cloud.point_step)
+    parts = [np.ascontiguousarray(raw[:, offsets[n] : offsets[n] + 4]).view("<f4") for n in columns]
+    return np.hstack(parts) if parts else np.empty((count, 0), np.float32)
+
+
+def camera_info_message(model: CameraModel, head: Header) -> CameraInfo:
+    """Pack a camera model."""
+    info = CameraInfo(header=head, width=model.width, height=model.height, distortion_model="plumb_bob")
+    info.d = [float(x) for x in model.d]
+    info.k, info.r, info.p = model.k.ravel(), model.r.ravel(), model.p.ravel()
+    return info
+
+
+def camera_model(info: CameraInfo, name: str = "camera") -> CameraModel:
+    """Unpack a camera model.
+
+    Raises
+    ------
+    ValueError
+        If the camera is not calibrated or has another distortion model than plumb_bob.
+    """
+    if info.distortion_model != "plumb_bob" or len(info.d) != 5:
+        raise ValueError(f"distortion {info.distortion_model!r} with {len(info.d)} values: plumb_bob with 5 is needed")
+    return CameraModel(
+        name=name,
+        width=info.width,
+        height=info.height,
+        k=np.array(info.k).reshape(3, 3),
+        d=np.array(info.d),
+        r=np.array(info.r).reshape(3, 3),
+        p=np.array(info.p).reshape(3, 4),
+    )
+
+
+def point_message(xyz: npt.ArrayLike, head: Header) -> PointStamped:
+    """Pack (3,) metres."""
+    x, y, z = (float(v) for v in np.asarray(xyz, dtype=np.float64))
+    return PointStamped(header=head, point=Point(x=x, y=y, z=z))
+
+
+def point_array(message: PointStamped) -> Array:
+    """Return (3,) metres."""
+    return np.array([message.point.x, message.point.y, message.point.z])
+
+
+def pose(transform: Transform) -> Pose:
+    """Pack a transform as a Pose."""
+    x, y, z = (float(v) for v in transform.translation)
+    qx, qy, qz, qw = (float(v) for v in transform.quaternion())
+    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+
+
+def transform_of_pose(value: Pose) -> Transform:
+    """Unpack a Pose."""
+    q, t = value.orientation, value.position
+    return Transform.from_quaternion((q.x, q.y, q.z, q.w), (t.x, t.y, t.z))
+
+
+def pose_message(frame_from_object: Transform, head: Header) -> PoseStamped:
+    """Pack the pose of an object in the header's frame."""
+    return PoseStamped(header=head, pose=pose(frame_from_object))
+
+
+def transform_message(parent_from_child: Transform, head: Header, child: str) -> TransformStamped:
+    """Pack parent_from_child; the parent is the header's frame."""
+    value = pose(parent_from_child)
+    message = TransformStamped(header=head, child_frame_id=child)
+    message.transform.translation = Vector3(x=value.position.x, y=value.position.y, z=value.position.z)
+    message.transform.rotation = value.orientation
+    return message
+
+
+def transform_of_message(message: TransformStamped) -> Transform:
+    """Unpack parent_from_child."""
+    q, t = message.transform.rotation, message.transform.translation
+    return Transform.from_quaternion((q.x, q.y, q.z, q.w), (t.x, t.y, t.z))
+
+
+def joint_message(names: Sequence[str], positions_m: Iterable[float], head: Header) -> JointState:
+    """Pack joint positions in metres."""
+    return JointState(header=head, name=list(names), position=[float(p) for p in positions_m])
+
+
+def joint_positions(message: JointState, names: Sequence[str]) -> Array:
+    """Return the positions in metres in the order of ``names``.
+
+    Raises
+    ------
+    ValueError
+        If a joint is missing.
+    """
+    known = dict(zip(message.name, message.position))
+    missing = [name for name in names if name not in known]
+    if missing:
+        raise ValueError(f"joint {', '.join(missing)} is missing; the message has {', '.join(known)}")
+    return np.array([known[name] for name in names])
+
+
+def diagnostic_status(name: str, level: str, message: str, values: Iterable[tuple[str, Any]]) -> DiagnosticStatus:
+    """Return a status; ``level`` is ok, warn or error."""
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in values]
+    return DiagnosticStatus(name=name, level=LEVELS[level], message=message, hardware_id="icu_gantry", values=pairs)
+
+
+def result_message(result: GoalResult, stamp: int) -> DiagnosticArray:
+    """Pack a goal's answer: one status, its name ``goal``, its message ``outcome: reason``, the rest as pairs."""
+    level = {Outcome.REJECTED: "warn", Outcome.ABORTED: "error"}.get(result.outcome, "ok")
+    text = result.outcome.value + (f": {result.reason}" if result.reason else "")
+    values = [
+        ("goal_id", result.goal_id),
+        ("goal", result.goal),
+        ("outcome", result.outcome.value),
+        ("reason", result.reason),
+        ("error_m", repr(result.error_m)),
+        ("duration_s", repr(result.duration_s)),
+        *result.details,
+    ]
+    return DiagnosticArray(header=header(stamp, ""), status=[diagnostic_status("goal", level, text, values)])
+
+
+def result_of_message(message: DiagnosticArray) -> GoalResult:
+    """Unpack a goal's answer.
+
+    Raises
+    ------
+    ValueError
+        If the message is something else.
+    """
+    if len(message.status) != 1 or message.status[0].name != "goal":
+        raise ValueError("not the answer to a goal")
+    values = {pair.key: pair.value for pair in message.status[0].values}
+    known = ("goal_id", "goal", "outcome", "reason", "error_m", "duration_s")
+    return GoalResult(
+        goal_id=values.get("goal_id", ""),
+        goal=values.get("goal", ""),
+        outcome=Outcome(values.get("outcome", "")),
+        reason=values.get("reason", ""),
+        error_m=float(values.get("error_m", math.nan)),
+        duration_s=float(values.get("duration_s", math.nan)),
+        details=tuple((k, v) for k, v in values.items() if k not in known),
+    )

@@ -1,0 +1,23 @@
+"""Build file of the package; see package.xml for what it is."""
+
+from setuptools import find_packages, setup
+
+NAME = "icu_common"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
+        ("share/" + NAME, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    description="Frames, cameras, parameters, QoS, messages and results shared by the gantry robot",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [],
+    },
+)

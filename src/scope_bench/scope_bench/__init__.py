@@ -1,0 +1,1 @@
+"""Simulated bench (instrument panel, stereo camera, mechanics, touch) and bring-up of the whole graph."""

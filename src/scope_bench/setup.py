@@ -1,0 +1,30 @@
+"""Build file of the package; see package.xml for what it is."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "scope_bench"
+FOLDERS = ("launch", "config", "config/params", "config/cameras", "config/scopes")
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
+        ("share/" + NAME, ["package.xml"]),
+        *[("share/" + NAME + "/" + folder, sorted(glob(folder + "/*.*"))) for folder in FOLDERS],
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    description="Simulated bench (instrument panel, stereo camera, mechanics, touch) and bring-up of the whole graph",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "bench = scope_bench.nodes.bench_node:main",
+            "bring_up = scope_bench.cli.bring_up:main",
+        ],
+    },
+)

@@ -1,0 +1,25 @@
+"""Build file of the package; see package.xml for what it is."""
+
+from setuptools import find_packages, setup
+
+NAME = "scope_ui_bridge"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
+        ("share/" + NAME, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    description="Operator page: live picture, clicks, stop; served by aiohttp from a bridge to the graph",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "ui_bridge = scope_ui_bridge.nodes.bridge_node:main",
+        ],
+    },
+)
