@@ -1,0 +1,81 @@
+"""Messages come back as the values that were packed; misfits are refused with the reason."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from icu_common.core.geometry import Transform
+from icu_common.core.results import GoalResult, Outcome
+from icu_common.nodes import conversions as cv
+
+HEAD = cv.header(1_700_000_000_123_456_789, "camera_left_optical_frame")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "shape", "dtype"),
+    [("bgr8", (5, 7, 3), np.uint8), ("mono8", (5, 7), np.uint8), ("mono16", (5, 7), np.uint16)],
+)
+def test_picture_round_trip(encoding: str, shape: tuple[int, ...], dtype: type) -> None:
+    picture = np.random.default_rng(3).integers(0, np.iinfo(dtype).max, shape, dtype=dtype)
+    message = cv.image_message(picture, encoding, HEAD)
+    assert cv.stamp_ns(message.header.stamp) == 1_700_000_000_123_456_789
+    np.testing.assert_array_equal(cv.image_array(message), picture)
+    padded = np.zeros((shape[0], message.step + 6), np.uint8)
+    padded[:, : message.step] = picture.reshape(shape[0], -1).view(np.uint8)
+    message.step, message.data = padded.shape[1], padded.tobytes()
+    np.testing.assert_array_equal(cv.image_array(message), picture)
+
+
+def test_picture_that_does_not_fit_is_refused() -> None:
+    message = cv.image_message(np.zeros((4, 4), np.uint8), "mono8", HEAD)
+    message.height = 5
+    with pytest.raises(ValueError, match="does not fit 16 bytes"):
+        cv.image_array(message)
+    message.encoding = "yuv422"
+    with pytest.raises(ValueError, match="'yuv422' is none of"):
+        cv.image_array(message)
+
+
+def test_cloud_round_trip() -> None:
+    values = np.random.default_rng(4).normal(size=(9, 3)).astype(np.float32)
+    cloud = cv.cloud_message(("u", "v", "response"), values, HEAD)
+    np.testing.assert_array_equal(cv.cloud_array(cloud, ("response", "u")), values[:, [2, 0]])
+    assert cv.cloud_array(cv.cloud_message(("u",), np.empty((0, 1)), HEAD), ("u",)).shape == (0, 1)
+    with pytest.raises(ValueError, match="no float32 field w; it has u, v, response"):
+        cv.cloud_array(cloud, ("w",))
+
+
+def test_pose_and_transform_round_trip() -> None:
+    transform = Transform.from_quaternion((0.1, -0.2, 0.3, 0.9), (0.1, 0.2, 0.3))
+    for back in (
+        cv.transform_of_pose(cv.pose_message(transform, HEAD).pose),
+        cv.transform_of_message(cv.transform_message(transform, HEAD, "base_link")),
+    ):
+        np.testing.assert_allclose(back.rotation, transform.rotation, atol=1e-12)
+        np.testing.assert_allclose(back.translation, transform.translation)
+
+
+def test_result_round_trip() -> None:
+    result = GoalResult(
+        goal_id="7",
+        goal="press:RUN_STOP",
+        outcome=Outcome.REACHED,
+        error_m=0.000123,
+        duration_s=2.5,
+        details=(("tries", "2"),),
+    )
+    assert cv.result_of_message(cv.result_message(result, 1)) == result
+    rejected = cv.result_of_message(
+        cv.result_message(GoalResult(goal_id="", goal="x", outcome=Outcome.REJECTED, reason="why"), 1)
+    )
+    assert rejected.reason == "why" and math.isnan(rejected.error_m)
+
+
+def test_joints_by_name() -> None:
+    message = cv.joint_message(("b", "a"), (2.0, 1.0), HEAD)
+    np.testing.assert_array_equal(cv.joint_positions(message, ("a", "b")), (1.0, 2.0))
+    with pytest.raises(ValueError, match="joint c is missing"):
+        cv.joint_positions(message, ("c",))

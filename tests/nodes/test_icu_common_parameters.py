@@ -1,0 +1,77 @@
+"""ROS parameters come from the configuration dataclass, and bad values leave the old ones in force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from icu_common.core.config import Config, ConfigError, nested, setting
+from icu_common.nodes.parameters import LiveParameters
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inner(Config):
+    gain: float = setting(1.0, "gain", minimum=0.0, maximum=2.0, unit="V")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outer(Config):
+    rate: int = setting(10, "rate", minimum=1, maximum=60)
+    mode: str = setting("fast", "mode", choices=("fast", "slow"))
+    port: str = setting("p", "port", read_only=True)
+    corner_m: tuple[float, ...] = setting((0.0, 1.0), "corner")
+    inner: Inner = nested(Inner)
+
+
+class Probe(Node):
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("probe", **kwargs)
+        self.changes: list[Outer] = []
+        self.live = LiveParameters(self, Outer, self.changes.append)
+
+
+def test_defaults_overrides_and_descriptors(ros: Any) -> None:
+    node = ros.node(Probe, {"rate": 20, "inner.gain": 1.5, "corner_m": [0.5, 2.0]})
+    config = node.live.config
+    assert (config.rate, config.inner.gain, config.corner_m) == (20, 1.5, (0.5, 2.0))
+    descriptor = node.describe_parameter("inner.gain")
+    assert "[V]" in descriptor.description and descriptor.floating_point_range[0].to_value == 2.0
+    assert node.describe_parameter("port").read_only
+
+
+def test_good_change_is_applied_and_reported(ros: Any) -> None:
+    node = ros.node(Probe)
+    assert node.set_parameters([Parameter("inner.gain", value=0.25)])[0].successful
+    assert node.live.config.inner.gain == 0.25
+    assert [c.inner.gain for c in node.changes] == [0.25]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "word"),
+    [
+        ("rate", 61, "rate"),
+        ("inner.gain", float("nan"), "gain"),
+        ("mode", "warp", "fast, slow"),
+        ("port", "q", "read-only"),
+    ],
+)
+def test_bad_change_is_refused_with_its_reason(ros: Any, name: str, value: Any, word: str) -> None:
+    node = ros.node(Probe)
+    before = node.live.config
+    result = node.set_parameters([Parameter(name, value=value)])[0]
+    assert not result.successful and word in result.reason
+    assert node.live.config == before and node.changes == []
+
+
+def test_unknown_key_is_an_error_and_not_ignored(ros: Any) -> None:
+    with pytest.raises(ConfigError, match="no parameter raet; it has"):
+        ros.node(Probe, {"raet": 5})
+
+
+def test_value_outside_its_range_at_start_is_an_error(ros: Any) -> None:
+    with pytest.raises(Exception, match="rate"):
+        ros.node(Probe, {"rate": 0})

@@ -1,0 +1,69 @@
+"""Pictures over a Unix socket arrive whole, a slow reader misses some, a gone server is noticed."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from icu_common.adapters.frame_link import FrameClient, FrameServer
+
+RNG = np.random.default_rng(7)
+PAIR = [RNG.integers(0, 255, (480, 640, 3), dtype=np.uint8) for _ in range(2)]
+
+
+def drain(server: FrameServer) -> None:
+    for _ in range(10_000):
+        if server.flush():
+            return
+        server.wait_writable(0.05)
+    pytest.fail("the reader took nothing")
+
+
+def test_pair_arrives_with_its_stamp(tmp_path: Path) -> None:
+    server = FrameServer(tmp_path / "s")
+    client = FrameClient(tmp_path / "s")
+    assert server.reader_count() == 1
+    server.send(PAIR, 123_456_789_012)
+    sender = threading.Thread(target=drain, args=(server,))
+    sender.start()
+    pictures, stamp = client.read(2.0)
+    sender.join(5.0)
+    assert stamp == 123_456_789_012
+    np.testing.assert_array_equal(pictures, PAIR)
+    with pytest.raises(TimeoutError):
+        client.read(0.01)
+    server.close()
+    with pytest.raises(ConnectionError, match="gone"):
+        client.read(0.5)
+    client.close()
+    with pytest.raises(OSError):
+        FrameClient(tmp_path / "s")
+
+
+def test_slow_reader_misses_frames_but_never_gets_a_torn_one(tmp_path: Path) -> None:
+    server = FrameServer(tmp_path / "s")
+    client = FrameClient(tmp_path / "s")
+    big = [np.full((1080, 1920, 3), value, np.uint8) for value in (1, 2)]
+    for stamp in range(20):
+        server.send(big, stamp)  # never blocks, although nobody reads
+    sender = threading.Thread(target=drain, args=(server,))
+    sender.start()
+    pictures, stamp = client.read(5.0)
+    assert stamp == 0 and (pictures[0] == 1).all() and (pictures[1] == 2).all()
+    sender.join(5.0)
+    server.close()
+    client.close()
+
+
+def test_a_reader_that_goes_does_not_hurt_the_server(tmp_path: Path) -> None:
+    server = FrameServer(tmp_path / "s")
+    client = FrameClient(tmp_path / "s")
+    server.send(PAIR, 1)
+    client.close()
+    server.send(PAIR, 2)
+    server.send(PAIR, 3)
+    assert server.reader_count() == 0
+    server.close()

@@ -1,0 +1,117 @@
+"""Transforms, planes and cameras against closed forms and against OpenCV."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry import Plane, Transform, nearest_rotation
+
+SEED = 20261121
+
+
+def random_transform(rng: np.random.Generator) -> Transform:
+    return Transform(nearest_rotation(rng.normal(size=(3, 3))), rng.normal(size=3))
+
+
+@given(st.integers(0, 10_000))
+def test_quaternion_inverse_and_chain(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a_from_b, b_from_c = random_transform(rng), random_transform(rng)
+    points = rng.normal(size=(5, 3))
+    np.testing.assert_allclose((a_from_b @ b_from_c).apply(points), a_from_b.apply(b_from_c.apply(points)), atol=1e-12)
+    np.testing.assert_allclose(a_from_b.inverse().apply(a_from_b.apply(points)), points, atol=1e-12)
+    back = Transform.from_quaternion(a_from_b.quaternion(), a_from_b.translation)
+    np.testing.assert_allclose(back.rotation, a_from_b.rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_quaternion_of_half_turns(axis: int) -> None:
+    signs = -np.ones(3)
+    signs[axis] = 1
+    transform = Transform(np.diag(signs), np.zeros(3))
+    expected = np.zeros(4)
+    expected[axis] = 1
+    np.testing.assert_allclose(np.abs(transform.quaternion()), expected, atol=1e-12)
+
+
+def test_refusals() -> None:
+    with pytest.raises(ValueError, match="not a rotation"):
+        Transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3))
+    with pytest.raises(ValueError, match="finite"):
+        Transform(np.eye(3), np.array([0, np.nan, 0]))
+    with pytest.raises(ValueError, match="no direction"):
+        Transform.from_quaternion((0, 0, 0, 0), (0, 0, 0))
+
+
+def test_plane_and_ray() -> None:
+    plane = Plane.through((0, 0, 2), (0, 0, -4))
+    assert plane.distance(np.array([0.3, 0.1, 1.5])) == pytest.approx(0.5)
+    np.testing.assert_allclose(plane.intersect_ray((0, 0, 0), (0.1, 0.2, 1)), (0.2, 0.4, 2))
+    with pytest.raises(ValueError, match="parallel"):
+        plane.intersect_ray((0, 0, 0), (1, 0, 0))
+    with pytest.raises(ValueError, match="behind"):
+        plane.intersect_ray((0, 0, 0), (0, 0, -1))
+
+
+def camera(**changes: object) -> CameraModel:
+    turn, _ = cv2.Rodrigues(np.array([0.01, -0.02, 0.005]))
+    values: dict[str, object] = {
+        "name": "test",
+        "width": 1280,
+        "height": 720,
+        "k": [[1700, 0, 650], [0, 1690, 350], [0, 0, 1]],
+        "d": [-0.08, 0.02, 0.0005, -0.0003, 0.001],
+        "r": turn,
+        "p": [[1680, 0, 640, 0], [0, 1680, 360, 0], [0, 0, 1, 0]],
+    }
+    return CameraModel(**{**values, **changes})  # type: ignore[arg-type]
+
+
+def test_project_is_opencv_and_rays_undo_it() -> None:
+    print("seed", SEED)
+    rng = np.random.default_rng(SEED)
+    model = camera()
+    points = np.column_stack([rng.uniform(-0.25, 0.25, 50), rng.uniform(-0.15, 0.15, 50), rng.uniform(0.6, 0.8, 50)])
+    pixels = model.project(points)
+    expected, _ = cv2.projectPoints(points @ model.r, np.zeros(3), np.zeros(3), model.k, model.d)
+    np.testing.assert_allclose(pixels, expected.reshape(-1, 2), atol=1e-8)
+    np.testing.assert_allclose(model.rays(pixels), points / points[:, 2:], atol=1e-9)
+    assert np.isnan(model.project([[0, 0, -1]])).all()
+
+
+def test_triangulation_undoes_projection() -> None:
+    print("seed", SEED)
+    rng = np.random.default_rng(SEED)
+    right_p = [[1680, 0, 640, -1680 * 0.12], [0, 1680, 360, 0], [0, 0, 1, 0]]
+    stereo = StereoModel(left=camera(), right=camera(p=right_p, r=np.eye(3), d=[-0.06, 0, 0, 0, 0]))
+    assert stereo.baseline == pytest.approx(0.12)
+    points = np.column_stack([rng.uniform(-0.2, 0.2, 30), rng.uniform(-0.1, 0.1, 30), rng.uniform(0.6, 0.8, 30)])
+    left, right = stereo.left.project(points), stereo.project_right(points)
+    rebuilt = stereo.triangulate(stereo.left.rectify(left), stereo.right.rectify(right))
+    np.testing.assert_allclose(rebuilt, points, atol=1e-8)
+    with pytest.raises(ValueError, match="baseline"):
+        StereoModel(left=camera(), right=camera())
+
+
+def test_calibration_file_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(yaml.safe_dump(camera().to_mapping()))
+    loaded = CameraModel.load(path)
+    for name in ("k", "d", "r", "p"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(camera(), name))
+    document = camera().to_mapping()
+    document["distortion_model"] = "equidistant"
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(ValueError, match="only plumb_bob"):
+        CameraModel.load(path)
+    path.write_text("image_width: 3\n")
+    with pytest.raises(ValueError, match=r"camera\.yaml: not a camera calibration"):
+        CameraModel.load(path)

@@ -1,0 +1,59 @@
+"""Layout files: what is read, and errors that name file and line."""
+
+from __future__ import annotations
+
+import pytest
+
+from icu_common.core.panel_layout import LayoutError, Text, parse_layout
+
+GOOD = """\
+model: test_panel
+size_mm: [100, 50]
+controls:
+  - name: RUN
+    kind: button
+    position_mm: [20, 10]
+    size_mm: [10, 6]
+    height_mm: 3
+    lit_colour: "#00ff00"
+  - name: KNOB
+    kind: knob
+    shape: circle
+    position_mm: [60, 25]
+    size_mm: [20, 20]
+artwork:
+  - {text: "HELLO", at_mm: [50, 45], height_mm: 4}
+  - {rectangle_mm: [1, 1, 98, 48], outline: "#ffffff"}
+"""
+
+
+def test_good_layout() -> None:
+    layout = parse_layout(GOOD)
+    assert layout.size_mm == (100, 50) and [c.name for c in layout.controls] == ["RUN", "KNOB"]
+    assert layout.control("RUN").height_mm == 3
+    assert layout.artwork[0] == Text(text="HELLO", at_mm=(50, 45), height_mm=4)
+    assert layout.control("RUN").contains_mm(24.9, 12.9) and not layout.control("RUN").contains_mm(25.1, 10)
+    assert layout.control("KNOB").contains_mm(69.9, 25) and not layout.control("KNOB").contains_mm(68, 33)
+    with pytest.raises(KeyError, match="no control 'STOP'; it has RUN, KNOB"):
+        layout.control("STOP")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("kind: button", "kind: lever", r"f\.yaml:4: kind = 'lever' is none of"),
+        ("name: KNOB", "name: RUN", r"f\.yaml:10: control 'RUN' stands twice"),
+        ("position_mm: [20, 10]", "position_mm: [4, 10]", r"f\.yaml:4: control 'RUN' at \(4, 10\) reaches outside"),
+        ("size_mm: [10, 6]", "size_mm: [10]", r"f\.yaml:4: size_mm = \[10\]: 2 numbers"),
+        ("size_mm: [10, 6]", "size_mm: [10, .nan]", r"f\.yaml:4: size_mm"),
+        ("height_mm: 3\n", "hieght_mm: 3\n", r"f\.yaml:4: unknown key hieght_mm"),
+        ('"#00ff00"', '"green"', r"f\.yaml:4: lit_colour = 'green'"),
+        ("name: RUN\n", "name: ON\n", r"f\.yaml:4: name = True: a text is needed"),
+        ("size_mm: [100, 50]\n", "size_mm: [100, 50]\nsize_mm: [1, 1]\n", r"f\.yaml:3: key 'size_mm' stands twice"),
+        ("kind: knob", "kind: [knob", r"f\.yaml:\d+: "),
+    ],
+)
+def test_errors_name_the_line(old: str, new: str, message: str) -> None:
+    assert old in GOOD
+    with pytest.raises(LayoutError, match=message):
+        parse_layout(GOOD.replace(old, new, 1), "f.yaml")
