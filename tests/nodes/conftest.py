@@ -1,4 +1,4 @@
-"""Nodes in one process: a private context, a domain of the worker's own, waiting by conditions and never by sleeping."""
+"""Nodes in one process: a private context, a domain of the worker's own, waiting on conditions."""
 
 from __future__ import annotations
 

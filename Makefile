@@ -1,0 +1,42 @@
+# Two commands matter: `make demo` runs the whole robot on a simulated bench, `make test` runs all tests.
+# Both set up what they need. PYTHON=python3.12 chooses another interpreter.
+SHELL := /bin/bash
+PYTHON ?= python3
+export PYTHON
+VENV := .venv/bin
+INSTALL := ros2_ws/install
+
+.PHONY: help demo test check bench setup clean picture
+
+help: ## this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+demo: ## set up and run the whole robot on the simulated bench; Ctrl-C ends it
+	@scripts/setup.sh
+	@exec $(INSTALL)/scope_bench/lib/scope_bench/bring_up --profile bench --prepare
+
+test: ## set up and run all checks and tests
+	@scripts/setup.sh dev
+	@$(MAKE) --no-print-directory check
+	@$(VENV)/python -m pytest tests
+
+check: ## lint, formatting, types and import contracts
+	@scripts/setup.sh dev
+	@$(VENV)/ruff check src tests benchmarks && $(VENV)/ruff format --check --quiet src tests benchmarks || \
+		{ echo "formatting differs; mend it with: .venv/bin/ruff format src tests benchmarks"; exit 1; }
+	@$(VENV)/mypy
+	@PYTHONPATH=$$(echo src/*/ | tr ' ' ':') $(VENV)/lint-imports --no-cache
+
+bench: ## measure every speed claim against a peer; results in benchmarks/out/
+	@scripts/setup.sh dev
+	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(VENV)/python $$file || exit 1; done
+
+picture: ## make the README's picture of the operator page anew
+	@scripts/setup.sh dev
+	@$(VENV)/python -m pytest tests/system/test_operator_page.py --update-picture
+
+setup: ## only set up
+	@scripts/setup.sh dev
+
+clean: ## remove everything that setup made
+	rm -rf .venv ros2_ws/build ros2_ws/install ros2_ws/log benchmarks/out artifacts

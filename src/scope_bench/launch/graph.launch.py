@@ -1,0 +1,55 @@
+"""ros2 launch scope_bench graph.launch.py profile:=bench -- the same graph as bring_up, from the same table."""
+
+from pathlib import Path
+from tempfile import mkdtemp
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.substitutions import ExecutableInPackage
+
+from launch import LaunchContext, LaunchDescription
+from scope_bench.core.graph_description import load_graph
+
+
+def start(context: LaunchContext) -> list:
+    values = {name: LaunchConfiguration(name).perform(context) for name in ("profile", "config", "state", "namespace")}
+    state = Path(values["state"]).expanduser()
+    state.mkdir(parents=True, exist_ok=True, mode=0o700)
+    run = Path(mkdtemp(prefix="icu_gantry_"))
+    programs, _ = load_graph(
+        Path(values["config"]), values["profile"], run=run, state=state, robot_namespace=values["namespace"]
+    )
+    actions = []
+    for program in programs:
+        if program.is_node:
+            actions.append(
+                Node(
+                    package=program.package,
+                    executable=program.executable,
+                    name=program.name,
+                    namespace=program.namespace,
+                    parameters=[*map(str, program.parameter_files), dict(program.parameters)],
+                    remappings=list(program.remappings),
+                    arguments=list(program.arguments),
+                    output="screen",
+                )
+            )
+        else:
+            executable = ExecutableInPackage(package=program.package, executable=program.executable)
+            actions.append(ExecuteProcess(cmd=[executable, *program.arguments], name=program.name, output="screen"))
+    return actions
+
+
+def generate_launch_description() -> LaunchDescription:
+    config = get_package_share_directory("scope_bench") + "/config"
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("profile", default_value="bench", description="profile of graph.yaml"),
+            DeclareLaunchArgument("config", default_value=config, description="folder with graph.yaml"),
+            DeclareLaunchArgument("state", default_value="~/.local/state/icu_gantry", description="kept files"),
+            DeclareLaunchArgument("namespace", default_value="", description="the robot's namespace"),
+            OpaqueFunction(function=start),
+        ]
+    )

@@ -1,0 +1,209 @@
+"""Starts the programs of the graph, watches them, restarts what fell over, and ends them all in the right order."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import selectors
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+_PR_SET_PDEATHSIG = 1
+
+
+@dataclass(slots=True, kw_only=True)
+class Watched:
+    """One program, its process, and what is known of its restarts."""
+
+    name: str
+    command: list[str]
+    process: subprocess.Popen[bytes] | None = None
+    starts: list[float] = field(default_factory=list)
+    restart_at: float | None = None
+    gave_up: bool = False
+    once: bool = False
+
+
+def _die_with_parent() -> None:
+    # prctl(2): without it a killed bring-up would leave the gantry's processes behind.
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+class ProcessGroup:
+    """The processes of one graph.
+
+    Parameters
+    ----------
+    environment
+        Of every process.
+    on_output
+        Called with (program, line) for every line that a program prints.
+    on_event
+        Called with (program, text) when a program ends, is restarted or given up.
+    restarts
+        How often a program may be restarted within ``window_s``; the delay doubles from half a second.
+    """
+
+    def __init__(
+        self,
+        environment: Mapping[str, str],
+        on_output: Callable[[str, str], None],
+        on_event: Callable[[str, str], None],
+        *,
+        restarts: int = 4,
+        window_s: float = 60.0,
+    ) -> None:
+        self._environment = dict(environment)
+        self._on_output = on_output
+        self._on_event = on_event
+        self._restarts = restarts
+        self._window_s = window_s
+        self._programs: list[Watched] = []
+        self._selector = selectors.DefaultSelector()
+        self._partial: dict[int, bytes] = {}
+
+    def start(self, name: str, command: list[str]) -> None:
+        """Start a program.
+
+        Raises
+        ------
+        OSError
+            If the executable cannot be started.
+        """
+        self._start(Watched(name=name, command=command))
+
+    def start_once(self, name: str, command: list[str]) -> None:
+        """Start a program that ends by itself and is not restarted."""
+        self._start(Watched(name=name, command=command, once=True))
+
+    def _start(self, watched: Watched) -> None:
+        self._launch(watched)
+        self._programs.append(watched)
+
+    def _launch(self, watched: Watched) -> None:
+        watched.process = subprocess.Popen(
+            watched.command,
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,  # the terminal's Ctrl-C reaches bring-up alone, which ends the others in order
+            preexec_fn=_die_with_parent,
+        )
+        watched.starts.append(time.monotonic())
+        watched.restart_at = None
+        assert watched.process.stdout is not None
+        os.set_blocking(watched.process.stdout.fileno(), False)
+        self._selector.register(watched.process.stdout, selectors.EVENT_READ, watched)
+
+    def watch(self, timeout_s: float) -> None:
+        """Pass on output and restart what has ended, for at most ``timeout_s``."""
+        for key, _ in self._selector.select(timeout_s):
+            self._read(key)
+        now = time.monotonic()
+        for watched in self._programs:
+            process = watched.process
+            if process is not None and process.poll() is not None:
+                self._ended(watched, process.returncode, now)
+            if watched.restart_at is not None and now >= watched.restart_at:
+                self._launch(watched)
+
+    def running(self) -> dict[str, int]:
+        """Return the names and process numbers of what runs."""
+        return {w.name: w.process.pid for w in self._programs if w.process is not None and w.process.poll() is None}
+
+    @property
+    def gave_up(self) -> list[str]:
+        """Names of programs that are not restarted any more."""
+        return [w.name for w in self._programs if w.gave_up]
+
+    def _ended(self, watched: Watched, code: int, now: float) -> None:
+        watched.process = None
+        recent = [t for t in watched.starts if now - t < self._window_s]
+        why = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        if watched.once:
+            if code:
+                self._on_event(watched.name, f"ended with {why}")
+        elif code == 2:  # a wrong configuration stays wrong
+            watched.gave_up = True
+            self._on_event(watched.name, f"ended with {why} and is not restarted: mend its configuration")
+        elif len(recent) > self._restarts:
+            watched.gave_up = True
+            self._on_event(
+                watched.name, f"ended with {why} for the {len(recent)}th time in {self._window_s:g} s, given up"
+            )
+        else:
+            delay = 0.5 * 2 ** (len(recent) - 1)
+            watched.restart_at = now + delay
+            self._on_event(watched.name, f"ended with {why}, restarted in {delay:g} s")
+
+    def _read(self, key: selectors.SelectorKey) -> None:
+        assert not isinstance(key.fileobj, int)
+        data = b""
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(key.fd, 65536)
+        *lines, rest = (self._partial.pop(key.fd, b"") + data).split(b"\n")
+        if rest:
+            self._partial[key.fd] = rest
+        for line in lines:
+            self._on_output(key.data.name, line.decode(errors="replace"))
+        if not data:
+            self._partial.pop(key.fd, None)
+            self._selector.unregister(key.fileobj)
+            key.fileobj.close()  # type: ignore[attr-defined]
+
+    def stop(self, within_s: float = 8.0) -> list[str]:
+        """End everything: interrupt, wait, terminate, kill. The last started goes first.
+
+        Returns
+        -------
+        list
+            Names of programs that had to be killed.
+        """
+        for watched in self._programs:
+            watched.restart_at = None
+        waiting = [w for w in reversed(self._programs) if w.process is not None]
+        killed: list[str] = []
+        for number, share in ((signal.SIGINT, 0.5), (signal.SIGTERM, 0.4), (signal.SIGKILL, 0.1)):
+            for watched in waiting:
+                assert watched.process is not None
+                if number == signal.SIGKILL:
+                    killed.append(watched.name)
+                with contextlib.suppress(ProcessLookupError):
+                    watched.process.send_signal(number)
+            deadline = time.monotonic() + within_s * share
+            while waiting and time.monotonic() < deadline:
+                for key, _ in self._selector.select(0.05):
+                    self._read(key)
+                waiting = [w for w in waiting if w.process is not None and w.process.poll() is None]
+            if not waiting:
+                break
+        self._selector.close()
+        return killed
+
+
+def find_executable(package: str, executable: str, near: Path) -> Path:
+    """Return the path of a package's executable.
+
+    It is looked for where ament says, and beside ``near``, an executable of the same workspace, so that nothing needs
+    to be sourced.
+
+    Raises
+    ------
+    FileNotFoundError
+        With the places that were tried.
+    """
+    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    install = near.resolve().parents[3] if len(near.resolve().parents) > 3 else near.parent
+    tried = []
+    for prefix in (install / package, install, *prefixes):
+        path = prefix / "lib" / package / executable
+        if path.is_file() and os.access(path, os.X_OK):
+            return path
+        tried.append(str(path))
+    raise FileNotFoundError(f"{package}/{executable} is not built; tried {', '.join(tried)}; run: scripts/setup.sh")

@@ -1,0 +1,155 @@
+"""Start the whole graph from config/graph.yaml, with or without the ros2 command; Ctrl-C ends every process."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import stat
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+
+from icu_common.nodes.runtime import prepare_transport
+from scope_bench.adapters.processes import ProcessGroup, find_executable
+from scope_bench.core.graph_description import GraphError, Program, load_graph
+
+
+def configuration_folder() -> Path:
+    """Return the folder with graph.yaml: $ICU_CONFIG, else the one that was installed with this package.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none.
+    """
+    own = Path(sys.argv[0]).resolve()
+    shares = [own.parents[2] / "share"] if len(own.parents) > 2 else []
+    shares += [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    places = [Path(os.environ["ICU_CONFIG"])] if "ICU_CONFIG" in os.environ else []
+    places += [share / "scope_bench" / "config" for share in shares]
+    for place in places:
+        if (place / "graph.yaml").is_file():
+            return place.resolve()
+    raise FileNotFoundError(
+        f"no graph.yaml in {', '.join(map(str, places))}; name its folder with --config or ICU_CONFIG"
+    )
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the command line's description."""
+    result = argparse.ArgumentParser(prog="bring_up", description=__doc__)
+    result.add_argument("--profile", default="bench", help="profile of graph.yaml (default: %(default)s)")
+    result.add_argument("--config", type=Path, help="folder with graph.yaml")
+    result.add_argument("--state", type=Path, help="folder that keeps calibration and sign-in")
+    result.add_argument("--run-dir", type=Path, help="folder for sockets (default: a new temporary one)")
+    result.add_argument("--namespace", default="", help="put every name of the graph under this namespace")
+    result.add_argument("--without", action="append", default=[], metavar="PROGRAM", help="leave a program out")
+    result.add_argument("--set", action="append", default=[], metavar="PROGRAM.PARAMETER=VALUE", help="one value more")
+    result.add_argument("--prepare", action="store_true", help="enable, home and calibrate (bench only)")
+    result.add_argument("--quiet", action="store_true", help="print only warnings, errors and the page's address")
+    return result
+
+
+def state_folder(given: Path | None) -> Path:
+    """Return the folder that keeps calibration and sign-in, made if need be, readable by this user alone."""
+    base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    folder = given or base / "icu_gantry"
+    folder.mkdir(parents=True, exist_ok=True)
+    folder.chmod(stat.S_IRWXU)
+    return folder.resolve()
+
+
+class BringUp:
+    """Starts the programs and prints what they say."""
+
+    def __init__(self, options: argparse.Namespace, say: Callable[[str], None]) -> None:
+        self.options = options
+        self.say = say
+        self.stopping = False
+
+    def run(self) -> int:
+        """Run until a signal comes; return the exit code."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._stop)
+        config = (self.options.config or configuration_folder()).resolve()
+        state = state_folder(self.options.state)
+        if self.options.prepare and self.options.profile == "hardware":
+            raise GraphError("--prepare moves the machine by itself; on hardware use the page")
+        with tempfile.TemporaryDirectory(prefix="icu_gantry_") as temporary:
+            run = (self.options.run_dir or Path(temporary)).resolve()
+            run.mkdir(parents=True, exist_ok=True)
+            programs, _ = load_graph(
+                config, self.options.profile, run=run, state=state, robot_namespace=self.options.namespace
+            )
+            self._check_names(programs)
+            return self._run_programs(programs, Path(temporary))
+
+    def _check_names(self, programs: list[Program]) -> None:
+        names = {p.name for p in programs}
+        given = {*self.options.without, *(text.partition(".")[0] for text in self.options.set)}
+        if given - names:
+            raise GraphError(f"no program {', '.join(sorted(given - names))}; there are {', '.join(sorted(names))}")
+
+    def _run_programs(self, programs: list[Program], temporary: Path) -> int:
+        prepare_transport()
+        here = Path(sys.argv[0])
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        group = ProcessGroup(environment, self._output, self._event)
+        try:
+            for program in programs:
+                if program.name in self.options.without:
+                    continue
+                values = temporary / f"{program.name}.yaml"
+                values.write_text(program.values_document(), encoding="utf-8")
+                path = find_executable(program.package, program.executable, here)
+                group.start(
+                    program.name, [str(path), *program.ros_arguments(values), *self._single_values(program.name)]
+                )
+            self.say(f"started {len(group.running())} programs of the profile {self.options.profile}; Ctrl-C ends them")
+            if self.options.prepare:
+                path = find_executable("gantry_driver", "gantry_prepare", here)
+                namespace = ["-r", f"__ns:=/{self.options.namespace.strip('/')}"] if self.options.namespace else []
+                ros = ["--ros-args", *namespace] if namespace else []
+                group.start_once("prepare", [str(path), "--home", "--calibrate", *ros])
+            while not self.stopping:
+                group.watch(0.2)
+            self.say("ending every program")
+        finally:
+            killed = group.stop()
+            if killed:
+                self.say(f"had to be killed: {', '.join(killed)}")
+        return 1 if group.gave_up or killed else 0
+
+    def _single_values(self, name: str) -> list[str]:
+        values = [text.partition(".")[2] for text in self.options.set if text.partition(".")[0] == name]
+        return [part for value in values for part in ("-p", value.replace("=", ":=", 1))]
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self.stopping = True
+
+    def _output(self, name: str, line: str) -> None:
+        important = any(
+            word in line for word in ("WARN", "ERROR", "FATAL", "error", "Traceback", "http://", "https://")
+        )
+        if line and (important or not self.options.quiet):
+            self.say(f"{name:>17} | {line}")
+
+    def _event(self, name: str, text: str) -> None:
+        self.say(f"{name:>17} ! {text}")
+
+
+def main() -> int:
+    """Run the command."""
+    bring_up = BringUp(parser().parse_args(), lambda text: print(text, flush=True))
+    try:
+        return bring_up.run()
+    except (GraphError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

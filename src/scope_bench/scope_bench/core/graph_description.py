@@ -1,0 +1,167 @@
+"""The one description of the graph, ``config/graph.yaml``, as values, for bring-up and for the launch file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import yaml
+
+_KEYS = {"package", "executable", "namespace", "parameters", "set", "remap", "arguments", "when", "only", "ros"}
+_ADDABLE = {"parameters", "set", "remap", "arguments"}
+
+
+class GraphError(ValueError):
+    """graph.yaml is wrong; the message names the program and the key."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Program:
+    """One process of the graph.
+
+    Parameters
+    ----------
+    name
+        Node name, and the name in messages of bring-up.
+    namespace
+        Absolute ROS namespace.
+    parameter_files
+        Absolute paths, later ones win.
+    parameters
+        Single values, which win over the files.
+    remappings
+        Pairs of relative topic name and absolute one.
+    arguments
+        Further command line arguments.
+    is_node
+        False for a program without ROS.
+    """
+
+    name: str
+    package: str
+    executable: str
+    namespace: str
+    parameter_files: tuple[Path, ...]
+    parameters: Mapping[str, Any]
+    remappings: tuple[tuple[str, str], ...]
+    arguments: tuple[str, ...]
+    is_node: bool
+
+    def ros_arguments(self, values_file: Path) -> list[str]:
+        """Return the command line behind the executable; ``values_file`` is where the single values were written."""
+        if not self.is_node:
+            return list(self.arguments)
+        result = [*self.arguments, "--ros-args", "-r", f"__node:={self.name}", "-r", f"__ns:={self.namespace}"]
+        for source, target in self.remappings:
+            result += ["-r", f"{source}:={target}"]
+        for path in (*self.parameter_files, values_file):
+            result += ["--params-file", str(path)]
+        return result
+
+    def values_document(self) -> str:
+        """Return the single values as a ROS parameter file."""
+        return yaml.safe_dump({"/**": {"ros__parameters": _nest(self.parameters)}}, sort_keys=True)
+
+
+def load_graph(
+    config: Path, profile: str, *, run: Path, state: Path, robot_namespace: str = ""
+) -> tuple[list[Program], list[str]]:
+    """Read ``graph.yaml`` in the folder ``config`` for one profile.
+
+    Parameters
+    ----------
+    config, run, state
+        Folders that $(config), $(run) and $(state) stand for.
+    profile
+        One of the file's profiles.
+    robot_namespace
+        Put before every name, for several robots in one ROS domain.
+
+    Returns
+    -------
+    programs, profiles
+        The programs in the file's order, and the names of all profiles.
+
+    Raises
+    ------
+    GraphError
+        For unknown keys and profiles, and parameter files that do not exist.
+    """
+    document = yaml.safe_load((config / "graph.yaml").read_text(encoding="utf-8"))
+    profiles = list(document["profiles"])
+    chain = _chain(document["profiles"], profile)
+    words = {"$(config)": str(config), "$(run)": str(run), "$(state)": str(state)}
+    root = PurePosixPath("/") / robot_namespace.strip("/")
+    programs = []
+    for name, entry in document["programs"].items():
+        _check_keys(name, entry, profiles)
+        if not set(chain) & set(entry.get("only", profiles)):
+            continue
+        parts = [entry, *(entry["when"][p] for p in chain if p in entry.get("when", {}))]
+        files = [config / f for part in parts for f in part.get("parameters", ())]
+        for path in files:
+            if not path.is_file():
+                raise GraphError(f"{name}: parameter file {path} does not exist")
+        remap = {source: target for part in parts for source, target in part.get("remap", {}).items()}
+        values = {key: value for part in parts for key, value in part.get("set", {}).items()}
+        programs.append(
+            Program(
+                name=name,
+                package=entry["package"],
+                executable=entry["executable"],
+                namespace=str(root / entry.get("namespace", "")),
+                parameter_files=tuple(files),
+                parameters=_fill(values, words),
+                remappings=tuple((source, str(root / target)) for source, target in remap.items()),
+                arguments=tuple(_fill([a for part in parts for a in part.get("arguments", ())], words)),
+                is_node=entry.get("ros", True),
+            )
+        )
+    return programs, profiles
+
+
+def _chain(profiles: Mapping[str, Any], profile: str) -> list[str]:
+    """Return the profile and those that it extends, the most general first."""
+    if profile not in profiles:
+        raise GraphError(f"profile {profile!r} is none of {', '.join(profiles)}")
+    base = profiles[profile].get("extends")
+    return [*(_chain(profiles, base) if base else []), profile]
+
+
+def _check_keys(name: str, entry: Mapping[str, Any], profiles: list[str]) -> None:
+    for key in ("package", "executable"):
+        if key not in entry:
+            raise GraphError(f"{name}: {key} is missing")
+    unknown = set(entry) - _KEYS
+    if unknown:
+        raise GraphError(f"{name}: unknown key {', '.join(sorted(unknown))}; known: {', '.join(sorted(_KEYS))}")
+    for profile, addition in entry.get("when", {}).items():
+        if profile not in profiles:
+            raise GraphError(f"{name}: when {profile!r}: the profiles are {', '.join(profiles)}")
+        if set(addition) - _ADDABLE:
+            raise GraphError(f"{name}: when {profile}: only {', '.join(sorted(_ADDABLE))} can be added")
+
+
+def _fill(value: Any, words: Mapping[str, str]) -> Any:
+    if isinstance(value, str):
+        for word, text in words.items():
+            value = value.replace(word, text)
+        return value
+    if isinstance(value, list):
+        return [_fill(item, words) for item in value]
+    if isinstance(value, Mapping):
+        return {key: _fill(item, words) for key, item in value.items()}
+    return value
+
+
+def _nest(values: Mapping[str, Any]) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for name, value in values.items():
+        *groups, last = name.split(".")
+        place = result
+        for group in groups:
+            place = place.setdefault(group, {})
+        place[last] = value
+    return result
