@@ -1,0 +1,257 @@
+"""Corners of a grey picture by the detector of Harris and Stephens and its variants.
+
+Sources: C. Harris, M. Stephens, "A Combined Corner and Edge Detector", Alvey Vision Conference 1988; C. Schmid,
+R. Mohr, C. Bauckhage, "Evaluation of Interest Point Detectors", IJCV 37(2), 2000 (derivatives and window of Gaussians);
+J. Shi, C. Tomasi, "Good Features to Track", CVPR 1994; J. A. Noble, "Finding Corners", IVC 6(2), 1988.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core import harris_kernels as kernels
+from icu_common.core.config import Config, ConfigError, setting
+
+F32 = npt.NDArray[Any]
+
+# Below this fraction of the product of the eigenvalues' bounds a determinant is rounding of float32 and no corner.
+_RANK_ONE = 2.0**-21
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HarrisConfig(Config):
+    """What is detected and how many of it.
+
+    The response is in grey levels to the fourth power (``harris``) or squared (``shi_tomasi``, ``noble``), summed over
+    the kernels as they are written, so ``absolute_threshold`` depends on gradient and window; the relative threshold
+    does not.
+    """
+
+    gradient: str = setting(
+        "harris",
+        "Derivative: the 3x3 kernels of 1988, Sobel's, or derivatives of a Gaussian",
+        choices=("harris", "sobel", "gaussian"),
+    )
+    sigma_d_px: float = setting(
+        1.0, "Standard deviation of the gaussian gradient", minimum=0.5, maximum=10.0, unit="px"
+    )
+    window: str = setting("box", "Shape of the window that sums the products", choices=("box", "gaussian"))
+    window_px: int = setting(3, "Side of the box window, odd", minimum=3, maximum=31, unit="px")
+    sigma_i_px: float = setting(2.0, "Standard deviation of the gaussian window", minimum=0.5, maximum=20.0, unit="px")
+    response: str = setting(
+        "harris",
+        "det - k trace^2, the smaller eigenvalue, or det / trace",
+        choices=("harris", "shi_tomasi", "noble"),
+    )
+    k: float = setting(0.04, "Weight of trace^2 in the harris response", minimum=0.001, maximum=0.24)
+    absolute_threshold: float = setting(0.0, "Responses up to this one are no corners", minimum=0.0)
+    relative_threshold: float = setting(
+        0.01, "Responses up to this fraction of the picture's strongest are no corners", minimum=0.0, maximum=1.0
+    )
+    suppression_radius_px: float = setting(
+        1.0,
+        "Least distance of two corners, the stronger one stays; up to 1 the maxima of 3x3 neighbourhoods",
+        minimum=1.0,
+        maximum=500.0,
+        unit="px",
+    )
+    max_corners: int = setting(2000, "The strongest so many are kept, 0 = all", minimum=0, maximum=1_000_000)
+    even_spread: bool = setting(
+        False, "Widen the suppression radius until max_corners are left, so that they cover the picture"
+    )
+    subpixel: bool = setting(True, "Refine each corner by the quadratic through its 3x3 responses")
+    border_px: int = setting(
+        0, "Corners nearer to the picture's edge are dropped", minimum=0, maximum=10_000, unit="px"
+    )
+
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        if self.window_px % 2 == 0:
+            raise ConfigError(f"window_px = {self.window_px}: an odd number is needed")
+        if self.even_spread and self.max_corners == 0:
+            raise ConfigError("even_spread = True needs max_corners > 0, it is 0")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corners:
+    """Corners of one picture by falling response.
+
+    Attributes
+    ----------
+    xy
+        (N, 2) float32 px, x right, y down, the centre of the first pixel is (0, 0).
+    response
+        (N,) float32, greater than zero.
+    """
+
+    xy: F32
+    response: F32
+
+    def __len__(self) -> int:
+        return len(self.response)
+
+
+class HarrisDetector:
+    """Detector with one configuration; it keeps no state between pictures.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> picture = np.zeros((40, 40), np.uint8)
+    >>> picture[10:30, 10:30] = 200
+    >>> corners = HarrisDetector(HarrisConfig()).detect(picture)
+    >>> sorted(corners.xy.round().astype(int).tolist())
+    [[10, 10], [10, 29], [29, 10], [29, 29]]
+    """
+
+    def __init__(self, config: HarrisConfig | None = None) -> None:
+        self.config = config if config is not None else HarrisConfig()
+        self._derivative, self._smooth = _gradient_taps(self.config)
+        self._window = _window_taps(self.config)
+
+    @property
+    def margin_px(self) -> int:
+        """Width of the frame inside the picture's edge where no response is computed."""
+        return len(self._derivative) // 2 + len(self._window) // 2
+
+    def response(self, gray: npt.NDArray[Any]) -> F32:
+        """Return the response of every pixel, (H, W) float32; zero within ``margin_px`` of the edge.
+
+        Parameters
+        ----------
+        gray
+            (H, W) uint8, uint16 or float32.
+
+        Raises
+        ------
+        ValueError
+            For another shape or dtype.
+        """
+        picture = _checked(gray)
+        result = np.zeros(picture.shape, np.float32)
+        margin = self.margin_px
+        if min(picture.shape) <= 2 * margin:
+            return result
+        source = picture.astype(np.float32)
+        gx = cv2.sepFilter2D(source, cv2.CV_32F, self._derivative, self._smooth)
+        gy = cv2.sepFilter2D(source, cv2.CV_32F, self._smooth, self._derivative)
+        taps = self._window
+        inside = np.s_[margin:-margin, margin:-margin]
+        sums = [cv2.sepFilter2D(p, cv2.CV_32F, taps, taps)[inside] for p in (gx * gx, gy * gy, gx * gy)]
+        result[inside] = _response(sums[0], sums[1], sums[2], self.config)
+        return result
+
+    @overload
+    def detect(self, gray: npt.NDArray[Any]) -> Corners: ...
+
+    @overload
+    def detect(self, gray: Sequence[npt.NDArray[Any]]) -> list[Corners]: ...
+
+    def detect(self, gray: npt.NDArray[Any] | Sequence[npt.NDArray[Any]]) -> Corners | list[Corners]:
+        """Return the corners of a picture, or of each picture of a sequence (a stereo pair).
+
+        Empty and constant pictures, and those smaller than the kernels, have no corners; neither has the surroundings
+        of pixels that are not finite.
+
+        Parameters
+        ----------
+        gray
+            (H, W) uint8, uint16 or float32, or a sequence of such.
+
+        Raises
+        ------
+        ValueError
+            For another shape or dtype.
+        """
+        if isinstance(gray, np.ndarray):
+            return self._detect_one(gray)
+        return [self._detect_one(picture) for picture in gray]
+
+    def _detect_one(self, gray: npt.NDArray[Any]) -> Corners:
+        response = self.response(gray)
+        if response.size == 0:
+            return Corners(np.empty((0, 2), np.float32), np.empty(0, np.float32))
+        config = self.config
+        strongest = float(np.fmax.reduce(response, axis=None))
+        floor = max(config.absolute_threshold, config.relative_threshold * strongest)
+        xy, strength = kernels.peaks_of(response, max(self.margin_px + 1, config.border_px), floor, config.subpixel)
+        return self._selected(xy, strength)
+
+    def _selected(self, xy: F32, strength: F32) -> Corners:
+        config = self.config
+        order = np.argsort(-strength, kind="stable")
+        limit = config.max_corners or len(order)
+        if config.even_spread and len(order) > limit:
+            order = order[_spread(xy[order], limit, config.suppression_radius_px)]
+        elif config.suppression_radius_px > 1.0 and len(order) > 0:
+            order = order[kernels.apart(xy[order], config.suppression_radius_px, limit)]
+        order = order[:limit]
+        return Corners(xy[order], strength[order])
+
+
+def _checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    if gray.ndim != 2:
+        raise ValueError(f"a grey picture (H, W) is needed, not shape {gray.shape}")
+    if gray.dtype not in (np.uint8, np.uint16, np.float32):
+        raise ValueError(f"uint8, uint16 or float32 is needed, not {gray.dtype}")
+    return gray
+
+
+def gaussian_taps(sigma: float) -> F32:
+    """Return the weights of a sampled Gaussian, cut at three sigma, sum one."""
+    x = np.arange(-math.ceil(3.0 * sigma), math.ceil(3.0 * sigma) + 1)
+    weights = np.exp(-0.5 * (x / sigma) ** 2)
+    return np.array(weights / weights.sum(), np.float32)
+
+
+def gaussian_derivative_taps(sigma: float) -> F32:
+    """Return the weights (for correlation) of a Gaussian's derivative; a ramp of slope one gives one."""
+    x = np.arange(-math.ceil(3.0 * sigma), math.ceil(3.0 * sigma) + 1)
+    weights = x * np.exp(-0.5 * (x / sigma) ** 2)
+    return np.array(weights / (weights * x).sum(), np.float32)
+
+
+def _gradient_taps(config: HarrisConfig) -> tuple[F32, F32]:
+    if config.gradient == "gaussian":
+        return gaussian_derivative_taps(config.sigma_d_px), gaussian_taps(config.sigma_d_px)
+    smooth = (1, 1, 1) if config.gradient == "harris" else (1, 2, 1)
+    return np.array((-1, 0, 1), np.float32), np.array(smooth, np.float32)
+
+
+def _window_taps(config: HarrisConfig) -> F32:
+    if config.window == "gaussian":
+        return gaussian_taps(config.sigma_i_px)
+    return np.ones(config.window_px, np.float32)
+
+
+def _response(a: F32, b: F32, c: F32, config: HarrisConfig) -> F32:
+    det: F32 = a * b - c * c
+    trace: F32 = a + b
+    if config.response == "harris":
+        result: F32 = det - np.float32(config.k) * trace * trace
+        return result
+    det[det <= _RANK_ONE * a * b] = 0.0
+    # det / larger eigenvalue is the smaller one: the difference of two large numbers would be rounding
+    divisor = trace if config.response == "noble" else 0.5 * trace + np.sqrt(0.25 * (a - b) ** 2 + c * c)
+    return np.divide(det, divisor, out=np.zeros_like(det), where=divisor > 0.0)
+
+
+def _spread(xy: F32, limit: int, least: float) -> npt.NDArray[np.int64]:
+    """Return ``limit`` indices at the largest distance that leaves so many, by bisection (Bailo, PRL 106, 2018)."""
+    low, high = least, float(np.hypot(*np.ptp(xy, axis=0))) + least
+    best = kernels.apart(xy, low, limit)
+    while high - low > 0.25 and len(best) == limit:
+        middle = 0.5 * (low + high)
+        tried = kernels.apart(xy, middle, limit)
+        if len(tried) == limit:
+            low, best = middle, tried
+        else:
+            high = middle
+    return best
