@@ -13,10 +13,12 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion, TransformStamped, Vector3
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointField
-from std_msgs.msg import Header
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
 
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
+from icu_common.core.panel_layout import Control, PanelLayout, rgb
 from icu_common.core.results import GoalResult, Outcome
 
 _CHANNELS = {"mono8": (np.uint8, 1), "mono16": (np.uint16, 1), "bgr8": (np.uint8, 3), "rgb8": (np.uint8, 3)}
@@ -243,3 +245,65 @@ def result_of_message(message: DiagnosticArray) -> GoalResult:
         duration_s=float(values.get("duration_s", math.nan)),
         details=tuple((k, v) for k, v in values.items() if k not in known),
     )
+
+
+_SHAPES = {"rectangle": Marker.CUBE, "circle": Marker.CYLINDER}
+_OUTLINE = "outline"
+
+
+def controls_message(layout: PanelLayout, head: Header) -> MarkerArray:
+    """Pack a panel's controls and its outline; ``head`` names the panel's frame.
+
+    One marker per control: ``ns`` its kind, ``text`` its name, ``id`` its number, position the centre of its top face
+    and scale (width, height, how far it stands proud), all in metres. Last comes the outline as a line strip.
+    """
+    markers = []
+    for number, control in enumerate(layout.controls):
+        marker = Marker(header=head, ns=control.kind, id=number, type=_SHAPES[control.shape], text=control.name)
+        x, y, z = (v * 1e-3 for v in (*control.position_mm, control.height_mm))
+        marker.pose = pose(Transform(np.eye(3), np.array([x, y, z])))
+        marker.scale = Vector3(x=control.size_mm[0] * 1e-3, y=control.size_mm[1] * 1e-3, z=z)
+        red, green, blue = (v / 255 for v in rgb(control.colour))
+        marker.color = ColorRGBA(r=red, g=green, b=blue, a=0.8)
+        markers.append(marker)
+    outline = Marker(header=head, ns=_OUTLINE, id=0, type=Marker.LINE_STRIP, text=layout.model)
+    outline.pose = pose(Transform.identity())
+    outline.scale.x = 0.001
+    outline.color = ColorRGBA(r=1.0, g=0.8, b=0.0, a=1.0)
+    width, height = (v * 1e-3 for v in layout.size_mm)
+    corners = ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height), (0.0, 0.0))
+    outline.points = [Point(x=x, y=y, z=0.0) for x, y in corners]
+    return MarkerArray(markers=[*markers, outline])
+
+
+def controls_of_message(message: MarkerArray) -> tuple[tuple[Control, ...], Array]:
+    """Unpack the controls (in mm, as in the layout file) and the outline, (N, 2) in metres on the panel's face.
+
+    Raises
+    ------
+    ValueError
+        If a marker has no name or there is no outline.
+    """
+    shapes = {number: name for name, number in _SHAPES.items()}
+    controls = []
+    outline = np.empty((0, 2))
+    for marker in message.markers:
+        if marker.ns == _OUTLINE:
+            outline = np.array([(p.x, p.y) for p in marker.points])
+            continue
+        if not marker.text:
+            raise ValueError(f"marker {marker.ns!r} {marker.id} has no name")
+        top, scale = marker.pose.position, marker.scale
+        controls.append(
+            Control(
+                name=marker.text,
+                kind=marker.ns,
+                position_mm=(top.x * 1e3, top.y * 1e3),
+                size_mm=(scale.x * 1e3, scale.y * 1e3),
+                shape=shapes.get(marker.type, "rectangle"),
+                height_mm=top.z * 1e3,
+            )
+        )
+    if len(outline) < 4:
+        raise ValueError("the controls came without the panel's outline")
+    return tuple(controls), outline
