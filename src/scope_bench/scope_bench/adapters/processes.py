@@ -134,9 +134,7 @@ class ProcessGroup:
             self._on_event(watched.name, f"ended with {why} and is not restarted: mend its configuration")
         elif len(recent) > self._restarts:
             watched.gave_up = True
-            self._on_event(
-                watched.name, f"ended with {why} for the {len(recent)}th time in {self._window_s:g} s, given up"
-            )
+            self._on_event(watched.name, f"ended with {why}, {len(recent)} times in {self._window_s:g} s: given up")
         else:
             delay = 0.5 * 2 ** (len(recent) - 1)
             watched.restart_at = now + delay

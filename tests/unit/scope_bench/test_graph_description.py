@@ -1,0 +1,85 @@
+"""The table of the graph: what a profile gets, and errors that name the program and the key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from scope_bench.core.graph_description import GraphError, load_graph
+
+TABLE = """\
+profiles:
+  bench: {about: simulated}
+  test: {about: with truth, extends: bench}
+  hardware: {about: real}
+programs:
+  board:
+    {package: p, executable: board, ros: false, only: [bench], arguments: [--link, $(run)/b],
+     when: {test: {arguments: [--log, $(state)/l]}}}
+  eye:
+    package: p
+    executable: eye
+    namespace: stereo
+    parameters: [params/eye.yaml]
+    set: {a: 1, part.gain: 2.5, path: $(config)/x}
+    remap: {image: stereo/left/image, local: /abs}
+    when:
+      bench: {set: {a: 2}}
+      hardware: {set: {a: 3}}
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    (tmp_path / "params").mkdir()
+    (tmp_path / "params" / "eye.yaml").write_text("{}")
+    (tmp_path / "graph.yaml").write_text(TABLE)
+    return tmp_path
+
+
+def load(config: Path, profile: str, namespace: str = "") -> dict:
+    programs, _ = load_graph(config, profile, run=Path("/r"), state=Path("/s"), robot_namespace=namespace)
+    return {p.name: p for p in programs}
+
+
+def test_profiles_extend_each_other(config: Path) -> None:
+    assert load(config, "bench")["board"].arguments == ("--link", "/r/b")
+    assert load(config, "test")["board"].arguments == ("--link", "/r/b", "--log", "/s/l")
+    assert "board" not in load(config, "hardware")
+    assert [load(config, p)["eye"].parameters["a"] for p in ("bench", "test", "hardware")] == [2, 2, 3]
+
+
+def test_command_line_of_a_node(config: Path) -> None:
+    eye = load(config, "bench", "bed_1")["eye"]
+    assert eye.namespace == "/bed_1/stereo"
+    assert eye.ros_arguments(Path("/v.yaml")) == [
+        *("--ros-args", "-r", "__node:=eye", "-r", "__ns:=/bed_1/stereo"),
+        *("-r", "image:=/bed_1/stereo/left/image", "-r", "local:=/abs"),
+        *("--params-file", f"{config}/params/eye.yaml", "--params-file", "/v.yaml"),
+    ]
+    values = yaml.safe_load(eye.values_document())["/**"]["ros__parameters"]
+    assert values == {"a": 2, "part": {"gain": 2.5}, "path": f"{config}/x"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("executable: eye", "exe: eye", "eye: executable is missing"),
+        ("remap:", "remaps:", "eye: unknown key remaps"),
+        ("hardware: {set: {a: 3}}", "hardwear: {set: {a: 3}}", "eye: when 'hardwear'"),
+        ("hardware: {set: {a: 3}}", "hardware: {package: q}", "eye: when hardware: only"),
+        ("params/eye.yaml", "params/ear.yaml", r"eye: parameter file .*ear\.yaml does not exist"),
+    ],
+)
+def test_errors(config: Path, old: str, new: str, message: str) -> None:
+    assert old in TABLE
+    (config / "graph.yaml").write_text(TABLE.replace(old, new))
+    with pytest.raises(GraphError, match=message):
+        load(config, "bench")
+
+
+def test_unknown_profile(config: Path) -> None:
+    with pytest.raises(GraphError, match="'moon' is none of bench, test, hardware"):
+        load(config, "moon")

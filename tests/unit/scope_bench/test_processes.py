@@ -1,0 +1,86 @@
+"""Processes of the graph: output, restart with a limit, an end that leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from scope_bench.adapters.processes import ProcessGroup, find_executable
+
+PYTHON = [sys.executable, "-u", "-S", "-c"]
+STUBBORN = "import signal, sys; [signal.signal(s, signal.SIG_IGN) for s in (2, 15)]; print('up'); signal.pause()"
+
+
+class Watch:
+    def __init__(self, **options: float) -> None:
+        self.output: list[tuple[str, str]] = []
+        self.events: list[tuple[str, str]] = []
+        self.group = ProcessGroup(
+            os.environ,
+            lambda name, line: self.output.append((name, line)),
+            lambda name, text: self.events.append((name, text)),
+            **options,  # type: ignore[arg-type]
+        )
+
+    def until(self, condition: Callable[[], object], within_s: float = 10.0) -> None:
+        deadline = time.monotonic() + within_s
+        while not condition():
+            assert time.monotonic() < deadline, f"output {self.output}, events {self.events}"
+            self.group.watch(0.05)
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+
+
+def test_output_is_passed_on_in_whole_lines() -> None:
+    watch = Watch()
+    watch.group.start("a", [*PYTHON, "import sys; sys.stdout.write('on'); sys.stdout.flush(); print('e'); input()"])
+    watch.until(lambda: ("a", "one") in watch.output)
+    watch.group.stop()
+
+
+def test_a_fallen_program_is_restarted_and_then_given_up() -> None:
+    watch = Watch(restarts=1)
+    watch.group.start("a", [*PYTHON, "import sys; sys.exit(3)"])
+    watch.until(lambda: watch.group.gave_up)
+    assert [text.split(",")[0] for _, text in watch.events] == ["ended with exit code 3", "ended with exit code 3"]
+    assert watch.group.gave_up == ["a"]
+    watch.group.stop()
+
+
+def test_a_wrong_configuration_is_not_restarted() -> None:
+    watch = Watch()
+    watch.group.start("a", [*PYTHON, "import sys; sys.exit(2)"])
+    watch.until(lambda: watch.group.gave_up)
+    assert "mend its configuration" in watch.events[0][1]
+    watch.group.stop()
+
+
+def test_stop_ends_all_and_kills_the_stubborn() -> None:
+    watch = Watch()
+    watch.group.start("stubborn", [*PYTHON, STUBBORN])
+    watch.group.start("polite", [*PYTHON, "import signal; print('up'); signal.pause()"])
+    watch.until(lambda: len(watch.output) == 2)
+    pids = list(watch.group.running().values())
+    assert watch.group.stop(within_s=1.0) == ["stubborn"]
+    assert not any(alive(pid) for pid in pids)
+
+
+def test_an_executable_that_is_not_there_says_where_it_was_looked_for(tmp_path: Path) -> None:
+    near = tmp_path / "install" / "scope_bench" / "lib" / "scope_bench" / "bring_up"
+    with pytest.raises(FileNotFoundError, match=r"camera is not built; tried .*lib/harris_perception/camera"):
+        find_executable("harris_perception", "camera", near)
+    there = tmp_path / "install" / "harris_perception" / "lib" / "harris_perception" / "camera"
+    there.parent.mkdir(parents=True)
+    there.touch(mode=0o755)
+    assert find_executable("harris_perception", "camera", near) == there
