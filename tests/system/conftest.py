@@ -1,0 +1,165 @@
+"""The whole graph as separate processes on the simulated bench, for tests that use it as a user does."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+INSTALL = ROOT / "ros2_ws" / "install"
+
+
+def executable(package: str, name: str) -> str:
+    """Return the path of a built program, as a user would start it."""
+    path = INSTALL / package / "lib" / package / name
+    if not path.is_file():
+        pytest.fail(f"{path.relative_to(ROOT)} is not built; run scripts/setup.sh dev")
+    return str(path)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_for(condition: Callable[[], Any], within_s: float, what: str, describe: Callable[[], Any] = lambda: "") -> Any:
+    """Return the first true value of ``condition()``; fail with what was seen after ``within_s``."""
+    deadline = time.monotonic() + within_s
+    while not (value := condition()):
+        if time.monotonic() > deadline:
+            pytest.fail(f"{what}: not within {within_s:g} s; {describe()}")
+        select.select([], [], [], 0.05)
+    return value
+
+
+class LineSocket:
+    """Requests and answers as JSON lines over a Unix socket."""
+
+    def __init__(self, path: Path) -> None:
+        self._socket = socket.socket(socket.AF_UNIX)
+        self._socket.settimeout(5.0)
+        self._socket.connect(str(path))
+        self._file = self._socket.makefile("rw")
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        self._file.write(json.dumps(request) + "\n")
+        self._file.flush()
+        answer = json.loads(self._file.readline())
+        assert isinstance(answer, dict)
+        return answer
+
+    def close(self) -> None:
+        self._file.close()
+        self._socket.close()
+
+
+class RunningGraph:
+    """A graph that bring-up started; its output, its page, its truth."""
+
+    def __init__(self, folder: Path, domain: int, *extra: str) -> None:
+        self.folder = folder
+        self.run_dir = folder / "run"
+        self.port = free_port()
+        self.environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_LOG_DIR": str(folder / "ros_log"),
+            "PYTHONUNBUFFERED": "1",
+        }
+        self._log_path = folder / "bring_up.log"
+        command = [executable("scope_bench", "bring_up"), "--profile", "test", "--config", str(ROOT / "config")]
+        command += ["--state", str(folder / "state"), "--run-dir", str(self.run_dir)]
+        command += ["--set", f"ui_bridge.port={self.port}", *extra]
+        with self._log_path.open("wb") as log:
+            self.process = subprocess.Popen(command, env=self.environment, stdout=log, stderr=subprocess.STDOUT)
+
+    @property
+    def output(self) -> str:
+        return self._log_path.read_text(errors="replace")
+
+    def tail(self) -> str:
+        return "last lines of the graph:\n" + "\n".join(self.output.splitlines()[-40:])
+
+    def wait(self, condition: Callable[[], Any], within_s: float, what: str) -> Any:
+        """Wait for a condition; fail early when bring-up has ended."""
+
+        def checked() -> Any:
+            if self.process.poll() is not None:
+                pytest.fail(f"bring_up ended with {self.process.returncode}; {self.tail()}")
+            return condition()
+
+        return wait_for(checked, within_s, what, self.tail)
+
+    def command(self, package: str, name: str, *arguments: str, within_s: float = 60.0) -> subprocess.CompletedProcess:
+        """Run one of the project's command line programs against this graph."""
+        return subprocess.run(
+            [executable(package, name), *arguments],
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=within_s,
+            check=False,
+        )
+
+    def prepare(self, within_s: float = 180.0) -> None:
+        """Enable, home and calibrate, as `make demo` does."""
+        done = self.command("gantry_driver", "gantry_prepare", "--home", "--calibrate", within_s=within_s)
+        assert done.returncode == 0, f"{done.stdout}{done.stderr}\n{self.tail()}"
+
+    def page_address(self) -> str:
+        """Return the page's address with its one-shot sign-in."""
+        found = self.wait(lambda: re.findall(r"https?://\S+\?token=\S+", self.output), 30.0, "the page's address")
+        return str(found[-1])
+
+    def bench(self) -> LineSocket:
+        """Connect to the physical truth."""
+        path = self.run_dir / "bench"
+        self.wait(path.exists, 30.0, "the bench's socket")
+        return LineSocket(path)
+
+    def board(self) -> LineSocket:
+        """Connect to the mock board's control socket."""
+        path = self.run_dir / "board"
+        self.wait(path.exists, 30.0, "the board's socket")
+        return LineSocket(path)
+
+    def truth_log(self) -> list[dict[str, Any]]:
+        """Return what happened physically: contacts, releases, reactions."""
+        return [json.loads(line) for line in (self.run_dir / "truth.jsonl").read_text().splitlines()]
+
+    def board_log(self) -> list[dict[str, Any]]:
+        """Return what the mock board received."""
+        return [json.loads(line) for line in (self.run_dir / "board.jsonl").read_text().splitlines()]
+
+    def stop(self) -> int:
+        """Press Ctrl-C and return bring-up's exit code."""
+        self.process.send_signal(signal.SIGINT)
+        try:
+            return self.process.wait(20.0)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            pytest.fail(f"bring_up did not end within 20 s; {self.tail()}")
+
+
+@pytest.fixture(scope="session")
+def running_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningGraph]:
+    """A prepared graph (homed, calibrated, panel recognised) that the tests of a session share."""
+    graph = RunningGraph(tmp_path_factory.mktemp("graph"), domain=50 + os.getpid() % 40)
+    try:
+        graph.prepare()
+        yield graph
+    finally:
+        if graph.process.poll() is None:
+            graph.stop()
