@@ -1,0 +1,113 @@
+"""The thread that reads a camera source, and what it does when the source fails: say so, wait, open again."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from harris_perception.adapters.camera_sources import CameraSource, Frames, SourceEnded, SourceError
+
+_TURN_S = 0.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureStatus:
+    """What the capture thread is doing: ``state`` is opening, running, waiting (to open again) or ended."""
+
+    state: str
+    reason: str = ""
+    pictures: int = 0
+    failures: int = 0
+
+
+class Capture:
+    """Reads a source in a thread of its own and hands every set of pictures to ``on_frames`` in that thread.
+
+    Parameters
+    ----------
+    open_source
+        Opens the source; called again after every failure. It gets the event that is set when the capture stops.
+    on_frames
+        Takes the pictures.
+    on_failure
+        Gets a sentence for the log after every failure.
+    read_timeout_s
+        A source that is silent for longer has failed.
+    retry_min_s, retry_max_s
+        First and longest pause before opening again; the pause doubles until pictures come.
+    """
+
+    def __init__(
+        self,
+        open_source: Callable[[threading.Event], CameraSource],
+        on_frames: Callable[[Frames], None],
+        *,
+        on_failure: Callable[[str], None],
+        read_timeout_s: float = 2.0,
+        retry_min_s: float = 0.5,
+        retry_max_s: float = 5.0,
+    ) -> None:
+        self._open_source, self._on_frames, self._on_failure = open_source, on_frames, on_failure
+        self._read_timeout_s, self._retry_min_s, self._retry_max_s = read_timeout_s, retry_min_s, retry_max_s
+        self._stop = threading.Event()
+        self._status = CaptureStatus(state="opening")
+        self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
+
+    @property
+    def status(self) -> CaptureStatus:
+        """The newest status; replaced as a whole."""
+        return self._status
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self, within_s: float = 3.0) -> bool:
+        """End the thread and return whether it has ended (a device driver may hold it longer)."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join(within_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        pause_s = self._retry_min_s
+        while not self._stop.is_set():
+            before = self._status.pictures
+            try:
+                self._read_until_failure()
+            except SourceEnded as end:
+                self._set("ended", str(end))
+                return
+            except SourceError as error:
+                if self._status.pictures > before:
+                    pause_s = self._retry_min_s
+                self._set("waiting", str(error), failed=1)
+                self._on_failure(f"{error}; trying again in {pause_s:.1f} s")
+                self._stop.wait(pause_s)
+                pause_s = min(2 * pause_s, self._retry_max_s)
+
+    def _read_until_failure(self) -> None:
+        self._set("opening", self._status.reason)
+        source = self._open_source(self._stop)
+        last_s = time.monotonic()
+        try:
+            while not self._stop.is_set():
+                try:
+                    frames = source.read(min(_TURN_S, self._read_timeout_s))
+                except TimeoutError:
+                    if time.monotonic() - last_s > self._read_timeout_s:
+                        raise SourceError(f"no picture for {self._read_timeout_s:.1f} s") from None
+                    continue
+                last_s = time.monotonic()
+                if not self._stop.is_set():
+                    self._set("running", taken=1)
+                    self._on_frames(frames)
+        finally:
+            source.close()
+
+    def _set(self, state: str, reason: str = "", *, taken: int = 0, failed: int = 0) -> None:
+        old = self._status
+        self._status = CaptureStatus(
+            state=state, reason=reason, pictures=old.pictures + taken, failures=old.failures + failed
+        )

@@ -1,0 +1,137 @@
+"""Camera node: publishes the pictures of a source with the time they were taken, and the cameras' calibration.
+
+Pictures are published by the capture thread itself: rcl_publish is thread-safe for distinct messages, and handing them
+to the executor first only adds a wake-up; see docs/decisions/transport.md.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image
+
+from harris_perception.adapters.camera_sources import (
+    CameraConfig,
+    Frames,
+    Picture,
+    open_source,
+    require_settings,
+)
+from harris_perception.adapters.capture import Capture
+from icu_common.core import frames as frame_names
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.config import ConfigError
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import camera_info_message, diagnostic_status, header, image_message
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import run
+
+
+class Eye:
+    """Publishers and calibration of one camera."""
+
+    def __init__(self, node: Node, side: str, frame: str, calibration: str) -> None:
+        self._frame = frame
+        self._side, self._model = side, _load(side, calibration)
+        self.complaint = ""
+        self._images = node.create_publisher(Image, f"{side}/image_raw", qos.IMAGES)
+        self._infos = node.create_publisher(CameraInfo, f"{side}/camera_info", qos.IMAGES)
+
+    def publish(self, picture: Picture, stamp_ns: int) -> None:
+        head = header(stamp_ns, self._frame)
+        self._infos.publish(self._info(picture, head))
+        # Packing and sending a picture that nobody takes costs as much as one that is taken.
+        if self._images.get_subscription_count():
+            self._images.publish(image_message(picture, "bgr8" if picture.ndim == 3 else "mono8", head))
+
+    def _info(self, picture: Picture, head: Any) -> CameraInfo:
+        height, width = picture.shape[:2]
+        model = self._model
+        if model is not None and model.size == (width, height):
+            self.complaint = ""
+            return camera_info_message(model, head)
+        self.complaint = f"{self._side} camera: no calibration"
+        if model is not None:
+            self.complaint += f" for {width} x {height}, it is for {model.width} x {model.height}"
+        return CameraInfo(header=head, width=width, height=height)  # K = 0 says "uncalibrated" (CameraInfo.msg)
+
+
+def _load(side: str, calibration: str) -> CameraModel | None:
+    if not calibration:
+        return None
+    try:
+        return CameraModel.load(Path(calibration).expanduser())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{side}_calibration: {error}") from error
+
+
+class CameraNode(Node):
+    """Publishes ``left/image_raw``, ``left/camera_info`` and the same for ``right``."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("camera", **options)
+        config = LiveParameters(self, CameraConfig).config
+        require_settings(config)
+        self._source = config.source
+        self._eyes = [
+            Eye(self, "left", frame_names.CAMERA_LEFT, config.left_calibration),
+            Eye(self, "right", frame_names.CAMERA_RIGHT, config.right_calibration),
+        ]
+        self._ages_ms: deque[float] = deque(maxlen=100)
+        self._seen = 0
+        clock = self.get_clock()
+        self._now_ns = lambda: int(clock.now().nanoseconds)
+        self._capture = Capture(
+            lambda stop: open_source(config, now_ns=self._now_ns, stop=stop),
+            self._on_frames,
+            on_failure=lambda text: self.get_logger().error(text, throttle_duration_sec=5.0),
+            read_timeout_s=config.read_timeout_s,
+            retry_min_s=config.retry_min_s,
+            retry_max_s=config.retry_max_s,
+        )
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._period_s = 1.0
+        self.create_timer(self._period_s, self._report)
+        self._capture.start()
+
+    def _on_frames(self, frames: Frames) -> None:
+        for eye, picture, stamp_ns in zip(self._eyes, frames.pictures, frames.stamps_ns):
+            eye.publish(picture, stamp_ns)
+        self._ages_ms.append((self._now_ns() - frames.stamps_ns[0]) / 1e6)
+
+    def _report(self) -> None:
+        status = self._capture.status
+        rate_hz, self._seen = (status.pictures - self._seen) / self._period_s, status.pictures
+        complaints = [eye.complaint for eye in self._eyes if eye.complaint]
+        text = "; ".join([f"{status.state}: {status.reason}" if status.reason else status.state, *complaints])
+        failing = status.reason and status.state in ("waiting", "opening")
+        level = "error" if failing else "warn" if complaints or status.state != "running" else "ok"
+        values: list[tuple[str, Any]] = [
+            ("source", self._source),
+            ("pictures", status.pictures),
+            ("rate_hz", f"{rate_hz:.1f}"),
+            ("age_when_published_ms", f"{max(self._ages_ms, default=0.0):.1f}"),
+            ("failures", status.failures),
+        ]
+        head = header(self._now_ns(), "")
+        self._diagnostics.publish(
+            DiagnosticArray(header=head, status=[diagnostic_status("camera", level, text, values)])
+        )
+
+    def close(self) -> None:
+        """Stop the capture, so that nothing is published by a node that is being taken down."""
+        if not self._capture.stop():
+            self.get_logger().error("the capture thread did not end in time")
+
+
+def main() -> int:
+    """Run the camera node."""
+    return run(CameraNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
