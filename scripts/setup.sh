@@ -49,8 +49,12 @@ install() { # file of requirements, what it is
   sum=$(cat requirements*.txt | sha256sum)
   [ -f "$mark" ] && [ "$(cat "$mark")" = "$sum" ] && return
   echo "[2/3] $2"
-  PIP_DISABLE_PIP_VERSION_CHECK=1 "$venv/bin/pip" install --progress-bar on -r "$1" \
-    | awk '/^(Collecting|Installing|Building)/ { printf "\r\033[K      %s", substr($0, 1, 90); fflush() } /^Successfully/ { printf "\r\033[K      installed\n" }' \
+  # On a terminal one line shows what pip is at; elsewhere only the end is printed.
+  local show=0
+  [ -t 1 ] && show=1
+  PIP_DISABLE_PIP_VERSION_CHECK=1 "$venv/bin/pip" install -r "$1" | awk -v show=$show '
+      /^(Collecting|Installing|Building)/ && show { printf "\r\033[K      %s", substr($0, 1, 90); fflush() }
+      /^Successfully/ { if (show) printf "\r\033[K"; print "      installed" }' \
     || fail "pip could not install $1; see the lines above (a proxy or an offline machine?), then run this again"
   echo "$sum" > "$mark"
 }
