@@ -1,0 +1,131 @@
+"""Every setting of the simulated bench: optics, light, panel, hidden mechanical errors, stylus, sockets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from icu_common.core.config import Config, nested, setting
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraConfig(Config):
+    """The stereo pair: two equal cameras on a bar that looks at the panel from below."""
+
+    width_px: int = setting(1280, "Width of one picture", minimum=160, maximum=4096, unit="px", read_only=True)
+    height_px: int = setting(720, "Height of one picture", minimum=120, maximum=3072, unit="px", read_only=True)
+    focal_px: float = setting(1700.0, "Focal length", minimum=200.0, maximum=8000.0, unit="px")
+    centre_px: tuple[float, ...] = setting(
+        (646.3, 354.8, 631.9, 363.1), "Principal points, left x y then right x y", minimum=0.0, unit="px"
+    )
+    distortion: tuple[float, ...] = setting(
+        (-0.081, 0.043, 0.0004, -0.0003, 0.0, -0.079, 0.039, -0.0003, 0.0005, 0.0),
+        "Plumb-bob distortion k1 k2 p1 p2 k3, left then right",
+        minimum=-1.0,
+        maximum=1.0,
+    )
+    baseline_m: float = setting(0.12, "Distance of the two cameras", minimum=0.01, maximum=1.0, unit="m")
+    distance_m: float = setting(0.665, "From the middle of the bar to the aim", minimum=0.2, maximum=3.0, unit="m")
+    elevation_deg: float = setting(
+        25.0, "Angle between the line of sight and the z axis, towards -y", minimum=0.0, maximum=60.0, unit="deg"
+    )
+    azimuth_deg: float = setting(0.6, "Turn of the line of sight about z", minimum=-45.0, maximum=45.0, unit="deg")
+    roll_deg: float = setting(
+        -0.4, "Turn of the bar about the line of sight", minimum=-180.0, maximum=180.0, unit="deg"
+    )
+    toe_in_deg: float = setting(4.0, "Each camera's turn towards the other", minimum=0.0, maximum=20.0, unit="deg")
+    skew_deg: tuple[float, ...] = setting(
+        (0.21, -0.14, 0.3), "The right camera's mounting error about x, y, z", minimum=-5.0, maximum=5.0, unit="deg"
+    )
+    aim_m: tuple[float, ...] = setting(
+        (0.180, 0.108, -0.022), "Where the bar looks, in base_link", minimum=-2.0, maximum=2.0, unit="m"
+    )
+    rate_hz: float = setting(15.0, "Stereo pairs per second", minimum=0.2, maximum=60.0, unit="Hz")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LightConfig(Config):
+    """What light, lens and sensor do to the picture."""
+
+    level: float = setting(1.0, "Brightness of the room", minimum=0.0, maximum=3.0)
+    unevenness: float = setting(0.16, "How much darker the side away from the lamp is", minimum=0.0, maximum=0.9)
+    vignetting: float = setting(0.22, "Loss of light in the picture's corners", minimum=0.0, maximum=0.9)
+    glare: float = setting(0.16, "Strength of the lamp's reflection, 1 = full white", minimum=0.0, maximum=3.0)
+    glare_at_mm: tuple[float, ...] = setting(
+        (62.0, 118.0),
+        "Where the left camera sees the reflection, on the panel",
+        minimum=-500.0,
+        maximum=1000.0,
+        unit="mm",
+    )
+    glare_radius_mm: float = setting(26.0, "Size of the reflection", minimum=1.0, maximum=500.0, unit="mm")
+    blur_px: float = setting(0.55, "Defocus, standard deviation", minimum=0.0, maximum=10.0, unit="px")
+    noise: float = setting(1.6, "Sensor noise, standard deviation in grey levels", minimum=0.0, maximum=60.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PanelConfig(Config):
+    """Where the instrument stands."""
+
+    position_m: tuple[float, ...] = setting(
+        (0.020, 0.025, -0.035), "Lower left corner of the face in base_link", minimum=-1.0, maximum=1.0, unit="m"
+    )
+    yaw_deg: float = setting(1.2, "Turn about z", minimum=-45.0, maximum=45.0, unit="deg")
+    tilt_deg: tuple[float, ...] = setting((0.25, -0.2), "Tilt about x and y", minimum=-30.0, maximum=30.0, unit="deg")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MechanicsConfig(Config):
+    """Bounds of the hidden errors; the seed draws the errors themselves."""
+
+    backlash_mm: tuple[float, ...] = setting(
+        (0.15, 0.25), "Least and greatest backlash of x and y", minimum=0.0, maximum=5.0, unit="mm"
+    )
+    backlash_z_mm: float = setting(0.02, "Greatest backlash of z", minimum=0.0, maximum=2.0, unit="mm")
+    scale: float = setting(0.004, "Greatest error of an axis' scale", minimum=0.0, maximum=0.1)
+    skew_rad: float = setting(
+        0.003, "Greatest deviation of y from the right angle", minimum=0.0, maximum=0.1, unit="rad"
+    )
+    tilt_rad: float = setting(0.002, "Greatest tilt of the z axis", minimum=0.0, maximum=0.1, unit="rad")
+    homed_mm: tuple[float, ...] = setting(
+        (-359.0, -219.0, -1.0),
+        "Machine position after homing",
+        minimum=-2000.0,
+        maximum=2000.0,
+        unit="mm",
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StylusConfig(Config):
+    """What lowers the stylus, and its shape."""
+
+    kind: str = setting("z_axis", "What lowers the stylus", choices=("z_axis", "servo", "solenoid"))
+    travel_mm: float = setting(50.0, "Stroke of a servo or solenoid", minimum=1.0, maximum=100.0, unit="mm")
+    servo_up: float = setting(0.0, "Spindle value at which a servo is up", minimum=0.0, maximum=10000.0)
+    servo_down: float = setting(1000.0, "Spindle value at which a servo is down", minimum=0.0, maximum=10000.0)
+    speed_mm_s: float = setting(150.0, "Speed of a servo or solenoid", minimum=1.0, maximum=5000.0, unit="mm/s")
+    ball_diameter_mm: float = setting(4.0, "The ball at the tip", minimum=0.5, maximum=20.0, unit="mm")
+    stem_diameter_mm: float = setting(1.0, "The stem that carries the ball", minimum=0.1, maximum=20.0, unit="mm")
+    stem_mm: float = setting(16.0, "From the ball's centre to the shaft", minimum=0.0, maximum=100.0, unit="mm")
+    shaft_diameter_mm: float = setting(5.0, "The shaft above the stem", minimum=0.5, maximum=30.0, unit="mm")
+    shaft_mm: float = setting(96.0, "From the ball's centre to the shaft's top", minimum=1.0, maximum=300.0, unit="mm")
+    arm_width_mm: float = setting(10.0, "The arm that holds the shaft", minimum=1.0, maximum=100.0, unit="mm")
+    arm_height_m: float = setting(0.04, "z of the arm's lower side in base_link", minimum=0.0, maximum=0.5, unit="m")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchConfig(Config):
+    """The whole bench."""
+
+    layout: str = setting("", "Layout file of the panel", read_only=True)
+    motion_socket: str = setting("", "Unix socket on which the mock board tells its motor positions", read_only=True)
+    frame_socket: str = setting("", "Unix socket on which the stereo pairs are served", read_only=True)
+    test_socket: str = setting("", "Unix socket on which tests ask for the truth; empty = none", read_only=True)
+    truth_log: str = setting("", "File of the physical truth for tests, JSON lines; empty = none", read_only=True)
+    seed: int = setting(1, "Seed of the hidden errors and of the noise", minimum=0, maximum=2**31 - 1, read_only=True)
+    camera: CameraConfig = nested(CameraConfig)
+    light: LightConfig = nested(LightConfig)
+    panel: PanelConfig = nested(PanelConfig)
+    mechanics: MechanicsConfig = nested(MechanicsConfig)
+    stylus: StylusConfig = nested(StylusConfig)
