@@ -121,6 +121,13 @@ class HarrisDetector:
         """Width of the frame inside the picture's edge where no response is computed."""
         return len(self._derivative) // 2 + len(self._window) // 2
 
+    def warm(self) -> None:
+        """Compile, or load from the cache, everything that this configuration runs, so that no picture waits for it."""
+        edge = 4 * self.margin_px + 8
+        checks = np.indices((edge, edge)).sum(axis=0) // 4 % 2
+        for dtype in (np.uint8, np.uint16, np.float32):
+            self.detect((checks * 100).astype(dtype))
+
     def response(self, gray: npt.NDArray[Any]) -> F32:
         """Return the response of every pixel, (H, W) float32; zero within ``margin_px`` of the edge.
 

@@ -16,6 +16,9 @@ IMAGES = QoSProfile(
 SENSOR = QoSProfile(depth=5, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Small periodic values of which only the newest counts."""
 
+NEWEST = QoSProfile(depth=2, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+"""Reader that works on the newest picture only, see icu_common.nodes.newest: two, so that an overrun is noticed."""
+
 RESULTS = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 """Results and streams of which none should be lost."""
 

@@ -1,0 +1,60 @@
+"""Grey and BGR pictures from the encodings of sensor_msgs/Image (REP-118 names)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+# OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
+_BAYER_TO_GRAY = {
+    "bayer_rggb8": cv2.COLOR_BayerBG2GRAY,
+    "bayer_bggr8": cv2.COLOR_BayerRG2GRAY,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2GRAY,
+    "bayer_grbg8": cv2.COLOR_BayerGB2GRAY,
+}
+_COLOR_TO_GRAY = {
+    "bgr8": cv2.COLOR_BGR2GRAY,
+    "rgb8": cv2.COLOR_RGB2GRAY,
+    "bgra8": cv2.COLOR_BGRA2GRAY,
+    "rgba8": cv2.COLOR_RGBA2GRAY,
+}
+
+
+def gray_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[Any]:
+    """Return the grey picture, (H, W) uint8 or uint16; without a copy where it is grey already.
+
+    Parameters
+    ----------
+    picture
+        (H, W) or (H, W, C) as ``icu_common.nodes.conversions.image_array`` gives it.
+    encoding
+        mono8, mono16, bgr8, rgb8, bgra8, rgba8 or bayer_*8.
+
+    Raises
+    ------
+    ValueError
+        For another encoding.
+    """
+    if encoding in ("mono8", "mono16"):
+        return picture.astype(picture.dtype.newbyteorder("="), copy=False)
+    code = (_COLOR_TO_GRAY | _BAYER_TO_GRAY).get(encoding)
+    if code is None:
+        raise ValueError(
+            f"encoding {encoding!r} is none of mono8, mono16, {', '.join(_COLOR_TO_GRAY | _BAYER_TO_GRAY)}"
+        )
+    if picture.size == 0 or (encoding in _BAYER_TO_GRAY and min(picture.shape) < 3):
+        return np.zeros(picture.shape[:2], np.uint8)
+    gray: npt.NDArray[Any] = cv2.cvtColor(np.ascontiguousarray(picture), code)
+    return gray
+
+
+def bgr_of_gray(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Return (H, W, 3) uint8 to draw on; 16-bit and float pictures are stretched to their largest value."""
+    if gray.dtype != np.uint8:
+        finite = np.nan_to_num(gray.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+        top = float(finite.max(initial=0.0))
+        gray = np.clip(finite * (255.0 / top if top > 0.0 else 0.0), 0.0, 255.0).astype(np.uint8)
+    return np.repeat(gray[:, :, None], 3, axis=2)

@@ -1,0 +1,97 @@
+"""Node that turns pictures into Harris corners; one instance for each camera."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from sensor_msgs.msg import Image, PointCloud2
+
+from harris_perception.core.gray import bgr_of_gray, gray_of
+from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
+from harris_perception.core.overlay import draw_corners
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    cloud_message,
+    diagnostic_status,
+    header,
+    image_array,
+    image_message,
+)
+from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import run
+
+COLUMNS = ("u", "v", "response")
+
+
+class CornersNode(Node):
+    """Publishes ``corners`` and, while somebody looks, ``corners_image`` for each picture of ``image_raw``."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("corners", **options)
+        self._live = LiveParameters(self, HarrisConfig, self._use)
+        self._use(self._live.config)
+        self._frames = self._refused = self._found = self._reported = self._dropped = 0
+        self._busy_s = 0.0
+        self._corners = self.create_publisher(PointCloud2, "corners", qos.RESULTS)
+        self._picture = self.create_publisher(Image, "corners_image", qos.IMAGES)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self.create_timer(1.0, self._report)
+        self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
+
+    def _use(self, config: HarrisConfig) -> None:
+        self._detector = HarrisDetector(config)
+        self._detector.warm()
+
+    def _on_image(self, message: Image) -> None:
+        start = time.perf_counter()
+        try:
+            gray = gray_of(image_array(message), message.encoding)
+        except ValueError as error:
+            self._refused += 1
+            self.get_logger().warning(f"picture refused: {error}", throttle_duration_sec=5.0)
+            return
+        corners = self._detector.detect(gray)
+        self._publish(corners, gray, message)
+        self._frames += 1
+        self._found = len(corners)
+        self._busy_s += time.perf_counter() - start
+
+    def _publish(self, corners: Corners, gray: npt.NDArray[Any], message: Image) -> None:
+        values = np.column_stack((corners.xy, corners.response))
+        self._corners.publish(cloud_message(COLUMNS, values, message.header))
+        if self._picture.get_subscription_count() > 0:
+            drawn = bgr_of_gray(gray)
+            draw_corners(drawn, corners.xy)
+            self._picture.publish(image_message(drawn, "bgr8", message.header))
+
+    def _report(self) -> None:
+        new, dropped = self._frames - self._reported, self._images.dropped - self._dropped
+        self._reported, self._dropped = self._frames, self._images.dropped
+        per_frame_ms = 1e3 * self._busy_s / new if new else 0.0
+        self._busy_s = 0.0
+        text = f"{new} pictures in the last second" + (f", {dropped} dropped" if dropped else "")
+        values = [
+            ("frames", self._frames),
+            ("dropped", self._images.dropped),
+            ("refused", self._refused),
+            ("ms_per_frame", f"{per_frame_ms:.2f}"),
+            ("corners", self._found),
+        ]
+        status = diagnostic_status(self.get_fully_qualified_name(), "ok" if new else "warn", text, values)
+        head = header(self.get_clock().now().nanoseconds, "")
+        self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))
+
+
+def main() -> int:
+    """Run the corners node."""
+    return run(CornersNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

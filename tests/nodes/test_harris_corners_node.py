@@ -1,0 +1,186 @@
+"""The corners node: pictures of every encoding become the corners that are in them, with their stamp and frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image, PointCloud2
+
+from harris_perception.core.harris import HarrisConfig
+from harris_perception.nodes.corners_node import CornersNode
+from icu_common.core.config import from_mapping, to_mapping
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import cloud_array, header, image_array, image_message, stamp_ns
+
+SQUARE = sorted([(10.0, 12.0), (10.0, 31.0), (49.0, 12.0), (49.0, 31.0)])
+BAYER = {"bayer_rggb8": "rggb", "bayer_bggr8": "bggr", "bayer_gbrg8": "gbrg", "bayer_grbg8": "grbg"}
+
+
+def square(encoding: str = "mono8") -> np.ndarray:
+    """Return 66x50 px with a bright rectangle from (10, 12) to (49, 31), in the named encoding."""
+    gray = np.full((50, 66), 30, np.uint8)
+    gray[12:32, 10:50] = 200
+    if encoding == "mono16":
+        return gray.astype(np.uint16) * 256
+    return np.repeat(gray[:, :, None], 3, axis=2) if encoding in ("bgr8", "rgb8") else gray
+
+
+class Rig:
+    """A corners node, a publisher of pictures and the lists of what came out."""
+
+    def __init__(self, ros: Any, parameters: dict[str, Any] | None = None) -> None:
+        self.ros = ros
+        self.node = ros.node(CornersNode, parameters)
+        self.probe = ros.plain()
+        self.clouds: list[PointCloud2] = ros.collect(self.probe, PointCloud2, "corners", qos.RESULTS)
+        self.images = self.probe.create_publisher(Image, "image_raw", qos.IMAGES)
+        ros.spin_until(lambda: self.images.get_subscription_count() == 1, 10.0)
+        ros.spin_until(lambda: self.probe.count_publishers("corners") == 1, 10.0)
+
+    def corners_of(self, message: Image) -> np.ndarray:
+        """Publish and return (N, 3) u, v, response of the answer with this stamp."""
+        self.images.publish(message)
+        stamp = stamp_ns(message.header.stamp)
+        cloud = self.ros.spin_until(
+            lambda: next((c for c in self.clouds if stamp_ns(c.header.stamp) == stamp), None), 10.0
+        )
+        assert cloud.header.frame_id == message.header.frame_id
+        return cloud_array(cloud, ("u", "v", "response"))
+
+
+def pixels(values: np.ndarray) -> list[tuple[float, float]]:
+    return sorted((float(u), float(v)) for u, v in np.rint(values[:, :2]))
+
+
+@pytest.mark.parametrize("encoding", ["mono8", "mono16", "bgr8", "rgb8", *BAYER])
+def test_each_encoding_gives_the_same_corners_with_stamp_and_frame(ros: Any, encoding: str) -> None:
+    rig = Rig(ros)
+    found = rig.corners_of(
+        image_message(square(encoding), encoding, header(1_500_000_007, "camera_left_optical_frame"))
+    )
+    if encoding in BAYER:  # interpolation of colours rounds the corner off, or moves it by a pixel
+        assert len(found) == 4
+        distance = np.linalg.norm(found[:, None, :2] - np.array(SQUARE)[None], axis=2)
+        assert distance.min(axis=0).max() < 1.1
+    else:
+        assert pixels(found) == SQUARE
+    assert (np.diff(found[:, 2]) <= 0.0).all() and (found[:, 2] > 0.0).all()
+
+
+def test_bayer_patterns_are_told_apart(ros: Any) -> None:
+    # A red square on black: only the sites under the red filter are bright, and every pattern must show one square
+    # whose grey value is red's weight (0.299), which a wrong pattern would take for green or blue.
+    rig = Rig(ros)
+    node_view: list[Image] = ros.collect(rig.probe, Image, "corners_image", qos.IMAGES)
+    ros.spin_until(lambda: rig.probe.count_publishers("corners_image") == 1, 10.0)
+    ros.spin_until(lambda: rig.node.count_subscribers("corners_image") == 1, 10.0)
+    for number, (encoding, pattern) in enumerate(BAYER.items(), start=1):
+        raw = np.zeros((50, 66), np.uint8)
+        red_y, red_x = divmod(pattern.index("r"), 2)
+        raw[12 + red_y : 32 : 2, 10 + red_x : 50 : 2] = 200
+        rig.corners_of(image_message(raw, encoding, header(number, "c")))
+        picture = ros.spin_until(
+            lambda wanted=number: next((p for p in node_view if stamp_ns(p.header.stamp) == wanted), None), 10.0
+        )
+        assert abs(int(image_array(picture)[22, 30, 0]) - 0.299 * 200) <= 2
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        np.zeros((1, 1), np.uint8),
+        np.zeros((4, 30), np.uint8),
+        np.full((40, 40), 99, np.uint8),
+    ],
+    ids=["one pixel", "four rows", "constant"],
+)
+def test_pictures_without_corners_give_an_empty_cloud(ros: Any, picture: np.ndarray) -> None:
+    rig = Rig(ros)
+    assert rig.corners_of(image_message(picture, "mono8", header(5, "c"))).shape == (0, 3)
+
+
+def test_empty_picture_gives_an_empty_cloud(ros: Any) -> None:
+    assert Rig(ros).corners_of(Image(header=header(5, "c"), encoding="mono8")).shape == (0, 3)
+
+
+def test_picture_that_cannot_be_read_is_refused_and_the_next_one_works(ros: Any) -> None:
+    rig = Rig(ros)
+    broken = image_message(square(), "mono8", header(1, "c"))
+    broken.encoding = "yuv422"
+    rig.images.publish(broken)
+    assert pixels(rig.corners_of(image_message(square(), "mono8", header(2, "c")))) == SQUARE
+    assert [stamp_ns(c.header.stamp) for c in rig.clouds] == [2]
+
+
+def test_bad_values_are_refused_and_the_old_ones_stay(ros: Any) -> None:
+    rig = Rig(ros)
+    for name, value, word in [
+        ("k", 5.0, "k"),
+        ("window_px", 4, "odd"),
+        ("gradient", "prewitt", "harris, sobel, gaussian"),
+        ("relative_threshold", float("nan"), "relative_threshold"),
+        ("max_corners", -1, "max_corners"),
+    ]:
+        result = rig.node.set_parameters([Parameter(name, value=value)])[0]
+        assert not result.successful and word in result.reason
+    assert pixels(rig.corners_of(image_message(square(), "mono8", header(3, "c")))) == SQUARE
+
+
+def test_parameters_change_the_next_picture(ros: Any) -> None:
+    rig = Rig(ros, {"max_corners": 3})
+    message = image_message(square(), "mono8", header(1, "c"))
+    assert len(rig.corners_of(message)) == 3
+    results = rig.node.set_parameters([Parameter("max_corners", value=0), Parameter("border_px", value=11)])
+    assert all(r.successful for r in results)
+    message.header = header(2, "c")
+    assert pixels(rig.corners_of(message)) == [(49.0, 12.0), (49.0, 31.0)]
+
+
+def test_corners_are_drawn_only_while_somebody_looks(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.corners_of(image_message(square("bgr8"), "bgr8", header(1, "c")))
+    drawn: list[Image] = ros.collect(rig.probe, Image, "corners_image", qos.IMAGES)
+    ros.spin_until(lambda: rig.node.count_subscribers("corners_image") == 1, 10.0)
+    ros.spin_until(lambda: rig.probe.count_publishers("corners_image") == 1, 10.0)
+    rig.corners_of(image_message(square("bgr8"), "bgr8", header(2, "c")))
+    picture = ros.spin_until(lambda: drawn and drawn[-1], 10.0)
+    assert [stamp_ns(p.header.stamp) for p in drawn] == [2] and picture.encoding == "bgr8"
+    pixel = image_array(picture)
+    for x, y in SQUARE:
+        blue, green, red = (int(v) for v in pixel[int(y), int(x)])
+        assert green > blue + 50 and green > red + 50
+    np.testing.assert_array_equal(pixel[22, 30], (200, 200, 200))
+
+
+def test_only_the_newest_picture_is_worked_on_and_the_others_are_counted(ros: Any) -> None:
+    rig = Rig(ros)
+    reports: list[DiagnosticArray] = ros.collect(rig.probe, DiagnosticArray, "/diagnostics", qos.RESULTS)
+    rig.images.publish(image_message(square(), "mono8", header(1, "c")))
+    rig.corners_of(image_message(square(), "mono8", header(2, "c")))
+    for stamp in range(3, 10):  # nobody spins meanwhile: the node is "busy"
+        rig.images.publish(image_message(square(), "mono8", header(stamp, "c")))
+    rig.corners_of(image_message(square(), "mono8", header(10, "c")))
+    stamps = [stamp_ns(c.header.stamp) for c in rig.clouds]
+    assert stamps == [2, 10]
+    dropped = 8
+
+    def told() -> dict[str, str]:
+        values = [{v.key: v.value for v in s.values} for r in reports for s in r.status if s.name == "/corners"]
+        return values[-1] if values and values[-1]["frames"] == str(len(stamps)) else {}
+
+    values = ros.spin_until(told, 10.0, lambda: reports)
+    assert values["dropped"] == str(dropped)
+    assert values["corners"] == "4" and float(values["ms_per_frame"]) >= 0.0
+
+
+def test_parameter_file_names_every_setting_and_holds_the_defaults() -> None:
+    path = Path(__file__).parents[2] / "config" / "params" / "corners.yaml"
+    values = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
+    assert values == to_mapping(HarrisConfig())
+    assert from_mapping(HarrisConfig, values) == HarrisConfig()
