@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion, TransformStamped, Vector3
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from icu_common.core.camera_model import CameraModel
@@ -200,6 +201,18 @@ def joint_positions(message: JointState, names: Sequence[str]) -> Array:
     if missing:
         raise ValueError(f"joint {', '.join(missing)} is missing; the message has {', '.join(known)}")
     return np.array([known[name] for name in names])
+
+
+def trajectory_message(
+    names: Sequence[str], positions_m: npt.ArrayLike, times_s: npt.ArrayLike, head: Header
+) -> JointTrajectory:
+    """Pack positions (N, len(names)) in metres with the times (N,) in seconds after the start at which they are due."""
+    points = []
+    for position, time_s in zip(np.asarray(positions_m, dtype=np.float64), np.asarray(times_s, dtype=np.float64)):
+        nanoseconds = round(float(time_s) * 1e9)
+        due = Duration(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+        points.append(JointTrajectoryPoint(positions=[float(p) for p in position], time_from_start=due))
+    return JointTrajectory(header=head, joint_names=list(names), points=points)
 
 
 def diagnostic_status(name: str, level: str, message: str, values: Iterable[tuple[str, Any]]) -> DiagnosticStatus:

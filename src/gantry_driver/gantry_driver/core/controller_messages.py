@@ -1,0 +1,164 @@
+"""What the controller hears (events) and what it wants done (actions), as values; time is ROS time in nanoseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gantry_driver.core.motion_plan import Path
+from gantry_driver.core.targets import PanelMap
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.geometry import Array, Transform
+from icu_common.core.results import GoalResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointGoal:
+    """A point on /gantry/goal: ``xyz`` (3,) in metres of ``frame``, or raw pixels u, v and 0 in a camera's frame."""
+
+    frame: str
+    xyz: Array
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Command:
+    """A gesture's text on /gantry/command."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriverState:
+    """The driver's ``state`` or ``state: reason``."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Joints:
+    """Readings (3,) in metres."""
+
+    readings: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionResult:
+    """The driver's answer to a trajectory; ``goal_id`` is the trajectory's stamp."""
+
+    result: GoalResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PanelPose:
+    camera_from_panel: Transform
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PanelConfidence:
+    value: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PanelControls:
+    panel: PanelMap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraFromBase:
+    transform: Transform
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Axes:
+    """``base_from_reading`` (2, 2), close to the identity.
+
+    Raises
+    ------
+    ValueError
+        If the matrix is not finite or farther from the identity than any machine that deserves the name.
+    """
+
+    base_from_reading: Array
+
+    def __post_init__(self) -> None:
+        matrix = self.base_from_reading
+        if matrix.shape != (2, 2) or not abs(matrix - ((1.0, 0.0), (0.0, 1.0))).max() <= 0.1:
+            raise ValueError(f"axes {matrix.tolist()}: 2 x 2 values within 0.1 of the identity are needed")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TipSeen:
+    """The centre of the stylus's ball (3,) in metres, in the left camera's rectified frame."""
+
+    in_camera: Array
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraSeen:
+    camera: CameraModel
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heartbeat:
+    """The operator is there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tick:
+    """Time passed."""
+
+
+Event = (
+    PointGoal
+    | Command
+    | DriverState
+    | Joints
+    | MotionResult
+    | PanelPose
+    | PanelConfidence
+    | PanelControls
+    | CameraFromBase
+    | Axes
+    | TipSeen
+    | CameraSeen
+    | Heartbeat
+    | Tick
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SendTrajectory:
+    """Ask the driver to follow ``path``; ``stamp_ns`` is the trajectory's stamp and identity."""
+
+    stamp_ns: int
+    path: Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishResult:
+    result: GoalResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetState:
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShowTarget:
+    """The accepted target (3,) in base_link."""
+
+    in_base: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CallStop:
+    """Hold the machine at once."""
+
+    reason: str
+
+
+Action = SendTrajectory | PublishResult | SetState | ShowTarget | CallStop

@@ -1,0 +1,148 @@
+"""Paths of the stylus in readings: what the driver is asked to follow, checked against the machine's limits.
+
+A point is (gantry_x_joint, gantry_y_joint, stylus_joint) in metres; stylus_joint is the extension towards the panel.
+The carriage crosses the panel only with the stylus retracted, and every aim is approached from the same side (-x, -y),
+so that the backlash of both axes is always taken up in the same direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.core.config import Config, setting
+from icu_common.core.frames import JOINTS
+from icu_common.core.geometry import Array
+
+STANDSTILL_M = 1e-6
+"""Steps shorter than this (a twelfth of a motor step at 80 steps/mm) are left out."""
+EDGE_M = 2e-5
+"""Readings may lie this far outside the limits: at the limit the report is rounded to motor steps of 12.5 um."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionConfig(Config):
+    """Reachable readings and speeds."""
+
+    x_min_m: float = setting(0.0, "Smallest reading of gantry_x_joint", minimum=-2.0, maximum=2.0, unit="m")
+    x_max_m: float = setting(0.359, "Largest reading of gantry_x_joint", minimum=-2.0, maximum=2.0, unit="m")
+    y_min_m: float = setting(0.0, "Smallest reading of gantry_y_joint", minimum=-2.0, maximum=2.0, unit="m")
+    y_max_m: float = setting(0.219, "Largest reading of gantry_y_joint", minimum=-2.0, maximum=2.0, unit="m")
+    stylus_max_m: float = setting(0.059, "Largest extension of the stylus", minimum=0.0, maximum=0.5, unit="m")
+    travel_speed_m_s: float = setting(0.12, "Speed across the panel", minimum=0.001, maximum=1.0, unit="m/s")
+    stylus_speed_m_s: float = setting(0.04, "Speed of the stylus in the air", minimum=0.001, maximum=0.5, unit="m/s")
+    touch_speed_m_s: float = setting(0.01, "Speed of the stylus into contact", minimum=0.0005, maximum=0.1, unit="m/s")
+    turn_speed_m_s: float = setting(0.015, "Speed along a knob's arc", minimum=0.0005, maximum=0.1, unit="m/s")
+    approach_m: float = setting(
+        0.001, "Way in x and y by which every aim is approached from -x, -y", minimum=0.0, maximum=0.01, unit="m"
+    )
+
+    def lower(self) -> Array:
+        """(3,) smallest readings in metres."""
+        return np.array([self.x_min_m, self.y_min_m, 0.0])
+
+    def upper(self) -> Array:
+        """(3,) largest readings in metres."""
+        return np.array([self.x_max_m, self.y_max_m, self.stylus_max_m])
+
+
+class OutOfReach(ValueError):
+    """A point lies outside the machine's limits; the message names the value and the bound."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Path:
+    """Points (N, 3) in readings [m] with the times (N,) [s], strictly rising, at which they are due after the start.
+
+    An empty path means that the machine already stands where it should.
+    """
+
+    points: Array
+    times_s: Array
+
+    @property
+    def duration_s(self) -> float:
+        """Nominal duration in seconds, without the time for acceleration."""
+        return float(self.times_s[-1]) if len(self.times_s) else 0.0
+
+
+def check_reach(points: npt.ArrayLike, config: MotionConfig) -> None:
+    """Raise :class:`OutOfReach` unless all readings (N, 3) lie inside the limits."""
+    readings = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    for name, column, low, high in zip(JOINTS, readings.T, config.lower(), config.upper()):
+        for value in (column.min(), column.max()):
+            if not low - EDGE_M <= value <= high + EDGE_M:
+                raise OutOfReach(f"{name} = {value:.4f} m lies outside {low:.4f} to {high:.4f} m")
+
+
+def travel(start: Array, aim_xy: Array, extension_m: float, config: MotionConfig) -> Path:
+    """Retract, cross to ``aim_xy`` (2,) by way of the approach point, and lower to ``extension_m``."""
+    steps = _Steps(start)
+    steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
+    steps.to([*_approach_point(aim_xy, config), 0.0], config.travel_speed_m_s)
+    steps.to([*aim_xy, 0.0], config.travel_speed_m_s)
+    steps.to([*aim_xy, extension_m], config.stylus_speed_m_s)
+    return steps.path(config)
+
+
+def shift(start: Array, aim_xy: Array, config: MotionConfig) -> Path:
+    """Correct to ``aim_xy`` (2,) at the present height, by way of the approach point."""
+    steps = _Steps(start)
+    steps.to([*_approach_point(aim_xy, config), start[2]], config.travel_speed_m_s)
+    steps.to([*aim_xy, start[2]], config.travel_speed_m_s)
+    return steps.path(config)
+
+
+def plunge(start: Array, extension_m: float, config: MotionConfig) -> Path:
+    """Lower slowly into contact."""
+    steps = _Steps(start)
+    steps.to([*start[:2], extension_m], config.touch_speed_m_s)
+    return steps.path(config)
+
+
+def follow(start: Array, points: Array, config: MotionConfig) -> Path:
+    """Follow (N, 3) readings at the speed for knobs."""
+    steps = _Steps(start)
+    for point in points:
+        steps.to(point, config.turn_speed_m_s)
+    return steps.path(config)
+
+
+def lift(start: Array, config: MotionConfig) -> Path:
+    """Retract the stylus where it stands."""
+    steps = _Steps(start)
+    steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
+    return steps.path(config)
+
+
+def _approach_point(aim_xy: Array, config: MotionConfig) -> Array:
+    # At the very edge of the table there is less room for the approach, or none.
+    result: Array = np.maximum(np.asarray(aim_xy) - config.approach_m, config.lower()[:2])
+    return result
+
+
+class _Steps:
+    """Collects points and leaves out those that do not move."""
+
+    def __init__(self, start: Array) -> None:
+        self._at: Array = np.asarray(start, dtype=np.float64)
+        self._points: list[Array] = []
+        self._times: list[float] = []
+
+    def to(self, point: npt.ArrayLike, speed_m_s: float) -> None:
+        goal = np.asarray(point, dtype=np.float64)
+        way = float(np.linalg.norm(goal - self._at))
+        if way > STANDSTILL_M:
+            before = self._times[-1] if self._times else 0.0
+            self._points.append(goal)
+            self._times.append(before + way / speed_m_s)
+            self._at = goal
+
+    def path(self, config: MotionConfig) -> Path:
+        points = np.array(self._points).reshape(-1, 3)
+        if len(points):
+            check_reach(points, config)
+            points = np.clip(points, config.lower(), config.upper())
+        return Path(points=points, times_s=np.array(self._times))

@@ -1,0 +1,349 @@
+"""Where a goal is: from a control's name, a panel point, a pixel or a base point to the place where the ball touches.
+
+All points are metres. The tip of the stylus is the centre of its ball; contact is made by the ball's lowest point, one
+radius below along base z.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.config import Config, setting
+from icu_common.core.frames import BASE, CAMERA_LEFT, PANEL
+from icu_common.core.geometry import Array, Transform
+from icu_common.core.gesture import Gesture, Point
+from icu_common.core.panel_layout import Control
+
+TURNABLE = ("knob",)
+UNTOUCHABLE = ("connector",)
+FRAMES = (BASE, PANEL, CAMERA_LEFT)
+_PROUD_M = 5e-4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TouchConfig(Config):
+    """The stylus's shape and how it meets the panel."""
+
+    ball_radius_m: float = setting(0.002, "Radius of the tip's ball", minimum=1e-4, maximum=0.02, unit="m")
+    shaft_radius_m: float = setting(0.0025, "Radius of the shaft above the ball", minimum=1e-4, maximum=0.02, unit="m")
+    hover_m: float = setting(
+        0.008, "Height of the ball's bottom above the surface while looking", minimum=0.001, maximum=0.05, unit="m"
+    )
+    overtravel_m: float = setting(0.001, "Way pressed into the surface", minimum=0.0, maximum=0.01, unit="m")
+    side_clearance_m: float = setting(
+        0.001, "Least gap at the side between stylus and a proud neighbour", minimum=0.0, maximum=0.02, unit="m"
+    )
+    top_clearance_m: float = setting(
+        0.003, "Least height of the ball's bottom above neighbours while hovering", minimum=0.0, maximum=0.02, unit="m"
+    )
+    turn_radius_fraction: float = setting(
+        0.6, "Where a knob's top is pushed, as a part of its radius", minimum=0.1, maximum=0.95
+    )
+    max_tilt_deg: float = setting(
+        10.0, "Largest angle between the panel's normal and the stylus", minimum=0.0, maximum=45.0, unit="deg"
+    )
+    turn_step_deg: float = setting(2.0, "Longest chord of a turn's arc", minimum=0.1, maximum=10.0, unit="deg")
+
+    def side_needed_m(self) -> float:
+        """Return how far from the tip's axis a proud neighbour must stay, in metres."""
+        return max(self.ball_radius_m, self.shaft_radius_m) + self.side_clearance_m
+
+
+class Refused(ValueError):
+    """The goal cannot be carried out; the message names the value and the bound."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PanelControl:
+    """One control as recognition reports it: centre (2,) and size (2,) in panel_link, height above the face, metres."""
+
+    name: str
+    kind: str
+    centre: Array
+    size: Array
+    height: float
+    round: bool = False
+
+    def gap(self, xy: Array) -> float:
+        """Return the distance in metres from (2,) to the control's outline in the face's plane, 0 inside."""
+        offset = np.asarray(xy) - self.centre
+        if self.round:
+            reach = float(np.linalg.norm(offset / (self.size / 2)))
+            return max(0.0, 1 - 1 / reach) * float(np.linalg.norm(offset)) if reach > 0 else 0.0
+        return float(np.linalg.norm(np.maximum(np.abs(offset) - self.size / 2, 0.0)))
+
+    def entry(self, top: Array, bottom: Array) -> float | None:
+        """Return how far (0 to 1) from ``top`` to ``bottom`` (2,) a line first meets the outline, None if never."""
+        start: Array = (top - self.centre) / (self.size / 2)
+        way: Array = (bottom - top) / (self.size / 2)
+        return _enter_circle(start, way) if self.round else _enter_square(start, way)
+
+
+def _enter_circle(start: Array, way: Array) -> float | None:
+    a, b, c = float(way @ way), float(start @ way), float(start @ start) - 1.0
+    if c <= 0:
+        return 0.0
+    root = b * b - a * c
+    if a == 0 or root < 0:
+        return None
+    first = (-b - math.sqrt(root)) / a
+    return first if 0 <= first <= 1 else None
+
+
+def _enter_square(start: Array, way: Array) -> float | None:
+    # Slab method (Kay and Kajiya 1986) for the square from -1 to 1.
+    near, far = 0.0, 1.0
+    for s, w in zip(start, way):
+        if w == 0:
+            if abs(s) > 1:
+                return None
+            continue
+        low, high = sorted(((-1 - s) / w, (1 - s) / w))
+        near, far = max(near, low), min(far, high)
+    return near if near <= far else None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PanelMap:
+    """What is on the panel, and its extent (2, 2): smallest and largest x, y of its face in metres."""
+
+    controls: tuple[PanelControl, ...]
+    extent: Array
+
+    @classmethod
+    def of(cls, controls: Sequence[Control], outline: Array) -> PanelMap:
+        """Take over a layout's controls (in mm) and an outline (N, 2) in metres."""
+        mine = (
+            PanelControl(
+                name=c.name,
+                kind=c.kind,
+                centre=np.array(c.position_mm) / 1000,
+                size=np.array(c.size_mm) / 1000,
+                height=c.height_mm / 1000,
+                round=c.shape == "circle",
+            )
+            for c in controls
+        )
+        return cls(controls=tuple(mine), extent=np.array([outline.min(axis=0), outline.max(axis=0)]))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Scene:
+    """What is known of the bench when a goal is accepted; it stays the same until the goal ends."""
+
+    camera_from_base: Transform
+    camera_from_panel: Transform
+    base_from_reading: Array
+    panel: PanelMap
+    camera: CameraModel
+
+    @property
+    def base_from_panel(self) -> Transform:
+        return self.camera_from_base.inverse() @ self.camera_from_panel
+
+    def control(self, name: str) -> PanelControl:
+        """Return the control with that name.
+
+        Raises
+        ------
+        Refused
+            With the nearest names.
+        """
+        for control in self.panel.controls:
+            if control.name == name:
+                return control
+        names = [c.name for c in self.panel.controls]
+        near = difflib.get_close_matches(name.upper(), names, n=3, cutoff=0.4) or names[:5]
+        raise Refused(f"unknown control {name!r}; nearest: {', '.join(near)}")
+
+    def first_hit(self, origin: Array, direction: Array) -> tuple[Array, PanelControl | None]:
+        """Return the surface point (3,) that a ray in panel_link meets first, and the control it belongs to.
+
+        A ray that meets a control from the side means the control: the point is then the centre of its top.
+
+        Raises
+        ------
+        Refused
+            If the ray does not come down on the panel.
+        """
+        if not (origin[2] > 0 and direction[2] < 0):
+            raise Refused("the line of sight does not meet the panel's face from the front")
+
+        def at(height: float) -> Array:
+            point: Array = origin + (height - origin[2]) / direction[2] * direction
+            return point
+
+        face = at(0.0)
+        hits: list[tuple[float, Array, PanelControl]] = []
+        for control in self.panel.controls:
+            top = at(control.height)
+            way = control.entry(top[:2], face[:2])
+            if way is not None:
+                point = top if way == 0 else np.array([*control.centre, control.height])
+                hits.append((control.height * (1 - way), point, control))
+        # The highest entry is the nearest to the viewer; of nested flat areas the smallest is meant.
+        hits.sort(key=lambda hit: (-hit[0], float(np.prod(hit[2].size))))
+        return (hits[0][1], hits[0][2]) if hits else (face, None)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Touch:
+    """One place to touch.
+
+    Parameters
+    ----------
+    control
+        Its name, empty on the bare face.
+    in_panel, in_base
+        (3,) the point on the surface.
+    hover_z, touch_z
+        Base z of the ball's centre while looking, and at the end of the touch.
+    arc
+        (N, 3) further centres of the ball in base_link, for a turn; (0, 3) otherwise.
+    """
+
+    control: str
+    in_panel: Array
+    in_base: Array
+    hover_z: float
+    touch_z: float
+    arc: Array
+
+
+def resolve(gesture: Gesture, scene: Scene, config: TouchConfig, *, wander_m: float) -> Touch:
+    """Find where a gesture touches.
+
+    Parameters
+    ----------
+    gesture
+        What to do and where.
+    scene
+        Poses, controls, calibration.
+    config
+        The stylus.
+    wander_m
+        How far beside the target the tip may be while it hovers, before it has been corrected.
+
+    Raises
+    ------
+    Refused
+        If the control is unknown or must not be touched, the gesture does not suit it, the point does not meet the
+        panel, the panel leans too far, or a proud neighbour is in the way.
+    """
+    base_from_panel = scene.base_from_panel
+    tilt = math.degrees(math.acos(min(1.0, float(base_from_panel.rotation[2, 2]))))
+    if tilt > config.max_tilt_deg:
+        raise Refused(f"the panel leans by {tilt:.1f} degrees, at most {config.max_tilt_deg:g} are allowed")
+    point, control = _surface(gesture.target, scene)
+    if control is not None and control.kind in UNTOUCHABLE:
+        raise Refused(f"{control.name} is a {control.kind}; connectors are never pressed")
+    if gesture.kind == "turn":
+        if control is None:
+            raise Refused("only a knob can be turned, and there is no control at this point")
+        if control.kind not in TURNABLE:
+            raise Refused(f"{control.name} is a {control.kind}; only a knob can be turned")
+        contacts = turn_points(control, gesture.argument, config)
+    else:
+        contacts = point[np.newaxis]
+    low, high = scene.panel.extent
+    if not ((low <= point[:2]) & (point[:2] <= high)).all():
+        raise Refused(
+            f"the point ({point[0]:.4f}, {point[1]:.4f}) m in {PANEL} lies outside the panel, "
+            f"({low[0]:.3f}, {low[1]:.3f}) to ({high[0]:.3f}, {high[1]:.3f}) m"
+        )
+    for contact in contacts:
+        _check_sides(contact, control, scene.panel.controls, config)
+
+    surface = base_from_panel.apply(contacts)
+    above = np.array([0.0, 0.0, config.ball_radius_m - config.overtravel_m])
+    return Touch(
+        control=control.name if control is not None else "",
+        in_panel=contacts[0],
+        in_base=surface[0],
+        hover_z=_hover_z(contacts[0], scene, config, wander_m),
+        touch_z=float((surface[0] + above)[2]),
+        arc=surface[1:] + above,
+    )
+
+
+def turn_points(control: PanelControl, angle_deg: float, config: TouchConfig) -> Array:
+    """Return (N, 3) surface points along the arc that turns a knob by ``angle_deg``, counter-clockwise positive.
+
+    The arc lies symmetrically about the knob's lower side, where a camera below the panel sees the tip best.
+    """
+    steps = max(1, math.ceil(abs(angle_deg) / config.turn_step_deg - 1e-9))
+    angles = np.radians(-90.0 + angle_deg * (np.arange(steps + 1) / steps - 0.5))
+    radius = config.turn_radius_fraction * float(control.size.min()) / 2
+    return np.column_stack(
+        [
+            control.centre[0] + radius * np.cos(angles),
+            control.centre[1] + radius * np.sin(angles),
+            np.full(steps + 1, control.height),
+        ]
+    )
+
+
+def highest_near(base_xy: npt.ArrayLike, scene: Scene, within_m: float) -> float:
+    """Return the base z of the highest top of a control within ``within_m`` of a place (2,), or of the face there."""
+    point, _ = _down(np.asarray(base_xy, dtype=np.float64), scene)
+    return _highest_z(point, scene, within_m)
+
+
+def _down(base_xy: Array, scene: Scene) -> tuple[Array, PanelControl | None]:
+    panel_from_base = scene.base_from_panel.inverse()
+    origin = panel_from_base.apply([*base_xy, 1.0])
+    return scene.first_hit(origin, panel_from_base.rotation @ np.array([0.0, 0.0, -1.0]))
+
+
+def _surface(target: str | Point, scene: Scene) -> tuple[Array, PanelControl | None]:
+    if isinstance(target, str):
+        control = scene.control(target)
+        return np.array([*control.centre, control.height]), control
+    if target.frame == BASE:
+        return _down(np.array([target.x, target.y]), scene)
+    if target.frame == PANEL:
+        return scene.first_hit(np.array([target.x, target.y, 1.0]), np.array([0.0, 0.0, -1.0]))
+    if target.frame == CAMERA_LEFT:
+        width, height = scene.camera.size
+        # Pixel centres are whole numbers, so the picture reaches half a pixel further.
+        if not (-0.5 <= target.x <= width - 0.5 and -0.5 <= target.y <= height - 0.5):
+            raise Refused(f"pixel ({target.x:g}, {target.y:g}) lies outside the picture of {width} x {height}")
+        ray = scene.camera.rays([[target.x, target.y]])[0]
+        panel_from_camera = scene.camera_from_panel.inverse()
+        return scene.first_hit(panel_from_camera.translation, panel_from_camera.rotation @ ray)
+    raise Refused(f"frame {target.frame!r} is none of {', '.join(FRAMES)}")
+
+
+def _check_sides(
+    contact: Array, own: PanelControl | None, controls: Sequence[PanelControl], config: TouchConfig
+) -> None:
+    needed = config.side_needed_m()
+    for other in controls:
+        proud = other.height > _PROUD_M and other.height > contact[2] - config.overtravel_m
+        if other is own or not proud:
+            continue
+        gap = other.gap(contact[:2])
+        if gap < needed:
+            raise Refused(
+                f"the point is {1000 * gap:.1f} mm beside {other.name} ({1000 * other.height:.0f} mm high), "
+                f"{1000 * needed:.1f} mm are needed"
+            )
+
+
+def _hover_z(contact: Array, scene: Scene, config: TouchConfig, wander_m: float) -> float:
+    surface_z = float(scene.base_from_panel.apply(contact)[2])
+    tops = _highest_z(contact, scene, wander_m + max(config.ball_radius_m, config.shaft_radius_m))
+    return max(surface_z + config.hover_m, tops + config.top_clearance_m) + config.ball_radius_m
+
+
+def _highest_z(in_panel: Array, scene: Scene, within_m: float) -> float:
+    near = [c for c in scene.panel.controls if c.gap(in_panel[:2]) < within_m]
+    points = [in_panel, *(np.array([*c.centre, c.height]) for c in near)]
+    return float(scene.base_from_panel.apply(np.array(points))[:, 2].max())

@@ -1,0 +1,192 @@
+"""ROS node of the gantry controller: messages become events, actions become messages; decisions are in core."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, JointState
+from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from gantry_driver.core import controller_messages as msg
+from gantry_driver.core.controller import Controller, ControllerConfig
+from gantry_driver.core.targets import PanelMap
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    camera_model,
+    controls_of_message,
+    diagnostic_status,
+    header,
+    joint_positions,
+    point_array,
+    point_message,
+    result_message,
+    result_of_message,
+    stamp_ns,
+    trajectory_message,
+    transform_of_message,
+    transform_of_pose,
+)
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import run
+
+TICK_S = 0.02
+DIAGNOSTICS_S = 1.0
+
+
+class ControllerNode(Node):
+    """Takes goals and gestures, sends trajectories, answers every goal."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("gantry_controller", **kwargs)
+        parameters = LiveParameters(self, ControllerConfig, self._on_config)
+        self._controller = Controller(parameters.config)
+        self._camera: tuple[CameraInfo, CameraModel] | None = None
+        self._trajectory = self.create_publisher(JointTrajectory, "trajectory", qos.COMMAND)
+        self._result = self.create_publisher(DiagnosticArray, "result", qos.RESULTS)
+        self._state = self.create_publisher(String, "state", qos.LATCHED)
+        self._target = self.create_publisher(PointStamped, "target", qos.LATCHED)
+        self._stop = self.create_publisher(Empty, "stop_request", qos.RESULTS)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._hear(PointStamped, "goal", qos.COMMAND, _point_goal)
+        self._hear(String, "command", qos.COMMAND, lambda m: msg.Command(text=m.data))
+        self._hear(String, "driver_state", qos.LATCHED, lambda m: msg.DriverState(text=m.data))
+        self._hear(JointState, "joint_states", qos.SENSOR, lambda m: msg.Joints(readings=joint_positions(m, JOINTS)))
+        self._hear(
+            DiagnosticArray,
+            "trajectory_result",
+            qos.RESULTS,
+            lambda m: msg.MotionResult(result=result_of_message(m)),
+        )
+        self._hear(PoseStamped, "panel/pose", qos.LATCHED, _panel_pose)
+        self._hear(MarkerArray, "panel/controls", qos.LATCHED, _panel_controls)
+        self._hear(Float32, "panel/confidence", qos.SENSOR, lambda m: msg.PanelConfidence(value=m.data))
+        self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, _camera_from_base)
+        self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, _axes)
+        self._hear(PointStamped, "stylus/tip", qos.SENSOR, _tip)
+        self._hear(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
+        self._hear(Header, "heartbeat", qos.SENSOR, lambda m: msg.Heartbeat())
+        self.create_timer(TICK_S, lambda: self._handle(msg.Tick()))
+        self.create_timer(DIAGNOSTICS_S, self._diagnose)
+        self._handle(msg.Tick())
+
+    def close(self) -> None:
+        """Hold the machine if a goal is in work, and say that nobody controls it any more."""
+        self._act(self._controller.close(self._now_ns()))
+
+    def _hear(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:
+        def callback(message: Any) -> None:
+            try:
+                event = convert(message)
+            except ValueError as error:
+                self.get_logger().error(f"{topic}: ignored: {error}", throttle_duration_sec=5.0)
+                return
+            self._handle(event)
+
+        self.create_subscription(message_type, topic, callback, profile)
+
+    def _camera_seen(self, message: CameraInfo) -> msg.Event:
+        # Every picture repeats the same calibration; unpacking it anew would be most of this node's work.
+        if self._camera is None or not _same_camera(self._camera[0], message):
+            self._camera = (message, camera_model(message, "left"))
+        return msg.CameraSeen(camera=self._camera[1], stamp_ns=stamp_ns(message.header.stamp))
+
+    def _on_config(self, config: ControllerConfig) -> None:
+        self._controller.config = config
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _handle(self, event: msg.Event) -> None:
+        self._act(self._controller.handle(event, self._now_ns()))
+
+    def _act(self, actions: list[msg.Action]) -> None:
+        for action in actions:
+            match action:
+                case msg.SendTrajectory():
+                    head = header(action.stamp_ns, BASE)
+                    path = action.path
+                    self._trajectory.publish(trajectory_message(JOINTS, path.points, path.times_s, head))
+                case msg.PublishResult():
+                    self.get_logger().info(
+                        f"{action.result.goal}: {action.result.outcome.value} {action.result.reason}"
+                    )
+                    self._result.publish(result_message(action.result, self._now_ns()))
+                case msg.SetState():
+                    self._state.publish(String(data=action.text))
+                case msg.ShowTarget():
+                    self._target.publish(point_message(action.in_base, header(self._now_ns(), BASE)))
+                case msg.CallStop():
+                    self.get_logger().error(f"stop: {action.reason}")
+                    self._stop.publish(Empty())
+
+    def _diagnose(self) -> None:
+        controller = self._controller
+        counts = [(outcome.value, count) for outcome, count in controller.counts.items()]
+        faulty = controller.state.startswith(("stopped", "alarm"))
+        level = "error" if faulty else "warn" if controller.state.startswith("waiting") else "ok"
+        values = [("phase", controller.phase.value), ("goal", controller.goal), *counts]
+        status = diagnostic_status("gantry controller", level, controller.state, values)
+        self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
+
+
+def _point_goal(message: PointStamped) -> msg.Event:
+    stamp = stamp_ns(message.header.stamp)
+    return msg.PointGoal(frame=message.header.frame_id, xyz=point_array(message), stamp_ns=stamp)
+
+
+def _panel_pose(message: PoseStamped) -> msg.Event:
+    _check_frame(message.header, CAMERA_LEFT)
+    pose = transform_of_pose(message.pose)
+    return msg.PanelPose(camera_from_panel=pose, stamp_ns=stamp_ns(message.header.stamp))
+
+
+def _panel_controls(message: MarkerArray) -> msg.Event:
+    for marker in message.markers:
+        _check_frame(marker.header, PANEL)
+    return msg.PanelControls(panel=PanelMap.of(*controls_of_message(message)))
+
+
+def _camera_from_base(message: TransformStamped) -> msg.Event:
+    _check_frame(message.header, CAMERA_LEFT)
+    if message.child_frame_id != BASE:
+        raise ValueError(f"child frame {message.child_frame_id!r}, {BASE!r} is needed")
+    return msg.CameraFromBase(transform=transform_of_message(message))
+
+
+def _axes(message: Float64MultiArray) -> msg.Event:
+    if len(message.data) != 4:
+        raise ValueError(f"{len(message.data)} values, 4 are needed (2 x 2, row by row)")
+    return msg.Axes(base_from_reading=np.array(message.data).reshape(2, 2))
+
+
+def _tip(message: PointStamped) -> msg.Event:
+    _check_frame(message.header, CAMERA_LEFT)
+    return msg.TipSeen(in_camera=point_array(message), stamp_ns=stamp_ns(message.header.stamp))
+
+
+def _check_frame(head: Header, frame: str) -> None:
+    if head.frame_id != frame:
+        raise ValueError(f"frame {head.frame_id!r}, {frame!r} is needed")
+
+
+def _same_camera(a: CameraInfo, b: CameraInfo) -> bool:
+    return (a.width, a.height, a.distortion_model) == (b.width, b.height, b.distortion_model) and all(
+        np.array_equal(x, y) for x, y in ((a.d, b.d), (a.k, b.k), (a.r, b.r), (a.p, b.p))
+    )
+
+
+def main() -> int:
+    return run(ControllerNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
