@@ -79,7 +79,14 @@ class RunningGraph:
             "PYTHONUNBUFFERED": "1",
         }
         self._log_path = folder / "bring_up.log"
-        command = [executable("scope_bench", "bring_up"), "--profile", "test", "--config", str(ROOT / "config")]
+        command = [
+            executable("scope_bench", "bring_up"),
+            "--profile",
+            "test",
+            "--verbose",
+            "--config",
+            str(ROOT / "config"),
+        ]
         command += ["--state", str(folder / "state"), "--run-dir", str(self.run_dir)]
         command += ["--set", f"ui_bridge.port={self.port}", *extra]
         with self._log_path.open("wb") as log:

@@ -16,6 +16,9 @@ from icu_common.nodes.runtime import prepare_transport
 from scope_bench.adapters.processes import ProcessGroup, find_executable
 from scope_bench.core.graph_description import GraphError, Program, load_graph
 
+IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "http://", "https://")
+"""Lines with one of these are shown without --verbose."""
+
 
 def configuration_folder() -> Path:
     """Return the folder with graph.yaml: $ICU_CONFIG, else the one that was installed with this package.
@@ -49,7 +52,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--without", action="append", default=[], metavar="PROGRAM", help="leave a program out")
     result.add_argument("--set", action="append", default=[], metavar="PROGRAM.PARAMETER=VALUE", help="one value more")
     result.add_argument("--prepare", action="store_true", help="enable, home and calibrate (bench only)")
-    result.add_argument("--quiet", action="store_true", help="print only warnings, errors and the page's address")
+    result.add_argument("--verbose", action="store_true", help="print everything that the programs say")
     return result
 
 
@@ -131,10 +134,7 @@ class BringUp:
         self.stopping = True
 
     def _output(self, name: str, line: str) -> None:
-        important = any(
-            word in line for word in ("WARN", "ERROR", "FATAL", "error", "Traceback", "http://", "https://")
-        )
-        if line and (important or not self.options.quiet):
+        if line and (self.options.verbose or name == "prepare" or any(word in line for word in IMPORTANT)):
             self.say(f"{name:>17} | {line}")
 
     def _event(self, name: str, text: str) -> None:
