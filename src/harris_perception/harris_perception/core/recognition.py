@@ -1,0 +1,604 @@
+"""Finds the designated panel in a picture and gives its pose.
+
+A new panel is searched by descriptors at Harris corners, matched with those of a template pyramid, under a robust
+homography (MAGSAC). A found one is refined by warping the picture onto the template and measuring with optical flow,
+forward and backward, what is still amiss; the same step follows it from frame to frame. A patchwise correlation with
+the template decides whether to believe it, and several frames must agree before it counts.
+
+Only what is printed on the face is used: controls stand proud (parallax), screens and lamps change.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.panel_template import PanelTemplate, hidden_by_controls, panel_template
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.config import Config, ConfigError, nested, setting
+from icu_common.core.geometry import Array, Transform, nearest_rotation
+from icu_common.core.panel_layout import PanelLayout
+
+Gray = npt.NDArray[np.uint8]
+Floats = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchConfig(Config):
+    """How a panel is found from nothing."""
+
+    px_per_mm: float = setting(4.0, "Scale of the template's largest level", minimum=0.2, maximum=20.0, unit="px/mm")
+    levels: int = setting(7, "Levels of the template pyramid", minimum=1, maximum=12)
+    factor: float = setting(1.26, "Scale between levels", minimum=1.05, maximum=2.0)
+    descriptor: str = setting("sift", "Descriptor at the corners", choices=("sift", "orb"))
+    upright: bool = setting(False, "Descriptors keep the picture's up; faster and surer when nothing is rolled")
+    patch_px: float = setting(5.0, "Size of a corner as the descriptor sees it", minimum=2.0, maximum=40.0, unit="px")
+    corners_per_level: int = setting(700, "The strongest corners of each level", minimum=50, maximum=5000)
+    max_corners: int = setting(1500, "The strongest corners of the picture", minimum=50, maximum=10000)
+    ratio: float = setting(0.85, "Distance of the best match over the best at another place", minimum=0.3, maximum=1.0)
+    same_place_mm: float = setting(
+        2.0, "Matches nearer than this to the best are the same place", minimum=0.1, maximum=50.0, unit="mm"
+    )
+    tolerance_px: float = setting(3.0, "Misfit of a match", minimum=0.5, maximum=20.0, unit="px")
+    min_matches: int = setting(10, "Matches under the homography", minimum=6, maximum=1000)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RefineConfig(Config):
+    """How a found panel is measured and judged."""
+
+    points: int = setting(400, "Template corners that are measured", minimum=20, maximum=5000)
+    window_px: int = setting(17, "Side of the window of the optical flow", minimum=7, maximum=61, unit="px")
+    reach_px: float = setting(16.0, "Greatest shift that is believed", minimum=1.0, maximum=100.0, unit="px")
+    round_trip_px: float = setting(0.4, "Forward and backward flow may differ", minimum=0.01, maximum=5.0, unit="px")
+    tolerance_px: float = setting(0.8, "Misfit of a measured point", minimum=0.1, maximum=10.0, unit="px")
+    min_points: int = setting(20, "Points that fit", minimum=6, maximum=5000)
+    min_spread: float = setting(0.05, "Part of the face that the points span", minimum=0.0, maximum=1.0)
+    patch_mm: float = setting(6.0, "Side of a patch of the correlation", minimum=1.0, maximum=100.0, unit="mm")
+    patch_correlation: float = setting(0.6, "A patch agrees from here on", minimum=0.1, maximum=1.0)
+    min_agreement: float = setting(
+        0.3,
+        "Agreeing part of the face's textured patches, hidden ones not agreeing",
+        minimum=0.05,
+        maximum=1.0,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AgreementConfig(Config):
+    """When a pose counts."""
+
+    frames: int = setting(3, "Successive frames that must agree", minimum=1, maximum=50)
+    tolerance_mm: float = setting(
+        0.4, "Their panel corners may differ by so much", minimum=0.01, maximum=100.0, unit="mm"
+    )
+    window: int = setting(20, "Agreeing frames that are averaged", minimum=1, maximum=500)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecognitionConfig(Config):
+    """Search, refinement and agreement."""
+
+    search: SearchConfig = nested(SearchConfig)
+    refine: RefineConfig = nested(RefineConfig)
+    agreement: AgreementConfig = nested(AgreementConfig)
+
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        if self.agreement.window < self.agreement.frames:
+            raise ConfigError(
+                f"agreement.window = {self.agreement.window} is below agreement.frames = {self.agreement.frames}"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Sighting:
+    """The panel in one picture.
+
+    Attributes
+    ----------
+    rectified_from_mm
+        (3, 3) homography from the face's mm to rectified pixels.
+    camera_from_panel
+        Pose in the camera's rectified frame, metres.
+    agreement
+        Agreeing part of the face's textured patches, 0 to 1.
+    points
+        How many measured points fit.
+    rms_px
+        Their misfit under the pose.
+    tracked
+        Followed from the frame before rather than searched.
+    """
+
+    rectified_from_mm: Array
+    camera_from_panel: Transform
+    agreement: float
+    points: int
+    rms_px: float
+    tracked: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Level:
+    """One scale of the template: its picture evened out, and its corners (on steady print) by falling response."""
+
+    template: PanelTemplate
+    even: Gray
+    corners_px: Floats
+    corners_mm: Array
+
+
+class PanelRecogniser:
+    """Searches one designated panel and follows it; remembers where it was seen last.
+
+    Parameters
+    ----------
+    layout
+        The designated panel.
+    config
+        See :class:`RecognitionConfig`.
+    harris
+        Detector settings for the template's corners; the same as for the pictures.
+    picture, picture_px_per_mm
+        A picture of the face instead of the layout's drawing; see :func:`panel_template`.
+
+    Raises
+    ------
+    ValueError
+        If the face has too little print to be recognised, or the picture does not fit the layout.
+    """
+
+    def __init__(
+        self,
+        layout: PanelLayout,
+        config: RecognitionConfig | None = None,
+        harris: HarrisConfig | None = None,
+        picture: npt.NDArray[Any] | None = None,
+        picture_px_per_mm: float = 0.0,
+    ) -> None:
+        self.layout = layout
+        self.config = config if config is not None else RecognitionConfig()
+        search = self.config.search
+        detector = HarrisDetector(harris)
+        scales = [search.px_per_mm / search.factor**k for k in range(search.levels)]
+        self._levels = [
+            _level(panel_template(layout, scale, picture, picture_px_per_mm), detector)
+            for scale in scales
+            if min(layout.size_mm) * scale >= 48
+        ]
+        if not self._levels or len(self._levels[0].corners_px) < self.config.refine.min_points:
+            raise ValueError(f"the face of {layout.model} has too little print to be recognised")
+        self._describe = _Describer(search)
+        described = [
+            self._describe(level.template.gray, level.corners_px[: search.corners_per_level]) for level in self._levels
+        ]
+        self._descriptors = np.vstack([descriptors for descriptors, _ in described])
+        self._places_mm = np.vstack(
+            [level.corners_mm[: search.corners_per_level][kept] for level, (_, kept) in zip(self._levels, described)]
+        )
+        self._maps: tuple[CameraModel, tuple[Any, Any]] | None = None
+        self._last: Array | None = None
+
+    def forget(self) -> None:
+        """Search the next picture from nothing."""
+        self._last = None
+
+    def locate(self, gray: Gray, corners_px: npt.ArrayLike, camera: CameraModel) -> Sighting | None:
+        """Find the panel in a raw picture, or return None.
+
+        Parameters
+        ----------
+        gray
+            (H, W) uint8, raw.
+        corners_px
+            (N, 2) its Harris corners in raw pixels by falling response.
+        camera
+            The camera that took it.
+
+        Raises
+        ------
+        ValueError
+            If the picture's size is not the camera's.
+        """
+        if gray.shape[::-1] != camera.size:
+            raise ValueError(f"the picture has {gray.shape[::-1]} px, the camera's calibration {camera.size}")
+        rectified = self._rectify(gray, camera)
+        sighting = self._refine(rectified, self._last, camera, tracked=True) if self._last is not None else None
+        if sighting is None:
+            raw = np.asarray(corners_px, dtype=np.float64).reshape(-1, 2)[: self.config.search.max_corners]
+            found = self._search(rectified, camera.rectify(raw).astype(np.float32))
+            sighting = self._refine(rectified, found, camera, tracked=False) if found is not None else None
+        self._last = None if sighting is None else sighting.rectified_from_mm
+        return sighting
+
+    def _rectify(self, gray: Gray, camera: CameraModel) -> Gray:
+        if self._maps is None or self._maps[0] is not camera:
+            self._maps = (camera, camera.rectification_maps())
+            self._last = None
+        first, second = self._maps[1]
+        return np.asarray(cv2.remap(gray, first, second, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def _search(self, rectified: Gray, corners_px: Floats) -> Array | None:
+        search = self.config.search
+        if len(corners_px) < search.min_matches:
+            return None
+        descriptors, kept = self._describe(rectified, corners_px)
+        if len(kept) < search.min_matches:
+            return None
+        query, place = _matches(descriptors, self._descriptors, self._places_mm, search)
+        if len(query) < search.min_matches:
+            return None
+        fitted = _homography(
+            self._places_mm[place], corners_px[kept][query].astype(np.float64), search.tolerance_px, search.min_matches
+        )
+        return None if fitted is None else fitted[0]
+
+    def _refine(self, rectified: Gray, start: Array, camera: CameraModel, *, tracked: bool) -> Sighting | None:
+        """Measure the panel near ``start`` (rectified_from_mm); None when it is not there."""
+        config = self.config.refine
+        homography: Array | None = start
+        pose: Transform | None = None
+        points, rms = 0, 0.0
+        for _ in range(3):
+            assert homography is not None
+            level = self._level_for(homography)
+            pose = pose_of_homography(homography, self.layout.size_mm, camera) if level is not None else None
+            if level is None or pose is None:
+                return None
+            visible = self._visible(level, pose)
+            warped = self._warp(rectified, homography, level)
+            measured = _flow(level, visible, warped, config)
+            if measured is None:
+                return None
+            template_mm, level_px = measured
+            pixels = _map(homography @ _inverse(level.template.px_from_mm), level_px)
+            fitted = _fit(template_mm, pixels, config, self.layout.size_mm)
+            if fitted is None:
+                return None
+            homography, used = fitted
+            points = int(used.sum())
+        assert homography is not None
+        pose, rms = pose_of_points(template_mm[used] * 1e-3, pixels[used], camera)
+        level = self._level_for(homography)
+        if level is None:
+            return None
+        agreement = self._agreement(level, self._visible(level, pose), self._warp(rectified, homography, level))
+        if agreement < config.min_agreement:
+            return None
+        return Sighting(
+            rectified_from_mm=homography,
+            camera_from_panel=pose,
+            agreement=agreement,
+            points=points,
+            rms_px=rms,
+            tracked=tracked,
+        )
+
+    def _level_for(self, homography: Array) -> _Level | None:
+        """Return the level whose scale is nearest to the picture's; None for a homography that no camera makes."""
+        width, height = self.layout.size_mm
+        corners = np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
+        depth = np.column_stack([corners, np.ones(4)]) @ homography[2]
+        if not (np.isfinite(homography).all() and (depth * depth[0] > 0).all()):
+            return None
+        outline = _map(homography, corners)
+        side = np.roll(outline, -1, axis=0) - outline
+        following = np.roll(side, -1, axis=0)
+        turn = side[:, 0] * following[:, 1] - side[:, 1] * following[:, 0]
+        # y is up on the panel and down in the picture: seen from the front the outline turns negative at each corner.
+        if not (turn < 0).all():
+            return None
+        area = 0.5 * abs(float(np.sum(outline[:, 0] * side[:, 1] - outline[:, 1] * side[:, 0])))
+        scale = np.sqrt(area / (width * height))
+        if not 0.5 * self._levels[-1].template.px_per_mm < scale < 2.5 * self._levels[0].template.px_per_mm:
+            return None
+        return min(self._levels, key=lambda level: abs(np.log(level.template.px_per_mm / scale)))
+
+    def _visible(self, level: _Level, pose: Transform) -> npt.NDArray[np.bool_]:
+        viewpoint_mm = pose.inverse().translation * 1e3
+        shape = level.template.gray.shape
+        hidden = hidden_by_controls(self.layout, viewpoint_mm, (shape[0], shape[1]), level.template.px_per_mm)
+        return np.asarray(level.template.steady & ~hidden)
+
+    def _warp(self, rectified: Gray, homography: Array, level: _Level) -> Gray:
+        height, width = level.template.gray.shape
+        rectified_from_level = homography @ _inverse(level.template.px_from_mm)
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpPerspective(rectified, rectified_from_level, (width, height), flags=flags), np.uint8)
+
+    def _agreement(self, level: _Level, visible: npt.NDArray[np.bool_], warped: Gray) -> float:
+        """Return the part of the textured, visible patches whose normalised correlation is high enough."""
+        config = self.config.refine
+        side = max(5, round(config.patch_mm * level.template.px_per_mm))
+        a, b = (cv2.GaussianBlur(p, (0, 0), 1.0).astype(np.float32) for p in (level.template.gray, warped))
+        weight = visible.astype(np.float32)
+        # Sums over patches: the mean of each block of side x side pixels.
+        rows, columns = a.shape[0] // side, a.shape[1] // side
+
+        def blocks(values: Any) -> Array:
+            cut = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
+            return np.asarray(cut.sum(axis=(1, 3)), dtype=np.float64)
+
+        count = blocks(weight)
+        full = np.maximum(count, 1.0)
+        mean_a, mean_b = blocks(weight * a) / full, blocks(weight * b) / full
+        var_a = np.maximum(blocks(weight * a * a) / full - mean_a**2, 0)
+        var_b = np.maximum(blocks(weight * b * b) / full - mean_b**2, 0)
+        correlation = (blocks(weight * a * b) / full - mean_a * mean_b) / np.sqrt(var_a * var_b + 1e-6)
+        textured = (count > 0.3 * side * side) & (var_a > 36.0)
+        if int(textured.sum()) < 8:
+            return 0.0
+        return float((correlation[textured] > config.patch_correlation).mean())
+
+
+class PoseAgreement:
+    """Turns sightings, frame by frame, into a pose that counts: the mean of those that agree, while enough do.
+
+    The panel is at rest most of the time, so agreeing poses are averaged; poses that disagree with the mean but with
+    one another agree replace it after ``frames`` of them.
+    """
+
+    def __init__(self, config: AgreementConfig, size_mm: tuple[float, float]) -> None:
+        self._config = config
+        width, height = (side * 1e-3 for side in size_mm)
+        self._corners = np.array([(0.0, 0.0, 0.0), (width, 0.0, 0.0), (width, height, 0.0), (0.0, height, 0.0)])
+        self._agreeing: deque[Transform] = deque(maxlen=config.window)
+        self._others: deque[Transform] = deque(maxlen=config.window)
+
+    def add(self, pose: Transform | None) -> Transform | None:
+        """Take one frame's pose (None: not seen) and return the pose that counts after it, or None."""
+        if pose is None:
+            self._agreeing.clear()
+            self._others.clear()
+            return None
+        if self._agreeing and self._near(pose, mean_pose(self._agreeing)):
+            self._agreeing.append(pose)
+            self._others.clear()
+        else:
+            if self._others and not self._near(pose, mean_pose(self._others)):
+                self._others.clear()
+            self._others.append(pose)
+            if not self._agreeing or len(self._others) >= self._config.frames:
+                self._agreeing, self._others = self._others, self._agreeing
+                self._others.clear()
+        if self._others or len(self._agreeing) < self._config.frames:
+            return None
+        return mean_pose(self._agreeing)
+
+    def _near(self, a: Transform, b: Transform) -> bool:
+        apart = np.linalg.norm(a.apply(self._corners) - b.apply(self._corners), axis=1)
+        return bool(apart.max() * 1e3 <= self._config.tolerance_mm)
+
+
+def mean_pose(poses: Any) -> Transform:
+    """Return the mean of nearby poses: mean translation, nearest rotation to the mean matrix."""
+    rotation = nearest_rotation(np.mean([p.rotation for p in poses], axis=0))
+    return Transform(rotation, np.mean([p.translation for p in poses], axis=0))
+
+
+def pose_of_homography(rectified_from_mm: Array, size_mm: tuple[float, float], camera: CameraModel) -> Transform | None:
+    """Return camera_from_panel from a homography, or None when it is no camera's."""
+    x, y = (np.linspace(0.0, side, 5) for side in size_mm)
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    pixels = _map(rectified_from_mm, points)
+    if not np.isfinite(pixels).all():
+        return None
+    return _planar_pnp(points * 1e-3, pixels, camera)
+
+
+def pose_of_points(points_m: Array, pixels: Array, camera: CameraModel) -> tuple[Transform, float]:
+    """Return camera_from_panel and the rms misfit in px, from (N, 2) face points in m and (N, 2) rectified pixels.
+
+    Starts from infinitesimal plane-based pose estimation (T. Collins, A. Bartoli, "Infinitesimal Plane-based Pose
+    Estimation", IJCV 109(3), 2014), whose better solution is refined by Gauss-Newton.
+
+    Raises
+    ------
+    ValueError
+        If the points admit no pose in front of the camera.
+    """
+    start = _planar_pnp(points_m, pixels, camera)
+    if start is None:
+        raise ValueError("the points admit no pose in front of the camera")
+    pose, residual = start, np.inf
+    world = np.column_stack([points_m, np.zeros(len(points_m))])
+    focal = np.array([camera.p[0, 0], camera.p[1, 1]])
+    for _ in range(15):
+        seen = pose.apply(world)
+        x, y, z = seen.T
+        error = pixels - (focal * seen[:, :2] / z[:, None] + camera.p[:2, 2])
+        zero = np.zeros(len(z))
+        by_point = np.stack(
+            [
+                np.column_stack([focal[0] / z, zero, -focal[0] * x / z**2]),
+                np.column_stack([zero, focal[1] / z, -focal[1] * y / z**2]),
+            ],
+            axis=1,
+        )
+        # Turn about the panel's seen centre, so that rotation and translation hardly disturb one another.
+        centre = seen.mean(axis=0)
+        arm = seen - centre
+        by_turn = np.einsum("nij,njk->nik", by_point, -_cross(arm))
+        jacobian = np.concatenate([by_turn, by_point], axis=2).reshape(-1, 6)
+        step = np.linalg.lstsq(jacobian, error.ravel(), rcond=None)[0]
+        turn = np.asarray(cv2.Rodrigues(step[:3])[0], dtype=np.float64)
+        pose = Transform(nearest_rotation(turn @ pose.rotation), turn @ (pose.translation - centre) + centre + step[3:])
+        residual = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+        if np.abs(step).max() < 1e-10:
+            break
+    return pose, residual
+
+
+def _cross(vectors: Array) -> Array:
+    x, y, z = vectors.T
+    zero = np.zeros(len(x))
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def _planar_pnp(points_m: Array, pixels: Array, camera: CameraModel) -> Transform | None:
+    world = np.column_stack([points_m, np.zeros(len(points_m))])
+    # IPPE wants the points around the origin of their plane.
+    shift = world.mean(axis=0)
+    try:
+        count, turns, moves, errors = cv2.solvePnPGeneric(
+            world - shift, pixels, camera.p[:, :3], np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+        )
+    except cv2.error:
+        return None
+    if not count:
+        return None
+    best = int(np.argmin(np.ravel(errors)))
+    rotation = nearest_rotation(cv2.Rodrigues(turns[best])[0])
+    translation = np.ravel(moves[best]) - rotation @ shift
+    if not (np.isfinite(translation).all() and translation[2] > 0):
+        return None
+    return Transform(rotation, translation)
+
+
+def _inverse(homography: Array) -> Array:
+    return np.asarray(np.linalg.inv(homography), dtype=np.float64)
+
+
+def _map(homography: Array, points: npt.NDArray[Any]) -> Array:
+    mapped = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def _level(template: PanelTemplate, detector: HarrisDetector) -> _Level:
+    corners = detector.detect(template.gray).xy
+    # A corner that touches a control, screen or lamp would be measured with parallax or with what changes.
+    margin = np.ones((5, 5), np.uint8)
+    steady = cv2.erode(template.steady.astype(np.uint8), margin).astype(bool)
+    nearest = np.rint(corners).astype(int)
+    corners = corners[steady[nearest[:, 1], nearest[:, 0]]]
+    corners_mm = _map(_inverse(template.px_from_mm), corners.astype(np.float64))
+    return _Level(template, even_out(template.gray), corners.astype(np.float32), corners_mm)
+
+
+def even_out(gray: Gray) -> Gray:
+    """Return the picture with its local mean at 128 and its local contrast at one level, against uneven light."""
+    picture = gray.astype(np.float32)
+    size = (31, 31)
+    mean = cv2.boxFilter(picture, -1, size)
+    deviation = np.sqrt(np.maximum(cv2.boxFilter(picture * picture, -1, size) - mean * mean, 0.0))
+    return np.asarray(np.clip(128.0 + 45.0 * (picture - mean) / (deviation + 6.0), 0, 255), dtype=np.uint8)
+
+
+def _flow(
+    level: _Level, visible: npt.NDArray[np.bool_], warped: Gray, config: RefineConfig
+) -> tuple[Array, Array] | None:
+    """Return template points (N, 2) mm and where they are in the warped picture (N, 2) px; None for too few."""
+    nearest = np.rint(level.corners_px).astype(int)
+    usable = np.flatnonzero(visible[nearest[:, 1], nearest[:, 0]])[: config.points]
+    if len(usable) < config.min_points:
+        return None
+    start = level.corners_px[usable].reshape(-1, 1, 2)
+    evened = even_out(warped)
+    options: Any = {
+        "winSize": (config.window_px, config.window_px),
+        "maxLevel": 2,
+        "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005),
+    }
+    forward, there, _ = cv2.calcOpticalFlowPyrLK(level.even, evened, start, start.copy(), **options)
+    back, here, _ = cv2.calcOpticalFlowPyrLK(evened, level.even, forward, forward.copy(), **options)
+    round_trip = np.linalg.norm((back - start)[:, 0], axis=1)
+    shift = np.linalg.norm((forward - start)[:, 0], axis=1)
+    good = (there[:, 0] == 1) & (here[:, 0] == 1) & (round_trip < config.round_trip_px) & (shift < config.reach_px)
+    if int(good.sum()) < config.min_points:
+        return None
+    return level.corners_mm[usable[good]], forward[good, 0].astype(np.float64)
+
+
+def _fit(
+    points_mm: Array, pixels: Array, config: RefineConfig, size_mm: tuple[float, float]
+) -> tuple[Array, npt.NDArray[np.bool_]] | None:
+    """Return rectified_from_mm and which points fit; None when too few do or they crowd in one place."""
+    fitted = _homography(points_mm, pixels, config.tolerance_px, config.min_points)
+    if fitted is None:
+        return None
+    used = fitted[1]
+    hull = cv2.convexHull(points_mm[used].astype(np.float32))
+    if cv2.contourArea(hull) < config.min_spread * size_mm[0] * size_mm[1]:
+        return None
+    return fitted
+
+
+def _homography(
+    points_mm: Array, pixels: Array, tolerance_px: float, least: int
+) -> tuple[Array, npt.NDArray[np.bool_]] | None:
+    """Return the homography that most points agree on, fitted to all of those, and which they are."""
+    options: Any = {"ransacReprojThreshold": tolerance_px, "maxIters": 5000, "confidence": 0.999}
+    used = np.zeros(len(points_mm), bool)
+    # USAC of OpenCV 5.0 gives up after a few samples now and then, most of all where nearly every point fits; plain
+    # RANSAC is the weaker one among many wrong matches. Each costs half a millisecond.
+    for method in (cv2.USAC_MAGSAC, cv2.RANSAC):
+        found, mask = cv2.findHomography(points_mm, pixels, method=method, **options)
+        if found is not None and int(mask.sum()) > int(used.sum()):
+            used = mask.ravel().astype(bool)
+    if int(used.sum()) < least:
+        return None
+    refined, _ = cv2.findHomography(points_mm[used], pixels[used], method=0)
+    return None if refined is None else (np.asarray(refined, dtype=np.float64), used)
+
+
+class _Describer:
+    """Descriptors at given corners; vectors whose dot product is their likeness."""
+
+    def __init__(self, config: SearchConfig) -> None:
+        self._config = config
+        if config.descriptor == "sift":
+            self._extractor: Any = cv2.SIFT.create()
+        else:
+            self._extractor = cv2.ORB.create(edgeThreshold=2)
+
+    def __call__(self, gray: Gray, corners_px: Floats) -> tuple[Floats, npt.NDArray[np.intp]]:
+        """Return unit descriptors (M, D) and the indices (M,) of the corners that have one."""
+        angles = np.zeros(len(corners_px)) if self._config.upright else _directions(gray, corners_px)
+        size = self._config.patch_px
+        keypoints = [
+            cv2.KeyPoint(float(x), float(y), size, float(angle), 1.0, 0, number)
+            for number, ((x, y), angle) in enumerate(zip(corners_px, angles))
+        ]
+        kept, descriptors = self._extractor.compute(gray, keypoints)
+        if descriptors is None:
+            return np.empty((0, 128), np.float32), np.empty(0, np.intp)
+        indices = np.array([k.class_id for k in kept], dtype=np.intp)
+        if self._config.descriptor == "orb":
+            bits = np.unpackbits(descriptors, axis=1).astype(np.float32) * 2 - 1
+            return bits / np.float32(np.sqrt(bits.shape[1])), indices
+        # RootSIFT (R. Arandjelovic, A. Zisserman, CVPR 2012): Hellinger distance as a dot product.
+        values = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)
+        return np.sqrt(values).astype(np.float32), indices
+
+
+def _directions(gray: Gray, corners_px: Floats) -> Array:
+    """Return the direction in degrees of the smoothed gradient at each corner (M. Brown et al., MOPS, CVPR 2005)."""
+    smooth = cv2.GaussianBlur(gray, (0, 0), 3.5).astype(np.float32)
+    gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
+    at = np.clip(np.rint(corners_px).astype(int), 0, (gray.shape[1] - 1, gray.shape[0] - 1))
+    return np.asarray(np.degrees(np.arctan2(gy[at[:, 1], at[:, 0]], gx[at[:, 1], at[:, 0]])) % 360.0)
+
+
+def _matches(
+    query: Floats, template: Floats, places_mm: Array, config: SearchConfig
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the pairs (query, template) that pass the ratio test against the best match at another place."""
+    likeness = query @ template.T
+    count = min(24, likeness.shape[1])
+    top = np.argpartition(-likeness, count - 1, axis=1)[:, :count]
+    values = np.take_along_axis(likeness, top, axis=1)
+    order = np.argsort(-values, axis=1)
+    top, values = np.take_along_axis(top, order, axis=1), np.take_along_axis(values, order, axis=1)
+    apart = np.linalg.norm(places_mm[top] - places_mm[top[:, :1]], axis=2) > config.same_place_mm
+    elsewhere = np.where(apart, values, -1.0).max(axis=1)
+    best, other = (np.sqrt(np.maximum(2.0 - 2.0 * v, 0.0)) for v in (values[:, 0], elsewhere))
+    good = np.flatnonzero(best < config.ratio * other)
+    return good, top[good, 0]

@@ -1,0 +1,145 @@
+"""Pictures of a panel with known truth, made independently of the template: rays from every pixel, proud controls,
+a changing screen, an arm in front, uneven light, blur and noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from harris_perception.core.panel_template import draw_panel
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.geometry import Array, Transform
+from icu_common.core.panel_layout import PanelLayout, load_layout, rgb
+
+LAYOUT = Path(__file__).parents[3] / "config" / "scopes" / "dso_bench_4.yaml"
+_TEXTURE_PX_PER_MM = 8.0
+
+
+def bench_layout() -> PanelLayout:
+    return load_layout(LAYOUT)
+
+
+def camera(width: int = 1280, height: int = 720, focal: float = 1700.0, k1: float = -0.08) -> CameraModel:
+    k = np.array([[focal, 0.0, width / 2 + 4.0], [0.0, focal, height / 2 - 3.0], [0.0, 0.0, 1.0]])
+    turn = np.asarray(cv2.Rodrigues(np.array([0.002, -0.004, 0.003]))[0])
+    p = np.column_stack([k, np.zeros(3)])
+    return CameraModel(name="left", width=width, height=height, k=k, d=np.array([k1, 0.05, 0.001, -0.001, 0.0]), r=turn, p=p)
+
+
+def pose(
+    layout: PanelLayout,
+    distance_m: float = 0.65,
+    below_deg: float = 25.0,
+    side_deg: float = 0.0,
+    roll_deg: float = 0.0,
+    shift_m: tuple[float, float] = (0.0, 0.0),
+) -> Transform:
+    """camera_from_panel of a camera that looks at the panel's centre from below, from the side and rolled."""
+    a, b, c = np.radians([-below_deg, side_deg, roll_deg])
+    flip = np.diag([1.0, -1.0, -1.0])  # panel axes (y up, z to the viewer) to camera axes (y down, z away)
+    tilt = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    pan = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    roll = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
+    rotation = roll @ pan @ tilt @ flip
+    centre = np.array([layout.size_mm[0] / 2, layout.size_mm[1] / 2, 0.0]) * 1e-3
+    return Transform(rotation, np.array([*shift_m, distance_m]) - rotation @ centre)
+
+
+@dataclass(frozen=True)
+class Look:
+    """What stands between the truth and the picture."""
+
+    noise: float = 2.0
+    blur_px: float = 0.6
+    gain: float = 1.0
+    gradient: float = 0.25
+    glare: float = 0.0
+    screen_seed: int = 1
+    arm_x_mm: float | None = 180.0
+    arm_width_mm: float = 12.0
+    hidden: float = 0.0
+    lit: bool = True
+
+
+def picture(layout: PanelLayout, model: CameraModel, camera_from_panel: Transform, look: Look, seed: int) -> Any:
+    """Return the raw grey picture, (H, W) uint8."""
+    rng = np.random.default_rng(seed)
+    columns, rows = np.meshgrid(np.arange(model.width), np.arange(model.height))
+    pixels = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
+    back = camera_from_panel.inverse()
+    directions = model.rays(pixels) @ back.rotation.T
+    origin = back.translation
+    texture, scale = _texture(layout, look), _TEXTURE_PX_PER_MM
+
+    def meet(height_mm: float) -> tuple[Array, Array]:
+        along = (height_mm * 1e-3 - origin[2]) / directions[:, 2]
+        at = (origin[:2] + along[:, None] * directions[:, :2]) * 1e3
+        return at[:, 0].reshape(columns.shape), at[:, 1].reshape(columns.shape)
+
+    x, y = meet(0.0)
+    u = (x * scale - 0.5).astype(np.float32)
+    v = ((layout.size_mm[1] - y) * scale - 0.5).astype(np.float32)
+    footprint = 0.5 * scale / (model.k[0, 0] * 1e-3 / camera_from_panel.translation[2])
+    smooth = cv2.GaussianBlur(texture, (0, 0), max(0.5, footprint))
+    background = cv2.resize(rng.integers(30, 120, (24, 40)).astype(np.float32), (model.width, model.height))
+    inside = (x >= 0) & (x <= layout.size_mm[0]) & (y >= 0) & (y <= layout.size_mm[1])
+    result = np.where(inside, cv2.remap(smooth, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), background)
+    for height in range(1, 16):
+        x, y = meet(float(height))
+        for control in layout.controls:
+            if control.height_mm >= height:
+                dx, dy = (x - control.position_mm[0]) / control.size_mm[0], (y - control.position_mm[1]) / control.size_mm[1]
+                on = dx**2 + dy**2 <= 0.25 if control.shape == "circle" else (abs(dx) <= 0.5) & (abs(dy) <= 0.5)
+                tone = _tone(control.colour) * (1.0 if height == control.height_mm else 0.6)
+                if height == control.height_mm and control.kind == "knob":
+                    tone = np.where(abs(dx + dy) < 0.06, 230.0, tone)
+                result = np.where(on, tone, result)
+    if look.arm_x_mm is not None:
+        x, y = meet(35.0)
+        result = np.where((abs(x - look.arm_x_mm) < look.arm_width_mm / 2) & (y > 60.0), 28.0, result)
+    if look.hidden > 0:
+        x, _ = meet(0.0)
+        hand = cv2.resize(rng.integers(60, 200, (12, 20)).astype(np.float32), (model.width, model.height))
+        left = rng.random() < 0.5
+        part = x < look.hidden * layout.size_mm[0] if left else x > (1 - look.hidden) * layout.size_mm[0]
+        result = np.where(part, hand, result)
+    result = result * (look.gain * (1.0 + look.gradient * (columns / model.width - 0.5)))
+    if look.glare:
+        spot = np.exp(-((columns - 0.6 * model.width) ** 2 + (rows - 0.4 * model.height) ** 2) / (2 * 90.0**2))
+        result = result + 255 * look.glare * spot
+    result = cv2.GaussianBlur(result.astype(np.float32), (0, 0), look.blur_px)
+    return np.clip(np.rint(result + rng.normal(0, look.noise, result.shape)), 0, 255).astype(np.uint8)
+
+
+def _texture(layout: PanelLayout, look: Look) -> Any:
+    texture = cv2.cvtColor(draw_panel(layout, _TEXTURE_PX_PER_MM), cv2.COLOR_BGR2GRAY).astype(np.float32)
+    rng = np.random.default_rng(look.screen_seed)
+    for control in layout.controls:
+        x, y = control.position_mm
+        width, height = control.size_mm
+        top, bottom = ((layout.size_mm[1] - y + s * height / 2) * _TEXTURE_PX_PER_MM for s in (-1, 1))
+        left, right = ((x + s * width / 2) * _TEXTURE_PX_PER_MM for s in (-1, 1))
+        area = texture[int(top) : int(bottom), int(left) : int(right)]
+        if control.kind == "touch_area":
+            wave = np.cumsum(rng.normal(0, 6, area.shape[1])) + area.shape[0] / 2
+            points = np.column_stack([np.arange(area.shape[1]), np.clip(wave, 5, area.shape[0] - 5)]).astype(np.int32)
+            cv2.polylines(area, [points], False, 220.0, 4)
+            area[:: area.shape[0] // 8] = 70
+            area[:, :: area.shape[1] // 10] = 70
+        elif look.lit and control.lit_colour:
+            area[:] = _tone(control.lit_colour)
+    return texture
+
+
+def _tone(colour: str) -> float:
+    red, green, blue = rgb(colour)
+    return 0.299 * red + 0.587 * green + 0.114 * blue
+
+
+def control_points_m(layout: PanelLayout) -> Array:
+    """The centres of all controls' top faces in panel_link, (N, 3) metres."""
+    return np.array([(*c.position_mm, c.height_mm) for c in layout.controls]) * 1e-3
