@@ -83,7 +83,7 @@ class ControllerConfig(Config):
 
 
 class Phase(str, Enum):
-    """Where a goal stands; the value is what /gantry/state shows while it lasts."""
+    """Where a goal stands; the value is for diagnostics."""
 
     IDLE = "idle"
     MOVE = "moving to the point"
@@ -101,6 +101,7 @@ MOVING = (Phase.MOVE, Phase.APPROACH, Phase.CORRECT, Phase.TOUCH, Phase.TURN, Ph
 LOOKING = (Phase.LOOK, Phase.CONTACT)
 PUSHING = (Phase.TOUCH, Phase.TURN)
 """Here a moved panel stops the machine at once; elsewhere the stylus is in the air and goes up."""
+# What /gantry/state shows; every other phase is "moving".
 STATES = {
     Phase.LOOK: "looking",
     Phase.TOUCH: "touching",
@@ -369,7 +370,7 @@ class Controller:
 
     def _show_state(self) -> None:
         if self._job is not None:
-            self._set_state(f"{STATES.get(self.phase, 'moving')}: {self._job.text}")
+            self._set_state(STATES.get(self.phase, "moving"))
         else:
             obstacle = next(self._obstacles(), None)
             self._set_state("ready" if obstacle is None else obstacle.state)

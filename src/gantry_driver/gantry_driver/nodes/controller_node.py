@@ -116,10 +116,9 @@ class ControllerNode(Node):
                     path = action.path
                     self._trajectory.publish(trajectory_message(JOINTS, path.points, path.times_s, head))
                 case msg.PublishResult():
-                    self.get_logger().info(
-                        f"{action.result.goal}: {action.result.outcome.value} {action.result.reason}"
-                    )
-                    self._result.publish(result_message(action.result, self._now_ns()))
+                    answer = action.result
+                    self.get_logger().info(f"{answer.goal}: {answer.outcome.value} {answer.reason}".rstrip())
+                    self._result.publish(result_message(answer, self._now_ns()))
                 case msg.SetState():
                     self._state.publish(String(data=action.text))
                 case msg.ShowTarget():

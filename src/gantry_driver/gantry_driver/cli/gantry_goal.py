@@ -1,0 +1,188 @@
+"""Send one goal from the command line, be its operator, and wait for its answer.
+
+Exit codes: 0 reached, 1 rejected or aborted, 2 wrong usage, 3 no answer in time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from geometry_msgs.msg import PointStamped
+from std_msgs.msg import String
+
+from gantry_driver.cli.operator_session import (
+    FAILED,
+    REACHED,
+    TIMED_OUT,
+    Interrupted,
+    OperatorSession,
+    TimedOut,
+    complain,
+    operator_session,
+    own_arguments,
+    say,
+)
+from icu_common.core.frames import BASE, CAMERA_LEFT, PANEL
+from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
+from icu_common.core.results import GoalResult, Outcome
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import header, point_message
+
+STOP_ANSWER_S = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What the arguments ask for: a move in base_link (``xyz`` in metres), or a gesture."""
+
+    xyz: tuple[float, float, float] | None = None
+    gesture: Gesture | None = None
+    timeout_s: float = 60.0
+
+
+def parse(arguments: Sequence[str]) -> Request:
+    """Read the arguments.
+
+    Raises
+    ------
+    SystemExit
+        With code 2 and the usage on wrong arguments, as argparse does.
+    """
+    parser = argparse.ArgumentParser(
+        prog="gantry_goal",
+        description="Send the stylus to a point or a control and wait for the answer. "
+        "Without --press a point in base_link is a move; everything else is looked at, touched and left again.",
+    )
+    parser.add_argument("point", nargs="*", type=_number, metavar="X Y", help="metres, or pixels in a camera's frame")
+    parser.add_argument("--control", metavar="NAME", help="a control's name, for example RUN_STOP")
+    parser.add_argument("--frame", choices=(BASE, PANEL, CAMERA_LEFT), help=f"frame of X Y (default {BASE})")
+    parser.add_argument("--z", type=_number, metavar="Z", help="height in base_link to lower the tip to, 0 or below")
+    parser.add_argument("--press", action="store_true", help="touch and lift (always with --control and other frames)")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--hold", type=_number, metavar="S", help="stay in contact for S seconds")
+    how.add_argument("--turn", type=_number, metavar="DEG", help="turn a knob, counter-clockwise positive")
+    parser.add_argument("--timeout", type=_number, default=60.0, metavar="S", help="whole time allowed (default 60)")
+    given = parser.parse_args(arguments)
+
+    if (given.control is None) == (not given.point) or len(given.point) not in (0, 2):
+        parser.error("give either X Y or --control NAME")
+    if given.control is not None and given.frame is not None:
+        parser.error("--frame belongs to X Y")
+    if not given.timeout > 0:
+        parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
+    touch = given.press or given.hold is not None or given.turn is not None
+    touch = touch or given.control is not None or given.frame in (PANEL, CAMERA_LEFT)
+    if given.z is not None and touch:
+        parser.error("--z belongs to a move in base_link; a touch finds the surface itself")
+    if not touch:
+        x, y = given.point
+        return Request(xyz=(x, y, given.z or 0.0), timeout_s=given.timeout)
+    target = given.control or Point(x=given.point[0], y=given.point[1], frame=given.frame or BASE)
+    kind = "hold" if given.hold is not None else "turn" if given.turn is not None else "press"
+    argument = given.hold if given.hold is not None else given.turn if given.turn is not None else math.nan
+    identifier = f"cli-{os.getpid()}-{time.time_ns()}"
+    gesture = Gesture(kind=kind, target=target, argument=argument, id=identifier)
+    try:
+        parse_gesture(gesture.text())
+    except GestureError as error:
+        parser.error(str(error))
+    return Request(gesture=gesture, timeout_s=given.timeout)
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not finite")
+    return value
+
+
+def carry_out(session: OperatorSession, request: Request) -> int:
+    """Publish the goal and wait for its final answer."""
+    until = time.monotonic() + request.timeout_s
+    node = session.node
+    points = node.create_publisher(PointStamped, "gantry/goal", qos.COMMAND)
+    commands = node.create_publisher(String, "gantry/command", qos.COMMAND)
+    publisher = points if request.gesture is None else commands
+    goal_id = ""
+    try:
+        session.wait_for(
+            lambda: publisher.get_subscription_count() > 0 and node.count_publishers("gantry/result") > 0,
+            until,
+            lambda: f"nobody takes {publisher.topic_name}: is the graph running, and in this ROS domain?",
+        )
+        session.wait_for_operator_accepted(until)
+        if request.gesture is None:
+            assert request.xyz is not None
+            stamp = session.now_ns()
+            goal_id = str(stamp)
+            points.publish(point_message(request.xyz, header(stamp, BASE)))
+        else:
+            goal_id = request.gesture.id
+            commands.publish(String(data=request.gesture.text()))
+        return _follow(session, goal_id, until)
+    except TimedOut as error:
+        complain(str(error))
+        if goal_id:
+            # Who gives up on a goal must not leave it running without an operator.
+            session.stop()
+        return TIMED_OUT
+    except Interrupted:
+        return _stop(session, goal_id)
+
+
+def _follow(session: OperatorSession, goal_id: str, until: float) -> int:
+    shown = 0
+
+    def final() -> GoalResult | None:
+        nonlocal shown
+        mine = [r for r in session.results if r.goal_id == goal_id]
+        for result in mine[shown:]:
+            say(describe(result))
+        shown = len(mine)
+        return mine[-1] if mine and mine[-1].outcome.final else None
+
+    result = session.wait_for(
+        final, until, lambda: f"no final answer in time; the controller is {session.latest('gantry/state')!r}"
+    )
+    return REACHED if result.outcome is Outcome.REACHED else FAILED
+
+
+def _stop(session: OperatorSession, goal_id: str) -> int:
+    if not goal_id:
+        say("interrupted before the goal was sent")
+        return FAILED
+    say("interrupted: stopping")
+    session.stop()
+    session.interrupted = False
+    try:
+        _follow(session, goal_id, time.monotonic() + STOP_ANSWER_S)
+    except (TimedOut, Interrupted):
+        say("stop was requested; no answer from the controller")
+    return FAILED
+
+
+def describe(result: GoalResult) -> str:
+    """Return one line for people."""
+    if result.outcome is not Outcome.REACHED:
+        reason = f": {result.reason}" if result.reason else f": {result.goal}"
+        return f"{result.outcome.value}{reason}"
+    by = dict(result.details).get("measured_by", "")
+    error = "not measured" if math.isnan(result.error_m) else f"{1000 * result.error_m:.3f} mm (by {by})"
+    return f"reached: {result.goal}, error {error}, {result.duration_s:.1f} s"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    arguments = list(sys.argv if arguments is None else arguments)
+    request = parse(own_arguments(arguments))
+    with operator_session("gantry_goal", arguments) as session:
+        return carry_out(session, request)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,169 @@
+"""Bring the machine to the state in which it takes goals: enable, home, calibrate where needed, wait for "ready".
+
+Exit codes: 0 ready, 1 refused or failed (with the reason), 2 wrong usage, 3 not ready in time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from std_srvs.srv import SetBool, Trigger
+
+from gantry_driver.cli.operator_session import (
+    FAILED,
+    REACHED,
+    TIMED_OUT,
+    Interrupted,
+    OperatorSession,
+    TimedOut,
+    complain,
+    operator_session,
+    own_arguments,
+    say,
+)
+
+DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
+_BROKEN = ("disconnected", "stopped", "alarm", "mismatch")
+CONNECT_S = 15.0
+
+
+class Failed(Exception):
+    """Something was refused or went wrong; the message says what."""
+
+
+def prepare(session: OperatorSession, *, home: bool, calibrate: bool, until: float) -> None:
+    """Go through the steps; ``home`` and ``calibrate`` ask for them even where they are not needed.
+
+    Raises
+    ------
+    Failed, TimedOut, Interrupted
+    """
+    for topic in (DRIVER, CALIBRATION):
+        session.watch(topic)
+    steps = _Steps(session, until)
+    steps.connect()
+    steps.call(SetBool, "gantry/enable", SetBool.Request(data=True))
+    if home or session.latest(DRIVER) != "idle":
+        steps.call(Trigger, "gantry/home", Trigger.Request())
+        steps.follow(DRIVER, "homing", done=lambda text: text == "idle", failed=_BROKEN)
+    calibration = steps.wait(lambda: session.latest(CALIBRATION), "no calibration/state")
+    if calibrate or not calibration.startswith("calibrated"):
+        if not calibration.startswith("calibrating"):
+            steps.call(Trigger, "calibration/run", Trigger.Request())
+        steps.follow(CALIBRATION, "calibration", done=lambda t: t.startswith("calibrated"), failed=("failed",))
+    steps.wait_ready()
+
+
+class _Steps:
+    def __init__(self, session: OperatorSession, until: float) -> None:
+        self._session = session
+        self._until = until
+        self._seen_before_call: dict[str, int] = {}
+
+    def connect(self) -> None:
+        """Wait for the driver, and longer for a board that is still connecting."""
+        session = self._session
+        text = self.wait(lambda: session.latest(DRIVER), "no gantry/driver_state: is the driver running?")
+        say(f"driver: {text}")
+        ready = min(self._until, time.monotonic() + CONNECT_S)
+        try:
+            session.wait_for(
+                lambda: session.latest(DRIVER).partition(":")[0] not in ("disconnected", "connecting", "homing"),
+                ready,
+                lambda: f"the driver is {session.latest(DRIVER)!r}",
+            )
+        except TimedOut as error:
+            raise Failed(str(error)) from error
+        text = session.latest(DRIVER)
+        if text.partition(":")[0] in _BROKEN:
+            raise Failed(f"the driver is {text!r}; look at the machine, then call gantry/reset")
+
+    def wait(self, condition: Callable[[], Any], missing: str) -> Any:
+        """Wait for a condition until the deadline of the whole preparation."""
+        return self._session.wait_for(condition, self._until, lambda: missing)
+
+    def call(self, service_type: Any, name: str, request: Any) -> None:
+        """Call a service; a refusal is a failure."""
+        session = self._session
+        self._seen_before_call = {topic: len(texts) for topic, texts in session.states.items()}
+        client = session.node.create_client(service_type, name)
+        self.wait(client.service_is_ready, f"service {name} is not offered")
+        future = client.call_async(request)
+        self.wait(future.done, f"service {name} does not answer")
+        answer = future.result()
+        session.node.destroy_client(client)
+        if not answer.success:
+            raise Failed(f"{name} was refused: {answer.message}")
+        say(f"{name}: {answer.message or 'accepted'}")
+
+    def follow(self, topic: str, what: str, *, done: Callable[[str], bool], failed: tuple[str, ...]) -> None:
+        """Print what a state topic says after the last call until it is done or has failed."""
+        texts = self._session.states[topic]
+        shown = self._seen_before_call.get(topic, 0)
+
+        def ended() -> bool:
+            nonlocal shown
+            for text in texts[shown:]:
+                shown += 1
+                say(f"{what}: {text}")
+                if text.partition(":")[0] in failed:
+                    raise Failed(f"{what}: {text}")
+                if done(text):
+                    return True
+            return False
+
+        self._session.wait_for(ended, self._until, lambda: f"{what} has not ended: {self._session.latest(topic)!r}")
+
+    def wait_ready(self) -> None:
+        """Wait for the controller, printing each of its states."""
+        session = self._session
+        last = ""
+
+        def ready() -> bool:
+            nonlocal last
+            text = session.latest(CONTROLLER)
+            if text != last:
+                last = text
+                say(f"controller: {text}")
+            if text.partition(":")[0] in ("stopped", "alarm"):
+                raise Failed(f"the controller is {text!r}")
+            return text == "ready"
+
+        session.wait_for(ready, self._until, lambda: f"the controller is {session.latest(CONTROLLER)!r}, not ready")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    arguments = list(sys.argv if arguments is None else arguments)
+    parser = argparse.ArgumentParser(
+        prog="gantry_prepare",
+        description="Enable and home the machine, run the hand-eye calibration when there is none, wait until ready.",
+    )
+    parser.add_argument("--home", action="store_true", help="home even if the machine is homed")
+    parser.add_argument("--calibrate", action="store_true", help="calibrate even if a calibration is loaded")
+    parser.add_argument("--timeout", type=float, default=180.0, metavar="S", help="whole time allowed (default 180)")
+    given = parser.parse_args(own_arguments(arguments))
+    if not (math.isfinite(given.timeout) and given.timeout > 0):
+        parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
+    with operator_session("gantry_prepare", arguments) as session:
+        try:
+            prepare(session, home=given.home, calibrate=given.calibrate, until=time.monotonic() + given.timeout)
+        except Failed as error:
+            complain(str(error))
+            return FAILED
+        except TimedOut as error:
+            complain(str(error))
+            return TIMED_OUT
+        except Interrupted:
+            say("interrupted: stopping")
+            session.stop()
+            return FAILED
+        return REACHED
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,162 @@
+"""What the command line programs share: a node that is the operator for as long as the program runs.
+
+It publishes the heartbeat, hears states and results, waits with deadlines, and asks the machine to stop on Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+from std_msgs.msg import Empty, Header, String
+
+from icu_common.core.results import GoalResult
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import result_of_message, time_message
+from icu_common.nodes.runtime import prepare_transport
+
+REACHED, FAILED, USAGE, TIMED_OUT = 0, 1, 2, 3
+"""Exit codes."""
+HEARTBEAT_S = 0.2
+
+
+class Interrupted(Exception):
+    """Ctrl-C or SIGTERM."""
+
+
+class TimedOut(Exception):
+    """A wait has passed its deadline; the message says what was missing."""
+
+
+class OperatorSession:
+    """The operator's end of the graph; names are relative, so ``-r __ns:=/bed_1`` addresses another robot."""
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self.interrupted = False
+        self.results: list[GoalResult] = []
+        self.states: dict[str, list[str]] = {}
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+        self._heartbeat = node.create_publisher(Header, "operator/heartbeat", qos.RESULTS)
+        self._stop = node.create_publisher(Empty, "gantry/stop_request", qos.RESULTS)
+        self.watch("gantry/state")
+        node.create_subscription(DiagnosticArray, "gantry/result", self._on_result, qos.RESULTS)
+        node.create_timer(HEARTBEAT_S, self._beat)
+        self._beat()
+
+    def watch(self, topic: str) -> None:
+        """Collect the texts of a latched state topic in ``states[topic]``."""
+        texts = self.states.setdefault(topic, [])
+        self.node.create_subscription(String, topic, lambda m: texts.append(m.data), qos.LATCHED)
+
+    def latest(self, topic: str) -> str:
+        """Return the newest text of a state topic, empty before the first."""
+        texts = self.states[topic]
+        return texts[-1] if texts else ""
+
+    def now_ns(self) -> int:
+        return int(self.node.get_clock().now().nanoseconds)
+
+    def wait_for(self, condition: Callable[[], Any], until: float, missing: Callable[[], str]) -> Any:
+        """Spin until the condition holds and return its value.
+
+        Parameters
+        ----------
+        condition
+            Asked after every callback.
+        until
+            Deadline on ``time.monotonic()``.
+        missing
+            What to say when it has passed.
+
+        Raises
+        ------
+        TimedOut, Interrupted
+        """
+        while not (value := condition()):
+            if self.interrupted:
+                raise Interrupted
+            if time.monotonic() > until:
+                raise TimedOut(missing())
+            self._executor.spin_once(timeout_sec=0.05)
+        return value
+
+    def wait_for_operator_accepted(self, until: float) -> None:
+        """Wait until the controller has been found and has heard the heartbeat, or says something else of itself."""
+        self.wait_for(lambda: self.latest("gantry/state"), until, lambda: "no gantry/state: is the controller running?")
+        self.wait_for(
+            lambda: self._heartbeat.get_subscription_count() > 0 and "heartbeat" not in self.latest("gantry/state"),
+            until,
+            lambda: f"the controller does not hear the heartbeat: {self.latest('gantry/state')}",
+        )
+
+    def stop(self) -> None:
+        """Ask the driver to stop, and make sure that the request has left."""
+        self._stop.publish(Empty())
+        self._stop.wait_for_all_acked(Duration(seconds=1.0))
+
+    def close(self) -> None:
+        self._executor.remove_node(self.node)
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+    def _beat(self) -> None:
+        self._heartbeat.publish(Header(stamp=time_message(self.now_ns()), frame_id="operator"))
+
+    def _on_result(self, message: DiagnosticArray) -> None:
+        try:
+            self.results.append(result_of_message(message))
+        except ValueError as error:
+            self.node.get_logger().warning(f"gantry/result: {error}")
+
+
+@contextmanager
+def operator_session(name: str, arguments: Sequence[str]) -> Iterator[OperatorSession]:
+    """Start rclpy with the ROS part of the arguments and end it cleanly whatever happens."""
+    prepare_transport()
+    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    session: OperatorSession | None = None
+    old = {}
+    try:
+        session = OperatorSession(Node(name))
+
+        def interrupt(number: int, frame: FrameType | None) -> None:
+            assert session is not None
+            session.interrupted = True
+
+        old = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+        yield session
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
+        if session is not None:
+            session.close()
+        rclpy.shutdown()
+
+
+def own_arguments(arguments: Sequence[str]) -> list[str]:
+    """Return the program's own arguments, without its name and ``--ros-args ...``."""
+    return list(remove_ros_args(args=list(arguments)))[1:]
+
+
+def say(text: str) -> None:
+    """Print a line at once, also into a pipe."""
+    print(text, flush=True)
+
+
+def complain(text: str) -> None:
+    """Print an error line."""
+    print(f"error: {text}", file=sys.stderr, flush=True)

@@ -1,0 +1,247 @@
+"""A bench in virtual time for the controller's core: a machine with hidden errors, cameras, an operator, faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from gantry_driver.core import controller_messages as msg
+from gantry_driver.core.controller import Controller, ControllerConfig, Phase
+from gantry_driver.core.targets import PanelControl, PanelMap
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.geometry import Array, Transform
+from icu_common.core.results import GoalResult, Outcome
+
+MS = 1_000_000
+START_NS = 1_700_000_000_000 * MS
+
+
+def turned(axis: int, degrees: float) -> Array:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    i, j = [(1, 2), (2, 0), (0, 1)][axis]
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = c
+    matrix[i, j], matrix[j, i] = -s, s
+    return matrix
+
+
+# The camera looks at the panel from the side of -y, 25 degrees off the normal, from 0.65 m.
+_AXES = turned(0, -25.0) @ np.diag([1.0, -1.0, -1.0])
+_CENTRE = np.array([0.18, 0.10, -0.035])
+CAMERA_FROM_BASE = Transform(_AXES, np.array([0.0, 0.0, 0.65]) - _AXES @ _CENTRE)
+PANEL_TILT = turned(2, 1.2) @ turned(0, 0.3) @ turned(1, -0.2)
+BASE_FROM_PANEL = Transform(PANEL_TILT, np.array([0.020, 0.025, -0.035]))
+CAMERA_FROM_PANEL = CAMERA_FROM_BASE @ BASE_FROM_PANEL
+K = np.array([[1700.0, 0.0, 639.5], [0.0, 1700.0, 359.5], [0.0, 0.0, 1.0]])
+CAMERA = CameraModel(
+    name="left",
+    width=1280,
+    height=720,
+    k=K,
+    d=np.array([-0.08, 0.0, 0.0, 0.0, 0.0]),
+    r=np.eye(3),
+    p=np.column_stack([K, np.zeros(3)]),
+)
+
+
+def control(
+    name: str, kind: str, x_mm: float, y_mm: float, w: float, h: float, up: float, r: bool = False
+) -> PanelControl:
+    return PanelControl(
+        name=name,
+        kind=kind,
+        centre=np.array([x_mm, y_mm]) / 1000,
+        size=np.array([w, h]) / 1000,
+        height=up / 1000,
+        round=r,
+    )
+
+
+PANEL = PanelMap(
+    controls=(
+        control("SCREEN", "touch_area", 100, 82, 170, 105, 0),
+        control("RUN_STOP", "button", 208, 127, 16, 9, 3),
+        control("SINGLE", "button", 232, 127, 16, 9, 3),
+        control("CH1", "button", 211, 71, 14, 8, 3),
+        control("CRAMPED", "button", 250, 71, 6, 6, 3),
+        control("CRAMPING", "knob", 258, 71, 12, 12, 15, True),
+        control("CH1_SCALE", "knob", 211, 92, 18, 18, 15, True),
+        control("CH1_IN", "connector", 211, 13, 14, 14, 12, True),
+    ),
+    extent=np.array([[0.0, 0.0], [0.320, 0.150]]),
+)
+
+
+class Bench:
+    """Feeds a controller as the graph would, in steps of 20 ms, and keeps what it wanted done.
+
+    The machine: readings become places by ``true_axes`` after each axis has lost ``backlash`` in its direction; the
+    cameras see the tip with ``noise_m`` (standard deviation, per axis of base_link).
+    """
+
+    def __init__(self, config: ControllerConfig | None = None, seed: int = 1) -> None:
+        self.controller = Controller(config or ControllerConfig())
+        self.rng = np.random.default_rng(seed)
+        self.now_ns = START_NS
+        self.true_axes = np.eye(2)
+        self.tip_offset = np.zeros(3)
+        self.backlash = np.zeros(2)
+        self.noise_m = np.zeros(3)
+        self.carriage = np.zeros(2)
+        self.readings = np.zeros(3)
+        self.confidence = 0.9
+        self.camera_from_panel = CAMERA_FROM_PANEL
+        self.driver = "idle"
+        self.talking = {"heartbeat", "joints", "camera", "tip", "panel", "driver"}
+        self.calibration: tuple[Transform, Array] | None = (CAMERA_FROM_BASE, np.eye(2))
+        self.answer: Outcome = Outcome.REACHED
+        self.answer_reason = ""
+        self.on_phase: dict[Phase, Callable[[Bench], None]] = {}
+        self.actions: list[msg.Action] = []
+        self.lowest: list[Array] = []
+        self._motion: tuple[msg.SendTrajectory, int, Array] | None = None
+        self._steps = 0
+
+    # What the controller is told
+
+    def tell(self, event: msg.Event) -> None:
+        before = self.controller.phase
+        actions = self.controller.handle(event, self.now_ns)
+        self.actions += actions
+        for action in actions:
+            if isinstance(action, msg.SendTrajectory):
+                self._motion = (action, self.now_ns, self.readings.copy())
+                self._say_driver("moving")
+            elif isinstance(action, msg.CallStop):
+                self._motion = None
+                self._say_driver("stopped: on request")
+        after = self.controller.phase
+        if after is not before and after in self.on_phase:
+            self.on_phase.pop(after)(self)
+
+    def _say_driver(self, text: str) -> None:
+        self.driver = text
+        if "driver" in self.talking:
+            self.tell(msg.DriverState(text=text))
+
+    def start(self) -> Bench:
+        self._say_driver(self.driver)
+        if self.calibration is not None:
+            self.tell(msg.CameraFromBase(transform=self.calibration[0]))
+            self.tell(msg.Axes(base_from_reading=self.calibration[1]))
+        self.run(0.3)
+        return self
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / 0.02)):
+            self._step()
+
+    def run_goal(self, within_s: float = 60.0) -> GoalResult:
+        """Run until the goal has its final answer and return it."""
+        count = len(self.finals)
+        for _ in range(round(within_s / 0.02)):
+            self._step()
+            if len(self.finals) > count:
+                return self.finals[-1]
+        raise AssertionError(f"no final answer within {within_s} s; phase {self.controller.phase}")
+
+    def do(self, command: str) -> GoalResult:
+        """Give a command and return its final answer."""
+        count = len(self.finals)
+        self.tell(msg.Command(text=command))
+        return self.finals[-1] if len(self.finals) > count else self.run_goal()
+
+    def go(self, x: float, y: float, z: float = 0.0, frame: str = "base_link", stamp_ns: int = 0) -> GoalResult:
+        """Give a point goal and return its final answer."""
+        count = len(self.finals)
+        self.tell(msg.PointGoal(frame=frame, xyz=np.array([x, y, z]), stamp_ns=stamp_ns))
+        return self.finals[-1] if len(self.finals) > count else self.run_goal()
+
+    # What it did
+
+    @property
+    def results(self) -> list[GoalResult]:
+        return [a.result for a in self.actions if isinstance(a, msg.PublishResult)]
+
+    @property
+    def finals(self) -> list[GoalResult]:
+        return [r for r in self.results if r.outcome.final]
+
+    @property
+    def paths(self) -> list[Array]:
+        return [a.path.points for a in self.actions if isinstance(a, msg.SendTrajectory)]
+
+    @property
+    def states(self) -> list[str]:
+        return [a.text for a in self.actions if isinstance(a, msg.SetState)]
+
+    @property
+    def stops(self) -> int:
+        return sum(isinstance(a, msg.CallStop) for a in self.actions)
+
+    def tip_in_base(self) -> Array:
+        """The ball's true centre."""
+        return np.array([*(self.true_axes @ self.carriage), -self.readings[2]]) + self.tip_offset
+
+    # The world
+
+    def _step(self) -> None:
+        self.now_ns += 20 * MS
+        self._steps += 1
+        self._move()
+        if "heartbeat" in self.talking and self._steps % 10 == 0:
+            self.tell(msg.Heartbeat())
+        if "joints" in self.talking and self._steps % 3 == 0:
+            self.tell(msg.Joints(readings=self.readings.copy()))
+        if self._steps % 3 == 1:
+            self._take_picture()
+        self.tell(msg.Tick())
+
+    def _take_picture(self) -> None:
+        if "camera" not in self.talking:
+            return
+        self.tell(msg.CameraSeen(camera=CAMERA, stamp_ns=self.now_ns))
+        if "panel" in self.talking:
+            self.tell(msg.PanelConfidence(value=self.confidence))
+            self.tell(msg.PanelPose(camera_from_panel=self.camera_from_panel, stamp_ns=self.now_ns))
+            if self._steps < 10:
+                self.tell(msg.PanelControls(panel=PANEL))
+        if "tip" in self.talking:
+            seen = self.tip_in_base() + self.noise_m * self.rng.standard_normal(3)
+            self.tell(msg.TipSeen(in_camera=CAMERA_FROM_BASE.apply(seen), stamp_ns=self.now_ns))
+
+    def _move(self) -> None:
+        if self._motion is None:
+            return
+        action, since_ns, start = self._motion
+        path = action.path
+        elapsed_s = (self.now_ns - since_ns) / 1e9
+        if self.answer is not Outcome.REACHED and elapsed_s > 0.05:
+            self._answer(action, self.answer)
+            return
+        times, points = np.concatenate([[0.0], path.times_s]), np.vstack([start, path.points])
+        last_s = elapsed_s - 0.02
+        for time_s in [*times[(times > last_s) & (times < elapsed_s)], elapsed_s]:
+            self._stand_at(np.array([np.interp(time_s, times, points[:, i]) for i in range(3)]))
+        if elapsed_s > path.times_s[-1] + 0.1:
+            self._answer(action, Outcome.REACHED)
+
+    def _stand_at(self, readings: Array) -> None:
+        self.readings = readings
+        # Play: the carriage stays behind by up to the backlash, in either direction.
+        self.carriage = np.clip(self.carriage, readings[:2] - self.backlash, readings[:2])
+        self.lowest.append(self.tip_in_base())
+
+    def _answer(self, action: msg.SendTrajectory, outcome: Outcome) -> None:
+        self._motion = None
+        if "driver" in self.talking:
+            result = GoalResult(goal_id=str(action.stamp_ns), goal="", outcome=outcome, reason=self.answer_reason)
+            self.tell(msg.MotionResult(result=result))
+            if self.driver == "moving":
+                self._say_driver("idle")
+
+
+def config(**changes: object) -> ControllerConfig:
+    return replace(ControllerConfig(), **changes)  # type: ignore[arg-type]
