@@ -1,0 +1,231 @@
+"""Node that finds the designated panel in the left picture and publishes its pose and controls."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from std_msgs.msg import Float32
+from visualization_msgs.msg import MarkerArray
+
+from harris_perception.core.gray import gray_of
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.recognition import PanelRecogniser, PoseAgreement, RecognitionConfig, Sighting
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.config import Config, ConfigError, nested, setting
+from icu_common.core.frames import PANEL
+from icu_common.core.geometry import Transform
+from icu_common.core.panel_layout import LayoutError, PanelLayout, load_layout
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    camera_model,
+    cloud_array,
+    controls_message,
+    diagnostic_status,
+    header,
+    image_array,
+    pose_message,
+    stamp_ns,
+)
+from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import run
+
+_KEPT_CORNERS = 8
+_TICK_S = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecognitionNodeConfig(Config):
+    """What is searched, how often, and how."""
+
+    layout: str = setting("", "Layout file of the designated panel", read_only=True)
+    template: str = setting("", "Picture of its face, straight on; empty: drawn from the layout", read_only=True)
+    template_px_per_mm: float = setting(
+        4.0, "Scale of that picture", minimum=0.1, maximum=100.0, unit="px/mm", read_only=True
+    )
+    rate_hz: float = setting(5.0, "Pictures that are looked at", minimum=0.1, maximum=60.0, unit="Hz")
+    corners_wait_s: float = setting(
+        0.1, "A picture waits so long for its published corners", minimum=0.0, maximum=2.0, unit="s"
+    )
+    silence_s: float = setting(
+        1.0, "Without pictures for so long the panel counts as lost", minimum=0.1, maximum=60.0, unit="s"
+    )
+    recognition: RecognitionConfig = nested(RecognitionConfig)
+    harris: HarrisConfig = nested(HarrisConfig)
+
+
+class RecognitionNode(Node):
+    """Publishes ``pose``, ``controls`` and ``confidence`` from ``image_raw``, ``camera_info`` and ``corners``."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("recognition", **options)
+        self._live = LiveParameters(self, RecognitionNodeConfig, self._on_config)
+        self._layout, self._picture = _designated(self._live.config)
+        self._use(self._live.config)
+        self._camera: tuple[CameraInfo, CameraModel] | None = None
+        self._corners: OrderedDict[int, npt.NDArray[np.float32]] = OrderedDict()
+        self._waiting: tuple[Image, float] | None = None
+        self._last_stamp, self._last_seen_s, self._confidence = 0, 0.0, 0.0
+        self._frames = self._with_corners = self._found = 0
+        self._busy_s, self._seen = 0.0, (0, 0)
+        self._sighting: Sighting | None = None
+        self._pose = self.create_publisher(PoseStamped, "pose", qos.LATCHED)
+        self._controls = self.create_publisher(MarkerArray, "controls", qos.LATCHED)
+        self._confidence_out = self.create_publisher(Float32, "confidence", qos.RESULTS)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._controls.publish(controls_message(self._layout, header(self.get_clock().now().nanoseconds, PANEL)))
+        self.create_subscription(CameraInfo, "camera_info", self._on_camera, qos.SENSOR)
+        self.create_subscription(PointCloud2, "corners", self._on_corners, qos.SENSOR)
+        self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
+        self.create_timer(_TICK_S, self._on_tick)
+        self.create_timer(1.0, self._report)
+
+    def _use(self, config: RecognitionNodeConfig) -> None:
+        scale = config.template_px_per_mm
+        try:
+            self._recogniser = PanelRecogniser(self._layout, config.recognition, config.harris, self._picture, scale)
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
+        self._agreement = PoseAgreement(config.recognition.agreement, self._layout.size_mm)
+        self._detector = HarrisDetector(config.harris)
+
+    def _on_config(self, config: RecognitionNodeConfig) -> None:
+        try:
+            self._use(config)
+        except ConfigError as error:
+            self.get_logger().error(f"{error}; the panel is searched as before")
+
+    def _on_camera(self, message: CameraInfo) -> None:
+        if self._camera is not None and _same_camera(self._camera[0], message):
+            return
+        try:
+            self._camera = (message, camera_model(message, "left"))
+        except ValueError as error:
+            self.get_logger().error(f"camera_info: {error}", throttle_duration_sec=5.0)
+
+    def _on_corners(self, message: PointCloud2) -> None:
+        try:
+            self._corners[stamp_ns(message.header.stamp)] = cloud_array(message, ("u", "v"))
+        except ValueError as error:
+            self.get_logger().error(f"corners: {error}", throttle_duration_sec=5.0)
+        while len(self._corners) > _KEPT_CORNERS:
+            self._corners.popitem(last=False)
+        self._try_waiting()
+
+    def _on_image(self, message: Image) -> None:
+        stamp, period_ns = stamp_ns(message.header.stamp), 1e9 / self._live.config.rate_hz
+        # A stamp before the last one is a recording that has started anew.
+        early = 0 <= stamp - self._last_stamp < 0.9 * period_ns
+        if self._camera is None:
+            self.get_logger().warning("waiting for camera_info", throttle_duration_sec=5.0)
+        elif not early and self._waiting is None:
+            self._last_stamp = stamp
+            self._waiting = (message, time.monotonic() + self._live.config.corners_wait_s)
+            self._try_waiting()
+
+    def _on_tick(self) -> None:
+        self._try_waiting()
+        if self._confidence > 0 and time.monotonic() - self._last_seen_s > self._live.config.silence_s:
+            self.get_logger().warning("no pictures: the panel counts as lost")
+            self._recogniser.forget()
+            self._publish(None, self._agreement.add(None), None)
+
+    def _try_waiting(self) -> None:
+        if self._waiting is None:
+            return
+        message, deadline_s = self._waiting
+        corners = self._corners.get(stamp_ns(message.header.stamp))
+        if corners is not None or time.monotonic() >= deadline_s:
+            self._waiting = None
+            self._look(message, corners)
+
+    def _look(self, message: Image, corners: npt.NDArray[np.float32] | None) -> None:
+        assert self._camera is not None
+        start = time.perf_counter()
+        sighting = None
+        try:
+            gray = _eight_bits(gray_of(image_array(message), message.encoding))
+            self._with_corners += corners is not None
+            xy = corners if corners is not None else self._detector.detect(gray).xy
+            sighting = self._recogniser.locate(gray, xy, self._camera[1])
+        except ValueError as error:
+            self.get_logger().error(f"picture refused: {error}", throttle_duration_sec=5.0)
+        pose = self._agreement.add(None if sighting is None else sighting.camera_from_panel)
+        self._publish(sighting, pose, message)
+        self._frames += 1
+        self._found += sighting is not None
+        self._busy_s += time.perf_counter() - start
+
+    def _publish(self, sighting: Sighting | None, pose: Transform | None, message: Image | None) -> None:
+        self._sighting = sighting
+        self._last_seen_s = time.monotonic()
+        self._confidence = sighting.agreement if sighting is not None and pose is not None else 0.0
+        # The pose goes first: who hears a confidence above zero has the pose that it belongs to.
+        if pose is not None and message is not None:
+            self._pose.publish(pose_message(pose, message.header))
+        self._confidence_out.publish(Float32(data=self._confidence))
+
+    def _report(self) -> None:
+        frames, found = self._frames - self._seen[0], self._found - self._seen[1]
+        self._seen = (self._frames, self._found)
+        text = "recognised" if self._confidence > 0 else "not recognised"
+        values: list[tuple[str, Any]] = [
+            ("panel", self._layout.model),
+            ("frames", self._frames),
+            ("frames_with_published_corners", self._with_corners),
+            ("ms_per_frame", f"{1e3 * self._busy_s / frames:.1f}" if frames else "-"),
+            ("found_in_last_second", f"{found}/{frames}"),
+        ]
+        self._busy_s = 0.0
+        if self._sighting is not None:
+            s = self._sighting
+            values += [("agreement", f"{s.agreement:.3f}"), ("points", s.points), ("rms_px", f"{s.rms_px:.3f}")]
+        level = "ok" if self._confidence > 0 else "warn"
+        status = diagnostic_status(self.get_fully_qualified_name(), level, text, values)
+        head = header(self.get_clock().now().nanoseconds, "")
+        self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))
+
+
+def _designated(config: RecognitionNodeConfig) -> tuple[PanelLayout, npt.NDArray[Any] | None]:
+    if not config.layout:
+        raise ConfigError("layout: the path of the designated panel's layout file is needed")
+    try:
+        layout = load_layout(Path(config.layout))
+    except (OSError, LayoutError) as error:
+        raise ConfigError(f"layout: {error}") from error
+    if not config.template:
+        return layout, None
+    picture = cv2.imread(config.template, cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        raise ConfigError(f"template: {config.template} is not a picture that can be read")
+    return layout, picture
+
+
+def _eight_bits(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    return gray if gray.dtype == np.uint8 else (gray >> 8).astype(np.uint8)
+
+
+def _same_camera(a: CameraInfo, b: CameraInfo) -> bool:
+    return (a.width, a.height, a.distortion_model) == (b.width, b.height, b.distortion_model) and all(
+        np.array_equal(x, y) for x, y in ((a.d, b.d), (a.k, b.k), (a.r, b.r), (a.p, b.p))
+    )
+
+
+def main() -> int:
+    """Run the recognition node."""
+    return run(RecognitionNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
