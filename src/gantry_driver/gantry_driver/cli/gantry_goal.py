@@ -116,7 +116,7 @@ def carry_out(session: OperatorSession, request: Request) -> int:
             until,
             lambda: f"nobody takes {publisher.topic_name}: is the graph running, and in this ROS domain?",
         )
-        session.wait_for_operator_accepted(until)
+        session.wait_until_heard(until)
         if request.gesture is None:
             assert request.xyz is not None
             stamp = session.now_ns()

@@ -30,6 +30,8 @@ from icu_common.nodes.runtime import prepare_transport
 REACHED, FAILED, USAGE, TIMED_OUT = 0, 1, 2, 3
 """Exit codes."""
 HEARTBEAT_S = 0.2
+BEATS_HEARD = 6
+"""Heartbeats before the first goal: three with driver and controller listening, six with one of them known."""
 
 
 class Interrupted(Exception):
@@ -55,7 +57,7 @@ class OperatorSession:
         self.watch("gantry/state")
         node.create_subscription(DiagnosticArray, "gantry/result", self._on_result, qos.RESULTS)
         node.create_timer(HEARTBEAT_S, self._beat)
-        self._beat()
+        self._beats_heard = 0
 
     def watch(self, topic: str) -> None:
         """Collect the texts of a latched state topic in ``states[topic]``."""
@@ -94,13 +96,13 @@ class OperatorSession:
             self._executor.spin_once(timeout_sec=0.05)
         return value
 
-    def wait_for_operator_accepted(self, until: float) -> None:
-        """Wait until the controller has been found and has heard the heartbeat, or says something else of itself."""
+    def wait_until_heard(self, until: float) -> None:
+        """Wait until driver and controller have had the heartbeat; which nodes listen is not known, so by count."""
         self.wait_for(lambda: self.latest("gantry/state"), until, lambda: "no gantry/state: is the controller running?")
         self.wait_for(
-            lambda: self._heartbeat.get_subscription_count() > 0 and "heartbeat" not in self.latest("gantry/state"),
+            lambda: self._beats_heard >= BEATS_HEARD,
             until,
-            lambda: f"the controller does not hear the heartbeat: {self.latest('gantry/state')}",
+            lambda: f"nobody takes {self._heartbeat.topic_name}; the controller is {self.latest('gantry/state')!r}",
         )
 
     def stop(self) -> None:
@@ -114,6 +116,9 @@ class OperatorSession:
         self.node.destroy_node()
 
     def _beat(self) -> None:
+        # Discovery of a second listener can take longer than that of the first.
+        listeners = self._heartbeat.get_subscription_count()
+        self._beats_heard += 2 if listeners > 1 else 1 if listeners else 0
         self._heartbeat.publish(Header(stamp=time_message(self.now_ns()), frame_id="operator"))
 
     def _on_result(self, message: DiagnosticArray) -> None:

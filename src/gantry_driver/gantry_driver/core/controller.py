@@ -73,7 +73,7 @@ class ControllerConfig(Config):
     camera_timeout_s: float = setting(
         1.0, "Age of the newest picture at which the camera counts as stalled", minimum=0.1, maximum=10.0, unit="s"
     )
-    min_confidence: float = setting(0.5, "Recognition needed for a touch", minimum=0.0, maximum=1.0)
+    min_confidence: float = setting(0.3, "Recognition needed for a touch", minimum=0.0, maximum=1.0)
     panel_max_age_s: float = setting(2.0, "Age of the panel's pose for a touch", minimum=0.1, maximum=60.0, unit="s")
     panel_moved_m: float = setting(
         0.0015, "Shift of the target in the picture that ends a goal", minimum=1e-4, maximum=0.05, unit="m"

@@ -72,13 +72,14 @@ def check_reach(points: npt.ArrayLike, config: MotionConfig) -> None:
     """Raise :class:`OutOfReach` unless all readings (N, 3) lie inside the limits."""
     readings = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     for name, column, low, high in zip(JOINTS, readings.T, config.lower(), config.upper()):
-        for value in (column.min(), column.max()):
+        for value in column:
             if not low - EDGE_M <= value <= high + EDGE_M:
                 raise OutOfReach(f"{name} = {value:.4f} m lies outside {low:.4f} to {high:.4f} m")
 
 
 def travel(start: Array, aim_xy: Array, extension_m: float, config: MotionConfig) -> Path:
     """Retract, cross to ``aim_xy`` (2,) by way of the approach point, and lower to ``extension_m``."""
+    check_reach([*aim_xy, extension_m], config)
     steps = _Steps(start)
     steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
     steps.to([*_approach_point(aim_xy, config), 0.0], config.travel_speed_m_s)
@@ -89,6 +90,7 @@ def travel(start: Array, aim_xy: Array, extension_m: float, config: MotionConfig
 
 def shift(start: Array, aim_xy: Array, config: MotionConfig) -> Path:
     """Correct to ``aim_xy`` (2,) at the present height, by way of the approach point."""
+    check_reach([*aim_xy, start[2]], config)
     steps = _Steps(start)
     steps.to([*_approach_point(aim_xy, config), start[2]], config.travel_speed_m_s)
     steps.to([*aim_xy, start[2]], config.travel_speed_m_s)
@@ -134,7 +136,7 @@ class _Steps:
     def to(self, point: npt.ArrayLike, speed_m_s: float) -> None:
         goal = np.asarray(point, dtype=np.float64)
         way = float(np.linalg.norm(goal - self._at))
-        if way > STANDSTILL_M:
+        if not way <= STANDSTILL_M:  # also for NaN, which the limits then refuse
             before = self._times[-1] if self._times else 0.0
             self._points.append(goal)
             self._times.append(before + way / speed_m_s)
@@ -142,7 +144,6 @@ class _Steps:
 
     def path(self, config: MotionConfig) -> Path:
         points = np.array(self._points).reshape(-1, 3)
-        if len(points):
-            check_reach(points, config)
-            points = np.clip(points, config.lower(), config.upper())
+        check_reach(points, config)
+        points = np.clip(points, config.lower(), config.upper())
         return Path(points=points, times_s=np.array(self._times))

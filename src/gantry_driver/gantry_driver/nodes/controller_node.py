@@ -112,7 +112,8 @@ class ControllerNode(Node):
         for action in actions:
             match action:
                 case msg.SendTrajectory():
-                    head = header(action.stamp_ns, BASE)
+                    # Readings are in no frame, and the driver takes a frame's name for the trajectory's.
+                    head = header(action.stamp_ns, "")
                     path = action.path
                     self._trajectory.publish(trajectory_message(JOINTS, path.points, path.times_s, head))
                 case msg.PublishResult():
