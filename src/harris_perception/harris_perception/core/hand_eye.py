@@ -1,0 +1,290 @@
+"""Ties the gantry's readings to the camera's coordinates, for a machine that only translates.
+
+A carriage that never turns makes AX = XB degenerate, so what can be observed is solved directly: the stylus tip seen by
+the fixed stereo camera at readings q is ``X = N q + b``, a linear regression. Its columns are split as ``N = R M``: R
+turns base_link into the camera's frame, M (upper triangular, close to identity) holds the axes' scale and skew.
+
+base_link: origin at the tip for readings zero, x along the x rail, y in the plane of both rails, z their normal towards
+the viewer; metric and orthogonal. ``base_xy = M q_xy``, ``base_z = -stylus``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from icu_common.core.config import Config, setting
+from icu_common.core.geometry import Array, Transform, nearest_rotation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandEyeConfig(Config):
+    """When samples are good enough, and what a machine may look like."""
+
+    min_samples: int = setting(6, "Samples that fit", minimum=4, maximum=1000)
+    min_span_m: float = setting(
+        0.06, "Least extent of the readings along each of two directions", minimum=0.001, maximum=5.0, unit="m"
+    )
+    min_stylus_span_m: float = setting(
+        0.004, "From this extent on the stylus's direction is fitted too", minimum=0.0001, maximum=1.0, unit="m"
+    )
+    tip_sigma_m: float = setting(
+        0.00002, "Least standard deviation of a sample that is believed", minimum=1e-7, maximum=0.01, unit="m"
+    )
+    outlier_sigmas: float = setting(4.5, "Samples beyond so many standard deviations are left out", minimum=2.0)
+    max_outliers: float = setting(0.3, "Part of the samples that may be left out", minimum=0.0, maximum=0.49)
+    max_rms_m: float = setting(0.0005, "Greatest misfit that is accepted", minimum=1e-6, maximum=0.1, unit="m")
+    max_scale_error: float = setting(0.05, "Scale of an axis against its reading", minimum=0.001, maximum=0.5)
+    max_skew: float = setting(0.05, "Angle that the axes miss at 90 degrees", minimum=0.001, maximum=0.5, unit="rad")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Sample:
+    """The tip seen while the machine stood still.
+
+    Attributes
+    ----------
+    reading
+        (3,) m: x, y, stylus extension.
+    tip
+        (3,) m in the camera's rectified frame.
+    covariance
+        (3, 3) m^2 of ``tip``.
+    """
+
+    reading: Array
+    tip: Array
+    covariance: Array
+
+
+class DegenerateError(ValueError):
+    """The samples do not determine the calibration; the message says what to add."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class HandEye:
+    """A calibration.
+
+    Attributes
+    ----------
+    camera_from_base
+        Pose of base_link in the camera's rectified frame.
+    base_from_reading
+        (2, 2) upper triangular M.
+    stylus_direction
+        (3,) in base_link: motion of the tip per metre of extension; (0, 0, -1) when it was not fitted.
+    regression
+        (P, 3) the fitted columns of N and b, tip = (x, y[, stylus], 1) @ regression.
+    spread
+        (P, P) inverse normal matrix of the regression.
+    noise
+        (3, 3) m^2, covariance of one sample in the camera's frame, a posteriori.
+    variance_factor
+        Squared residuals over what the samples' own covariances predict (chi-square per degree of freedom).
+    rms_m
+        Misfit of the samples that were used.
+    used
+        (N,) bool, which samples those were.
+    """
+
+    camera_from_base: Transform
+    base_from_reading: Array
+    stylus_direction: Array
+    regression: Array
+    spread: Array
+    noise: Array
+    variance_factor: float
+    rms_m: float
+    used: Array
+
+    def tip_in_base(self, readings: Array) -> Array:
+        """Return (N, 3) m in base_link for readings (N, 3) m, as the rest of the graph computes it."""
+        rows = np.atleast_2d(readings)
+        return np.column_stack([rows[:, :2] @ self.base_from_reading.T, -rows[:, 2]])
+
+    def tip_in_camera(self, readings: Array) -> Array:
+        """Return (N, 3) m in the camera's frame for readings (N, 3) m."""
+        return self.camera_from_base.apply(self.tip_in_base(readings))
+
+    def covariance(self, readings: Array) -> Array:
+        """Return (N, 3, 3) m^2, in the camera's frame: how sure the fitted tip position is for readings (N, 3)."""
+        design = _design(np.atleast_2d(readings), len(self.spread) == 4)
+        leverage = np.einsum("ni,ij,nj->n", design, self.spread, design)
+        return np.asarray(leverage[:, None, None] * self.noise)
+
+    def sigma_m(self, readings: Array) -> float:
+        """Return the predicted rms distance, m, between fitted and true tip over readings (N, 3)."""
+        return float(np.sqrt(np.mean(np.trace(self.covariance(readings), axis1=1, axis2=2))))
+
+
+def calibrate(samples: Sequence[Sample], config: HandEyeConfig | None = None) -> HandEye:
+    """Solve the calibration; wrong detections are left out.
+
+    Raises
+    ------
+    DegenerateError
+        For too few, motionless, crowded or collinear samples (with the move that would help), too many that do not fit,
+        and for axes that no such machine has.
+    """
+    config = config if config is not None else HandEyeConfig()
+    if len(samples) < config.min_samples:
+        raise DegenerateError(
+            f"{len(samples)} samples, {config.min_samples} are needed: move to another place and add one"
+        )
+    readings = np.array([s.reading for s in samples], dtype=np.float64)
+    tips = np.array([s.tip for s in samples], dtype=np.float64)
+    if not (np.isfinite(readings).all() and np.isfinite(tips).all()):
+        raise DegenerateError("a sample is not finite")
+    _check_motion(readings, tips, config)
+    with_stylus = bool(np.ptp(readings[:, 2]) >= config.min_stylus_span_m)
+    design = _design(readings, with_stylus)
+    if with_stylus:
+        _check_stylus(readings, config)
+    shape = np.mean([s.covariance for s in samples], axis=0) + config.tip_sigma_m**2 * np.eye(3)
+    used = _consensus(design, tips, shape, config)
+    _check_motion(readings[used], tips[used], config)
+    regression, *_ = np.linalg.lstsq(design[used], tips[used], rcond=None)
+    residuals = tips[used] - design[used] @ regression
+    freedom = 3 * (int(used.sum()) - design.shape[1])
+    # Every sample has the same covariance up to one factor, so weighted and plain least squares agree; the factor is
+    # estimated from the residuals (a posteriori variance of unit weight).
+    factor = float(np.einsum("ni,ij,nj->", residuals, np.linalg.inv(shape), residuals)) / max(freedom, 1)
+    rms = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)) * 3 * int(used.sum()) / max(freedom, 1)))
+    if rms > config.max_rms_m:
+        raise DegenerateError(
+            f"the samples miss one another by {rms * 1e3:.2f} mm rms, {config.max_rms_m * 1e3:.2f} mm are accepted: "
+            "check that the tip is seen well and that nothing slips"
+        )
+    rotation, axes = _split(regression[0], regression[1])
+    _check_axes(axes, config)
+    stylus, origin = np.array([0.0, 0.0, -1.0]), regression[-1]
+    if with_stylus:
+        stylus = rotation.T @ regression[2]
+    else:
+        origin = origin + rotation[:, 2] * readings[used, 2].mean()  # all were taken at this extension
+    return HandEye(
+        camera_from_base=Transform(rotation, origin),
+        base_from_reading=axes,
+        stylus_direction=stylus,
+        regression=regression,
+        spread=np.linalg.inv(design[used].T @ design[used]),
+        noise=shape * factor,
+        variance_factor=factor,
+        rms_m=rms,
+        used=used,
+    )
+
+
+def _design(readings: Array, with_stylus: bool) -> Array:
+    columns = readings if with_stylus else readings[:, :2]
+    return np.column_stack([columns, np.ones(len(readings))])
+
+
+def _split(x_rail: Array, y_rail: Array) -> tuple[Array, Array]:
+    """Return R (3, 3) and upper triangular M (2, 2) with [x_rail, y_rail] = R[:, :2] M."""
+    x = x_rail / np.linalg.norm(x_rail)
+    z = np.cross(x_rail, y_rail)
+    z /= np.linalg.norm(z)
+    y = np.cross(z, x)
+    rotation = nearest_rotation(np.column_stack([x, y, z]))
+    return rotation, np.array([[np.linalg.norm(x_rail), x @ y_rail], [0.0, y @ y_rail]])
+
+
+def _check_motion(readings: Array, tips: Array, config: HandEyeConfig) -> None:
+    """Refuse what leaves one of the two directions unknown."""
+    centre = readings[:, :2].mean(axis=0)
+    _, _, directions = np.linalg.svd(readings[:, :2] - centre)
+    along, across = (float(np.ptp(readings[:, :2] @ d)) for d in directions)
+    need = config.min_span_m
+    if along < 0.001:
+        raise DegenerateError(
+            f"the readings do not differ ({along * 1e3:.2f} mm): the gantry did not move; move at least "
+            f"{need * 1e3:.0f} mm in x and in y"
+        )
+    if along < need:
+        raise DegenerateError(
+            f"the samples are too close together ({along * 1e3:.1f} mm): move at least "
+            f"{need * 1e3:.0f} mm in x and in y"
+        )
+    if across < need:
+        half = 0.5 * (need + across) * directions[1] * np.sign(directions[1][np.argmax(np.abs(directions[1]))])
+        x, y = (centre + half) * 1e3
+        kind = "lie on one line" if across < 0.1 * need else "hardly leave one line"
+        raise DegenerateError(
+            f"the samples {kind} ({along * 1e3:.0f} mm long, {across * 1e3:.1f} mm across): add one near "
+            f"x = {x:.0f}, y = {y:.0f} mm or at least {need * 1e3:.0f} mm off that line"
+        )
+    seen = float(np.linalg.norm(tips.max(axis=0) - tips.min(axis=0)))
+    if seen < 0.2 * along:
+        raise DegenerateError(
+            f"the gantry moved {along * 1e3:.0f} mm but the tip that was seen only {seen * 1e3:.1f} mm: what is "
+            "tracked is not the stylus, or the drive slips; look at the picture before moving again"
+        )
+
+
+def _check_stylus(readings: Array, config: HandEyeConfig) -> None:
+    """Refuse an extension that goes with x and y, so that their effects cannot be told apart."""
+    flat = _design(readings, False)
+    fitted, *_ = np.linalg.lstsq(flat, readings[:, 2], rcond=None)
+    own = readings[:, 2] - flat @ fitted
+    if np.ptp(own) < 0.5 * config.min_stylus_span_m:
+        raise DegenerateError(
+            f"the stylus extension changes together with x and y (own part {np.ptp(own) * 1e3:.2f} mm): add a "
+            "sample at the same x and y with the stylus "
+            f"{config.min_stylus_span_m * 1e3:.0f} mm further in or out"
+        )
+
+
+def _consensus(design: Array, tips: Array, shape: Array, config: HandEyeConfig) -> Array:
+    """Return which samples fit together: least median of squares over small subsets, then re-fitted inliers."""
+    count, unknown = design.shape
+    whiten = np.linalg.cholesky(np.linalg.inv(shape))
+    flat = tips @ whiten
+    # Elemental subsets, all of them or evenly taken ones (Rousseeuw, Leroy, "Robust Regression and Outlier Detection").
+    subsets = np.array(list(itertools.islice(itertools.combinations(range(count), unknown), 200_000)))
+    subsets = subsets[:: max(1, len(subsets) // 3000)]
+    matrices = design[subsets]
+    sound = np.abs(np.linalg.det(matrices)) > 1e-3 * np.abs(np.linalg.det(matrices)).max()
+    models = np.linalg.solve(matrices[sound], flat[subsets[sound]])
+    squares = np.sum((flat[None] - design @ models) ** 2, axis=2)
+    keep = (count + unknown + 1) // 2
+    best = int(np.argmin(np.sort(squares, axis=1)[:, keep - 1]))
+    # 2.366 is the median of chi-square with three degrees of freedom; the factor in n is the usual small-sample one.
+    scale = np.sqrt(np.sort(squares[best])[keep - 1] / 2.366) * (1 + 5 / max(1, count - unknown))
+    used = np.sqrt(squares[best]) <= config.outlier_sigmas * max(scale, 1.0)
+    for _ in range(10):
+        fitted, *_ = np.linalg.lstsq(design[used], flat[used], rcond=None)
+        distances = np.sqrt(np.sum((flat - design @ fitted) ** 2, axis=1))
+        freedom = max(1, 3 * (int(used.sum()) - unknown))
+        sigma = max(1.0, float(np.sqrt(np.sum(distances[used] ** 2) / freedom)))
+        again = distances <= config.outlier_sigmas * sigma
+        if (again == used).all():
+            break
+        used = again
+    left_out = np.flatnonzero(~used)
+    if len(left_out) > config.max_outliers * count or int(used.sum()) < config.min_samples:
+        numbers = ", ".join(str(i + 1) for i in left_out)
+        raise DegenerateError(
+            f"{len(left_out)} of {count} samples do not fit the rest (numbers {numbers}): the tip was seen wrongly "
+            "there, or the drive slipped; add samples in other places or start anew"
+        )
+    return np.asarray(used)
+
+
+def _check_axes(axes: Array, config: HandEyeConfig) -> None:
+    x, y = axes[0, 0], axes[1, 1]
+    skew = float(np.arctan2(axes[0, 1], y))
+    for name, scale in (("x", x), ("y", y)):
+        if abs(scale - 1) > config.max_scale_error:
+            raise DegenerateError(
+                f"the {name} axis moves {scale:.3f} m per metre of reading, {1 - config.max_scale_error:.2f} to "
+                f"{1 + config.max_scale_error:.2f} are plausible: check steps per mm and the camera calibration"
+            )
+    if abs(skew) > config.max_skew:
+        raise DegenerateError(
+            f"the axes miss a right angle by {np.degrees(skew):.1f} degrees, {np.degrees(config.max_skew):.1f} are "
+            "plausible"
+        )
