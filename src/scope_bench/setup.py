@@ -24,6 +24,7 @@ setup(
     entry_points={
         "console_scripts": [
             "bench = scope_bench.nodes.bench_node:main",
+            "bench_render = scope_bench.cli.render:main",
             "bring_up = scope_bench.cli.bring_up:main",
         ],
     },

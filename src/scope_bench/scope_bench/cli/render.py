@@ -1,0 +1,77 @@
+"""Renders pictures of the bench without ROS, with the truth about them as JSON, for trying out perception."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import yaml
+
+from icu_common.core.config import from_mapping
+from icu_common.core.geometry import Transform
+from icu_common.core.panel_layout import load_layout
+from scope_bench.core.configuration import BenchConfig
+from scope_bench.core.instrument import InstrumentState, press, turn
+from scope_bench.core.renderer import Moment, Renderer, base_from_panel, control_pixels
+
+
+def _matrix(transform: Transform) -> dict[str, Any]:
+    return {"rotation": transform.rotation.tolist(), "translation_m": transform.translation.tolist()}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="bench_render", description=__doc__)
+    parser.add_argument("--layout", type=Path, default=Path("config/scopes/dso_bench_4.yaml"))
+    parser.add_argument("--out", type=Path, required=True, help="picture to write, for example left.png")
+    parser.add_argument("--truth", type=Path, help="JSON file with the truth; default: beside the picture, .json")
+    parser.add_argument("--side", choices=("left", "right"), default="left")
+    parser.add_argument("--tip", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.30, 0.20, 0.0))
+    parser.add_argument(
+        "--press", action="append", default=[], metavar="NAME", help="button pressed before the picture"
+    )
+    parser.add_argument("--turn", action="append", default=[], metavar="NAME=DEGREES", help="knob turned before")
+    parser.add_argument("--time", type=float, default=3.0, help="seconds since the bench was switched on")
+    parser.add_argument("--hide", type=float, nargs=4, metavar=("X", "Y", "W", "H"), help="hand over the panel, mm")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="setting, e.g. light.noise=0")
+    options = parser.parse_args(arguments)
+    try:
+        values = dict(item.split("=", 1) for item in options.set)
+        config = from_mapping(BenchConfig, {key: yaml.safe_load(value) for key, value in values.items()})
+        layout = load_layout(options.layout)
+    except (ValueError, OSError) as error:
+        parser.error(str(error))
+    state = InstrumentState()
+    for name in options.press:
+        state = press(state, name, options.time - 0.5)
+    for item in options.turn:
+        name, _, degrees = item.partition("=")
+        state = turn(state, name, float(degrees))
+    stands = base_from_panel(config.panel)
+    renderer = Renderer(layout, config, stands)
+    renderer.hide(tuple(options.hide) if options.hide else None)
+    index = ("left", "right").index(options.side)
+    moment = Moment(tip=tuple(options.tip), state=state, now_s=options.time)
+    picture = renderer.render(moment)[index]
+    if not cv2.imwrite(str(options.out), picture):
+        parser.error(f"{options.out} cannot be written")
+    view = renderer.views[index]
+    camera_from_base = renderer.rig.rectified_left_from_base()
+    truth = {
+        "side": options.side,
+        "tip_base_m": list(options.tip),
+        "tip_px": view.camera.project(options.tip)[0].tolist(),
+        "camera_left_from_base": _matrix(camera_from_base),
+        "camera_left_from_panel": _matrix(camera_from_base @ stands),
+        "base_from_panel": _matrix(stands),
+        "controls_px": control_pixels(view, layout),
+    }
+    truth_file = options.truth or options.out.with_suffix(".json")
+    truth_file.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,242 @@
+"""Renders the stereo pair: the still views, the live screen, a hand, the stylus, and the sensor's noise.
+
+Per frame only the screen and the stylus are drawn; the rest comes from :class:`scope_bench.core.view.View`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.core.geometry import Array, Transform
+from icu_common.core.panel_layout import Control, PanelLayout
+from scope_bench.core import screen
+from scope_bench.core.configuration import BenchConfig, LightConfig, PanelConfig
+from scope_bench.core.instrument import InstrumentState
+from scope_bench.core.optics import Camera, StereoRig, stereo_rig, turn
+from scope_bench.core.panel_texture import Picture, draw_face
+from scope_bench.core.solids import ControlState
+from scope_bench.core.stylus_picture import StylusPainter
+from scope_bench.core.view import FACE_PER_MM, View, Window
+
+GLARE_SHIFT_MM = 52.0
+"""The lamp's mirror image lies as far behind the panel as the lamp before it, so it wanders with the camera."""
+_TILE = 256
+_GLOVE = np.array([190.0, 120.0, 62.0])
+
+
+def base_from_panel(config: PanelConfig, moved: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Transform:
+    """Return where the panel stands; ``moved`` is how it was pushed since: dx, dy in metres, turn in degrees."""
+    tilt_x, tilt_y = config.tilt_deg
+    rotation = turn(2, config.yaw_deg + moved[2]) @ turn(1, tilt_y) @ turn(0, tilt_x)
+    return Transform(rotation, np.asarray(config.position_m) + np.array([moved[0], moved[1], 0.0]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """What is seen at one moment: the ball's centre in base_link (metres), the instrument, and sunken buttons (mm)."""
+
+    tip: tuple[float, float, float]
+    state: InstrumentState
+    now_s: float
+    sunk_mm: tuple[tuple[str, float], ...] = ()
+
+
+class Renderer:
+    """Draws both pictures of a pair.
+
+    Parameters
+    ----------
+    layout
+        The panel.
+    config
+        The bench.
+    panel_from
+        ``base_from_panel``.
+    """
+
+    def __init__(self, layout: PanelLayout, config: BenchConfig, panel_from: Transform) -> None:
+        self.layout = layout
+        self.rig: StereoRig = stereo_rig(config.camera)
+        face = draw_face(layout, FACE_PER_MM)
+        self._sides = [
+            _Side(camera, panel_from, layout, face, config, shift)
+            for camera, shift in ((self.rig.left, 0.0), (self.rig.right, GLARE_SHIFT_MM))
+        ]
+        self._rng = np.random.default_rng(config.seed)
+        self._still_of: InstrumentState | None = None
+        self._still: Picture = np.zeros((1, 1, 3), np.uint8)
+        self._noise: tuple[Picture, Picture] | None = None
+        self._screens = [c for c in layout.controls if c.kind == "touch_area"]
+        self._lamps = [c for c in layout.controls if c.height_mm > 0]
+        self._light = config.light
+        self._make_noise()
+
+    @property
+    def views(self) -> tuple[View, View]:
+        """The left and the right view."""
+        return self._sides[0].view, self._sides[1].view
+
+    def relight(self, light: LightConfig) -> None:
+        """Change light, blur, glare and noise."""
+        changed = light.noise != self._light.noise
+        self._light = light
+        for side in self._sides:
+            side.relight(light)
+        if changed:
+            self._make_noise()
+
+    def hide(self, rectangle_mm: tuple[float, float, float, float] | None) -> None:
+        """Lay a gloved hand over a rectangle (x, y, width, height) of the panel, or take it away."""
+        for side in self._sides:
+            side.hide(rectangle_mm)
+
+    def render(self, moment: Moment) -> list[Picture]:
+        """Return the left and right picture, each (H, W, 3) BGR."""
+        light = self._emission(moment)
+        states = self._control_states(moment)
+        return [self._with_noise(side.draw(states, light, moment)) for side in self._sides]
+
+    def _control_states(self, moment: Moment) -> dict[str, ControlState]:
+        sunk = dict(moment.sunk_mm)
+        return {
+            control.name: ControlState(
+                # Quarters of a millimetre, so that a button on its way is not drawn anew for every micrometre.
+                sunk_mm=round(sunk.get(control.name, 0.0) * 4) / 4,
+                angle_deg=round(moment.state.knob_deg(control.name), 1),
+                lamp=moment.state.lamp(control.name, control.lit_colour),
+            )
+            for control in self._lamps
+        }
+
+    def _emission(self, moment: Moment) -> Picture | None:
+        if not self._screens:
+            return None
+        size = screen.size_px(self._screens[0].size_mm)
+        if self._still_of != moment.state:
+            self._still_of, self._still = moment.state, screen.still_part(moment.state, size)
+        noise = self._rng.standard_normal((2, 364))
+        drawn = screen.with_traces(self._still, moment.state, moment.now_s, noise)
+        # One pixel of the picture covers almost two of the screen; the lens adds its blur.
+        sigma = float(np.hypot(0.62, 1.8 * self._light.blur_px))
+        return np.asarray(cv2.GaussianBlur(drawn, (0, 0), sigma))
+
+    def _make_noise(self) -> None:
+        self._noise = None
+        if self._light.noise > 0:
+            height, width = self.rig.left.height, self.rig.left.width
+            values = self._rng.standard_normal((height + _TILE, width + _TILE, 3), dtype=np.float32) * self._light.noise
+            whole = np.rint(values)
+            # Saturating addition and subtraction of bytes is many times faster than signed arithmetic.
+            self._noise = np.clip(whole, 0, 255).astype(np.uint8), np.clip(-whole, 0, 255).astype(np.uint8)
+
+    def _with_noise(self, picture: Picture) -> Picture:
+        if self._noise is None:
+            return picture
+        r, c = (int(v) for v in self._rng.integers(0, _TILE, 2))
+        rows, columns = slice(r, r + picture.shape[0]), slice(c, c + picture.shape[1])
+        cv2.add(picture, self._noise[0][rows, columns], picture)
+        cv2.subtract(picture, self._noise[1][rows, columns], picture)
+        return picture
+
+
+class _Side:
+    """One camera's part of the renderer."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        panel_from: Transform,
+        layout: PanelLayout,
+        face: Picture,
+        config: BenchConfig,
+        shift_mm: float,
+    ) -> None:
+        self.view = View(camera, panel_from, layout, face, config.light, shift_mm)
+        self._stylus = StylusPainter(self.view, config.stylus)
+        self._screen: Window | None = None
+        for control in layout.controls:
+            if control.kind == "touch_area" and self._screen is None:
+                self._prepare_screen(control)
+        self._hand: tuple[Window, npt.NDArray[np.float32], npt.NDArray[np.float32]] | None = None
+        self._hidden: tuple[float, float, float, float] | None = None
+        self.relight(config.light)
+
+    def _prepare_screen(self, control: Control) -> None:
+        (x, y), (w, h) = control.position_mm, control.size_mm
+        corners = [(x + sx * w / 2, y + sy * h / 2, 0.0) for sx in (-1, 1) for sy in (-1, 1)]
+        self._screen = self.view.window_of_panel(corners)
+        px, py = self.view.xy0[(slice(None), *self._screen)]
+        columns, rows = screen.size_px(control.size_mm)
+        map_x = (px - x + w / 2) * columns / w - 0.5
+        map_y = (y + h / 2 - py) * rows / h - 0.5
+        self._maps = cv2.convertMaps(map_x.astype(np.float32), map_y.astype(np.float32), cv2.CV_16SC2)
+
+    def relight(self, light: LightConfig) -> None:
+        self.view.relight(light)
+        if self._screen is not None:
+            gain = np.clip(self.view.vignette[self._screen] * 235, 0, 255).astype(np.uint8)
+            self._screen_gain = np.repeat(gain[..., None], 3, axis=2)
+        self.hide(self._hidden)
+
+    def hide(self, rectangle_mm: tuple[float, float, float, float] | None) -> None:
+        self._hidden = rectangle_mm
+        self._hand = None
+        if rectangle_mm is None:
+            return
+        x, y, width, height = rectangle_mm
+        window = self.view.window_of_panel(
+            [(x, y, 25), (x + width, y, 25), (x, y + height, 25), (x + width, y + height, 25)]
+        )
+        shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
+        px, py = (self.view.xy0 + self.view.lean * 25.0)[(slice(None), *window)]
+        round_mm = min(12.0, width / 2, height / 2)
+        dx = np.abs(px - x - width / 2) - width / 2 + round_mm
+        dy = np.abs(py - y - height / 2) - height / 2 + round_mm
+        distance = np.hypot(np.maximum(dx, 0), np.maximum(dy, 0)) + np.minimum(np.maximum(dx, dy), 0) - round_mm
+        share = np.clip(0.5 - distance * 2.4, 0, 1).astype(np.float32)
+        folds = 1 + 0.06 * np.sin(px / 5.0 + np.sin(py / 9.0) * 2)
+        shade = (0.55 + 0.45 * np.clip(-distance / 10, 0, 1)) * folds * self.view.light.level
+        light = (shade * self.view.vignette[window])[..., None] * _GLOVE
+        self._hand = window, share.reshape(*shape, 1), np.clip(light, 0, 255).astype(np.float32)
+
+    def draw(self, states: dict[str, ControlState], emission: Picture | None, moment: Moment) -> Picture:
+        self.view.show(states)
+        picture = self.view.picture.copy()
+        if emission is not None and self._screen is not None:
+            seen = cv2.remap(emission, self._maps[0], self._maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+            seen = cv2.multiply(seen, self._screen_gain, scale=1 / 255)
+            picture[self._screen] = cv2.add(picture[self._screen], seen)
+        if self._hand is not None:
+            window, share, light = self._hand
+            mixed = picture[window] * (1 - share) + light * share
+            picture[window] = np.rint(mixed).astype(np.uint8)
+        self._stylus.draw(picture, np.asarray(moment.tip))
+        return picture
+
+
+def control_pixels(view: View, layout: PanelLayout) -> dict[str, dict[str, list[list[float]] | list[float]]]:
+    """Return where each control is seen, in raw pixels: ``centre`` and outline of its face at its full height.
+
+    ``base_centre`` is the same point on the panel's face.
+    """
+    found: dict[str, dict[str, list[list[float]] | list[float]]] = {}
+    for control in layout.controls:
+        (x, y), (w, h) = control.position_mm, control.size_mm
+        if control.shape == "circle":
+            turn_rad = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+            outline: Array = np.column_stack([x + w / 2 * np.cos(turn_rad), y + h / 2 * np.sin(turn_rad)])
+        else:
+            outline = np.array(
+                [(x - w / 2, y - h / 2), (x + w / 2, y - h / 2), (x + w / 2, y + h / 2), (x - w / 2, y + h / 2)]
+            )
+        face = np.column_stack([outline, np.full(len(outline), control.height_mm)])
+        found[control.name] = {
+            "centre": view.pixel_of_panel((x, y, control.height_mm))[0].tolist(),
+            "base_centre": view.pixel_of_panel((x, y, 0.0))[0].tolist(),
+            "outline": view.pixel_of_panel(face).tolist(),
+        }
+    return found

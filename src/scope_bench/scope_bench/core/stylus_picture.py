@@ -1,0 +1,168 @@
+"""Casts the stylus into the picture: ball, stem, shaft and arm, per frame and only where they are.
+
+The ball is a sphere hit by the exact ray of every sample, so its outline is exact under perspective and distortion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.core.geometry import Array
+from scope_bench.core.configuration import StylusConfig
+from scope_bench.core.panel_texture import Picture
+from scope_bench.core.view import View, Window, window_around
+
+BALL = np.array([176.0, 22.0, 226.0])
+"""Magenta, BGR; nothing else on the bench has this hue."""
+SHAFT = np.array([46.0, 44.0, 42.0])
+ARM = np.array([52.0, 50.0, 48.0])
+LIGHT = np.array([-0.35, 0.45, 0.82])
+_COUNT = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Part:
+    window: Window
+    share: npt.NDArray[np.float32]
+    light: npt.NDArray[np.float32]
+
+
+class StylusPainter:
+    """Draws the stylus over a picture of one view."""
+
+    def __init__(self, view: View, config: StylusConfig) -> None:
+        self._view = view
+        self._config = config
+        camera = view.camera
+        a, b = view.slopes
+        rotation = camera.camera_from_base.rotation.T
+        direction = rotation @ np.stack([a.ravel(), b.ravel(), np.ones(a.size)])
+        # Rays in base_link, scaled to z = -1: the camera looks down at the bench.
+        self._lean = (direction[:2] / -direction[2]).reshape(2, camera.height, camera.width)
+        self._eye = camera.position
+
+    def draw(self, picture: Picture, tip: Array) -> None:
+        """Draw the stylus with its ball's centre at ``tip``, (3,) metres in base_link, into ``picture``."""
+        config = self._config
+        stem, shaft = config.stem_mm / 1000, config.shaft_mm / 1000
+        top = max(tip[2] + shaft, config.arm_height_m + 0.02)
+        parts = [self._rod(tip, tip[2] + stem, config.arm_height_m, config.shaft_diameter_mm / 2000)]
+        self._over(picture, parts)
+        self._arm(picture, tip)
+        upper = [self._rod(tip, config.arm_height_m + 0.008, top, config.shaft_diameter_mm / 2000)]
+        # The ball hides the stem's lower end only from below, which no camera of the bench sees.
+        ball = self._ball(tip, config.ball_diameter_mm / 2000)
+        thin = self._rod(
+            tip, tip[2], tip[2] + stem, config.stem_diameter_mm / 2000, tip, config.ball_diameter_mm / 2000
+        )
+        self._over(picture, [*upper, ball, thin])
+
+    def _over(self, picture: Picture, parts: list[_Part | None]) -> None:
+        gain = self._view.light.level
+        blur = self._view.light.blur_px
+        for part in filter(None, parts):
+            share, light = part.share, part.light * gain
+            if blur > 0:
+                share, light = cv2.GaussianBlur(share, (0, 0), blur), cv2.GaussianBlur(light, (0, 0), blur)
+            under = picture[part.window].astype(np.float32)
+            mixed = under * (1 - share[..., None]) + light * self._view.vignette[part.window][..., None]
+            picture[part.window] = np.clip(mixed + 0.5, 0, 255).astype(np.uint8)
+
+    def _rays(self, window: Window) -> tuple[Array, Array]:
+        lean = self._view.samples(self._lean, window, _COUNT)
+        return lean[0], lean[1]
+
+    def _gather(self, window: Window, hit: npt.NDArray[np.bool_], colour: Array) -> _Part:
+        size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
+        share = hit.astype(np.float32)
+        light = (colour * share[..., None]).astype(np.float32)
+        return _Part(
+            window=window,
+            share=np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_AREA)),
+            light=np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA)),
+        )
+
+    def _margin(self) -> int:
+        return int(np.ceil(3 * self._view.light.blur_px)) + 2
+
+    def _ball(self, tip: Array, radius: float) -> _Part | None:
+        corners = tip + radius * 1.1 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        window = window_around(self._view.camera.project(corners), self._margin(), self._view.camera)
+        dx, dy = self._rays(window)
+        # |eye + t d - tip| = radius with d = (dx, dy, -1).
+        ex, ey, ez = self._eye - tip
+        a = dx**2 + dy**2 + 1
+        b = ex * dx + ey * dy - ez
+        c = ex**2 + ey**2 + ez**2 - radius**2
+        root = b**2 - a * c
+        hit = root >= 0
+        t = (-b - np.sqrt(np.maximum(root, 0))) / a
+        nx, ny, nz = (ex + t * dx) / radius, (ey + t * dy) / radius, (ez - t) / radius
+        facing = nx * LIGHT[0] + ny * LIGHT[1] + nz * LIGHT[2]
+        shade = 0.52 + 0.48 * np.clip(facing, -0.2, 1)
+        spark = np.clip(facing, 0, 1) ** 40 * 70
+        return self._gather(window, hit, shade[..., None] * BALL + spark[..., None])
+
+    def _rod(
+        self,
+        axis: Array,
+        low: float,
+        high: float,
+        radius: float,
+        ball: Array | None = None,
+        ball_radius: float = 0.0,
+    ) -> _Part | None:
+        """Cast an upright cylinder between two heights, with its upper face; ``ball`` hides what lies inside it."""
+        if high <= low:
+            return None
+        corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (0, 1)], dtype=np.float64)
+        corners = corners * (radius, radius, high - low) + (axis[0], axis[1], low)
+        window = window_around(self._view.camera.project(corners), self._margin(), self._view.camera)
+        dx, dy = self._rays(window)
+        ex, ey = self._eye[0] - axis[0], self._eye[1] - axis[1]
+        # Upper face, then the side: |(ex, ey) + t (dx, dy)| = radius.
+        t_top = self._eye[2] - high
+        cap = (ex + t_top * dx) ** 2 + (ey + t_top * dy) ** 2 <= radius**2
+        a = dx**2 + dy**2
+        b = ex * dx + ey * dy
+        root = b**2 - a * (ex**2 + ey**2 - radius**2)
+        t = (-b - np.sqrt(np.maximum(root, 0))) / np.maximum(a, 1e-12)
+        z = self._eye[2] - t
+        side = ~cap & (root >= 0) & (z <= high) & (z >= low)
+        nx, ny = (ex + t * dx) / radius, (ey + t * dy) / radius
+        if ball is not None:
+            outside = (
+                (ex + t * dx + axis[0] - ball[0]) ** 2 + (ey + t * dy + axis[1] - ball[1]) ** 2 + (z - ball[2]) ** 2
+            )
+            side &= outside >= ball_radius**2
+        facing = nx * LIGHT[0] + ny * LIGHT[1]
+        shade = np.where(cap, 1.7, 0.75 + 0.9 * np.clip(facing, -0.3, 1) + 0.9 * np.clip(nx + 0.2, 0, 1) ** 8)
+        return self._gather(window, cap | side, shade[..., None] * SHAFT)
+
+    def _arm(self, picture: Picture, tip: Array) -> None:
+        """Draw the arm: its front end, then its upper face up to beyond the picture."""
+        config = self._config
+        half, low, high = config.arm_width_mm / 2000, config.arm_height_m, config.arm_height_m + 0.008
+        near, far = tip[1] - 0.006, tip[1] + 0.4
+        y = np.linspace(near, far, 12)
+        left = np.column_stack([np.full(12, tip[0] - half), y, np.full(12, high)])
+        right = np.column_stack([np.full(12, tip[0] + half), y, np.full(12, high)])
+        front = np.array([(x, near, z) for x, z in ((-1, low), (1, low), (1, high), (-1, high))]) + (tip[0], 0, 0)
+        front[:, 0] = tip[0] + (front[:, 0] - tip[0]) * half
+        eye_left = self._eye[0] < tip[0]
+        side = left if eye_left else right
+        below = side - (0, 0, high - low)
+        gain = self._view.light.level
+        for outline, shade in (
+            (np.vstack([side, below[::-1]]), 0.75 if eye_left else 0.6),
+            (front, 0.55),
+            (np.vstack([left, right[::-1]]), 1.25),
+        ):
+            pixels = self._view.camera.project(outline)
+            points = np.round(np.clip(pixels, -2000, 4000) * 16).astype(np.int32)
+            colour = tuple(float(c) for c in np.minimum(ARM * shade * gain, 255))
+            cv2.fillPoly(picture, [points], colour, cv2.LINE_AA, 4)

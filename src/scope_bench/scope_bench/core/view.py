@@ -1,0 +1,299 @@
+"""What one camera sees of the bench at rest: the still scene, drawn once per state of the panel and kept.
+
+The printed face is sampled sixteen times per pixel through the exact ray of each sample, so an edge lies in the picture
+where the projection puts it. Controls are cast as solids into pictures of their own and laid over the face from far to
+near; when one of them moves, only its surroundings are composed anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.core.geometry import Array, Transform
+from icu_common.core.panel_layout import Control, PanelLayout
+from scope_bench.core.configuration import LightConfig
+from scope_bench.core.optics import Camera
+from scope_bench.core.panel_texture import Canvas, Picture
+from scope_bench.core.solids import LAMP_DIRECTION, ControlState, cast, paint
+
+FACE_PER_MM = 12.0
+SAMPLES = 4
+"""Samples per pixel and direction."""
+CASE_MM = 30.0
+"""Depth of the instrument's case below its face."""
+_STRIP = 90
+Window = tuple[slice, slice]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sprite:
+    """A control's picture: where, how much of each pixel it covers, and its reflected and emitted light, weighted."""
+
+    window: Window
+    share: npt.NDArray[np.float32]
+    reflected: npt.NDArray[np.float32]
+    emitted: npt.NDArray[np.float32]
+
+
+class View:
+    """The still scene of one camera.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    base_from_panel
+        Where the panel stands.
+    layout
+        The panel.
+    face
+        Its printed face from :func:`scope_bench.core.panel_texture.draw_face` at ``FACE_PER_MM``.
+    light
+        Light, lens and sensor.
+    glare_shift_mm
+        How far this camera sees the lamp's reflection from where ``light`` has it, along x.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        base_from_panel: Transform,
+        layout: PanelLayout,
+        face: Picture,
+        light: LightConfig,
+        glare_shift_mm: float,
+    ) -> None:
+        self.camera = camera
+        self.layout = layout
+        self.light = light
+        self.glare_shift_mm = glare_shift_mm
+        v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
+        a, b = camera.slopes(u, v)
+        rotation = (camera.camera_from_base @ base_from_panel).rotation.T
+        direction = rotation @ np.stack([a.ravel(), b.ravel(), np.ones(a.size)])
+        lean = (direction[:2] / direction[2]).reshape(2, camera.height, camera.width)
+        self.eye_mm = base_from_panel.inverse().apply(camera.position) * 1000
+        self.slopes = a, b
+        self.lean = lean
+        self.xy0 = self.eye_mm[:2, None, None] - lean * self.eye_mm[2]
+        self.base_from_panel = base_from_panel
+        self._ground = self._draw_ground(face)
+        self._sprites: dict[str, Sprite] = {}
+        self._states: dict[str, ControlState] = {}
+        # Far from the camera first.
+        proud = [c for c in layout.controls if c.height_mm > 0]
+        self._proud = sorted(proud, key=lambda c: -float(np.hypot(*(np.array(c.position_mm) - self.eye_mm[:2]))))
+        self.picture: Picture = np.empty((camera.height, camera.width, 3), np.uint8)
+        for control in self._proud:
+            self._set(control, ControlState())
+        self.relight(light)
+
+    def show(self, states: dict[str, ControlState]) -> None:
+        """Bring the controls into these states; what is not named keeps its own."""
+        for control in self._proud:
+            state = states.get(control.name, self._states[control.name])
+            if state != self._states[control.name]:
+                old = self._sprites[control.name].window
+                self._set(control, state)
+                for window in (old, self._sprites[control.name].window):
+                    self._compose(window)
+
+    def relight(self, light: LightConfig) -> None:
+        """Change light, blur or glare; noise is added by the caller."""
+        self.light = light
+        self.vignette = self._draw_vignette()
+        x, y = self.xy0
+        centre_x, centre_y = (side / 2 for side in self.layout.size_mm)
+        along = ((x - centre_x) * LAMP_DIRECTION[0] + (y - centre_y) * LAMP_DIRECTION[1]) / 160.0
+        uneven = 1 - light.unevenness * (0.5 - 0.5 * np.clip(along, -1.4, 1.2))
+        self._gain = (light.level * uneven * self.vignette).astype(np.float32)[..., None]
+        glare_x, glare_y = light.glare_at_mm[0] + self.glare_shift_mm, light.glare_at_mm[1]
+        distance2 = ((x - glare_x) ** 2 + ((y - glare_y) * 1.3) ** 2) / light.glare_radius_mm**2
+        self._glare = (255 * light.glare * light.level * np.exp(-0.5 * distance2)).astype(np.float32)[..., None]
+        self._compose((slice(0, self.camera.height), slice(0, self.camera.width)))
+
+    def pixel_of_panel(self, points_mm: npt.ArrayLike) -> Array:
+        """Project (N, 3) panel points in millimetres to (N, 2) raw pixels."""
+        points = np.atleast_2d(np.asarray(points_mm, dtype=np.float64)) / 1000
+        return self.camera.project(self.base_from_panel.apply(points))
+
+    def window_of_panel(self, points_mm: npt.ArrayLike, margin: int = 2) -> Window:
+        """Return the pixels that enclose the panel points, clipped to the picture."""
+        pixels = self.pixel_of_panel(points_mm)
+        return window_around(pixels, margin, self.camera)
+
+    def samples(self, grid: Array, window: Window, count: int = SAMPLES) -> Array:
+        """Interpolate (..., H, W) values, smooth over the picture, at ``count`` squared points of each pixel."""
+        rows, columns = window
+        r0, r1 = max(rows.start - 1, 0), min(rows.stop + 1, grid.shape[-2])
+        c0, c1 = max(columns.start - 1, 0), min(columns.stop + 1, grid.shape[-1])
+        part = grid[..., r0:r1, c0:c1].reshape(-1, r1 - r0, c1 - c0)
+        size = ((c1 - c0) * count, (r1 - r0) * count)
+        # cv2.resize puts the samples where they belong: sample i of n lies at (i + 0.5) / n - 0.5 from a pixel's centre.
+        large = np.stack([cv2.resize(layer, size, interpolation=cv2.INTER_LINEAR) for layer in part])
+        top, left = (rows.start - r0) * count, (columns.start - c0) * count
+        height, width = (rows.stop - rows.start) * count, (columns.stop - columns.start) * count
+        return large[:, top : top + height, left : left + width]
+
+    def _draw_vignette(self) -> npt.NDArray[np.float32]:
+        """Return (H, W), the share of light that the lens lets through."""
+        v, u = np.mgrid[0 : self.camera.height, 0 : self.camera.width].astype(np.float64)
+        radius2 = ((u - self.camera.width / 2) ** 2 + (v - self.camera.height / 2) ** 2) / (self.camera.width / 2) ** 2
+        return (1 - self.light.vignetting * np.clip(radius2 / 1.3, 0, 1.2)).astype(np.float32)
+
+    def _draw_ground(self, face: Picture) -> npt.NDArray[np.float32]:
+        """Draw the face, the case's sides and the table: (H, W, 3) reflected light under even lighting."""
+        height, width = self.camera.height, self.camera.width
+        table, origin = _table(self.layout)
+        shadow = _shadows(self.layout)
+        result = np.empty((height, width, 3), np.float32)
+        case = Control(
+            name="case",
+            kind="button",
+            position_mm=(self.layout.size_mm[0] / 2, self.layout.size_mm[1] / 2),
+            size_mm=self.layout.size_mm,
+        )
+        table_xy = self.xy0 - self.lean * CASE_MM
+        for top in range(0, height, _STRIP):
+            window = (slice(top, min(top + _STRIP, height)), slice(0, width))
+            x, y = self.samples(self.xy0, window).astype(np.float32)
+            s = np.float32(FACE_PER_MM)
+            map_x, map_y = x * s - 0.5, (np.float32(self.layout.size_mm[1]) - y) * s - 0.5
+            seen = cv2.remap(face, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            printed = cv2.resize(seen, (width, window[0].stop - top), interpolation=cv2.INTER_AREA).astype(np.float32)
+            x0, y0 = self.xy0[:, window[0]].astype(np.float32)
+            printed *= cv2.remap(shadow, x0 + 19.5, self.layout.size_mm[1] - y0 + 19.5, cv2.INTER_LINEAR)[..., None]
+            below = table_xy[:, window[0]].astype(np.float32)
+            ground = cv2.remap(
+                table, (below[0] - origin) * 2 - 0.5, (-below[1] - origin) * 2 - 0.5, cv2.INTER_LINEAR, borderMode=1
+            ).astype(np.float32)
+            size = (width, window[0].stop - top)
+            inside = (x >= 0) & (x <= self.layout.size_mm[0]) & (y >= 0) & (y <= self.layout.size_mm[1])
+            on_top = cv2.resize(inside.astype(np.float32), size, interpolation=cv2.INTER_AREA)[..., None]
+            lean, start = self.samples(self.lean, window, 2), self.samples(self.xy0, window, 2)
+            hit = cast(case, 0.0, -CASE_MM, (start[0], start[1]), (lean[0], lean[1]))
+            solid = cv2.resize((hit.top | hit.wall).astype(np.float32), size, interpolation=cv2.INTER_AREA)[..., None]
+            wall = np.array([60.0, 58.0, 55.0], np.float32)
+            solid = np.maximum(solid, on_top)
+            result[window] = printed * on_top + wall * (solid - on_top) + ground * (1 - solid)
+        return result
+
+    def _set(self, control: Control, state: ControlState) -> None:
+        self._states[control.name] = state
+        self._sprites[control.name] = self._sprite(control, state)
+
+    def _sprite(self, control: Control, state: ControlState) -> Sprite:
+        top_mm = control.height_mm - state.sunk_mm
+        (x, y), (w, h) = control.position_mm, control.size_mm
+        corners = [
+            (x + sx * w / 2, y + sy * h / 2, z) for sx in (-1, 1) for sy in (-1, 1) for z in (0.0, control.height_mm)
+        ]
+        window = self.window_of_panel(corners)
+        x0, y0 = self.samples(self.xy0, window)
+        lean_x, lean_y = self.samples(self.lean, window)
+        hit = cast(control, top_mm, 0.0, (x0, y0), (lean_x, lean_y))
+        reflected, emitted = paint(control, state, hit)
+        share = (hit.top | hit.wall).astype(np.float32)
+        size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
+
+        def gathered(layer: Array) -> npt.NDArray[np.float32]:
+            weighted = np.asarray(layer * share[..., None], dtype=np.float32)
+            return np.asarray(cv2.resize(weighted, size, interpolation=cv2.INTER_AREA))
+
+        small = cv2.resize(share, size, interpolation=cv2.INTER_AREA)
+        return Sprite(window=window, share=small[..., None], reflected=gathered(reflected), emitted=gathered(emitted))
+
+    def _compose(self, window: Window) -> None:
+        """Lay the controls over the ground, light and blur the result, and put it into ``picture``."""
+        pad = int(np.ceil(3 * self.light.blur_px)) + 1
+        outer = _grown(window, pad, self.camera)
+        reflected = self._ground[outer].copy()
+        emitted = np.zeros_like(reflected)
+        for control in self._proud:
+            sprite = self._sprites[control.name]
+            common = _common(outer, sprite.window)
+            if common is None:
+                continue
+            here, there = _relative(common, outer), _relative(common, sprite.window)
+            reflected[here] = reflected[here] * (1 - sprite.share[there]) + sprite.reflected[there]
+            emitted[here] = emitted[here] * (1 - sprite.share[there]) + sprite.emitted[there]
+        lit = reflected * self._gain[outer] + emitted * self.vignette[outer][..., None] + self._glare[outer]
+        lit = np.clip(lit, 0, 255).astype(np.float32)
+        if self.light.blur_px > 0:
+            lit = cv2.GaussianBlur(lit, (0, 0), self.light.blur_px)
+        inner = _relative(window, outer)
+        self.picture[window] = np.rint(lit[inner]).astype(np.uint8)
+
+
+def window_around(pixels: Array, margin: int, camera: Camera) -> Window:
+    """Return the slices (rows, columns) around (N, 2) pixels, clipped to the picture; at least one pixel."""
+    low, high = np.floor(pixels.min(axis=0)) - margin, np.ceil(pixels.max(axis=0)) + margin + 1
+    c0, c1 = (int(np.clip(v, 0, camera.width)) for v in (low[0], high[0]))
+    r0, r1 = (int(np.clip(v, 0, camera.height)) for v in (low[1], high[1]))
+    c0, r0 = min(c0, camera.width - 1), min(r0, camera.height - 1)
+    return slice(r0, max(r1, r0 + 1)), slice(c0, max(c1, c0 + 1))
+
+
+def _grown(window: Window, pad: int, camera: Camera) -> Window:
+    rows, columns = window
+    return (
+        slice(max(rows.start - pad, 0), min(rows.stop + pad, camera.height)),
+        slice(max(columns.start - pad, 0), min(columns.stop + pad, camera.width)),
+    )
+
+
+def _common(a: Window, b: Window) -> Window | None:
+    rows = slice(max(a[0].start, b[0].start), min(a[0].stop, b[0].stop))
+    columns = slice(max(a[1].start, b[1].start), min(a[1].stop, b[1].stop))
+    return (rows, columns) if rows.start < rows.stop and columns.start < columns.stop else None
+
+
+def _relative(inner: Window, outer: Window) -> Window:
+    return (
+        slice(inner[0].start - outer[0].start, inner[0].stop - outer[0].start),
+        slice(inner[1].start - outer[1].start, inner[1].stop - outer[1].start),
+    )
+
+
+def _table(layout: PanelLayout) -> tuple[Picture, float]:
+    """Draw the mat under the instrument, 2 texels per mm; its first texel lies at (origin, -origin) mm, y down."""
+    origin, size = -260.0, 1040.0
+    canvas = Canvas((size, size), 2.0, "#39443f")
+    for i in range(53):
+        strong = i % 5 == 0
+        colour, line = ("#566660", 0.9) if strong else ("#45524c", 0.5)
+        canvas.rectangle(i * 20.0, 0.0, line, size, colour)
+        canvas.rectangle(0.0, i * 20.0, size, line, colour)
+    picture = canvas.picture.astype(np.float32)
+    # The case's shadow falls to the right and down.
+    shade = np.ones(picture.shape[:2], np.float32)
+    x0, y0 = -origin + 10, -origin - layout.size_mm[1] + 16
+    shade[int(y0 * 2) : int((y0 + layout.size_mm[1]) * 2), int(x0 * 2) : int((x0 + layout.size_mm[0]) * 2)] = 0.45
+    shade = cv2.GaussianBlur(shade, (0, 0), 16)
+    return np.rint(picture * shade[..., None]).astype(np.uint8), origin
+
+
+def _shadows(layout: PanelLayout) -> npt.NDArray[np.float32]:
+    """Return the soft shadows of the controls on the face as factors, one per mm, with 20 mm around the face."""
+    width, height = (round(side) + 40 for side in layout.size_mm)
+    scale = 2
+    shade = np.zeros((height * scale, width * scale), np.float32)
+    for control in layout.controls:
+        if control.height_mm > 0:
+            reach = 0.45 * control.height_mm
+            for step in np.linspace(0, 1, 6):
+                x = control.position_mm[0] - LAMP_DIRECTION[0] * reach * step + 20
+                y = layout.size_mm[1] - (control.position_mm[1] - LAMP_DIRECTION[1] * reach * step) + 20
+                half_x, half_y = (side / 2 * scale for side in control.size_mm)
+                if control.shape == "circle":
+                    cv2.circle(shade, (round(x * scale), round(y * scale)), round(half_x), 1.0, -1)
+                else:
+                    low = (round(x * scale - half_x), round(y * scale - half_y))
+                    cv2.rectangle(shade, low, (round(x * scale + half_x), round(y * scale + half_y)), 1.0, -1)
+    shade = cv2.GaussianBlur(shade, (0, 0), 1.6 * scale)
+    small = cv2.resize(shade, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(1 - 0.38 * small, dtype=np.float32)
