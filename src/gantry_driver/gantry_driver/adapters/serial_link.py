@@ -1,0 +1,222 @@
+"""The serial port under a :class:`~gantry_driver.core.machine.Machine`: one thread that polls port and wake pipe.
+
+A stop does not wait for that thread: it writes ``!`` to the port from the calling thread. Signals wake the thread
+through the interpreter's wake-up descriptor, so that a hold does not wait for Python code either.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import signal
+import termios
+import threading
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import serial
+
+from gantry_driver.core.machine import CloseRequested, Event, Machine
+from gantry_driver.core.session import HOLD
+
+T = TypeVar("T")
+
+_STOP_SIGNALS = {int(signal.SIGINT): "SIGINT", int(signal.SIGTERM): "SIGTERM"}
+FIRST_RETRY_S, LAST_RETRY_S = 0.1, 1.0
+
+
+class SerialLink:
+    """Runs a machine on a serial port: opens it, feeds it, and opens it anew when it has gone.
+
+    Parameters
+    ----------
+    machine
+        Used under this object's lock only; see :meth:`call`.
+    port, baud
+        Device and line rate; the port is locked for others (``exclusive``).
+    on_events
+        Called in the link's thread with what has happened, in order and never concurrently.
+    """
+
+    def __init__(self, machine: Machine, port: str, baud: int, on_events: Callable[[list[Event]], None]) -> None:
+        self._machine = machine
+        self._port_name = port
+        self._baud = baud
+        self._on_events = on_events
+        self._changed = threading.Condition(threading.RLock())
+        self._port: serial.Serial | None = None
+        self._fd = -1
+        self._pending = bytearray()
+        self._closing = False
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_read, False)
+        os.set_blocking(self._wake_write, False)
+        self._thread = threading.Thread(target=self._run, name="serial-link", daemon=True)
+        self.stop_writes: int = 0
+
+    def start(self) -> None:
+        """Start the thread; the port may appear later."""
+        self._thread.start()
+
+    @property
+    def wakeup_fd(self) -> int:
+        """For ``signal.set_wakeup_fd``: SIGINT and SIGTERM then stop the machine at once."""
+        return self._wake_write
+
+    def call(self, action: Callable[[Machine, float], T]) -> T:
+        """Run ``action(machine, now)`` under the lock and let the thread send what follows from it."""
+        with self._changed:
+            result = action(self._machine, time.monotonic())
+        self._wake()
+        return result
+
+    def stop(self, reason: str) -> None:
+        """Write a feed hold to the port now, past all queues, then let the machine go its way down."""
+        written = self._write_hold()
+        self.call(lambda machine, now: machine.stop(reason, now, hold_written=written))
+
+    def wait_for(self, condition: Callable[[Machine], bool], within_s: float) -> bool:
+        """Wait until ``condition(machine)`` holds; return whether it did in time."""
+        with self._changed:
+            return self._changed.wait_for(lambda: condition(self._machine), within_s)
+
+    def close(self, reason: str, within_s: float = 8.0) -> None:
+        """Bring the machine to rest with the stylus up, at most ``within_s``, then close the port."""
+        with self._changed:
+            restless = self._machine.needs_way_out
+        if restless:
+            self.stop(reason)
+            self.wait_for(lambda machine: machine.at_rest, within_s)
+        self._closing = True
+        self._wake()
+        if self._thread.ident is not None:
+            self._thread.join(2.0)
+        self._close_port()
+        os.close(self._wake_write)
+        os.close(self._wake_read)
+
+    def _wake(self, code: bytes = b"\0") -> None:
+        # A full pipe has a wake-up in it already.
+        with contextlib.suppress(BlockingIOError, OSError):
+            os.write(self._wake_write, code)
+
+    def _write_hold(self) -> bool:
+        fd = self._fd
+        if fd < 0:
+            return False
+        try:
+            # Up to a receive buffer of lines may wait in the kernel, 11 ms at 115200 baud; a reset follows anyway.
+            termios.tcflush(fd, termios.TCOFLUSH)
+            os.write(fd, HOLD)
+        except (OSError, termios.error):
+            return False
+        self.stop_writes += 1
+        return True
+
+    # --- the thread ------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        retry_s = FIRST_RETRY_S
+        while not self._closing:
+            if self._fd >= 0:
+                self._turn()
+                retry_s = FIRST_RETRY_S if self._fd < 0 else retry_s
+            elif not self._open():
+                self._wait(retry_s)
+                retry_s = min(2.0 * retry_s, LAST_RETRY_S)
+            self._publish()
+
+    def _open(self) -> bool:
+        try:
+            port = serial.Serial(self._port_name, self._baud, timeout=0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            self._lost(f"{self._port_name}: {_plain(error)}")
+            return False
+        # A pseudo-terminal and many USB adapters know no low-latency mode; it only shortens the way.
+        with contextlib.suppress(ValueError, OSError, AttributeError):
+            port.set_low_latency_mode(True)
+        with self._changed:
+            self._port, self._fd = port, port.fileno()
+            os.set_blocking(self._fd, False)
+            self._pending.clear()
+            self._machine.opened(time.monotonic())
+            self._changed.notify_all()
+        return True
+
+    def _turn(self) -> None:
+        """Wait for bytes, a wake-up or a deadline, and do what is due."""
+        with self._changed:
+            now = time.monotonic()
+            wait_s = max(0.0, self._machine.deadline(now) - now)
+        self._wait(wait_s)
+        try:
+            data = self._read()
+        except OSError as error:
+            self._lost(f"{self._port_name}: {_plain(error)}")
+            return
+        with self._changed:
+            now = time.monotonic()
+            if data:
+                self._machine.receive(data, now)
+            self._machine.tick(now)
+            self._pending += self._machine.output(now)
+            self._changed.notify_all()
+        try:
+            self._write()
+        except OSError as error:
+            self._lost(f"{self._port_name}: {_plain(error)}")
+
+    def _wait(self, seconds: float) -> None:
+        poller = select.poll()
+        poller.register(self._wake_read, select.POLLIN)
+        if self._fd >= 0:
+            poller.register(self._fd, select.POLLIN | (select.POLLOUT if self._pending else 0))
+        ready = dict(poller.poll(1000.0 * seconds))
+        if self._wake_read in ready:
+            woken = os.read(self._wake_read, 4096)
+            for number in _STOP_SIGNALS.keys() & set(woken):
+                self.stop(_STOP_SIGNALS[number])
+
+    def _read(self) -> bytes:
+        try:
+            data = os.read(self._fd, 65536)
+        except BlockingIOError:
+            return b""
+        if not data:
+            raise OSError(errno.EIO, "the device has gone")
+        return data
+
+    def _write(self) -> None:
+        if self._pending:
+            with contextlib.suppress(BlockingIOError):
+                del self._pending[: os.write(self._fd, self._pending)]
+
+    def _lost(self, reason: str) -> None:
+        self._close_port()
+        with self._changed:
+            self._machine.closed(reason, time.monotonic())
+            self._changed.notify_all()
+
+    def _close_port(self) -> None:
+        with self._changed:
+            port, self._port, self._fd = self._port, None, -1
+            self._pending.clear()
+        if port is not None:
+            with contextlib.suppress(OSError, serial.SerialException, termios.error):
+                port.close()
+
+    def _publish(self) -> None:
+        with self._changed:
+            events = self._machine.take_events()
+        if any(isinstance(event, CloseRequested) for event in events):
+            self._close_port()
+        if events:
+            self._on_events(events)
+
+
+def _plain(error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    return os.strerror(number) if number else str(error)

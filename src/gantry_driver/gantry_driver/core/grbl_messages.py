@@ -1,0 +1,319 @@
+"""What the board sends, as values: bytes in, frozen messages out, whatever the chunks; noise becomes :class:`Garbage`.
+
+Source: GRBL 1.1 interface documents; grblHAL, FluidNC and Marlin where they differ.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+MAX_LINE = 1024
+"""Longest line kept; the longest legitimate ones (help texts of grblHAL) are far shorter."""
+
+
+class Dialect(str, Enum):
+    """The firmwares that are told apart."""
+
+    UNKNOWN = "unknown"
+    GRBL = "GRBL"
+    GRBLHAL = "grblHAL"
+    FLUIDNC = "FluidNC"
+    MARLIN = "Marlin"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """Base of everything a board sends."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OkAnswer(Message):
+    """``ok``: the oldest line without an answer has been taken."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorAnswer(Message):
+    """``error:N``: the oldest line without an answer has been refused."""
+
+    code: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alarm(Message):
+    """``ALARM:N``."""
+
+    code: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Banner(Message):
+    """The board has started or has been reset."""
+
+    dialect: Dialect
+    version: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report(Message):
+    """A status report.
+
+    Parameters
+    ----------
+    state, substate
+        ``Hold:0`` gives ``Hold`` and 0; substate is -1 where there is none.
+    mpos_mm, wpos_mm, wco_mm
+        Machine position, work position and the offset between them; None where the report has none.
+    planner_free, rx_free
+        From ``Bf``; -1 where the report has none.
+    feed_mm_min
+        NaN where the report has none.
+    """
+
+    state: str
+    substate: int = -1
+    mpos_mm: tuple[float, ...] | None = None
+    wpos_mm: tuple[float, ...] | None = None
+    wco_mm: tuple[float, ...] | None = None
+    planner_free: int = -1
+    rx_free: int = -1
+    feed_mm_min: float = math.nan
+    pins: str = ""
+    accessories: str = ""
+
+    @property
+    def state_text(self) -> str:
+        return self.state if self.substate < 0 else f"{self.state}:{self.substate}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SettingValue(Message):
+    """One line of ``$$``; ``text`` as printed."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildOptions(Message):
+    """``[OPT:flags,planner,rx]``; sizes are 0 where the firmware names none."""
+
+    flags: str
+    planner_blocks: int
+    rx_bytes: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feedback(Message):
+    """Any other ``[KEY:text]``."""
+
+    key: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Firmware(Message):
+    """Marlin's answer to ``M115``, or grblHAL's ``[FIRMWARE:..]``."""
+
+    dialect: Dialect
+    version: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Garbage(Message):
+    """A line that is none of the above: noise, or two lines with the newline between them lost."""
+
+    raw: bytes
+
+
+class LineReader:
+    """Cuts bytes into lines; the result does not depend on how the bytes were chunked."""
+
+    def __init__(self) -> None:
+        self._partial = bytearray()
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return the lines completed by ``data``, without line ends, empty ones left out.
+
+        Of a line longer than ``MAX_LINE`` only the beginning is kept.
+        """
+        lines = []
+        for part in data.splitlines(keepends=True):
+            body = part.rstrip(b"\r\n")
+            self._partial += body[: MAX_LINE - len(self._partial)]
+            if len(body) < len(part):
+                if self._partial:
+                    lines.append(bytes(self._partial))
+                self._partial.clear()
+        return lines
+
+    def clear(self) -> None:
+        """Forget an unfinished line, for example when the port was opened anew."""
+        self._partial.clear()
+
+
+_ERROR = re.compile(r"error:\s*(\d{1,3})\Z", re.IGNORECASE)
+_ALARM = re.compile(r"ALARM:\s*(\d{1,3})\Z", re.IGNORECASE)
+_GRBL = re.compile(r"Grbl(HAL)? (\d[\w.]*)(.*)", re.IGNORECASE)
+_MARLIN = re.compile(r"(?:echo:)?\s*Marlin\s+([\w.-]+)")
+_SETTING = re.compile(r"\$(\d{1,4})=([^\s()]*)")
+_FEEDBACK = re.compile(r"\[([A-Za-z][A-Za-z0-9]*):(.*)\]\Z")
+_STATES = {"Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool"}
+
+
+def parse_line(raw: bytes) -> Message:
+    """Return what a line (without its end) says; never raises.
+
+    Examples
+    --------
+    >>> parse_line(b"error:20")
+    ErrorAnswer(code=20)
+    >>> parse_line(b"<Hold:0|MPos:1.000,2.000,-3.000|FS:0,0>").state_text
+    'Hold:0'
+    """
+    try:
+        text = raw.decode("ascii").strip()
+    except UnicodeDecodeError:
+        # A banner that noise has run into still says that the board has been reset; nothing else is worth guessing.
+        return _banner(raw.decode("ascii", "replace")) or Garbage(raw=raw)
+    if text == "ok":
+        return OkAnswer()
+    if match := _ERROR.match(text):
+        return ErrorAnswer(code=int(match[1]))
+    if match := _ALARM.match(text):
+        return Alarm(code=int(match[1]))
+    if text.startswith("<"):
+        return _report(text) or _banner(text) or Garbage(raw=raw)
+    if match := _SETTING.match(text):
+        return SettingValue(number=int(match[1]), text=match[2])
+    if match := _FEEDBACK.match(text):
+        return _feedback(match[1], match[2])
+    if "FIRMWARE_NAME:Marlin" in text:
+        return Firmware(dialect=Dialect.MARLIN, version=text.partition("FIRMWARE_NAME:")[2].split(" SOURCE")[0])
+    return _banner(text) or Garbage(raw=raw)
+
+
+def _banner(text: str) -> Banner | None:
+    if match := _GRBL.search(text):
+        dialect = Dialect.GRBL
+        if match[1]:
+            dialect = Dialect.GRBLHAL
+        elif "FluidNC" in match[3]:
+            dialect = Dialect.FLUIDNC
+        return Banner(dialect=dialect, version=match[2])
+    if match := _MARLIN.search(text):
+        return Banner(dialect=Dialect.MARLIN, version=match[1])
+    return None
+
+
+def _feedback(key: str, value: str) -> Message:
+    if key == "OPT":
+        parts = value.split(",")
+        planner, rx = (int(p) if p.isdigit() else 0 for p in (parts + ["", ""])[1:3])
+        return BuildOptions(flags=parts[0], planner_blocks=planner, rx_bytes=rx)
+    if key == "FIRMWARE":
+        return Firmware(dialect=Dialect.GRBLHAL if "grblhal" in value.lower() else Dialect.UNKNOWN, version=value)
+    if key == "VER" and "FluidNC" in value:
+        return Firmware(dialect=Dialect.FLUIDNC, version=value)
+    return Feedback(key=key, text=value)
+
+
+def _numbers(text: str, least: int) -> tuple[float, ...] | None:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        return None
+    return values if len(values) >= least and all(math.isfinite(v) for v in values) else None
+
+
+def _report(text: str) -> Report | None:
+    """Return the report, or None when any part that the driver relies on is damaged."""
+    if not text.endswith(">") or "<" in text[1:]:
+        return None
+    head, *fields = text[1:-1].split("|")
+    state, _, sub = head.partition(":")
+    if state not in _STATES or (sub and not sub.isdigit()):
+        return None
+    found: dict[str, str] = {}
+    for item in fields:
+        key, colon, value = item.partition(":")
+        if not colon or key in found:
+            return None
+        found[key] = value
+    points: dict[str, tuple[float, ...] | None] = {}
+    for key in ("MPos", "WPos", "WCO"):
+        points[key] = _numbers(found[key], 3) if key in found else None
+        if key in found and points[key] is None:
+            return None
+    if points["MPos"] is None and points["WPos"] is None:
+        return None
+    buffers = _numbers(found.get("Bf", "-1,-1"), 2)
+    speeds = _numbers(found.get("FS", found.get("F", "0")), 1)
+    if buffers is None or speeds is None:
+        return None
+    return Report(
+        state=state,
+        substate=int(sub) if sub else -1,
+        mpos_mm=points["MPos"],
+        wpos_mm=points["WPos"],
+        wco_mm=points["WCO"],
+        planner_free=int(buffers[0]),
+        rx_free=int(buffers[1]),
+        feed_mm_min=speeds[0] if "FS" in found or "F" in found else math.nan,
+        pins=found.get("Pn", ""),
+        accessories=found.get("A", ""),
+    )
+
+
+ALARM_TEXTS = {
+    1: "hard limit switch, position lost",
+    2: "target beyond soft limits",
+    3: "reset while moving, position lost",
+    4: "probe not in its initial state",
+    5: "probe did not make contact",
+    6: "homing: reset during the cycle",
+    7: "homing: door opened",
+    8: "homing: pull-off did not clear the switch",
+    9: "homing: no switch found",
+    10: "emergency stop or second axis",
+}
+ERROR_TEXTS = {
+    1: "letter expected",
+    2: "bad number",
+    3: "$ statement not known",
+    5: "homing is not enabled ($22)",
+    7: "EEPROM read failed",
+    8: "allowed only while idle",
+    9: "locked by an alarm",
+    10: "soft limits need homing",
+    11: "line too long",
+    15: "jog beyond the travel",
+    16: "bad jog",
+    17: "laser mode needs PWM",
+    20: "command not supported",
+    21: "two commands of one modal group",
+    22: "no feed rate",
+    23: "integer expected",
+    24: "two commands use the axis words",
+    25: "word given twice",
+    26: "no axis words",
+    27: "line number out of range",
+    28: "value word missing",
+    31: "axis words without a use",
+    33: "arc target",
+    34: "arc radius",
+    35: "arc offsets",
+    36: "unused value words",
+}
+
+
+def alarm_text(code: int) -> str:
+    """Return ``ALARM:N (meaning)``."""
+    return f"ALARM:{code} ({ALARM_TEXTS.get(code, 'see the manual of the firmware')})"
+
+
+def error_text(code: int) -> str:
+    """Return ``error:N (meaning)``."""
+    return f"error:{code} ({ERROR_TEXTS.get(code, 'see the manual of the firmware')})"

@@ -1,0 +1,801 @@
+"""What the driver does with its board: connect, check, home, move, stop, recover; no I/O and no clock.
+
+The policy above :class:`~gantry_driver.core.session.GrblSession`: every way out of a motion ends in a state that says
+why, a goal gets exactly one final answer, and nothing that was buffered runs after a stop or an error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from gantry_driver.core.grbl_messages import (
+    Alarm,
+    Dialect,
+    Feedback,
+    Firmware,
+    Message,
+    Report,
+    SettingValue,
+    alarm_text,
+    error_text,
+)
+from gantry_driver.core.machine_config import DriverConfig, close_enough
+from gantry_driver.core.session import (
+    HOLD,
+    Acknowledged,
+    CountBroken,
+    Counts,
+    GrblSession,
+    Refused,
+    WasReset,
+)
+from gantry_driver.core.trajectory_gcode import (
+    TrajectoryError,
+    Waypoint,
+    lift_lines,
+    mpos_mm,
+    reading_m,
+    write_motion,
+)
+from icu_common.core.results import GoalResult, Outcome
+
+HOLD_REPEAT_S = 0.2
+"""A hold that the reports do not show is sent again."""
+BANNER_TIMEOUT_S = 5.0
+CRITICAL_ALARM_PAUSE_S = 0.6
+"""After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
+STYLUS_DOWN_M = 0.0005
+"""Extension above which the stylus may touch something and is lifted after a stop."""
+TICK_S = 0.05
+
+
+class Phase(Enum):
+    """Where the driver is; the value is the published state."""
+
+    CLOSED = ("disconnected", 0)
+    SYNCHRONISE = ("connecting", 1)
+    IDENTIFY = ("connecting", 2)
+    SETTINGS = ("connecting", 3)
+    MISMATCH = ("mismatch", 0)
+    UNHOMED = ("unhomed", 0)
+    HOMING = ("homing", 0)
+    IDLE = ("idle", 0)
+    MOVING = ("moving", 0)
+    HOLDING = ("stopped", 1)
+    RESETTING = ("stopped", 2)
+    LIFTING = ("stopped", 3)
+    STOPPED = ("stopped", 4)
+    ALARM = ("alarm", 0)
+    ALARM_RESET = ("alarm", 1)
+
+    @property
+    def state(self) -> str:
+        return self.value[0]
+
+
+_P = Phase
+_OPEN_ENDS = frozenset({_P.CLOSED, _P.SYNCHRONISE, _P.IDENTIFY, _P.ALARM})
+"""Always possible: the port goes, the board resets by itself, an alarm."""
+TRANSITIONS: dict[Phase, frozenset[Phase]] = {
+    _P.CLOSED: frozenset({_P.SYNCHRONISE}),
+    _P.SYNCHRONISE: frozenset(),
+    _P.IDENTIFY: frozenset({_P.SETTINGS, _P.MISMATCH}),
+    _P.SETTINGS: frozenset({_P.MISMATCH, _P.UNHOMED, _P.STOPPED}),
+    _P.MISMATCH: frozenset({_P.UNHOMED, _P.HOLDING}),
+    _P.UNHOMED: frozenset({_P.HOMING, _P.HOLDING}),
+    _P.HOMING: frozenset({_P.IDLE, _P.UNHOMED, _P.MISMATCH, _P.RESETTING}),
+    _P.IDLE: frozenset({_P.MOVING, _P.HOMING, _P.HOLDING}),
+    _P.MOVING: frozenset({_P.IDLE, _P.HOLDING}),
+    _P.HOLDING: frozenset({_P.RESETTING}),
+    _P.RESETTING: frozenset({_P.LIFTING, _P.STOPPED}),
+    _P.LIFTING: frozenset({_P.STOPPED, _P.HOLDING}),
+    _P.STOPPED: frozenset({_P.IDLE, _P.UNHOMED, _P.MISMATCH, _P.HOLDING}),
+    _P.ALARM: frozenset({_P.ALARM_RESET}),
+    _P.ALARM_RESET: frozenset({_P.UNHOMED, _P.MISMATCH}),
+}
+"""All transitions; what is not here and not in the open ends is a bug and raises."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Base of what the machine tells the node."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StateChanged(Event):
+    """``state`` or ``state: reason``."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Position(Event):
+    """Readings in metres, at the time the report was received."""
+
+    reading_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answered(Event):
+    """A goal's answer."""
+
+    result: GoalResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Note(Event):
+    """Something for the log; ``level`` is info, warn or error."""
+
+    level: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloseRequested(Event):
+    """The port must be closed, after the last output has been written, and opened anew."""
+
+    reason: str
+
+
+@dataclass(slots=True, kw_only=True)
+class _Goal:
+    goal_id: str
+    text: str
+    end_m: tuple[float, float, float]
+    started: float
+    marker: int
+    acknowledged: bool = False
+
+
+class Machine:
+    """The state machine of one gantry.
+
+    Calls that people make (:meth:`home`, :meth:`reset`, :meth:`run`, ...) return an empty string or the reason of the
+    refusal, at once; what follows is seen in :meth:`take_events`.
+    """
+
+    def __init__(self, config: DriverConfig) -> None:
+        self.config = config
+        self.counts = Counts()
+        self.session = GrblSession(self.counts)
+        self.phase = Phase.CLOSED
+        self.reason = "not opened yet"
+        self.homed = False
+        self.enabled = config.enabled_at_start
+        self.dialect = Dialect.UNKNOWN
+        self.firmware = ""
+        self.connects = 0
+        self.reading_m: tuple[float, float, float] | None = None
+        self._settings: dict[int, str] = {}
+        self._latched = ""
+        self._mismatch = ""
+        self._accepted_mismatch = ""
+        self._events: list[Event] = [StateChanged(text=self.state_text)]
+        self._goal: _Goal | None = None
+        self._since = 0.0
+        self._heartbeat_at = -math.inf
+        self._marker = 0
+        self._marker_done = False
+        self._lift = True
+        self._critical = False
+        self._reset_not_before = 0.0
+        self._hold_sent = 0.0
+        self._probed = 0.0
+        self._stylus_down = False
+
+    # --- what the node sees -----------------------------------------------------------------------------------
+
+    @property
+    def state_text(self) -> str:
+        """The published state: ``state`` or ``state: reason``."""
+        return f"{self.phase.state}: {self.reason}" if self.reason else self.phase.state
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether a stop, once begun, has come to its end."""
+        return self.phase not in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING, Phase.MOVING, Phase.HOMING)
+
+    @property
+    def needs_way_out(self) -> bool:
+        """Whether leaving now would leave something moving or pressing."""
+        return not self.at_rest or (self.phase is Phase.IDLE and self._stylus_is_down())
+
+    def take_events(self) -> list[Event]:
+        """Return what has happened since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def output(self, now: float) -> bytes:
+        """Return the bytes to write."""
+        return self.session.output(now)
+
+    def deadline(self, now: float) -> float:
+        """Return when :meth:`tick` and :meth:`output` are due even if nothing happens."""
+        return min(self.session.deadline(), now + TICK_S)
+
+    def diagnostics(self) -> list[tuple[str, str]]:
+        """Return names and values for the diagnostics topic."""
+        counts = self.counts
+        values: dict[str, object] = {name: getattr(counts, name) for name in counts.__slots__}
+        values |= {
+            "reconnects": max(0, self.connects - 1),
+            "under_way_bytes": self.session.in_flight_bytes,
+            "receive_buffer_bytes": self.session.rx_bytes,
+            "answer_latency_ms": f"{1000.0 * self.session.latency_s:.2f}",
+            "dialect": self.dialect.value,
+            "firmware": self.firmware,
+            "homed": self.homed,
+            "enabled": self.enabled,
+        }
+        return [(name, str(value)) for name, value in values.items()]
+
+    # --- what the link says ------------------------------------------------------------------------------------
+
+    def opened(self, now: float) -> None:
+        """The port is open; wait for a banner or ask a board that is already running."""
+        self.connects += 1
+        self._synchronise(now, "")
+
+    def closed(self, reason: str, now: float) -> None:
+        """The port has gone; whatever was under way is aborted and the position is not trusted any more."""
+        self._finish(Outcome.ABORTED, f"link lost: {reason}", now)
+        self._forget_position()
+        self.session.start(now)
+        self._enter(Phase.CLOSED, now, reason)
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take bytes from the board."""
+        for message in self.session.receive(data, now):
+            self._on_message(message, now)
+
+    def tick(self, now: float) -> None:
+        """Let time-outs happen."""
+        age = now - self._since
+        phase = self.phase
+        if phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS):
+            if age > self.config.connect_timeout_s:
+                self._close(f"no answer in {self.config.connect_timeout_s:g} s while {self._waiting_for()}", now)
+                return
+            if phase is Phase.SYNCHRONISE and age >= self.config.banner_wait_s:
+                self.session.polling = not self.session.awaiting_banner
+                self._ask_for_marlin(age, now)
+        elif phase is Phase.HOLDING:
+            self._tick_holding(age, now)
+        elif phase is Phase.RESETTING and self.session.awaiting_banner and age > BANNER_TIMEOUT_S:
+            self._close(f"no banner within {BANNER_TIMEOUT_S:g} s of a reset", now)
+        elif phase is Phase.ALARM_RESET:
+            if not self.session.awaiting_banner and now >= self._reset_not_before and self._marker == 0:
+                self._marker = -1
+                self.session.soft_reset(now)
+            elif age > BANNER_TIMEOUT_S + CRITICAL_ALARM_PAUSE_S:
+                self._close(f"no banner within {BANNER_TIMEOUT_S:g} s of a reset", now)
+        elif phase is Phase.HOMING and age > self.config.homing_timeout_s:
+            self._halt(f"homing took longer than {self.config.homing_timeout_s:g} s", now)
+        elif phase is Phase.LIFTING and age > self._lift_timeout_s():
+            self._enter(Phase.STOPPED, now, f"{self.reason}; the stylus was not lifted in time")
+        self._watch(now)
+
+    def _watch(self, now: float) -> None:
+        busy = self.phase in (Phase.MOVING, Phase.HOMING)
+        extended = self.phase is Phase.IDLE and self._stylus_is_down()
+        if (busy or extended) and (refusal := self._heartbeat_refusal(now)):
+            self._halt(refusal, now)
+        excused = self.phase in (Phase.CLOSED, Phase.HOMING) or self._critical or self.session.awaiting_banner
+        silent = self.session.silent_for(now)
+        if not excused and silent > self.config.status_timeout_s:
+            self._close(f"no status report for {silent:.1f} s", now)
+            self.session.realtime(HOLD)  # The last byte before the port is closed: perhaps the board still hears.
+
+    def _ask_for_marlin(self, age: float, now: float) -> None:
+        # A board that answers neither with a banner nor to `?` may be a Marlin, which has no real-time bytes.
+        if age > self.config.connect_timeout_s / 2 and not self._probed:
+            self._probed = now
+            self.session.queue("M115")
+
+    # --- what people ask for -------------------------------------------------------------------------------------
+
+    def heartbeat(self, at: float) -> None:
+        """Note that the operator was there at ``at`` (the clock of ``now``)."""
+        self._heartbeat_at = max(self._heartbeat_at, at)
+
+    def enable(self, on: bool, now: float) -> str:
+        """Allow or forbid motion; forbidding it while moving is a stop."""
+        self.enabled = on
+        if not on and self.phase in (Phase.MOVING, Phase.HOMING):
+            self.stop("disabled", now)
+        return ""
+
+    def accept_settings(self, now: float) -> str:
+        """Accept that the board's settings differ from the configuration; holds for these differences only."""
+        if self.phase is not Phase.MISMATCH or not self._settings:
+            return f"nothing to accept: the driver is {self.state_text}"
+        self._accepted_mismatch = self._mismatch
+        self._enter(Phase.UNHOMED, now)
+        return ""
+
+    def home(self, now: float) -> str:
+        """Begin a homing cycle."""
+        if self.phase not in (Phase.UNHOMED, Phase.IDLE):
+            return f"the driver is {self.state_text}"
+        if refusal := self._permission(now):
+            return refusal
+        self._forget_position()
+        self._enter(Phase.HOMING, now)
+        self._marker_done = False
+        if self.config.stylus.kind == "servo_m3":
+            # The servo may be down and a locked board takes no M3: unlock, lift, and only then travel.
+            for text in ("$X", *lift_lines(self.config)):
+                self.session.queue(text, answer_within_s=self.config.homing_timeout_s)
+        self._marker = self.session.queue("$H", answer_within_s=self.config.homing_timeout_s).number
+        return ""
+
+    def stop(self, reason: str, now: float, *, hold_written: bool = False) -> None:
+        """Hold, flush everything that is buffered, lift the stylus, and stay stopped until :meth:`reset`.
+
+        Parameters
+        ----------
+        reason
+            Published as ``stopped: reason``.
+        hold_written
+            The ``!`` is on the wire already.
+        """
+        if self.phase in (Phase.ALARM, Phase.ALARM_RESET) or self.dialect is Dialect.MARLIN:
+            return
+        self._latched = self._latched or reason
+        if self.phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS):
+            self._synchronise(now, "")
+        if self.phase in (Phase.CLOSED, Phase.SYNCHRONISE):
+            return
+        self._halt(reason, now, hold_written=hold_written)
+
+    def reset(self, now: float) -> str:
+        """Leave ``stopped`` or ``alarm``."""
+        if self.phase is Phase.STOPPED:
+            self._latched = ""
+            self._enter(self._resting_phase(), now, self._mismatch if self._blocked() else "")
+            return ""
+        if self.phase is Phase.ALARM:
+            self._enter(Phase.ALARM_RESET, now, self.reason)
+            self._marker = 0
+            return ""
+        if self.phase in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
+            return "the stop is not complete yet"
+        return f"nothing to reset: the driver is {self.state_text}"
+
+    def run(
+        self, goal_id: str, names: Sequence[str], points: Sequence[Waypoint], *, age_s: float, now: float
+    ) -> GoalResult:
+        """Start a trajectory, or refuse it; the answer is returned and also in the events.
+
+        Parameters
+        ----------
+        goal_id
+            Returned in the answers.
+        names, points
+            The trajectory's joints and points, readings in metres.
+        age_s
+            Age of the trajectory's stamp; 0 for "now".
+        """
+        text = f"{len(points)} points" + (f" to {tuple(points[-1].positions_m)}" if points else "")
+        try:
+            if refusal := self._goal_refusal(age_s, now):
+                raise TrajectoryError(refusal)
+            start = self.reading_m or (0.0, 0.0, 0.0)
+            motion = write_motion(names, points, start, self.config)
+        except TrajectoryError as error:
+            return self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=str(error)))
+        for line in motion.lines:
+            marker = self.session.queue(line, answer_within_s=self._answer_time()).number
+        self._goal = _Goal(goal_id=goal_id, text=text, end_m=motion.end_m, started=now, marker=marker)
+        self._stylus_down = motion.end_m[2] > 0
+        accepted = self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.ACCEPTED))
+        self._enter(Phase.MOVING, now)
+        return accepted
+
+    def _goal_refusal(self, age_s: float, now: float) -> str:
+        if not abs(age_s) <= self.config.goal_max_age_s:
+            return f"stale: its stamp is {age_s:.3f} s old, {self.config.goal_max_age_s:g} s are allowed"
+        if self.phase is not Phase.IDLE:
+            return f"the driver is {self.state_text}"
+        return self._permission(now)
+
+    def _permission(self, now: float) -> str:
+        return "not enabled" if not self.enabled else self._heartbeat_refusal(now)
+
+    def _heartbeat_refusal(self, now: float) -> str:
+        age = now - self._heartbeat_at
+        if age <= self.config.heartbeat_timeout_s:
+            return ""
+        if math.isinf(age):
+            return "no operator's heartbeat yet"
+        return f"operator's heartbeat lost: {age:.2f} s old, {self.config.heartbeat_timeout_s:g} s are allowed"
+
+    def _answer_time(self) -> float:
+        return self.config.answer_timeout_s + self.config.stylus.dwell_s
+
+    # --- transitions ---------------------------------------------------------------------------------------------
+
+    def _enter(self, phase: Phase, now: float, reason: str = "") -> None:
+        if phase is not self.phase and phase not in TRANSITIONS[self.phase] and phase not in _OPEN_ENDS:
+            raise AssertionError(f"{self.phase.name} to {phase.name} is not in the table")
+        before = self.state_text
+        self.phase, self.reason, self._since = phase, reason, now
+        moving = phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
+        rate = self.config.moving_status_rate_hz if moving else self.config.status_rate_hz
+        self.session.poll_interval_s = 1.0 / rate
+        self.session.poll_now()
+        if self.state_text != before:
+            self._events.append(StateChanged(text=self.state_text))
+
+    def _close(self, reason: str, now: float) -> None:
+        self._events.append(CloseRequested(reason=reason))
+        self.closed(reason, now)
+
+    def _synchronise(self, now: float, reason: str) -> None:
+        self.session.start(now)
+        self.dialect, self.firmware, self._settings, self._probed = Dialect.UNKNOWN, "", {}, 0.0
+        self._critical = False
+        self._enter(Phase.SYNCHRONISE, now, reason)
+
+    def _halt(self, reason: str, now: float, *, hold_written: bool = False) -> None:
+        """Begin the way down: hold, wait for it, reset, lift; the goal is answered now."""
+        self._finish(Outcome.ABORTED, reason, now)
+        if self.phase in (Phase.STOPPED, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
+            # The first reason is the one that explains; a stop during the retreat ends the retreat too.
+            reason, self._lift = self.reason, self._lift and self.phase is not Phase.LIFTING
+        else:
+            self._lift = self.config.lift_on_stop
+        self._latched = reason
+        if self.phase in (Phase.HOLDING, Phase.RESETTING):
+            return
+        if self.phase is Phase.HOMING:
+            # GRBL does not hold in a homing cycle; a reset ends it with ALARM:6, and nothing is known to be lost.
+            self._forget_position()
+            self._enter(Phase.RESETTING, now, reason)
+            self.session.soft_reset(now)
+            return
+        if not hold_written:
+            self.session.realtime(HOLD)
+        self._hold_sent = now
+        self.session.paused = True
+        self._enter(Phase.HOLDING, now, reason)
+
+    def _tick_holding(self, age: float, now: float) -> None:
+        if age > self.config.hold_timeout_s:
+            self._events.append(Note(level="error", text=f"the hold did not complete in {age:.1f} s; resetting"))
+            self._forget_position()
+            self._reset_after_hold(now)
+        elif now - self._hold_sent >= HOLD_REPEAT_S:
+            self._hold_sent = now
+            self.session.realtime(HOLD)
+
+    def _reset_after_hold(self, now: float) -> None:
+        self._enter(Phase.RESETTING, now, self.reason)
+        self.session.soft_reset(now)
+
+    def _forget_position(self) -> None:
+        self.homed = False
+        self.reading_m = None
+
+    def _finish(self, outcome: Outcome, reason: str, now: float, error_m: float = math.nan) -> None:
+        if self._goal is None:
+            return
+        goal, self._goal = self._goal, None
+        self._answer(
+            GoalResult(
+                goal_id=goal.goal_id,
+                goal=goal.text,
+                outcome=outcome,
+                reason=reason,
+                error_m=error_m,
+                duration_s=now - goal.started,
+            )
+        )
+
+    def _answer(self, result: GoalResult) -> GoalResult:
+        self._events.append(Answered(result=result))
+        return result
+
+    def _blocked(self) -> bool:
+        return bool(self._mismatch) and self._mismatch != self._accepted_mismatch
+
+    def _resting_phase(self) -> Phase:
+        if self._blocked():
+            return Phase.MISMATCH
+        return Phase.IDLE if self.homed else Phase.UNHOMED
+
+    def _stylus_is_down(self) -> bool:
+        if self.config.stylus.kind != "z_axis":
+            return self._stylus_down
+        return self.reading_m is not None and self.reading_m[2] > STYLUS_DOWN_M
+
+    def _lift_timeout_s(self) -> float:
+        return 2.0 + self.config.stylus.dwell_s + self.config.stylus_limit_m() / self.config.stylus_feed_m_s
+
+    def _waiting_for(self) -> str:
+        return {
+            Phase.SYNCHRONISE: "waiting for a banner",
+            Phase.IDENTIFY: "asking for the build",
+            Phase.SETTINGS: "reading the settings",
+        }.get(self.phase, self.phase.state)
+
+    # --- what the board says -------------------------------------------------------------------------------------
+
+    def _on_message(self, message: Message, now: float) -> None:
+        if isinstance(message, Report):
+            self._on_report(message, now)
+        elif isinstance(message, Acknowledged):
+            self._on_acknowledged(message, now)
+        elif isinstance(message, Refused):
+            self._on_refused(message, now)
+        elif isinstance(message, WasReset):
+            self._on_reset(message, now)
+        elif isinstance(message, Alarm):
+            self._on_alarm(message, now)
+        elif isinstance(message, CountBroken):
+            self._on_count_broken(message, now)
+        elif isinstance(message, SettingValue):
+            self._settings[message.number] = message.text
+        elif isinstance(message, Firmware):
+            self._on_firmware(message, now)
+        elif isinstance(message, Feedback) and message.key == "MSG" and "reset to continue" in message.text.lower():
+            self._reset_not_before = now
+
+    def _on_firmware(self, firmware: Firmware, now: float) -> None:
+        if firmware.dialect is not Dialect.UNKNOWN:
+            self.dialect = firmware.dialect
+        self.firmware = firmware.version
+        if firmware.dialect is Dialect.MARLIN and self.phase is Phase.SYNCHRONISE:
+            self._refuse_marlin(now)
+
+    def _refuse_marlin(self, now: float) -> None:
+        self.dialect, self._mismatch = Dialect.MARLIN, "the firmware is Marlin, which has no feed hold; GRBL is needed"
+        self.session.polling = False
+        self._enter(Phase.IDENTIFY, now)
+        self._enter(Phase.MISMATCH, now, self._mismatch)
+
+    def _on_reset(self, event: WasReset, now: float) -> None:
+        banner = event.banner
+        if banner.dialect is Dialect.MARLIN:
+            self._refuse_marlin(now)
+            return
+        self._critical = False
+        if self.phase is Phase.SYNCHRONISE:
+            self.dialect, self.firmware = banner.dialect, banner.version
+            self._identify(now, self.reason)
+        elif event.expected and self.phase in (Phase.RESETTING, Phase.ALARM, Phase.ALARM_RESET):
+            self.session.poll_now()
+        elif self.phase in (Phase.IDENTIFY, Phase.SETTINGS):
+            # The board's own banner and that of the reset sent to it crossed.
+            self._identify(now, self.reason)
+        else:
+            reason = "the board was reset by itself, its position is lost"
+            self._finish(Outcome.ABORTED, reason, now)
+            self._forget_position()
+            self._events.append(Note(level="error", text=f"{reason}; {len(event.lost)} lines unanswered"))
+            self.dialect, self.firmware = banner.dialect, banner.version
+            self._identify(now, reason)
+
+    def _identify(self, now: float, reason: str) -> None:
+        self._settings = {}
+        self._enter(Phase.IDENTIFY, now, reason)
+        self.session.polling = True
+        self._marker = self.session.queue("$I").number
+
+    def _on_acknowledged(self, event: Acknowledged, now: float) -> None:
+        number = event.line.number
+        if self._goal is not None and number == self._goal.marker:
+            self._goal.acknowledged = True
+            self.session.poll_now()
+        if number != self._marker:
+            return
+        if self.phase is Phase.IDENTIFY:
+            self._enter(Phase.SETTINGS, now, self.reason)
+            self._marker = self.session.queue("$$").number
+        elif self.phase is Phase.SETTINGS:
+            self._check_settings(now)
+        elif self.phase in (Phase.HOMING, Phase.LIFTING):
+            self._marker_done = True
+            self.session.poll_now()
+
+    def _on_refused(self, event: Refused, now: float) -> None:
+        text = f"{error_text(event.code)} at line {event.line.number} {event.line.text!r}"
+        self._events.append(Note(level="error", text=text))
+        if self.phase in (Phase.MOVING, Phase.IDLE):
+            self._halt(text, now)
+        elif self.phase is Phase.HOMING:
+            self._halt(f"homing refused: {text}", now)
+        elif self.phase is Phase.LIFTING:
+            self._enter(Phase.STOPPED, now, f"{self.reason}; the stylus was not lifted: {text}")
+        elif self.phase in (Phase.IDENTIFY, Phase.SETTINGS) and event.line.number == self._marker:
+            self._close(f"{event.line.text} was refused: {text}", now)
+
+    def _on_alarm(self, alarm: Alarm, now: float) -> None:
+        text = alarm_text(alarm.code)
+        if self.phase in (Phase.SYNCHRONISE, Phase.CLOSED):
+            return
+        if self.phase is Phase.RESETTING and not self.homed:
+            # The reset of an unknown position (homing cycle, a hold that did not complete) may say ALARM:3 or 6.
+            self._events.append(Note(level="warn", text=text))
+            return
+        self._critical = alarm.code in (1, 2, 10)
+        self._reset_not_before = now + (CRITICAL_ALARM_PAUSE_S if self._critical else 0.0)
+        self._to_alarm(text, now)
+
+    def _to_alarm(self, text: str, now: float) -> None:
+        if self.phase.state == "stopped":
+            text = f"{text}, after: {self.reason}"
+        self._finish(Outcome.ABORTED, text, now)
+        self._forget_position()
+        self._latched = ""  # The alarm is latched itself, and its reset is the same call.
+        if self.phase not in (Phase.ALARM, Phase.ALARM_RESET):
+            self._enter(Phase.ALARM, now, text)
+
+    def _on_count_broken(self, event: CountBroken, now: float) -> None:
+        self._events.append(Note(level="error", text=event.reason))
+        if self.phase in (Phase.IDENTIFY, Phase.SETTINGS, Phase.MISMATCH, Phase.UNHOMED):
+            self._synchronise(now, event.reason)
+        elif self.phase in (Phase.MOVING, Phase.IDLE, Phase.HOMING, Phase.LIFTING):
+            self._halt(event.reason, now)
+
+    def _check_settings(self, now: float) -> None:
+        differences = []
+        for number, value in self.config.machine.expected_settings().items():
+            text = self._settings.get(number)
+            if text is None:
+                differences.append(f"${number} is missing, the configuration says {value:g}")
+            elif not _equal(text, value):
+                differences.append(f"${number} is {text}, the configuration says {value:g}")
+        self._mismatch = "; ".join(differences)
+        if self._latched:
+            # Neither a lost link nor a reset of the board lifts a stop.
+            self._enter(Phase.STOPPED, now, self._latched)
+        elif self._blocked():
+            self._enter(Phase.MISMATCH, now, self._mismatch)
+        else:
+            self._enter(Phase.UNHOMED, now, self.reason)
+
+    def _on_report(self, report: Report, now: float) -> None:
+        if self.homed and report.mpos_mm is not None:
+            self.reading_m = reading_m(report.mpos_mm, self._stylus_down, self.config)
+            self._events.append(Position(reading_m=self.reading_m))
+        handler = {
+            Phase.SYNCHRONISE: self._report_synchronise,
+            Phase.HOMING: self._report_homing,
+            Phase.IDLE: self._report_resting,
+            Phase.UNHOMED: self._report_resting,
+            Phase.MISMATCH: self._report_resting,
+            Phase.STOPPED: self._report_resting,
+            Phase.MOVING: self._report_moving,
+            Phase.HOLDING: self._report_holding,
+            Phase.RESETTING: self._report_resetting,
+            Phase.LIFTING: self._report_lifting,
+            Phase.ALARM_RESET: self._report_alarm_reset,
+        }.get(self.phase)
+        if handler is not None:
+            handler(report, now)
+
+    def _report_synchronise(self, report: Report, now: float) -> None:
+        # The board was running already. What it still does is held first, for a reset while moving loses its position.
+        if self.session.awaiting_banner:
+            return
+        if report.state in ("Run", "Jog") or (report.state == "Hold" and report.substate == 1):
+            if now - self._hold_sent >= HOLD_REPEAT_S:
+                self._hold_sent = now
+                self.session.realtime(HOLD)
+            return
+        self.session.polling = False
+        self.session.soft_reset(now)
+
+    def _report_homing(self, report: Report, now: float) -> None:
+        if not self._marker_done or report.state == "Home":
+            return
+        if report.state != "Idle" or report.mpos_mm is None:
+            self._to_alarm(f"after homing the board is {report.state_text}", now)
+            return
+        expected = self.config.machine.homed_mpos_mm()
+        if any(abs(a - e) > 0.05 for a, e in zip(report.mpos_mm, expected)):
+            found = ", ".join(f"{v:.3f}" for v in report.mpos_mm[:3])
+            self._mismatch = (
+                f"homed at MPos {found} mm, the configuration says {', '.join(f'{v:g}' for v in expected)} mm"
+            )
+            self._settings = {}
+            self._enter(Phase.MISMATCH, now, self._mismatch)
+            return
+        self.homed, self._stylus_down = True, False
+        self.session.executed_all()
+        self.reading_m = reading_m(report.mpos_mm, False, self.config)
+        self._events.append(Position(reading_m=self.reading_m))
+        self._enter(Phase.IDLE, now)
+
+    def _report_resting(self, report: Report, now: float) -> None:
+        if report.state == "Idle" or (report.state == "Alarm" and not self.homed):
+            return
+        if report.state == "Alarm":
+            self._to_alarm("the board is locked by an alarm whose number was not received", now)
+        elif report.state in ("Hold", "Door") and self.phase is Phase.STOPPED:
+            self._halt(self.reason, now)
+        else:
+            self._halt(f"the board is in {report.state_text} without a command from here", now)
+
+    def _report_moving(self, report: Report, now: float) -> None:
+        if report.state == "Alarm":
+            self._to_alarm("the board is locked by an alarm whose number was not received", now)
+        elif report.state in ("Hold", "Door", "Check", "Sleep", "Tool", "Home", "Jog"):
+            self._halt(f"the board went to {report.state_text}", now)
+        elif report.state == "Idle" and self._goal is not None and self._goal.acknowledged:
+            self._arrive(now)
+
+    def _arrive(self, now: float) -> None:
+        goal, here = self._goal, self.reading_m
+        if goal is None or here is None:
+            return
+        self.session.executed_all()
+        error = math.dist(goal.end_m, here)
+        if error > self.config.arrival_tolerance_m:
+            self._halt(f"the board stands at {_metres(here)} instead of {_metres(goal.end_m)}", now)
+            return
+        self._enter(Phase.IDLE, now)
+        self._finish(Outcome.REACHED, "", now, error)
+
+    def _report_holding(self, report: Report, now: float) -> None:
+        if report.state == "Alarm" and self.homed:
+            self._to_alarm("the board is locked by an alarm whose number was not received", now)
+        elif report.state in ("Idle", "Check"):
+            # Older than the hold, or a firmware that does not hold while idle: give the hold time to show.
+            if now - self._since > 1.5 * HOLD_REPEAT_S:
+                self._reset_after_hold(now)
+        elif report.state in ("Alarm", "Sleep", "Tool") or report.substate == 0:
+            self._reset_after_hold(now)
+
+    def _report_resetting(self, report: Report, now: float) -> None:
+        if self.session.awaiting_banner:
+            return
+        if report.state in ("Hold", "Door"):
+            self._reset_after_hold(now)
+        elif report.state == "Alarm" and self.homed:
+            self._to_alarm("the reset left the board locked, its position is lost", now)
+        elif report.state in ("Idle", "Alarm"):
+            self._after_reset(report, now)
+
+    def _after_reset(self, report: Report, now: float) -> None:
+        if self.config.stylus.kind == "solenoid_m8":
+            self._stylus_down = False  # GRBL's reset switches coolant, and with it the solenoid, off.
+        if not (self._lift and report.state == "Idle" and self.homed and self._stylus_is_down()):
+            self._enter(Phase.STOPPED, now, self.reason)
+            return
+        self._enter(Phase.LIFTING, now, self.reason)
+        self._marker_done = False
+        for text in lift_lines(self.config):
+            self._marker = self.session.queue(text, answer_within_s=self._answer_time()).number
+
+    def _report_lifting(self, report: Report, now: float) -> None:
+        if report.state == "Alarm":
+            self._to_alarm("the board is locked by an alarm whose number was not received", now)
+        elif report.state == "Idle" and self._marker_done:
+            self.session.executed_all()
+            self._stylus_down = False
+            self._enter(Phase.STOPPED, now, self.reason)
+        elif report.state in ("Hold", "Door"):
+            self._halt(self.reason, now)
+
+    def _report_alarm_reset(self, report: Report, now: float) -> None:
+        if self._marker == -1 and not self.session.awaiting_banner:
+            self._enter(self._resting_phase(), now, self._mismatch if self._blocked() else "")
+
+
+def _equal(text: str, value: float) -> bool:
+    try:
+        return close_enough(float(text), value)
+    except ValueError:
+        return False
+
+
+def _metres(reading: tuple[float, float, float]) -> str:
+    return "(" + ", ".join(f"{v:.4f}" for v in reading) + ") m"
+
+
+__all__ = ["Answered", "CloseRequested", "Event", "Machine", "Note", "Phase", "Position", "StateChanged", "mpos_mm"]

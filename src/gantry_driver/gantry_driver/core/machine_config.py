@@ -1,0 +1,136 @@
+"""What the driver must know of its machine: axes and limits, the stylus, feeds, times; the ROS parameters' one source.
+
+GRBL's units (mm, mm/min, mm/s^2) are kept where a value is compared with a ``$`` setting, so that what people read in
+the configuration is what the board prints.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from icu_common.core.config import Config, ConfigError, nested, setting
+
+AXES = ("x", "y", "z")
+STYLUS_KINDS = ("z_axis", "servo_m3", "solenoid_m8")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MachineConfig(Config):
+    """The controller board's settings as they must be; three values each for x, y and z."""
+
+    steps_per_mm: tuple[float, ...] = setting((80.0, 80.0, 400.0), "$100 to $102", minimum=0.01, unit="steps/mm")
+    max_rate_mm_min: tuple[float, ...] = setting(
+        (12000.0, 12000.0, 3000.0), "$110 to $112", minimum=1.0, maximum=100_000.0, unit="mm/min"
+    )
+    acceleration_mm_s2: tuple[float, ...] = setting(
+        (1500.0, 1500.0, 400.0), "$120 to $122", minimum=1.0, maximum=100_000.0, unit="mm/s^2"
+    )
+    travel_mm: tuple[float, ...] = setting((360.0, 220.0, 60.0), "$130 to $132", minimum=1.0, maximum=5000.0, unit="mm")
+    homing_direction_mask: int = setting(
+        3, "$23: a set bit homes that axis at its negative end (1 = x, 2 = y, 4 = z)", minimum=0, maximum=7
+    )
+    pull_off_mm: float = setting(1.0, "$27: distance from the switch after homing", minimum=0.0, maximum=50.0)
+
+    def __post_init__(self) -> None:
+        super(MachineConfig, self).__post_init__()
+        for name in ("steps_per_mm", "max_rate_mm_min", "acceleration_mm_s2", "travel_mm"):
+            if len(getattr(self, name)) != 3:
+                raise ConfigError(f"{name} = {getattr(self, name)!r}: three values, for x, y and z, are needed")
+        if not self.pull_off_mm < min(self.travel_mm):
+            raise ConfigError(f"pull_off_mm = {self.pull_off_mm:g} leaves nothing of travel_mm = {self.travel_mm}")
+
+    def expected_settings(self) -> dict[int, float]:
+        """Return number and value of every ``$`` setting that the driver relies on."""
+        expected = {13: 0.0, 20: 1.0, 22: 1.0, 23: float(self.homing_direction_mask), 27: self.pull_off_mm}
+        for axis in range(3):
+            expected[100 + axis] = self.steps_per_mm[axis]
+            expected[110 + axis] = self.max_rate_mm_min[axis]
+            expected[120 + axis] = self.acceleration_mm_s2[axis]
+            expected[130 + axis] = self.travel_mm[axis]
+        return expected
+
+    def sign(self, axis: int) -> float:
+        """Return +1 where machine coordinates grow away from home, -1 where they fall."""
+        return 1.0 if self.homing_direction_mask >> axis & 1 else -1.0
+
+    def homed_mpos_mm(self) -> tuple[float, float, float]:
+        """Return the machine coordinates right after homing (GRBL: 0 is the positive end of each axis)."""
+        x, y, z = (
+            self.pull_off_mm - t if self.sign(a) > 0 else -self.pull_off_mm for a, t in enumerate(self.travel_mm)
+        )
+        return x, y, z
+
+    def reading_limits_m(self) -> tuple[float, float, float]:
+        """Return the largest reading of each axis in metres; the smallest is 0."""
+        x, y, z = ((travel - self.pull_off_mm) / 1000.0 for travel in self.travel_mm)
+        return x, y, z
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StylusConfig(Config):
+    """How the stylus goes down and up."""
+
+    kind: str = setting("z_axis", "What moves the stylus", choices=STYLUS_KINDS, read_only=True)
+    stroke_m: float = setting(
+        0.02, "Extension when down, for servo and solenoid; a Z axis has its travel", minimum=0.0, maximum=0.2, unit="m"
+    )
+    servo_up: float = setting(200.0, "S value of M3 that lifts the stylus", minimum=0.0, maximum=30000.0)
+    servo_down: float = setting(800.0, "S value of M3 that lowers the stylus", minimum=0.0, maximum=30000.0)
+    dwell_s: float = setting(0.25, "Time that servo or solenoid take for the way", minimum=0.0, maximum=5.0, unit="s")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriverConfig(Config):
+    """Parameters of the serial driver."""
+
+    port: str = setting("/dev/ttyUSB0", "Device of the controller board", read_only=True)
+    baud: int = setting(115200, "Line rate", minimum=9600, maximum=4_000_000, unit="bit/s", read_only=True)
+    enabled_at_start: bool = setting(False, "Motion is allowed without a call of enable", read_only=True)
+    heartbeat_timeout_s: float = setting(
+        0.6, "Motion stops when the operator's heartbeat is older", minimum=0.1, maximum=5.0, unit="s"
+    )
+    status_rate_hz: float = setting(10.0, "Status reports while nothing moves", minimum=1.0, maximum=50.0, unit="Hz")
+    moving_status_rate_hz: float = setting(25.0, "Status reports while moving", minimum=5.0, maximum=100.0, unit="Hz")
+    status_timeout_s: float = setting(
+        1.5, "Silence after which the link counts as lost", minimum=0.2, maximum=10.0, unit="s"
+    )
+    connect_timeout_s: float = setting(
+        6.0, "Time for banner, build information and settings", minimum=1.0, maximum=60.0, unit="s"
+    )
+    banner_wait_s: float = setting(
+        0.5, "Time for a banner before a running board is asked for its state", minimum=0.0, maximum=10.0, unit="s"
+    )
+    hold_timeout_s: float = setting(
+        2.0, "Time for a hold to complete; after it the board is reset and unhomed", minimum=0.1, maximum=30.0, unit="s"
+    )
+    homing_timeout_s: float = setting(60.0, "Time for a homing cycle", minimum=10.0, maximum=600.0, unit="s")
+    answer_timeout_s: float = setting(
+        3.0, "Time in which an idle board must have answered a line", minimum=0.5, maximum=60.0, unit="s"
+    )
+    goal_max_age_s: float = setting(1.0, "Older trajectories are refused", minimum=0.05, maximum=60.0, unit="s")
+    max_points: int = setting(2000, "Points of one trajectory", minimum=1, maximum=100_000)
+    feed_m_s: float = setting(0.15, "Speed in x and y where a point names none", minimum=1e-4, maximum=1.0, unit="m/s")
+    stylus_feed_m_s: float = setting(
+        0.03, "Speed of the stylus where a point names none, and of its retreat", minimum=1e-4, maximum=0.5, unit="m/s"
+    )
+    arrival_tolerance_m: float = setting(
+        0.0001, "A trajectory has reached its end when the report is this close", minimum=1e-6, maximum=0.01, unit="m"
+    )
+    lift_on_stop: bool = setting(True, "After a stop, once the hold is complete, lift the stylus off the panel")
+    machine: MachineConfig = nested(MachineConfig)
+    stylus: StylusConfig = nested(StylusConfig)
+
+    def stylus_limit_m(self) -> float:
+        """Return the largest extension of the stylus in metres."""
+        return self.machine.reading_limits_m()[2] if self.stylus.kind == "z_axis" else self.stylus.stroke_m
+
+    def limits_m(self) -> tuple[float, float, float]:
+        """Return the largest readings of x, y and stylus in metres."""
+        x, y, _ = self.machine.reading_limits_m()
+        return x, y, self.stylus_limit_m()
+
+
+def close_enough(actual: float, expected: float) -> bool:
+    """Return whether a setting equals the configured value; boards print three decimals."""
+    return math.isclose(actual, expected, rel_tol=1e-5, abs_tol=6e-4)

@@ -1,0 +1,387 @@
+"""Lines to the board and their answers, by character counting; no I/O and no clock.
+
+GRBL loses bytes without a word when its receive buffer overflows, answers lines in order and only when it has planned
+them, and says nothing of a line that a reset has thrown away. So every byte is counted here, every line ends as
+acknowledged, refused or lost, and a reset that nobody asked for is an event of its own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from gantry_driver.core.grbl_messages import (
+    Alarm,
+    Banner,
+    BuildOptions,
+    ErrorAnswer,
+    Garbage,
+    LineReader,
+    Message,
+    OkAnswer,
+    Report,
+    parse_line,
+)
+
+HOLD = b"!"
+RESUME = b"~"
+STATUS = b"?"
+SOFT_RESET = b"\x18"
+JOG_CANCEL = b"\x85"
+
+DEFAULT_RX_BYTES = 128
+MAX_LINE_BYTES = 80
+"""Newline included; GRBL answers error:11 to longer ones."""
+EEPROM_PAUSE_S = 0.05
+"""After the ``ok`` of an EEPROM write; without it bytes were lost in trials."""
+RESET_RETRY_S = 1.0
+"""A reset without a banner was swallowed (GRBL does that for about 500 ms after ALARM:1 and 2) and is sent again."""
+
+_EEPROM = re.compile(r"\$(?!J=)[^=]*=|\$RST|G0*10(?!\d).*L0*20?(?!\d)|G0*28\.10*(?!\d)|G0*30\.10*(?!\d)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """A line for the board: ``number`` counts from 1 within the session, ``text`` has no newline."""
+
+    number: int
+    text: str
+    answer_within_s: float
+
+    @property
+    def size(self) -> int:
+        """Bytes in the receive buffer, newline included."""
+        return len(self.text) + 1
+
+    @property
+    def alone(self) -> bool:
+        """Whether nothing else may be under way with it: ``$`` commands and EEPROM writes."""
+        return self.eeprom or (self.text.startswith("$") and not self.text.startswith("$J="))
+
+    @property
+    def eeprom(self) -> bool:
+        """Whether it blocks the board's reception while it is executed."""
+        return _EEPROM.match(self.text) is not None or _EEPROM.search(self.text) is not None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Acknowledged(Message):
+    """The board has taken the line (planned, not executed)."""
+
+    line: Line
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refused(Message):
+    """The board has answered ``error:N`` to the line."""
+
+    line: Line
+    code: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WasReset(Message):
+    """A banner came; what was under way is lost.
+
+    Parameters
+    ----------
+    banner
+        As received.
+    expected
+        Whether this side had asked for the reset.
+    lost
+        Lines sent and not answered: the board may have executed none, some or all of them.
+    unsent
+        Lines that were still queued here.
+    """
+
+    banner: Banner
+    expected: bool
+    lost: tuple[Line, ...]
+    unsent: tuple[Line, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StrayAnswer(Message):
+    """An answer to nothing that is under way."""
+
+    answer: Message
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CountBroken(Message):
+    """The counting no longer fits what the board says; the lines under way must be thrown away."""
+
+    reason: str
+
+
+@dataclass(slots=True, kw_only=True)
+class Counts:
+    """Running totals since the start of the process."""
+
+    sent: int = 0
+    acknowledged: int = 0
+    executed: int = 0
+    refused: int = 0
+    lost: int = 0
+    resets: int = 0
+    alarms: int = 0
+    stray: int = 0
+    garbage: int = 0
+    reports: int = 0
+    bytes_sent: int = 0
+    bytes_received: int = 0
+
+
+class GrblSession:
+    """One connection's book-keeping.
+
+    Feed it with :meth:`receive`, give it work with :meth:`queue` and :meth:`realtime`, write what :meth:`output`
+    returns. All times are seconds of one monotonic clock.
+    """
+
+    def __init__(self, counts: Counts | None = None) -> None:
+        self.counts = counts if counts is not None else Counts()
+        self.rx_bytes = DEFAULT_RX_BYTES
+        self.planner_blocks = 0
+        self.poll_interval_s = 0.1
+        self.awaiting_banner = False
+        self.latency_s = 0.0
+        self._reader = LineReader()
+        self._queue: deque[Line] = deque()
+        self._in_flight: deque[tuple[Line, float]] = deque()
+        self._in_flight_bytes = 0
+        self._realtime = bytearray()
+        self._number = 0
+        self._planner_room = -1
+        self._rx_room = -1
+        self._quiet_until = 0.0
+        self._next_poll = 0.0
+        self._reset_at = 0.0
+        self._wco_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self._unanswered_since: float | None = None
+        self.last_report_at: float | None = None
+        self.polling = False
+        self.paused = False
+
+    def start(self, now: float) -> None:
+        """Begin anew on a freshly opened port; queued lines are dropped and counted as lost where they were sent."""
+        self._drop_lines()
+        self._reader.clear()
+        self._realtime.clear()
+        self.awaiting_banner = False
+        self.paused = False
+        self.polling = False
+        self.rx_bytes = DEFAULT_RX_BYTES
+        self.planner_blocks = 0
+        self._planner_room = self._rx_room = -1
+        self.last_report_at = None
+        self._wco_mm = (0.0, 0.0, 0.0)
+        self._quiet_until = self._next_poll = now
+
+    @property
+    def pending(self) -> int:
+        """Lines queued or under way."""
+        return len(self._queue) + len(self._in_flight)
+
+    @property
+    def in_flight_bytes(self) -> int:
+        """Bytes sent and not acknowledged."""
+        return self._in_flight_bytes
+
+    def queue(self, text: str, *, answer_within_s: float = 3.0) -> Line:
+        """Append a line; it is sent when the board has room for it.
+
+        Raises
+        ------
+        ValueError
+            If it is empty, too long, or has a byte that is not printable ASCII or that the board takes in real time.
+        """
+        if not text or len(text) + 1 > MAX_LINE_BYTES:
+            raise ValueError(
+                f"line {text!r} has {len(text) + 1} bytes with its newline, 2 to {MAX_LINE_BYTES} can be sent"
+            )
+        for column, char in enumerate(text, 1):
+            if not " " <= char <= "}" or char in "!?":
+                raise ValueError(f"line {text!r}, column {column}: {char!r} cannot be part of a line")
+        self._number += 1
+        line = Line(number=self._number, text=text, answer_within_s=answer_within_s)
+        self._queue.append(line)
+        return line
+
+    def realtime(self, code: bytes) -> None:
+        """Send one real-time byte before everything else."""
+        self._realtime += code
+
+    def soft_reset(self, now: float) -> None:
+        """Send 0x18 and wait for the banner; until then no line is sent and no answer is believed."""
+        self._realtime += SOFT_RESET
+        self.awaiting_banner = True
+        self._reset_at = now
+        self._drop_queue()
+
+    def receive(self, data: bytes, now: float) -> Iterator[Message]:
+        """Take bytes from the board and yield what they mean, in order.
+
+        What the caller does on one message is in force when the next one is interpreted; the iterator must be used up.
+        """
+        self.counts.bytes_received += len(data)
+        for raw in self._reader.feed(data):
+            yield from self._interpret(parse_line(raw), now)
+
+    def _interpret(self, message: Message, now: float) -> list[Message]:
+        if isinstance(message, (OkAnswer, ErrorAnswer)):
+            return self._answer(message, now)
+        if isinstance(message, Report):
+            return self._report(message, now)
+        if isinstance(message, Banner):
+            return self._banner(message, now)
+        if isinstance(message, Garbage):
+            self.counts.garbage += 1
+        elif isinstance(message, Alarm):
+            self.counts.alarms += 1
+        elif isinstance(message, BuildOptions):
+            self.planner_blocks = message.planner_blocks
+            self.rx_bytes = message.rx_bytes or DEFAULT_RX_BYTES
+        return [message]
+
+    def _answer(self, answer: Message, now: float) -> list[Message]:
+        # While a reset is on its way, an aborted line can still emit an ok; it belongs to nothing that matters now.
+        if self.awaiting_banner or not self._in_flight:
+            self.counts.stray += 1
+            return [StrayAnswer(answer=answer)]
+        line, sent_at = self._in_flight.popleft()
+        self._in_flight_bytes -= line.size
+        self._unanswered_since = None
+        self.latency_s = now - sent_at
+        if line.eeprom:
+            self._quiet_until = now + EEPROM_PAUSE_S
+        if isinstance(answer, ErrorAnswer):
+            self.counts.refused += 1
+            return [Refused(line=line, code=answer.code)]
+        self.counts.acknowledged += 1
+        return [Acknowledged(line=line)]
+
+    def _report(self, report: Report, now: float) -> list[Message]:
+        self.counts.reports += 1
+        self.last_report_at = now
+        events: list[Message] = []
+        if report.wco_mm is not None:
+            self._wco_mm = report.wco_mm
+        if report.mpos_mm is None and report.wpos_mm is not None:
+            mpos = tuple(w + o for w, o in zip(report.wpos_mm, self._wco_mm))
+            report = dataclasses.replace(report, mpos_mm=mpos)
+        # The largest free sizes ever reported are the empty buffers; some builds hold one less than [OPT:] says.
+        self._planner_room = max(self._planner_room, report.planner_free)
+        self._rx_room = max(self._rx_room, report.rx_free)
+        if report.planner_free >= 0:
+            # A line makes at least no block and each block in the planner waits, so this never counts too many.
+            self._executed(self.counts.acknowledged - (self._planner_room - report.planner_free))
+        broken = self._contradiction(report, now)
+        events.append(report)
+        if broken:
+            events.append(CountBroken(reason=broken))
+        return events
+
+    def _contradiction(self, report: Report, now: float) -> str:
+        if self.awaiting_banner:
+            return ""
+        if report.rx_free >= 0 and self._rx_room - report.rx_free > self._in_flight_bytes:
+            return (
+                f"the board holds {self._rx_room - report.rx_free} bytes, {self._in_flight_bytes} are under way: "
+                "an answer came that belongs to no line"
+            )
+        if report.state not in ("Idle", "Check") or not self._in_flight:
+            self._unanswered_since = None
+            return ""
+        # An idle board with an unanswered line: its dwell, or the answer is lost. Only idle time counts, so that
+        # nothing runs out during a hold.
+        if self._unanswered_since is None:
+            self._unanswered_since = now
+        line = self._in_flight[0][0]
+        if now - self._unanswered_since > line.answer_within_s:
+            return f"no answer to {line.text!r} within {line.answer_within_s:g} s although the board is idle"
+        return ""
+
+    def _banner(self, banner: Banner, now: float) -> list[Message]:
+        expected = self.awaiting_banner
+        self.counts.resets += 1
+        lost, unsent = self._drop_lines()
+        # A reset that has not left yet is not needed any more.
+        self._realtime = self._realtime.replace(SOFT_RESET, b"")
+        self.awaiting_banner = False
+        self.paused = False
+        self._wco_mm = (0.0, 0.0, 0.0)
+        self.last_report_at = now
+        return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]
+
+    def _drop_queue(self) -> tuple[Line, ...]:
+        unsent = tuple(self._queue)
+        self._queue.clear()
+        return unsent
+
+    def _drop_lines(self) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
+        lost = tuple(line for line, _ in self._in_flight)
+        self.counts.lost += len(lost)
+        self._in_flight.clear()
+        self._in_flight_bytes = 0
+        self._unanswered_since = None
+        return lost, self._drop_queue()
+
+    def executed_all(self) -> None:
+        """Note that everything acknowledged has been executed (a ``G4 P0`` was answered and the board is idle)."""
+        self._executed(self.counts.acknowledged)
+
+    def _executed(self, count: int) -> None:
+        self.counts.executed = max(self.counts.executed, count)
+
+    def poll_now(self) -> None:
+        """Ask for a status report with the next output."""
+        self._next_poll = 0.0
+
+    def output(self, now: float) -> bytes:
+        """Return the bytes to write now; calling it means that they will be written."""
+        out = bytearray(self._realtime)
+        self._realtime.clear()
+        if self.awaiting_banner and now - self._reset_at >= RESET_RETRY_S:
+            out += SOFT_RESET
+            self._reset_at = now
+        blocked = bool(self._in_flight) and self._in_flight[0][0].eeprom
+        if self.polling and now >= self._next_poll and not blocked and now >= self._quiet_until:
+            out += STATUS
+            self._next_poll = now + self.poll_interval_s
+        while self._may_send(now):
+            line = self._queue.popleft()
+            self._in_flight.append((line, now))
+            self._in_flight_bytes += line.size
+            self.counts.sent += 1
+            out += line.text.encode("ascii") + b"\n"
+        self.counts.bytes_sent += len(out)
+        return bytes(out)
+
+    def _may_send(self, now: float) -> bool:
+        if not self._queue or self.awaiting_banner or self.paused or now < self._quiet_until:
+            return False
+        line = self._queue[0]
+        if self._in_flight and (line.alone or self._in_flight[-1][0].alone):
+            return False
+        # One byte less than the buffer: older builds' ring buffers hold one less than they say.
+        return self._in_flight_bytes + line.size < self.rx_bytes
+
+    def deadline(self) -> float:
+        """Return the time at which :meth:`output` has something to do even if nothing is received."""
+        times = [float("inf")]
+        if self.polling:
+            times.append(max(self._next_poll, self._quiet_until))
+        if self._queue:
+            times.append(self._quiet_until)
+        if self.awaiting_banner:
+            times.append(self._reset_at + RESET_RETRY_S)
+        return min(times)
+
+    def silent_for(self, now: float) -> float:
+        """Return the seconds since the last report or banner; 0 before polling has begun."""
+        return 0.0 if self.last_report_at is None or not self.polling else now - self.last_report_at

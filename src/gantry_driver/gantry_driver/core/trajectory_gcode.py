@@ -1,0 +1,210 @@
+"""A trajectory in metres becomes G-code in machine coordinates; the only place where metres become millimetres.
+
+Each refusal is a :class:`TrajectoryError` that names the point, the joint, the value and the bound; nothing moves then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from gantry_driver.core.machine_config import DriverConfig
+from icu_common.core.frames import JOINTS
+
+_ROUNDING_M = 1e-6
+"""Readings this far outside are rounding, not intent, and are clipped."""
+MODES = "G21G90G94"
+"""Millimetres, absolute, feed per minute: a start-up block on the board may have chosen others."""
+SYNCHRONISE = "G4P0"
+"""Answered only when the planner is empty (measured on 1.1h)."""
+
+
+class TrajectoryError(ValueError):
+    """The trajectory cannot be executed; the message says which point, value and bound."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Waypoint:
+    """One point of a trajectory: readings of the joints in the order of the trajectory's names.
+
+    Parameters
+    ----------
+    positions_m
+        Readings in metres.
+    velocities_m_s
+        Their magnitude is the speed along the segment that ends here; empty or zero when the point does not say.
+    time_s
+        Time from the start at which the point is reached; 0 when the point does not say.
+    """
+
+    positions_m: tuple[float, ...]
+    velocities_m_s: tuple[float, ...] = ()
+    time_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """What a trajectory has become: the lines, where they end (readings, m) and about how long they take."""
+
+    lines: tuple[str, ...]
+    end_m: tuple[float, float, float]
+    seconds: float
+
+
+def joint_order(names: Sequence[str]) -> tuple[int, ...]:
+    """Return for x, y and stylus their places in ``names``; -1 for a joint that is not moved.
+
+    Raises
+    ------
+    TrajectoryError
+        For unknown, doubled or no names.
+    """
+    unknown = [name for name in names if name not in JOINTS]
+    if unknown or not names or len(set(names)) != len(names):
+        raise TrajectoryError(f"joint names {list(names)}: some of {', '.join(JOINTS)}, each once, are needed")
+    return tuple(list(names).index(joint) if joint in names else -1 for joint in JOINTS)
+
+
+def write_motion(
+    names: Sequence[str], points: Sequence[Waypoint], start_m: tuple[float, float, float], config: DriverConfig
+) -> Motion:
+    """Return the G-code of a trajectory that starts at the readings ``start_m``.
+
+    The speed of a segment is the point's speed, else what its time asks for, else the configured feeds. A speed that
+    an axis cannot reach is refused rather than silently slowed down, unless it comes from the configured feeds.
+
+    Raises
+    ------
+    TrajectoryError
+        If a value is not finite, outside the limits, too fast, or times do not grow.
+    """
+    order = joint_order(names)
+    if not 0 < len(points) <= config.max_points:
+        raise TrajectoryError(f"the trajectory has {len(points)} points, 1 to {config.max_points} are needed")
+    lines = [MODES]
+    here, clock, total = start_m, 0.0, 0.0
+    for number, point in enumerate(points, 1):
+        target = _target(number, point, order, here, config)
+        seconds = _seconds(number, point, here, target, clock, config)
+        clock = point.time_s if point.time_s > 0 else clock + seconds
+        new = _segment(here, target, seconds, config)
+        total += seconds + (config.stylus.dwell_s if config.stylus.kind != "z_axis" and target[2] != here[2] else 0.0)
+        lines += new
+        here = target
+    return Motion(lines=(*lines, SYNCHRONISE), end_m=here, seconds=total)
+
+
+def lift_lines(config: DriverConfig) -> tuple[str, ...]:
+    """Return the lines that take the stylus off the panel and move nothing else."""
+    stylus = config.stylus
+    if stylus.kind == "servo_m3":
+        return (MODES, f"M3S{_number(stylus.servo_up)}", f"G4P{_number(stylus.dwell_s)}", SYNCHRONISE)
+    if stylus.kind == "solenoid_m8":
+        return (MODES, "M9", f"G4P{_number(stylus.dwell_s)}", SYNCHRONISE)
+    top = config.machine.homed_mpos_mm()[2]
+    return (MODES, f"G53G1Z{_number(top)}F{_number(config.stylus_feed_m_s * 60_000.0)}", SYNCHRONISE)
+
+
+def mpos_mm(reading_m: tuple[float, float, float], config: DriverConfig) -> tuple[float, float, float]:
+    """Return machine coordinates in mm of readings in metres (the third is of use with a Z axis only)."""
+    home = config.machine.homed_mpos_mm()
+    x, y, z = (home[a] + config.machine.sign(a) * reading_m[a] * 1000.0 for a in range(3))
+    return x, y, z
+
+
+def reading_m(mpos: Sequence[float], stylus_down: bool, config: DriverConfig) -> tuple[float, float, float]:
+    """Return readings in metres of machine coordinates in mm; a stylus without a Z axis is where it was sent."""
+    home = config.machine.homed_mpos_mm()
+    x, y, z = ((mpos[a] - home[a]) * config.machine.sign(a) / 1000.0 for a in range(3))
+    if config.stylus.kind != "z_axis":
+        z = config.stylus.stroke_m if stylus_down else 0.0
+    return x, y, z
+
+
+def _target(
+    number: int, point: Waypoint, order: tuple[int, ...], here: tuple[float, float, float], config: DriverConfig
+) -> tuple[float, float, float]:
+    if len(point.positions_m) != sum(place >= 0 for place in order):
+        raise TrajectoryError(
+            f"point {number} has {len(point.positions_m)} positions for {sum(p >= 0 for p in order)} joints"
+        )
+    if not all(math.isfinite(v) for v in (*point.velocities_m_s, point.time_s)):
+        raise TrajectoryError(
+            f"point {number}: velocities {point.velocities_m_s} or time {point.time_s} are not finite"
+        )
+    target = list(here)
+    for axis, (place, limit) in enumerate(zip(order, config.limits_m())):
+        if place < 0:
+            continue
+        value = point.positions_m[place]
+        if not math.isfinite(value):
+            raise TrajectoryError(f"point {number}: {JOINTS[axis]} = {value} is not finite")
+        if not -_ROUNDING_M <= value <= limit + _ROUNDING_M:
+            raise TrajectoryError(f"point {number}: {JOINTS[axis]} = {value:.6g} m is outside 0 to {limit:g} m")
+        target[axis] = min(max(value, 0.0), limit)
+    x, y, z = target
+    if config.stylus.kind != "z_axis":
+        z = config.stylus.stroke_m if z > config.stylus.stroke_m / 2 else 0.0
+    return x, y, z
+
+
+def _seconds(
+    number: int,
+    point: Waypoint,
+    here: tuple[float, float, float],
+    target: tuple[float, float, float],
+    clock: float,
+    config: DriverConfig,
+) -> float:
+    """Return the time of the segment that ends at ``point``."""
+    axes = 3 if config.stylus.kind == "z_axis" else 2
+    way = [abs(target[a] - here[a]) for a in range(axes)]
+    distance = math.hypot(*way)
+    speed = math.hypot(*point.velocities_m_s)
+    if speed > 0:
+        seconds = distance / speed
+    elif point.time_s > 0:
+        seconds = point.time_s - clock
+        if not seconds > 0 and distance > 0:
+            raise TrajectoryError(f"point {number}: time_from_start {point.time_s:g} s does not follow {clock:g} s")
+    else:
+        stylus = way[2] / config.stylus_feed_m_s if axes == 3 else 0.0
+        return max(math.hypot(*way[:2]) / config.feed_m_s, stylus)
+    for axis in range(axes):
+        rate, limit = way[axis] / seconds * 60_000.0 if seconds else 0.0, config.machine.max_rate_mm_min[axis]
+        if rate > limit * 1.001:
+            raise TrajectoryError(f"point {number}: {JOINTS[axis]} at {rate:.0f} mm/min is above {limit:g} mm/min")
+    return seconds
+
+
+def _segment(
+    here: tuple[float, float, float], target: tuple[float, float, float], seconds: float, config: DriverConfig
+) -> list[str]:
+    start, end = mpos_mm(here, config), mpos_mm(target, config)
+    axes = 3 if config.stylus.kind == "z_axis" else 2
+    words = "".join(f"{'XYZ'[a]}{_number(end[a])}" for a in range(axes) if _number(end[a]) != _number(start[a]))
+    move = []
+    if words:
+        distance = math.hypot(*(end[a] - start[a] for a in range(axes)))
+        # Below 1 mm/min GRBL's planner takes minutes for a step; such a segment is rounding.
+        move = [f"G53G1{words}F{_number(max(distance / seconds * 60.0, 1.0) if seconds else config.feed_m_s * 6e4, 1)}"]
+    if config.stylus.kind == "z_axis" or target[2] == here[2]:
+        return move
+    # Without a Z axis the stylus is up during every move that it starts or ends in the air.
+    down = target[2] > 0
+    return [*move, *_stylus(down, config)] if down else [*_stylus(down, config), *move]
+
+
+def _stylus(down: bool, config: DriverConfig) -> list[str]:
+    stylus = config.stylus
+    if stylus.kind == "servo_m3":
+        word = f"M3S{_number(stylus.servo_down if down else stylus.servo_up)}"
+    else:
+        word = "M8" if down else "M9"
+    return [word, f"G4P{_number(stylus.dwell_s)}"]
+
+
+def _number(value: float, digits: int = 3) -> str:
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text

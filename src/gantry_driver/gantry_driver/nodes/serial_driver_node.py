@@ -1,0 +1,149 @@
+"""The serial driver's node: topics and services on one side, :class:`SerialLink` and :class:`Machine` on the other.
+
+Callbacks convert and call; the link's thread does the protocol and publishes what comes of it, so a busy executor
+delays neither a status report nor the hold after a lost heartbeat.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty, Header, String
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from gantry_driver.adapters.serial_link import SerialLink
+from gantry_driver.core.machine import Answered, Event, Machine, Note, Position, StateChanged
+from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.trajectory_gcode import Waypoint
+from icu_common.core.frames import JOINTS
+from icu_common.nodes.conversions import (
+    diagnostic_status,
+    header,
+    joint_message,
+    result_message,
+    stamp_ns,
+)
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
+from icu_common.nodes.runtime import run
+
+LEVELS = {"idle": "ok", "moving": "ok", "homing": "ok", "unhomed": "warn", "connecting": "warn", "stopped": "warn"}
+
+
+class SerialDriverNode(Node):
+    """Drives one gantry; see docs/architecture.md for topics, services and states."""
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("serial_driver", **node_arguments)
+        self._parameters = LiveParameters(self, DriverConfig, self._on_config)
+        config = self._parameters.config
+        self._joint_states = self.create_publisher(JointState, "joint_states", RESULTS)
+        self._state = self.create_publisher(String, "driver_state", LATCHED)
+        self._results = self.create_publisher(DiagnosticArray, "trajectory_result", RESULTS)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RESULTS)
+        self._link = SerialLink(Machine(config), config.port, config.baud, self._on_events)
+        self.create_subscription(JointTrajectory, "trajectory", self._on_trajectory, COMMAND)
+        self.create_subscription(Empty, "stop_request", lambda _: self._link.stop("stop requested"), RESULTS)
+        self.create_subscription(Header, "heartbeat", self._on_heartbeat, SENSOR)
+        self.create_service(Trigger, "home", self._on_home)
+        self.create_service(Trigger, "stop", self._on_stop)
+        self.create_service(Trigger, "reset", self._on_reset)
+        self.create_service(Trigger, "accept_settings", self._on_accept)
+        self.create_service(SetBool, "enable", self._on_enable)
+        self.create_timer(1.0, self._publish_diagnostics)
+        self._old_wakeup_fd: int | None = None
+        if threading.current_thread() is threading.main_thread():
+            self._old_wakeup_fd = signal.set_wakeup_fd(self._link.wakeup_fd, warn_on_full_buffer=False)
+        self._link.start()
+
+    def close(self) -> None:
+        """Hold, lift the stylus, say so, and close the port."""
+        if self._old_wakeup_fd is not None:
+            signal.set_wakeup_fd(self._old_wakeup_fd)
+        self._link.close("the driver is ending")
+
+    # --- from the graph ------------------------------------------------------------------------------------------
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        stamp = stamp_ns(message.header.stamp)
+        age_s = (self._now_ns() - stamp) / 1e9 if stamp else 0.0
+        goal_id = message.header.frame_id or str(stamp)
+        names, points = list(message.joint_names), [_waypoint(point) for point in message.points]
+        self._link.call(lambda machine, now: machine.run(goal_id, names, points, age_s=age_s, now=now))
+
+    def _on_heartbeat(self, message: Header) -> None:
+        stamp = stamp_ns(message.stamp)
+        # One that was long under way must not count as fresh; one from the future counts as now.
+        age_s = max(0.0, (self._now_ns() - stamp) / 1e9) if stamp else 0.0
+        self._link.call(lambda machine, now: machine.heartbeat(now - age_s))
+
+    def _on_home(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return _fill(response, self._link.call(lambda machine, now: machine.home(now)), "accepted: homing")
+
+    def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._link.stop("stop requested")
+        return _fill(response, "", "stopping")
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return _fill(response, self._link.call(lambda machine, now: machine.reset(now)), "accepted: reset")
+
+    def _on_accept(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return _fill(response, self._link.call(lambda machine, now: machine.accept_settings(now)), "accepted")
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        text = "enabled" if request.data else "disabled"
+        return _fill(response, self._link.call(lambda machine, now: machine.enable(request.data, now)), text)
+
+    def _on_config(self, config: DriverConfig) -> None:
+        def replace(machine: Machine, now: float) -> None:
+            machine.config = config
+
+        self._link.call(replace)
+
+    # --- to the graph, in the link's thread ------------------------------------------------------------------------
+
+    def _on_events(self, events: list[Event]) -> None:
+        stamp = self._now_ns()
+        for event in events:
+            if isinstance(event, Position):
+                self._joint_states.publish(joint_message(JOINTS, event.reading_m, header(stamp, "")))
+            elif isinstance(event, StateChanged):
+                self.get_logger().info(event.text)
+                self._state.publish(String(data=event.text))
+            elif isinstance(event, Answered):
+                self._results.publish(result_message(event.result, stamp))
+            elif isinstance(event, Note):
+                (self.get_logger().error if event.level == "error" else self.get_logger().warning)(event.text)
+
+    def _publish_diagnostics(self) -> None:
+        state, values = self._link.call(lambda machine, now: (machine.state_text, machine.diagnostics()))
+        level = LEVELS.get(state.partition(":")[0], "error")
+        status = diagnostic_status(f"{self.get_name()}: board", level, state, values)
+        self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+
+def _waypoint(point: JointTrajectoryPoint) -> Waypoint:
+    time_s = point.time_from_start.sec + point.time_from_start.nanosec / 1e9
+    return Waypoint(positions_m=tuple(point.positions), velocities_m_s=tuple(point.velocities), time_s=time_s)
+
+
+def _fill(response: Any, refusal: str, success: str) -> Any:
+    response.success, response.message = not refusal, f"refused: {refusal}" if refusal else success
+    return response
+
+
+def main() -> int:
+    return run(SerialDriverNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

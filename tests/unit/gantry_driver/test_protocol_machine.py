@@ -1,0 +1,389 @@
+"""The machine's policy against a board in virtual time: connect, home, move, stop, and the traps of the protocol."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
+from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
+
+
+def test_connects_checks_settings_and_waits_unhomed() -> None:
+    rig = Rig().connect()
+    assert rig.states == ["disconnected: not opened yet", "connecting", "unhomed"]
+    assert rig.board.received == ["$I", "$$"]
+    assert rig.machine.session.rx_bytes == 128
+    assert rig.positions == []
+
+
+def test_a_board_that_is_already_idle_is_reset_without_loss() -> None:
+    rig = Rig(locked=False)
+    rig.machine.opened(0.0)
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.board.resets == 1
+
+
+def test_a_board_found_moving_is_held_before_it_is_reset() -> None:
+    rig = Rig(locked=False)
+    rig.board.write(b"G53G1X300F1000\n")
+    rig.board.step(0.001)
+    assert rig.board.state == "Run"
+    rig.machine.opened(0.0)
+    rig.until(lambda: rig.state == "unhomed")
+    codes = [code for _, code in rig.board.realtime if code != ord("?")]
+    assert codes[0] == ord("!") and codes[-1] == 0x18
+    assert rig.board.executed == [] and rig.board.state == "Idle"
+
+
+def test_home_then_a_trajectory_is_executed_in_machine_coordinates() -> None:
+    rig = Rig().homed()
+    assert rig.positions[-1] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert rig.go((0.1, 0.05, 0.0), (0.1, 0.05, 0.02)).outcome.value == "accepted"
+    rig.until(lambda: "reached" in rig.outcomes())
+    assert rig.outcomes() == ["accepted", "reached"]
+    assert rig.board.mpos == pytest.approx([HOMED[0] + 100.0, HOMED[1] + 50.0, HOMED[2] - 20.0])
+    assert rig.board.executed == ["G21G90G94", "G53G1X-259Y-169F9000", "G53G1Z-21F1800", "G4P0"]
+    assert rig.machine.reading_m == pytest.approx((0.1, 0.05, 0.02))
+    assert rig.results[-1].error_m < 1e-6 and rig.results[-1].duration_s > 0.5
+    counts = rig.machine.counts
+    assert counts.sent == counts.acknowledged == counts.executed == len(rig.board.received)
+
+
+def test_reached_is_not_said_before_the_machine_stands() -> None:
+    rig = Rig().homed()
+    rig.board.speed_scale = 0.1
+    rig.go((0.1, 0.0, 0.0))
+    rig.until(lambda: "reached" in rig.outcomes(), 20.0)
+    assert rig.outcomes() == ["accepted", "reached"]
+    assert rig.board.mpos[0] == pytest.approx(HOMED[0] + 100.0) and rig.board.state == "Idle"
+
+
+@pytest.mark.parametrize(
+    ("point", "kwargs", "reason"),
+    [
+        ((math.nan, 0.0, 0.0), {}, "gantry_x_joint = nan is not finite"),
+        ((0.0, math.inf, 0.0), {}, "gantry_y_joint = inf is not finite"),
+        ((0.3591, 0.0, 0.0), {}, "outside 0 to 0.359 m"),
+        ((0.0, -0.001, 0.0), {}, "outside 0 to 0.219 m"),
+        ((0.0, 0.0, 0.06), {}, "outside 0 to 0.059 m"),
+        ((0.1, 0.0, 0.0), {"velocities_m_s": (0.5, 0.0, 0.0)}, "30000 mm/min is above 12000"),
+        ((0.1, 0.0, 0.0), {"time_s": 0.01}, "above 12000 mm/min"),
+        ((0.1, 0.0, 0.0), {"velocities_m_s": (math.nan, 0.0, 0.0)}, "not finite"),
+    ],
+)
+def test_bad_points_are_refused_and_nothing_is_sent(point: tuple[float, ...], kwargs: dict, reason: str) -> None:  # type: ignore[type-arg]
+    rig = Rig().homed()
+    lines = len(rig.board.received)
+    answer = rig.go(point, **kwargs)
+    rig.run_for(0.3)
+    assert answer.outcome.value == "rejected" and reason in answer.reason
+    assert len(rig.board.received) == lines and rig.board.mpos == list(HOMED)
+    assert rig.state == "idle" and rig.outcomes() == ["rejected"]
+
+
+def test_refused_while_unhomed_busy_disabled_stale_or_without_heartbeat() -> None:
+    rig = Rig().connect()
+    assert "unhomed" in rig.go((0.1, 0.1, 0.0)).reason
+    rig = Rig().homed()
+    assert "stale" in rig.machine.run("a", ("gantry_x_joint",), [], age_s=1.5, now=rig.now).reason
+    assert "joint names" in rig.machine.run("a", ("arm",), [], age_s=0, now=rig.now).reason
+    rig.machine.enable(False, rig.now)
+    assert rig.go((0.1, 0.1, 0.0)).reason == "not enabled"
+    rig.machine.enable(True, rig.now)
+    rig.go((0.1, 0.1, 0.0))
+    assert "moving" in rig.go((0.2, 0.1, 0.0)).reason
+    rig.until(lambda: rig.state == "idle")
+    rig.beating = False
+    rig.run_for(1.0)
+    assert "heartbeat lost" in rig.go((0.2, 0.1, 0.0)).reason
+    assert rig.state == "idle", "idle with the stylus up needs no heartbeat"
+
+
+def test_stop_holds_resets_keeps_the_position_and_stays_stopped() -> None:
+    rig = Rig().homed()
+    rig.go((0.3, 0.0, 0.0), (0.0, 0.0, 0.0), (0.3, 0.2, 0.0))
+    rig.run_for(0.5)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.outcomes() == ["accepted", "aborted"] and rig.results[-1].reason == "stop requested"
+    assert rig.states[-1] == "stopped: stop requested"
+    where = list(rig.board.mpos)
+    rig.run_for(2.0)
+    assert rig.board.mpos == where and "ALARM" not in rig.sent()
+    assert "stopped" in rig.go((0.1, 0.1, 0.0)).reason
+    assert rig.machine.reset(rig.now) == ""
+    assert rig.state == "idle" and rig.machine.homed
+    rig.step()
+    rig.go((0.1, 0.1, 0.0))
+    rig.until(lambda: "reached" in rig.outcomes())
+    assert rig.board.mpos[:2] == pytest.approx([HOMED[0] + 100, HOMED[1] + 100])
+
+
+def test_stop_lifts_the_stylus_and_moves_nothing_else() -> None:
+    rig = Rig().homed()
+    rig.go((0.1, 0.1, 0.03), (0.2, 0.1, 0.03))
+    rig.until(lambda: rig.board.mpos[2] < -30.9)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.board.state == "Hold:0")
+    x, y = rig.board.mpos[:2]
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.board.mpos == [x, y, HOMED[2]]
+    assert rig.states[-1] == "stopped: stop requested"
+
+
+def test_a_second_stop_ends_the_retreat() -> None:
+    rig = Rig().homed()
+    rig.go((0.0, 0.0, 0.05))
+    rig.until(lambda: rig.board.mpos[2] < -45)
+    rig.machine.stop("first", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "LIFTING" and rig.board.state == "Run")
+    rig.machine.stop("second", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.board.mpos[2] < -20 and rig.states[-1] == "stopped: first"
+
+
+def test_heartbeat_lost_while_moving_stops_and_while_pressing_lifts() -> None:
+    rig = Rig().homed()
+    rig.go((0.35, 0.0, 0.0))
+    rig.run_for(0.2)
+    rig.beating = False
+    lost = rig.now
+    rig.until(lambda: rig.board.state.startswith("Hold"))
+    assert 0.55 < rig.now - lost < 0.72
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert "heartbeat lost" in rig.results[-1].reason and "heartbeat lost" in rig.states[-1]
+
+    rig = Rig().homed()
+    rig.go((0.0, 0.0, 0.02))
+    rig.until(lambda: "reached" in rig.outcomes())
+    rig.beating = False
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.board.mpos == list(HOMED)
+
+
+def test_a_stop_without_a_link_is_remembered() -> None:
+    rig = Rig().connect()
+    rig.machine.closed("unplugged", rig.now)
+    rig.machine.stop("stop requested", rig.now)
+    rig.connect()
+    assert rig.states[-1] == "stopped: stop requested"
+    rig.machine.reset(rig.now)
+    assert rig.state == "unhomed"
+
+
+def test_settings_mismatch_blocks_until_accepted_and_holds_for_these_only() -> None:
+    board = Board()
+    board.settings[110] = "500.000"
+    rig = Rig(board=board).connect()
+    assert rig.states[-1] == "mismatch: $110 is 500.000, the configuration says 12000"
+    assert "mismatch" in rig.machine.home(rig.now)
+    assert rig.machine.accept_settings(rig.now) == "" and rig.state == "unhomed"
+    rig.machine.closed("unplugged", rig.now)
+    rig.connect()
+    assert rig.state == "unhomed", "the same difference was accepted"
+    rig.machine.closed("unplugged", rig.now)
+    board.settings[100] = "250.000"
+    rig.connect()
+    assert rig.state == "mismatch"
+
+
+def test_trap_1_more_lines_than_the_buffer_holds_lose_no_byte() -> None:
+    rig = Rig().homed()
+    points = [(0.001 * (k % 300), 0.0005 * (k % 400), 0.0) for k in range(300)]
+    rig.board.speed_scale = 20.0
+    rig.go(*points)
+    rig.until(lambda: "reached" in rig.outcomes(), 60.0)
+    assert rig.board.lost_bytes == 0
+    assert max(len(line) for line in rig.board.received) < 80
+    assert [t for t in rig.board.executed if t.startswith("G53")] == [t for t in rig.board.received if "G53" in t]
+
+
+def test_trap_2_reset_after_a_critical_alarm_waits_for_the_message() -> None:
+    rig = Rig().homed()
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.3)
+    rig.board.alarm(1)
+    rig.step()
+    assert rig.states[-1].startswith("alarm: ALARM:1") and rig.outcomes()[-1] == "aborted"
+    rig.machine.reset(rig.now)
+    at = rig.now
+    rig.until(lambda: rig.state == "unhomed", 3.0)
+    resets = [t for t, code in rig.board.realtime if code == 0x18 and t > at - 0.001]
+    assert len(resets) == 1 and resets[0] - at > 0.45
+    assert not rig.machine.homed
+
+
+def test_trap_3_a_stray_ok_before_the_banner_counts_for_nothing() -> None:
+    rig = Rig().homed()
+    rig.go((0.3, 0.0, 0.0), (0.0, 0.1, 0.0))
+    rig.run_for(0.3)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "RESETTING")
+    rig.machine.receive(b"ok\r\nok\r\n", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.machine.counts.stray == 2
+    rig.machine.reset(rig.now)
+    rig.go((0.05, 0.05, 0.0))
+    rig.until(lambda: "reached" in rig.outcomes())
+
+
+def test_a_stray_ok_in_mid_stream_is_no_false_done() -> None:
+    rig = Rig().homed()
+    rig.go(*[(0.01 * k, 0.0, 0.0) for k in range(1, 30)])
+    rig.run_for(0.1)
+    rig.board.say("ok")
+    rig.until(lambda: len(rig.outcomes()) == 2, 30.0)
+    if rig.outcomes()[-1] == "reached":
+        assert rig.board.mpos[0] == pytest.approx(HOMED[0] + 290.0)
+    else:
+        assert "belongs to no line" in rig.results[-1].reason
+    assert rig.board.lost_bytes == 0
+
+
+def test_a_lost_ok_is_noticed_and_reported() -> None:
+    rig = Rig().homed()
+    rig.board.drop_answers = 1
+    rig.go((0.1, 0.0, 0.0))
+    rig.until(lambda: len(rig.outcomes()) == 2)
+    assert rig.outcomes() == ["accepted", "aborted"] and "no answer to" in rig.results[-1].reason
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+
+
+def test_trap_4_a_long_hold_runs_into_no_time_out() -> None:
+    rig = Rig(DriverConfig(enabled_at_start=True, hold_timeout_s=30.0)).homed()
+    rig.board.hold_s = 10.0
+    rig.go((0.3, 0.0, 0.0), (0.1, 0.0, 0.0))
+    rig.run_for(0.2)
+    rig.machine.stop("stop requested", rig.now)
+    rig.run_for(9.0)
+    assert rig.states[-1] == "stopped: stop requested" and rig.machine.phase.name == "HOLDING"
+    assert rig.machine.counts.lost == 0
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.machine.homed
+
+
+def test_trap_5_after_an_error_at_most_one_more_block_runs() -> None:
+    rig = Rig().homed()
+    points = [(0.02 * k, 0.0, 0.0) for k in range(1, 12)]
+    bad = "G53G1X-259F9000"
+    rig.board.refuse = {bad: 22}
+    rig.go(*points)
+    rig.until(lambda: "aborted" in rig.outcomes())
+    assert "error:22 (no feed rate) at line" in rig.results[-1].reason and bad in rig.results[-1].reason
+    done = len(rig.board.executed)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    rig.run_for(2.0)
+    assert len(rig.board.executed) - done <= 1
+    assert "error:22" in rig.states[-1]
+
+
+def test_trap_6_reset_only_after_the_hold_is_complete() -> None:
+    rig = Rig().homed()
+    rig.board.hold_s = 0.4
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.2)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    hold = next(t for t, code in rig.board.realtime if code == ord("!"))
+    reset = [t for t, code in rig.board.realtime if code == 0x18][-1]
+    assert reset - hold >= 0.4 and rig.machine.homed and rig.board.state == "Idle"
+
+
+def test_a_hold_that_never_completes_ends_in_a_reset_and_unhomed() -> None:
+    rig = Rig().homed()
+    rig.board.hold_s = 100.0
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.2)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED", 5.0)
+    assert not rig.machine.homed
+    rig.machine.reset(rig.now)
+    assert rig.state == "unhomed"
+
+
+def test_trap_7_and_8_an_unexpected_banner_is_a_reset() -> None:
+    rig = Rig().homed()
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.2)
+    rig.board.power_cycle()
+    rig.until(lambda: rig.state == "unhomed")
+    assert "reset by itself" in rig.results[-1].reason and rig.outcomes() == ["accepted", "aborted"]
+    assert not rig.machine.homed and rig.machine.reading_m is None
+
+
+def test_link_lost_while_moving_aborts_and_comes_back_unhomed() -> None:
+    rig = Rig().homed()
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.2)
+    rig.machine.closed("the device has gone", rig.now)
+    rig.collect()
+    assert rig.outcomes() == ["accepted", "aborted"] and rig.states[-1] == "disconnected: the device has gone"
+    rig.board.out.clear()
+    rig.board.power_cycle()
+    rig.machine.opened(rig.now)
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.states[-1] == "unhomed"
+    rig.run_for(1.0)
+    assert rig.board.blocks == []
+
+
+def test_a_silent_board_is_noticed() -> None:
+    rig = Rig().homed()
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.2)
+    rig.board.mute = True
+    rig.until(lambda: rig.state == "disconnected", 2.0)
+    assert "no status report" in rig.states[-1] and "!" in rig.trace[-1][1].decode()
+
+
+def test_homing_is_no_silence_and_its_alarm_is_one() -> None:
+    rig = Rig().connect()
+    rig.step()
+    rig.machine.home(rig.now)
+    rig.board.hooks["$H"] = lambda: None
+    rig.until(lambda: rig.state == "idle")
+    rig.machine.home(rig.now)
+    rig.until(lambda: rig.board.homing_until > 0)
+    rig.board.homing_until = -1.0
+    rig.board.alarm(9)
+    rig.until(lambda: rig.state == "alarm")
+    assert "ALARM:9 (homing: no switch found)" in rig.states[-1] and not rig.machine.homed
+
+
+def test_stop_while_homing_resets_at_once() -> None:
+    rig = Rig().connect()
+    rig.step()
+    rig.machine.home(rig.now)
+    rig.run_for(0.3)
+    rig.machine.stop("stop requested", rig.now)
+    rig.step()
+    assert rig.board.realtime[-1][1] in (0x18, ord("?")) and rig.board.homing_until < 0
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    rig.machine.reset(rig.now)
+    assert rig.state == "unhomed"
+
+
+@pytest.mark.parametrize(("kind", "down", "up"), [("servo_m3", "M3S800", "M3S200"), ("solenoid_m8", "M8", "M9")])
+def test_other_styluses_go_down_after_the_move_and_up_before_it(kind: str, down: str, up: str) -> None:
+    config = DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, stroke_m=0.01, dwell_s=0.1))
+    rig = Rig(config).homed()
+    rig.go((0.1, 0.0, 0.01), (0.2, 0.0, 0.0))
+    rig.until(lambda: "reached" in rig.outcomes())
+    lines = [t for t in rig.board.received if t not in ("G21G90G94", "G4P0")]
+    assert lines[-6:] == ["G53G1X-259F9000", down, "G4P0.1", up, "G4P0.1", "G53G1X-159F9000"]
+
+
+def test_homed_somewhere_else_than_configured_is_a_mismatch() -> None:
+    rig = Rig(DriverConfig(enabled_at_start=True, machine=MachineConfig(pull_off_mm=2.0)))
+    rig.board.settings[27] = "2.000"
+    rig.connect()
+    rig.step()
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "mismatch")
+    assert "homed at MPos -359.000, -219.000, -1.000" in rig.states[-1]
+
+
+def test_settings_of_the_test_board_are_those_of_the_configuration() -> None:
+    expected = MachineConfig().expected_settings()
+    assert {n: float(v) for n, v in SETTINGS.items()} == pytest.approx(expected)
