@@ -1,0 +1,192 @@
+"""A board with its faults: what the pseudo-terminal and the control socket work on.
+
+Faults are named as in :data:`FAULTS`; each states its arguments and is refused with a sentence when they do not fit.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from gantry_driver.mock.board import Board, BoardOptions
+from gantry_driver.mock.mechanics import Mechanics, MechanicsOptions
+from gantry_driver.mock.serial_line import AnswerFault, Outbound
+from gantry_driver.mock.settings import Eeprom
+
+MAX_SECONDS, MAX_COUNT = 3600.0, 100_000
+
+
+class FaultError(ValueError):
+    """A fault is unknown or its arguments do not fit; the message names the value and the bound."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PortFault:
+    """A fault that the port carries out: ``unplug`` or ``stop_reading``, for some board seconds."""
+
+    kind: str
+    seconds: float
+
+
+def _seconds(arguments: Mapping[str, Any], name: str = "seconds", default: float | None = None) -> float:
+    value = arguments.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise FaultError(f"{name} = {value!r}: a number of seconds is needed")
+    if not 0 <= value <= MAX_SECONDS:
+        raise FaultError(f"{name} = {value!r} is not within 0 to {MAX_SECONDS:g} s")
+    return float(value)
+
+
+def _count(arguments: Mapping[str, Any], name: str = "count", *, default: int | None = 1, least: int = 1) -> int:
+    value = arguments.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise FaultError(f"{name} = {value!r}: a whole number is needed")
+    if not least <= value <= MAX_COUNT:
+        raise FaultError(f"{name} = {value!r} is not within {least} to {MAX_COUNT}")
+    return value
+
+
+def _axis(arguments: Mapping[str, Any]) -> int:
+    name = arguments.get("axis")
+    if not isinstance(name, str) or len(name) != 1 or name.upper() not in "XYZ":
+        raise FaultError(f"axis = {name!r} is none of X, Y, Z")
+    return "XYZ".index(name.upper())
+
+
+def _switch(arguments: Mapping[str, Any], name: str = "on") -> bool:
+    value = arguments.get(name, True)
+    if not isinstance(value, bool):
+        raise FaultError(f"{name} = {value!r}: true or false is needed")
+    return value
+
+
+class Machine:
+    """The board, its mechanics, and the faults that can befall them."""
+
+    def __init__(
+        self,
+        eeprom: Eeprom,
+        *,
+        board: BoardOptions | None = None,
+        mechanics: MechanicsOptions | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.rng = random.Random(seed)
+        self.mechanics = Mechanics.build(eeprom, mechanics or MechanicsOptions(), self.rng)
+        self.board = Board(eeprom, self.mechanics, self.rng, board or BoardOptions())
+
+    def truth(self) -> dict[str, Any]:
+        """Return where the motors truly are and what the tool pins do."""
+        m = self.mechanics
+        return {
+            "mpos": [round(v, 5) for v in m.mpos_mm()],
+            "spindle": round(m.spindle_rpm, 3),
+            "coolant": m.flood or m.mist,
+            "state": self.board.state_text() if self.board.powered else "Off",
+        }
+
+    def inject(self, kind: str, arguments: Mapping[str, Any]) -> PortFault | None:
+        """Make a fault happen now.
+
+        Returns what the port has to do, None when the board did it all.
+
+        Raises
+        ------
+        FaultError
+            When there is no such fault or an argument does not fit.
+        """
+        action = FAULTS.get(kind)
+        if action is None:
+            raise FaultError(f"fault {kind!r} is none of {', '.join(sorted(FAULTS))}")
+        result = action(self, arguments)
+        self.board.journal.note(self.board.now, "fault", fault=kind, arguments=dict(arguments))
+        return result
+
+    def _unplug(self, arguments: Mapping[str, Any]) -> PortFault:
+        return PortFault(kind="unplug", seconds=_seconds(arguments, default=1.0))
+
+    def _stop_reading(self, arguments: Mapping[str, Any]) -> PortFault:
+        return PortFault(kind="stop_reading", seconds=_seconds(arguments, default=1.0))
+
+    def _brown_out(self, arguments: Mapping[str, Any]) -> None:
+        self.board.power_on(self.board.now)
+
+    def _soft_reset(self, arguments: Mapping[str, Any]) -> None:
+        self.board.soft_reset()
+
+    def _hang(self, arguments: Mapping[str, Any]) -> None:
+        self.board.stall(_seconds(arguments, default=1.0))
+
+    def _error(self, arguments: Mapping[str, Any]) -> None:
+        number = _count(arguments, "number", default=None)
+        self.board.error_after = [_count(arguments, "after", default=0, least=0), number]
+
+    def _garbage(self, arguments: Mapping[str, Any]) -> None:
+        data = bytes(self.rng.randrange(256) for _ in range(_count(arguments, default=16)))
+        self.board.outbound.send(data, self.board.now)
+
+    def _stray_ok(self, arguments: Mapping[str, Any]) -> None:
+        for _ in range(_count(arguments)):
+            self.board.outbound.send(b"ok\r\n", self.board.now)
+
+    def _answers(self, arguments: Mapping[str, Any]) -> None:
+        how = arguments.get("how")
+        if how not in Outbound.kinds:
+            raise FaultError(f"how = {how!r} is none of {', '.join(Outbound.kinds)}")
+        fault = AnswerFault(kind=how, count=_count(arguments), seconds=_seconds(arguments, default=0.1))
+        self.board.outbound.faults.append(fault)
+
+    def _alarm(self, arguments: Mapping[str, Any]) -> None:
+        self.board.raise_alarm(_count(arguments, "number", default=None))
+
+    def _eeprom_pause(self, arguments: Mapping[str, Any]) -> None:
+        self.board.eeprom_pause = (_seconds(arguments), _seconds(arguments, "tail_s", 0.0))
+
+    def _limit(self, arguments: Mapping[str, Any]) -> None:
+        self.board.hold_switch(_axis(arguments), _switch(arguments))
+
+    def _broken_switch(self, arguments: Mapping[str, Any]) -> None:
+        axis, broken = _axis(arguments), _switch(arguments)
+        (self.mechanics.broken_switches.add if broken else self.mechanics.broken_switches.discard)(axis)
+
+    def _stop_button(self, arguments: Mapping[str, Any]) -> None:
+        self.board.press_stop(_switch(arguments))
+
+    def _door(self, arguments: Mapping[str, Any]) -> None:
+        self.board.set_door(_switch(arguments))
+
+    def _probe_surface(self, arguments: Mapping[str, Any]) -> None:
+        z = arguments.get("z_mm")
+        if z is not None and (isinstance(z, bool) or not isinstance(z, (int, float)) or not math.isfinite(z)):
+            raise FaultError(f"z_mm = {z!r}: a number of mm, or null for none, is needed")
+        self.mechanics.probe_z_mm = z
+
+
+FAULTS: dict[str, Callable[[Machine, Mapping[str, Any]], PortFault | None]] = {
+    "unplug": Machine._unplug,
+    "stop_reading": Machine._stop_reading,
+    "brown_out": Machine._brown_out,
+    "soft_reset": Machine._soft_reset,
+    "hang": Machine._hang,
+    "error": Machine._error,
+    "garbage": Machine._garbage,
+    "stray_ok": Machine._stray_ok,
+    "answers": Machine._answers,
+    "alarm": Machine._alarm,
+    "eeprom_pause": Machine._eeprom_pause,
+    "limit": Machine._limit,
+    "broken_switch": Machine._broken_switch,
+    "stop_button": Machine._stop_button,
+    "door": Machine._door,
+    "probe_surface": Machine._probe_surface,
+}
+"""Faults by name.
+
+unplug(seconds), stop_reading(seconds), brown_out(), soft_reset(), hang(seconds: the main loop stands still),
+error(number, after: lines to let pass), garbage(count: bytes), stray_ok(count),
+answers(how: lost, delayed, split or merged; count, seconds), alarm(number), eeprom_pause(seconds, tail_s: deaf after
+the answer), limit(axis, on), broken_switch(axis, on), stop_button(on), door(on), probe_surface(z_mm).
+"""

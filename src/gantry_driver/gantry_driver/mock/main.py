@@ -1,0 +1,114 @@
+"""The program ``mock_grbl``: a GRBL 1.1h board behind a pseudo-terminal, for any G-code sender."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+from typing import TextIO
+
+from gantry_driver.mock.board import BoardOptions
+from gantry_driver.mock.machine import Machine
+from gantry_driver.mock.mechanics import MechanicsOptions
+from gantry_driver.mock.service import Service
+from gantry_driver.mock.settings import SettingsError, make_eeprom, parse_assignment, read_settings_file
+
+MAX_SCALE = 1000.0
+
+
+def _scale(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value <= MAX_SCALE:
+        raise argparse.ArgumentTypeError(f"{text} is not within 0 to {MAX_SCALE:g}")
+    return value
+
+
+def _baud(text: str) -> int:
+    value = int(text)
+    if value != 0 and not 300 <= value <= 4_000_000:
+        raise argparse.ArgumentTypeError(f"{text} is neither 0 nor within 300 to 4000000")
+    return value
+
+
+def _start(text: str) -> tuple[float, float, float]:
+    parts = [float(part) for part in text.split(",")]
+    if len(parts) != 3:
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form X,Y,Z in mm")
+    return parts[0], parts[1], parts[2]
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(
+        prog="mock_grbl",
+        description="A GRBL 1.1h board behind a pseudo-terminal. Prints the port's path on its first line.",
+    )
+    parser.add_argument("--link", type=Path, metavar="PATH", help="symbolic link that follows the port")
+    parser.add_argument("--time-scale", type=_scale, default=1.0, metavar="F", help="board seconds per second (1)")
+    parser.add_argument("--settings", type=Path, metavar="FILE", help="text file of $N=VALUE lines")
+    parser.add_argument("--set", action="append", default=[], metavar="N=VALUE", help="one setting, after --settings")
+    parser.add_argument("--truth-socket", type=Path, metavar="PATH", help="Unix socket with the motors' positions")
+    parser.add_argument("--control-socket", type=Path, metavar="PATH", help="Unix socket for faults and counters")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="JSON lines of all that is received and done")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of everything random (0)")
+    parser.add_argument("--baud", type=_baud, default=115200, metavar="N", help="line speed, 0 = unlimited (115200)")
+    parser.add_argument("--start", type=_start, metavar="X,Y,Z", help="where the axes stand at power-up, mm")
+    parser.add_argument("--keep-running", action="store_true", help="opening the port does not reset the board")
+    parser.add_argument("--mist", action="store_true", help="built with M7")
+    return parser
+
+
+def _open_log(path: Path) -> TextIO:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path.open("w", encoding="utf-8")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the board until SIGINT or SIGTERM; return the exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if "--ros-args" in given:  # bring-up starts the board beside nodes; it has no use for theirs
+        begin = given.index("--ros-args")
+        end = given.index("--", begin) + 1 if "--" in given[begin:] else len(given)
+        del given[begin:end]
+    options = make_parser().parse_args(given)
+    with contextlib.ExitStack() as stack:
+        try:
+            assignments = read_settings_file(options.settings) if options.settings else {}
+            assignments.update(parse_assignment(text) for text in options.set)
+            mechanics = MechanicsOptions() if options.start is None else MechanicsOptions(start_mm=options.start)
+            machine = Machine(
+                make_eeprom(assignments),
+                board=BoardOptions(baud=options.baud, mist=options.mist),
+                mechanics=mechanics,
+                seed=options.seed,
+            )
+            log = stack.enter_context(_open_log(options.log)) if options.log else None
+            service = Service(
+                machine,
+                link=options.link,
+                time_scale=options.time_scale,
+                truth_socket=options.truth_socket,
+                control_socket=options.control_socket,
+                log=log,
+                reset_on_open=not options.keep_running,
+            )
+        except (SettingsError, OSError) as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 2
+
+        def stop(number: int, frame: FrameType | None) -> None:
+            service.stop()
+
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, stop)
+        print(options.link or service.port.path, flush=True)
+        service.run()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,71 @@
+"""Texts that the mock board sends, in the forms of GRBL 1.1's interface document (doc/markdown/interface.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gantry_driver.mock.gcode import MM_PER_INCH, ParserState
+from gantry_driver.mock.settings import Eeprom, shown
+
+BANNER = "\r\nGrbl 1.1h ['$' for help]"
+HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
+UNLOCK_HINT = "[MSG:'$H'|'$X' to unlock]"
+RESET_HINT = "[MSG:Reset to continue]"
+UNLOCKED = "[MSG:Caution: Unlocked]"
+CHECK_ON, CHECK_OFF = "[MSG:Enabled]", "[MSG:Disabled]"
+CHECK_DOOR, CHECK_LIMITS = "[MSG:Check Door]", "[MSG:Check Limits]"
+PROGRAM_END, SLEEPING, RESTORING = "[MSG:Pgm End]", "[MSG:Sleeping]", "[MSG:Restoring defaults]"
+
+
+def coordinates(values_mm: Sequence[float], inches: bool) -> str:
+    """Return coordinates as reports have them: three decimals in mm, four in inches."""
+    if inches:
+        return ",".join(f"{_plain(v / MM_PER_INCH, 4)}" for v in values_mm)
+    return ",".join(_plain(v, 3) for v in values_mm)
+
+
+def _plain(value: float, digits: int) -> str:
+    text = f"{value:.{digits}f}"
+    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+
+
+def rate(mm_per_min: float, inches: bool) -> str:
+    """Return a feed rate as reports have it."""
+    return f"{mm_per_min / MM_PER_INCH:.1f}" if inches else f"{mm_per_min:.0f}"
+
+
+def settings(eeprom: Eeprom) -> list[str]:
+    """Return the answer to ``$$``."""
+    return [f"${number}={shown(number, value)}" for number, value in eeprom.values.items()]
+
+
+def parameters(
+    eeprom: Eeprom, state: ParserState, probe_mm: Sequence[float], probe_ok: bool, inches: bool
+) -> list[str]:
+    """Return the answer to ``$#``."""
+    names = [f"G{54 + i}" for i in range(len(eeprom.systems) - 2)] + ["G28", "G30"]
+    lines = [f"[{name}:{coordinates(place, inches)}]" for name, place in zip(names, eeprom.systems)]
+    lines.append(f"[G92:{coordinates(state.g92, inches)}]")
+    lines.append(f"[TLO:{coordinates([state.tool_length], inches)}]")
+    lines.append(probe(probe_mm, probe_ok, inches))
+    return lines
+
+
+def probe(probe_mm: Sequence[float], ok: bool, inches: bool) -> str:
+    """Return the line of a probing cycle."""
+    return f"[PRB:{coordinates(probe_mm, inches)}:{int(ok)}]"
+
+
+def modes(state: ParserState, inches: bool) -> str:
+    """Return the answer to ``$G``."""
+    m = state.modes
+    coolant = " ".join(name for name, on in (("M7", m.mist), ("M8", m.flood)) if on) or "M9"
+    return (
+        f"[GC:G{m.motion:g} G{54 + m.system} G{m.plane} G{m.units} G{m.distance} G{m.feed_mode}"
+        f" M{m.spindle} {coolant} T{state.tool} F{rate(state.feed, inches)} S{state.speed:.0f}]"
+    )
+
+
+def build_info(eeprom: Eeprom, mist: bool, planner: int, receive: int) -> list[str]:
+    """Return the answer to ``$I``."""
+    return [f"[VER:1.1h.20190825:{eeprom.build_info}]", f"[OPT:V{'M' * mist},{planner},{receive}]"]

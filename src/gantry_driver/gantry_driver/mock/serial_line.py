@@ -1,0 +1,124 @@
+"""The mock board's serial line: both directions take time by the baud rate, and answers can be spoilt on their way."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections import deque
+from dataclasses import dataclass
+
+BITS_PER_BYTE = 10
+_SIGNIFICANT = re.compile(rb"[\n\r?!~\x18\x80-\xff]")
+
+
+class Inbound:
+    """Bytes on their way from the host to the board."""
+
+    def __init__(self, byte_s: float) -> None:
+        self.byte_s = byte_s
+        self._data = bytearray()
+        self._start_s = 0.0
+
+    def push(self, data: bytes, now: float) -> None:
+        """Send ``data`` at ``now``; it queues behind what is still on the line."""
+        if not self._data:
+            self._start_s = now
+        elif self.byte_s == 0:
+            self._start_s = max(self._start_s, now)
+        self._data += data
+
+    def clear(self) -> int:
+        """Drop what has not arrived; return how many bytes that were."""
+        lost = len(self._data)
+        self._data.clear()
+        return lost
+
+    def due(self) -> float | None:
+        """Return when the next byte arrives that the board may have to act on."""
+        if not self._data:
+            return None
+        match = _SIGNIFICANT.search(self._data)
+        count = match.end() if match else len(self._data)
+        return self._start_s + count * self.byte_s
+
+    def take(self, now: float) -> tuple[float, int] | None:
+        """Return the next byte that has arrived by ``now`` with its time, or None."""
+        if not self._data or self._start_s + self.byte_s > now + 1e-12:
+            return None
+        self._start_s += self.byte_s
+        return self._start_s, self._data.pop(0)
+
+
+@dataclass(slots=True)
+class AnswerFault:
+    """What happens to the next ``count`` answers (``ok``, ``error:N``)."""
+
+    kind: str
+    """``lost``, ``delayed``, ``split`` or ``merged``."""
+    count: int
+    seconds: float = 0.0
+
+
+class Outbound:
+    """Bytes on their way from the board to the host."""
+
+    kinds = ("lost", "delayed", "split", "merged")
+    buffer_bytes = 104
+    """GRBL's transmit buffer; the firmware waits when it is full."""
+
+    def __init__(self, byte_s: float, rng: random.Random) -> None:
+        self.byte_s = byte_s
+        self.rng = rng
+        self.faults: deque[AnswerFault] = deque()
+        self._queue: deque[tuple[float, bytes]] = deque()
+        self._free_s = 0.0
+        self._merge_until = 0.0
+
+    def send(self, data: bytes, now: float, *, after_s: float = 0.0) -> None:
+        """Queue bytes; they arrive when the line has carried them."""
+        start = max(self._free_s, now) + after_s
+        self._free_s = start + len(data) * self.byte_s
+        self._queue.append((self._free_s, data))
+
+    def answer(self, data: bytes, now: float) -> str | None:
+        """Queue an answer through the injected faults; return the name of the fault that hit it."""
+        if not self.faults:
+            self.send(data, now)
+            return None
+        fault = self.faults[0]
+        fault.count -= 1
+        if fault.count <= 0:
+            self.faults.popleft()
+        if fault.kind == "delayed":
+            self.send(data, now, after_s=fault.seconds)
+        elif fault.kind == "split":
+            cut = self.rng.randint(1, len(data) - 1)
+            self.send(data[:cut], now)
+            self.send(data[cut:], now, after_s=fault.seconds)
+        elif fault.kind == "merged":
+            # Every answer until then waits for the same moment, as behind a slow USB latency timer.
+            if self._merge_until <= now:
+                self._merge_until = now + fault.seconds
+            self._free_s = max(self._free_s, self._merge_until)
+            self._queue.append((self._free_s, data))
+        return fault.kind
+
+    def clear(self) -> None:
+        """Drop everything, as when the cable is pulled."""
+        self._queue.clear()
+        self._merge_until = self._free_s = 0.0
+
+    def due(self) -> float | None:
+        """Return when the next piece arrives at the host."""
+        return self._queue[0][0] if self._queue else None
+
+    def take(self, now: float) -> list[bytes]:
+        """Return the pieces that have arrived by ``now``."""
+        pieces = []
+        while self._queue and self._queue[0][0] <= now + 1e-12:
+            pieces.append(self._queue.popleft()[1])
+        return pieces
+
+    def room_at(self) -> float:
+        """Return when the transmit buffer has room again."""
+        return self._free_s - self.buffer_bytes * self.byte_s

@@ -1,0 +1,200 @@
+"""Runs a mock machine in real time: port, truth socket, control socket and log around one selector."""
+
+from __future__ import annotations
+
+import json
+import os
+import selectors
+import socket
+import time
+from pathlib import Path
+from typing import Any, TextIO
+
+from gantry_driver.mock.journal import Entry
+from gantry_driver.mock.line_socket import LineServer
+from gantry_driver.mock.machine import FaultError, Machine, PortFault
+from gantry_driver.mock.pty_port import OPEN_POLL_S, PtyPort
+
+TRUTH_MOVING_S, TRUTH_REST_S = 0.005, 0.05
+MAX_LOG_ENTRIES = 2000
+
+
+class Service:
+    """The mock board as a process sees it; :meth:`run` returns after :meth:`stop`."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        *,
+        link: Path | None = None,
+        time_scale: float = 1.0,
+        truth_socket: Path | None = None,
+        control_socket: Path | None = None,
+        log: TextIO | None = None,
+        reset_on_open: bool = True,
+    ) -> None:
+        self.machine = machine
+        self._board = machine.board
+        self._scale = time_scale
+        self._reset_on_open = reset_on_open
+        self._selector = selectors.DefaultSelector()
+        self._wake_read, self._wake_write = socket.socketpair()
+        self._wake_read.setblocking(False)
+        self._wake_write.setblocking(False)
+        self._selector.register(self._wake_read, selectors.EVENT_READ, self._woken)
+        self._stopping = False
+        self._start_s = time.monotonic()
+        self._fault_ends_s: dict[str, float] = {}
+        self._truth_s = 0.0
+        self._was_moving = False
+        self._log = log
+        self._log_dirty = False
+        if log is not None:
+            self._board.journal.sink = self._log_entry
+        self._truth = LineServer(truth_socket, self._selector) if truth_socket else None
+        self._control = LineServer(control_socket, self._selector) if control_socket else None
+        self.port = PtyPort(self._selector, link, self._received, self._opened)
+        self._board.power_on(self._now())
+
+    @property
+    def wake_fd(self) -> int:
+        """A descriptor for :func:`signal.set_wakeup_fd`."""
+        return self._wake_write.fileno()
+
+    def stop(self) -> None:
+        """Let :meth:`run` return; may be called from a signal handler or another thread."""
+        self._stopping = True
+        try:
+            self._wake_write.send(b"\0")
+        except BlockingIOError:
+            pass  # it is full of wake-ups already
+
+    def run(self) -> None:
+        """Serve until stopped, then close everything."""
+        try:
+            while not self._stopping:
+                self._turn()
+        finally:
+            self._close()
+
+    def _now(self) -> float:
+        return (time.monotonic() - self._start_s) * self._scale
+
+    def _turn(self) -> None:
+        for key, _ in self._selector.select(self._timeout()):
+            if key.fileobj in self._selector.get_map():  # an earlier callback may have closed it
+                key.data()
+        self._end_faults()
+        self.port.poll()
+        if self._control is not None:
+            for client, line in self._control.lines():
+                self._control.send(client, json.dumps(self._command(line)).encode() + b"\n")
+        self._board.advance(self._now())
+        pieces = self._board.take_output()
+        if pieces:
+            dropped = self.port.write(b"".join(pieces))
+            self._board.journal.count("bytes_unread", dropped)
+        self._tell_truth()
+        if self._log is not None and self._log_dirty:
+            self._log.flush()
+            self._log_dirty = False
+
+    def _timeout(self) -> float | None:
+        now = time.monotonic()
+        times = []
+        due = self._board.next_due()
+        if due is not None:
+            times.append(self._start_s + due / self._scale)
+        if self.port.waiting:
+            times.append(now + OPEN_POLL_S)
+        if self._truth is not None and self._truth.client_count:
+            times.append(self._truth_s + (TRUTH_MOVING_S if self._board.moving() else TRUTH_REST_S))
+        times.extend(self._fault_ends_s.values())
+        return max(min(times) - now, 0.0) if times else None
+
+    def _woken(self) -> None:
+        self._wake_read.recv(4096)
+
+    def _received(self, data: bytes) -> None:
+        self._board.receive(data, self._now())
+
+    def _opened(self) -> None:
+        self._board.journal.note(self._board.now, "opened")
+        if self._reset_on_open:
+            self._board.power_on(self._now())  # DTR resets an Arduino
+
+    def _tell_truth(self) -> None:
+        if self._truth is None or not self._truth.client_count:
+            return
+        now, moving = time.monotonic(), self._board.moving()
+        period = TRUTH_MOVING_S if moving or self._was_moving else TRUTH_REST_S
+        if now - self._truth_s < period - 0.0005 and moving == self._was_moving:
+            return
+        self._truth_s, self._was_moving = now, moving
+        self._truth.broadcast(json.dumps({"t": now, **self.machine.truth()}).encode() + b"\n")
+
+    def _command(self, line: bytes) -> dict[str, Any]:
+        """Answer one line of the control socket; ``do`` is state, counters, log or fault."""
+        try:
+            request = json.loads(line)
+        except ValueError as error:
+            return {"ok": False, "error": f"not JSON: {error}"}
+        if not isinstance(request, dict):
+            return {"ok": False, "error": "a JSON object is needed"}
+        board = self._board
+        board.advance(self._now())
+        what = request.pop("do", None)
+        if what == "state":
+            port = str(self.port.path) if self.port.plugged else None
+            counters = board.motion.position(board.now)
+            truth = self.machine.truth()
+            return {"ok": True, "t": board.now, "port": port, "open": self.port.is_open, "steps": counters, **truth}
+        if what == "counters":
+            return {"ok": True, "t": board.now, "counters": dict(board.journal.counts)}
+        if what == "log":
+            since, kind = request.get("since", 0), request.get("kind")
+            if not isinstance(since, int):
+                return {"ok": False, "error": f"since = {since!r}: a whole number is needed"}
+            return {"ok": True, "entries": board.journal.since(since, kind)[:MAX_LOG_ENTRIES]}
+        if what == "fault":
+            kind = request.pop("kind", "")
+            try:
+                port_fault = self.machine.inject(str(kind), request)
+            except FaultError as error:
+                return {"ok": False, "error": str(error)}
+            if port_fault is not None:
+                self._begin_fault(port_fault)
+            return {"ok": True, "t": board.now}
+        return {"ok": False, "error": f"do = {what!r} is none of state, counters, log, fault"}
+
+    def _begin_fault(self, fault: PortFault) -> None:
+        if fault.kind == "unplug":
+            self._board.power_off(self._now())
+            self.port.unplug()
+        else:
+            self.port.set_reading(False)
+        self._fault_ends_s[fault.kind] = time.monotonic() + fault.seconds / self._scale
+
+    def _end_faults(self) -> None:
+        now = time.monotonic()
+        for kind in [kind for kind, end in self._fault_ends_s.items() if end <= now]:
+            del self._fault_ends_s[kind]
+            if kind == "unplug":
+                self.port.plug()
+                self._board.power_on(self._now())
+            else:
+                self.port.set_reading(True)
+
+    def _log_entry(self, entry: Entry) -> None:
+        assert self._log is not None
+        self._log.write(json.dumps(entry) + os.linesep)
+        self._log_dirty = True
+
+    def _close(self) -> None:
+        self.port.unplug()
+        for server in (self._truth, self._control):
+            if server is not None:
+                server.close()
+        self._selector.close()
+        self._wake_read.close()
+        self._wake_write.close()

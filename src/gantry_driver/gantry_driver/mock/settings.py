@@ -1,0 +1,160 @@
+"""The `$` settings of GRBL 1.1 and the rest of what the board keeps in its EEPROM, with the bench's values.
+
+Numbers, names and limits are those of GRBL's settings document (gnea/grbl, doc/markdown/settings.md and
+doc/csv/setting_codes_en_US.csv).
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+AXES = "XYZ"
+N_SYSTEMS = 6
+MASKS = (2, 3, 10, 23)
+BOOLEANS = (4, 5, 6, 13, 20, 21, 22, 32)
+BYTES = (0, 1)
+WORDS = (26,)
+ROUNDED = (30, 31)
+INTEGERS = (*BYTES, *MASKS, *BOOLEANS, *WORDS)
+
+BENCH: dict[int, float] = {
+    0: 10, 1: 255, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0,
+    10: 3, 11: 0.010, 12: 0.002, 13: 0,
+    20: 1, 21: 1, 22: 1, 23: 3, 24: 300.0, 25: 6000.0, 26: 50, 27: 1.0,
+    30: 1000.0, 31: 0.0, 32: 0,
+    100: 80.0, 101: 80.0, 102: 400.0,
+    110: 12000.0, 111: 12000.0, 112: 3000.0,
+    120: 1500.0, 121: 1500.0, 122: 400.0,
+    130: 360.0, 131: 220.0, 132: 60.0,
+}  # fmt: skip
+"""Settings of the simulated bench, in the order `$$` prints them; mm, mm/min, mm/s^2, steps per mm."""
+
+ERROR_INVALID_STATEMENT, ERROR_NEGATIVE, ERROR_STEP_PULSE, ERROR_SOFT_LIMITS = 3, 4, 6, 10
+
+
+class SettingsError(ValueError):
+    """A settings file or a ``--set`` argument cannot be used; the message says which line and why."""
+
+
+@dataclass(slots=True)
+class Eeprom:
+    """What survives a reset and a power cycle.
+
+    ``defaults`` are the values that ``$RST=$`` restores; ``systems`` are G54 to G59 and then G28 and G30, in mm.
+    """
+
+    defaults: Mapping[int, float] = field(default_factory=lambda: dict(BENCH))
+    values: dict[int, float] = field(init=False)
+    systems: list[list[float]] = field(init=False)
+    startup: list[str] = field(default_factory=lambda: ["", ""])
+    build_info: str = ""
+
+    def __post_init__(self) -> None:
+        self.values = dict(self.defaults)
+        self.systems = [[0.0, 0.0, 0.0] for _ in range(N_SYSTEMS + 2)]
+
+    def flag(self, number: int) -> bool:
+        """Tell whether a boolean setting is on."""
+        return self.values[number] != 0
+
+    def axis_values(self, first: int) -> tuple[float, float, float]:
+        """Return the three values of a group of axis settings, for example 110 for the maximum rates."""
+        return self.values[first], self.values[first + 1], self.values[first + 2]
+
+    def image(self) -> bytes:
+        """Return the stored bytes; what a write changes of them decides how long it takes."""
+        numbers = b"".join(
+            struct.pack("<B", int(value) & 0xFF) if number in INTEGERS else struct.pack("<f", value)
+            for number, value in self.values.items()
+        )
+        places = struct.pack(f"<{3 * len(self.systems)}f", *(v for system in self.systems for v in system))
+        texts = [text.encode("ascii", "replace").ljust(80, b"\0") for text in (*self.startup, self.build_info)]
+        return numbers + places + b"".join(texts)
+
+    def store(self, number: int, value: float) -> int:
+        """Store one setting as ``$number=value`` does; return 0 or the number of the error."""
+        if value < 0:
+            return ERROR_NEGATIVE
+        if number not in self.values:
+            return ERROR_INVALID_STATEMENT
+        if number in BOOLEANS:
+            value = float(int(value) != 0)
+        elif number in (*MASKS, *BYTES):
+            value = int(value) & 0xFF  # the firmware keeps these in one byte
+        elif number in WORDS:
+            value = int(value) & 0xFFFF
+        if number == 0 and value < 3:
+            return ERROR_STEP_PULSE
+        if number == 20 and value and not self.flag(22):
+            return ERROR_SOFT_LIMITS
+        self.values[number] = value
+        if number == 22 and not value:
+            self.values[20] = 0  # soft limits mean nothing without homing
+        return 0
+
+    def clear_places(self) -> None:
+        """Zero the work coordinate systems and the G28 and G30 positions."""
+        for system in self.systems:
+            system[:] = [0.0, 0.0, 0.0]
+
+
+def shown(number: int, value: float) -> str:
+    """Return a setting's value as ``$$`` prints it."""
+    if number in INTEGERS or number in ROUNDED:
+        return str(round(value))
+    return f"{value:.3f}"
+
+
+_ASSIGNMENT = re.compile(r"\$?(\d+)\s*=\s*([-+0-9.eE]+)")
+
+
+def parse_assignment(text: str) -> tuple[int, float]:
+    """Read ``N=VALUE`` or ``$N=VALUE``.
+
+    Raises
+    ------
+    SettingsError
+        When the text has another form, the setting does not exist, or its value is refused.
+    """
+    match = _ASSIGNMENT.fullmatch(text.strip())
+    if match is None:
+        raise SettingsError(f"{text!r} is not of the form N=VALUE")
+    try:
+        number, value = int(match[1]), float(match[2])
+    except ValueError:
+        raise SettingsError(f"{match[2]!r} in {text!r} is not a number") from None
+    if number not in BENCH:
+        raise SettingsError(f"GRBL 1.1 has no setting ${number}")
+    return number, value
+
+
+def make_eeprom(assignments: Mapping[int, float]) -> Eeprom:
+    """Return a fresh EEPROM with the bench's settings and ``assignments`` on top.
+
+    Raises
+    ------
+    SettingsError
+        When the board would refuse a value; the message has the board's error number.
+    """
+    trial = Eeprom(defaults={**BENCH, 20: 0.0, 22: 0.0})
+    wanted = {**BENCH, **assignments}
+    for number in sorted(wanted, key=lambda n: (n == 20, n)):  # $20 needs $22 first
+        error = trial.store(number, wanted[number])
+        if error:
+            raise SettingsError(f"${number}={wanted[number]:g} is refused with error:{error}")
+    return Eeprom(defaults=dict(trial.values))
+
+
+def read_settings_file(path: Path) -> dict[int, float]:
+    """Read a text file of ``$N=VALUE`` lines, such as a saved answer to ``$$``; ``ok`` and comments are skipped."""
+    assignments: dict[int, float] = {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        text = re.split(r"[;(#]", line, maxsplit=1)[0].strip()
+        if text and text != "ok":
+            number, value = parse_assignment(text)
+            assignments[number] = value
+    return assignments
