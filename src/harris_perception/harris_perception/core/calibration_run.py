@@ -1,0 +1,309 @@
+"""The calibration as a procedure: go to spread places, wait for stillness, look at the tip, solve, check.
+
+A state machine without clock or messages: events and the time go in, actions come out. Every wait has a deadline, and
+whatever goes wrong ends the run with a reason; it never starts again by itself.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate
+from icu_common.core.config import Config, ConfigError, setting
+from icu_common.core.geometry import Array
+from icu_common.core.results import GoalResult, Outcome
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StillConfig(Config):
+    """When the machine stands still and its tip is seen well."""
+
+    settle_s: float = setting(0.3, "Rest before the tip is looked at", minimum=0.0, maximum=10.0, unit="s")
+    moved_m: float = setting(0.00001, "Readings that differ more are motion", minimum=0.0, maximum=0.01, unit="m")
+    fresh_s: float = setting(
+        1.0, "Readings and tips older than this count no more", minimum=0.1, maximum=60.0, unit="s"
+    )
+    tips: int = setting(8, "Sightings that make one sample", minimum=3, maximum=200)
+    scatter_m: float = setting(0.0008, "Their greatest rms scatter", minimum=1e-6, maximum=0.05, unit="m")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunConfig(Config):
+    """Where the run goes and how long it waits."""
+
+    x_min_m: float = setting(0.03, "Least x reading", minimum=0.0, maximum=5.0, unit="m")
+    x_max_m: float = setting(0.33, "Greatest x reading", minimum=0.0, maximum=5.0, unit="m")
+    y_min_m: float = setting(0.03, "Least y reading", minimum=0.0, maximum=5.0, unit="m")
+    y_max_m: float = setting(0.18, "Greatest y reading", minimum=0.0, maximum=5.0, unit="m")
+    columns: int = setting(4, "Places along x", minimum=2, maximum=20)
+    rows: int = setting(3, "Places along y", minimum=2, maximum=20)
+    heights_m: tuple[float, ...] = setting(
+        (0.0, -0.012), "Heights in base_link at each place", minimum=-0.5, maximum=0.0, unit="m"
+    )
+    held_out: int = setting(4, "Places between the others that check the result", minimum=2, maximum=50)
+    held_out_height_m: float = setting(-0.006, "Their height", minimum=-0.5, maximum=0.0, unit="m")
+    approach_m: float = setting(
+        0.003, "Each row is entered from so far left and below, which takes up the backlash", minimum=0.0, maximum=0.05
+    )
+    accept_timeout_s: float = setting(3.0, "A goal is answered within", minimum=0.1, maximum=60.0, unit="s")
+    move_timeout_s: float = setting(30.0, "A goal is reached within", minimum=1.0, maximum=600.0, unit="s")
+    look_timeout_s: float = setting(6.0, "A still tip is seen within", minimum=0.5, maximum=120.0, unit="s")
+    max_missed: float = setting(0.25, "Part of the places where the tip may stay unseen", minimum=0.0, maximum=0.9)
+    max_held_out_m: float = setting(0.001, "Greatest error at the held-out places", minimum=1e-6, maximum=0.1, unit="m")
+
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        for axis, low, high in (("x", self.x_min_m, self.x_max_m), ("y", self.y_min_m, self.y_max_m)):
+            if low < self.approach_m:
+                raise ConfigError(f"{axis}_min_m = {low}: at least approach_m = {self.approach_m} is needed")
+            if high <= low:
+                raise ConfigError(f"{axis}_max_m = {high} is not above {axis}_min_m = {low}")
+        if not self.heights_m:
+            raise ConfigError("heights_m = (): at least one height is needed")
+
+
+class StillWatch:
+    """Collects sightings of the tip while the readings do not change."""
+
+    def __init__(self, config: StillConfig) -> None:
+        self._config = config
+        self._reading: Array | None = None
+        self._reading_ns = self._since_ns = 0
+        self._tips: deque[tuple[int, Array]] = deque(maxlen=config.tips)
+
+    def restart(self, now_ns: int) -> None:
+        """Forget what was seen before ``now_ns``."""
+        self._since_ns = now_ns
+        self._tips.clear()
+
+    def reading(self, stamp_ns: int, reading: Array) -> None:
+        """Take the readings (3,) m of ``stamp_ns``."""
+        if self._reading is None or np.abs(reading - self._reading).max() > self._config.moved_m:
+            self._reading = np.array(reading, dtype=np.float64)
+            self.restart(max(stamp_ns, self._since_ns))
+        self._reading_ns = max(stamp_ns, self._reading_ns)
+
+    def tip(self, stamp_ns: int, tip: Array) -> None:
+        """Take a sighting (3,) m of ``stamp_ns``; those of a moving or settling machine are dropped."""
+        if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
+            self._tips.append((stamp_ns, np.array(tip, dtype=np.float64)))
+
+    def sample(self, now_ns: int) -> Sample | str:
+        """Return a sample, or why there is none yet."""
+        config = self._config
+        if self._reading is None or now_ns - self._reading_ns > config.fresh_s * 1e9:
+            return "no joint_states arrive"
+        fresh = [tip for stamp, tip in self._tips if now_ns - stamp <= (config.fresh_s + config.tips / 5.0) * 1e9]
+        if len(fresh) < config.tips:
+            return f"the tip was seen {len(fresh)} of {config.tips} times while the machine stood still"
+        tips = np.array(fresh)
+        centre = np.median(tips, axis=0)
+        distance = np.linalg.norm(tips - centre, axis=1)
+        # A single wrong sighting must not spoil the mean: beyond three times the middle distance it is left out.
+        near = tips[distance <= 3.0 * max(float(np.median(distance)), 1e-6)]
+        scatter = float(np.sqrt(np.mean(distance**2)))
+        if scatter > config.scatter_m:
+            return f"the tip scatters by {scatter * 1e3:.2f} mm, {config.scatter_m * 1e3:.2f} mm are accepted"
+        covariance = np.cov(near.T) / len(near)
+        return Sample(reading=self._reading, tip=near.mean(axis=0), covariance=covariance)
+
+
+class Purpose(str, Enum):
+    """Why the run goes to a place."""
+
+    APPROACH = "approach"
+    FIT = "fit"
+    CHECK = "check"
+    PARK = "park"
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """One goal of the run, metres in base_link."""
+
+    x: float
+    y: float
+    z: float
+    purpose: Purpose
+
+
+def plan(config: RunConfig) -> list[Stop]:
+    """Return the goals in order: each place is entered towards +x and +y, so that the backlash is always taken up."""
+    xs = np.linspace(config.x_min_m, config.x_max_m, config.columns)
+    ys = np.linspace(config.y_min_m, config.y_max_m, config.rows)
+    back = config.approach_m
+    stops: list[Stop] = []
+    for y in ys:
+        stops.append(Stop(float(xs[0]) - back, float(y) - back, 0.0, Purpose.APPROACH))
+        for x in xs:
+            stops += [Stop(float(x), float(y), z, Purpose.FIT) for z in config.heights_m]
+    between = [(float(x), float(y)) for y in (ys[1:] + ys[:-1]) / 2 for x in (xs[1:] + xs[:-1]) / 2]
+    # Places at the golden ratio's steps are spread evenly however many are wanted.
+    chosen = sorted({int(i * 0.618034 * len(between)) % len(between) for i in range(config.held_out)})
+    for x, y in (between[i] for i in chosen):
+        stops.append(Stop(x - back, y - back, 0.0, Purpose.APPROACH))
+        stops.append(Stop(x, y, config.held_out_height_m, Purpose.CHECK))
+    last = stops[-1]
+    return [*stops, Stop(last.x, last.y, 0.0, Purpose.PARK)]
+
+
+@dataclass(frozen=True, slots=True)
+class SendGoal:
+    """Go to ``xyz`` in base_link; its answers carry the id ``str(stamp_ns)``."""
+
+    xyz: tuple[float, float, float]
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """So many of so many places are done."""
+
+    done: int
+    total: int
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finished:
+    """The calibration, and the errors (N,) m at the held-out places."""
+
+    calibration: HandEye
+    held_out_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """The run has ended without a calibration."""
+
+    reason: str
+
+
+Action = SendGoal | Progress | Finished | Failed
+_FINE = ("idle", "moving")
+
+
+class CalibrationRun:
+    """One run from start to end; ``over`` is true after Finished or Failed.
+
+    Parameters
+    ----------
+    config, still, solver
+        See the classes.
+    now_ns
+        ROS time.
+    """
+
+    def __init__(self, config: RunConfig, still: StillConfig, solver: HandEyeConfig, now_ns: int) -> None:
+        self._config, self._solver = config, solver
+        self._watch = StillWatch(still)
+        self._stops = plan(config)
+        self._places = sum(s.purpose in (Purpose.FIT, Purpose.CHECK) for s in self._stops)
+        self._index = -1
+        self._goal_id = ""
+        self._accepted = self._arrived = False
+        self._deadline_ns = now_ns
+        self._samples: dict[Purpose, list[Sample]] = {Purpose.FIT: [], Purpose.CHECK: []}
+        self._missed: list[str] = []
+        self.over = False
+
+    def start(self, now_ns: int) -> list[Action]:
+        """Return the first actions."""
+        return list(self._next(now_ns))
+
+    def driver_state(self, text: str) -> list[Action]:
+        """Take the driver's state; anything but idle and moving ends the run."""
+        return [] if self.over or text.split(":")[0] in _FINE else self._fail(f"the driver says {text!r}")
+
+    def reading(self, stamp_ns: int, reading: Array) -> None:
+        """Take readings (3,) m."""
+        self._watch.reading(stamp_ns, reading)
+
+    def result(self, result: GoalResult, now_ns: int) -> list[Action]:
+        """Take an answer of the controller; those to others' goals are ignored."""
+        if self.over or self._arrived or result.goal_id != self._goal_id:
+            return []
+        if result.outcome is Outcome.ACCEPTED:
+            self._accepted = True
+            self._deadline_ns = now_ns + int(self._config.move_timeout_s * 1e9)
+            return []
+        stop = self._stops[self._index]
+        if result.outcome is not Outcome.REACHED:
+            where = f"x = {stop.x * 1e3:.0f}, y = {stop.y * 1e3:.0f}, z = {stop.z * 1e3:.0f} mm"
+            return self._fail(f"the goal {where} was {result.outcome.value}: {result.reason or 'no reason given'}")
+        self._arrived = True
+        if stop.purpose in (Purpose.APPROACH, Purpose.PARK):
+            return list(self._next(now_ns))
+        self._watch.restart(now_ns)
+        self._deadline_ns = now_ns + int(self._config.look_timeout_s * 1e9)
+        return []
+
+    def tip(self, stamp_ns: int, tip: Array, now_ns: int) -> list[Action]:
+        """Take a sighting (3,) m in the camera's frame."""
+        self._watch.tip(stamp_ns, tip)
+        if self.over or not self._arrived:
+            return []
+        sample = self._watch.sample(now_ns)
+        if isinstance(sample, str):
+            return []
+        self._samples[self._stops[self._index].purpose].append(sample)
+        return list(self._next(now_ns))
+
+    def tick(self, now_ns: int) -> list[Action]:
+        """Look at the deadline."""
+        if self.over or now_ns < self._deadline_ns:
+            return []
+        if not self._arrived:
+            config = self._config
+            waited = config.move_timeout_s if self._accepted else config.accept_timeout_s
+            what = "reached" if self._accepted else "answered"
+            return self._fail(f"the goal was not {what} within {waited:g} s")
+        why = self._watch.sample(now_ns)
+        self._missed.append(why if isinstance(why, str) else "the tip came too late")
+        if len(self._missed) > self._config.max_missed * self._places:
+            return self._fail(f"{len(self._missed)} of {self._places} places gave no sample; last: {self._missed[-1]}")
+        return list(self._next(now_ns))
+
+    def _next(self, now_ns: int) -> Iterator[Action]:
+        self._index += 1
+        done = len(self._samples[Purpose.FIT]) + len(self._samples[Purpose.CHECK]) + len(self._missed)
+        yield Progress(done, self._places, f"{len(self._missed)} missed" if self._missed else "")
+        if self._index == len(self._stops):
+            yield self._solve()
+            return
+        stop = self._stops[self._index]
+        self._goal_id, self._accepted, self._arrived = str(now_ns), False, False
+        self._deadline_ns = now_ns + int(self._config.accept_timeout_s * 1e9)
+        yield SendGoal((stop.x, stop.y, stop.z), now_ns)
+
+    def _solve(self) -> Action:
+        self.over = True
+        checks = self._samples[Purpose.CHECK]
+        if len(checks) < 2:
+            return Failed(f"only {len(checks)} held-out places gave a sample, 2 are needed to check the result")
+        try:
+            calibration = calibrate(self._samples[Purpose.FIT], self._solver)
+        except DegenerateError as error:
+            return Failed(str(error))
+        errors = held_out_errors(calibration, checks)
+        if errors.max() > self._config.max_held_out_m:
+            return Failed(
+                f"at a held-out place the tip was {errors.max() * 1e3:.2f} mm off, "
+                f"{self._config.max_held_out_m * 1e3:.2f} mm are accepted"
+            )
+        return Finished(calibration, errors)
+
+    def _fail(self, reason: str) -> list[Action]:
+        self.over = True
+        return [Failed(reason)]
+
+
+def held_out_errors(calibration: HandEye, samples: list[Sample]) -> Array:
+    """Return (N,) m: how far the tip was from where the calibration expects it."""
+    expected = calibration.tip_in_camera(np.array([s.reading for s in samples]))
+    return np.asarray(np.linalg.norm(expected - np.array([s.tip for s in samples]), axis=1))
