@@ -122,7 +122,7 @@ class RunningGraph:
 
     def prepare(self, within_s: float = 180.0) -> None:
         """Enable, home and calibrate, as `make demo` does."""
-        done = self.command("gantry_driver", "gantry_prepare", "--home", "--calibrate", within_s=within_s)
+        done = self.command("gantry_driver", "gantry_prepare", within_s=within_s)
         assert done.returncode == 0, f"{done.stdout}{done.stderr}\n{self.tail()}"
 
     def page_address(self) -> str:

@@ -70,6 +70,7 @@ class _Steps:
         session = self._session
         text = self.wait(lambda: session.latest(DRIVER), "no gantry/driver_state: is the driver running?")
         say(f"driver: {text}")
+        session.wait_until_heard(self._until)
         ready = min(self._until, time.monotonic() + CONNECT_S)
         try:
             session.wait_for(

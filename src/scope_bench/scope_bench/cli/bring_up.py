@@ -116,7 +116,7 @@ class BringUp:
                 path = find_executable("gantry_driver", "gantry_prepare", here)
                 namespace = ["-r", f"__ns:=/{self.options.namespace.strip('/')}"] if self.options.namespace else []
                 ros = ["--ros-args", *namespace] if namespace else []
-                group.start_once("prepare", [str(path), "--home", "--calibrate", *ros])
+                group.start_once("prepare", [str(path), *ros])
             while not self.stopping:
                 group.watch(0.2)
             self.say("ending every program")
