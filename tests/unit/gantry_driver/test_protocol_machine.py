@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
-from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
 from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
+
+from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
 
 
 def test_connects_checks_settings_and_waits_unhomed() -> None:

@@ -119,22 +119,27 @@ class SerialLink:
     # --- the thread ------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        retry_s = FIRST_RETRY_S
+        retry_s, next_try = FIRST_RETRY_S, 0.0
         while not self._closing:
             if self._fd >= 0:
                 self._turn()
-                retry_s = FIRST_RETRY_S if self._fd < 0 else retry_s
-            elif not self._open():
-                self._wait(retry_s)
+                if self._machine.connected:
+                    retry_s = FIRST_RETRY_S
+            elif time.monotonic() < next_try:
+                self._wait(next_try - time.monotonic())
+            else:
+                # A board that resets at every opening must not be opened in a tight loop.
+                next_try = time.monotonic() + retry_s
                 retry_s = min(2.0 * retry_s, LAST_RETRY_S)
+                self._open()
             self._publish()
 
-    def _open(self) -> bool:
+    def _open(self) -> None:
         try:
             port = serial.Serial(self._port_name, self._baud, timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
             self._lost(f"{self._port_name}: {_plain(error)}")
-            return False
+            return
         # A pseudo-terminal and many USB adapters know no low-latency mode; it only shortens the way.
         with contextlib.suppress(ValueError, OSError, AttributeError):
             port.set_low_latency_mode(True)
@@ -144,16 +149,15 @@ class SerialLink:
             self._pending.clear()
             self._machine.opened(time.monotonic())
             self._changed.notify_all()
-        return True
 
     def _turn(self) -> None:
         """Wait for bytes, a wake-up or a deadline, and do what is due."""
         with self._changed:
             now = time.monotonic()
             wait_s = max(0.0, self._machine.deadline(now) - now)
-        self._wait(wait_s)
+        readable = self._wait(wait_s)
         try:
-            data = self._read()
+            data = self._read() if readable else b""
         except OSError as error:
             self._lost(f"{self._port_name}: {_plain(error)}")
             return
@@ -169,7 +173,8 @@ class SerialLink:
         except OSError as error:
             self._lost(f"{self._port_name}: {_plain(error)}")
 
-    def _wait(self, seconds: float) -> None:
+    def _wait(self, seconds: float) -> bool:
+        """Wait at most ``seconds``; return whether the port has something to say, be it that it has gone."""
         poller = select.poll()
         poller.register(self._wake_read, select.POLLIN)
         if self._fd >= 0:
@@ -179,12 +184,14 @@ class SerialLink:
             woken = os.read(self._wake_read, 4096)
             for number in _STOP_SIGNALS.keys() & set(woken):
                 self.stop(_STOP_SIGNALS[number])
+        return bool(ready.get(self._fd, 0) & ~select.POLLOUT)
 
     def _read(self) -> bytes:
         try:
             data = os.read(self._fd, 65536)
         except BlockingIOError:
             return b""
+        # The terminal is set to VMIN = 0, so that an empty answer alone would not mean that the device has gone.
         if not data:
             raise OSError(errno.EIO, "the device has gone")
         return data

@@ -199,6 +199,11 @@ class Machine:
         return self.phase not in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING, Phase.MOVING, Phase.HOMING)
 
     @property
+    def connected(self) -> bool:
+        """Whether a board has been identified on the port."""
+        return self.phase.state not in ("disconnected", "connecting")
+
+    @property
     def needs_way_out(self) -> bool:
         """Whether leaving now would leave something moving or pressing."""
         return not self.at_rest or (self.phase is Phase.IDLE and self._stylus_is_down())

@@ -116,7 +116,7 @@ def mpos_mm(reading_m: tuple[float, float, float], config: DriverConfig) -> tupl
 def reading_m(mpos: Sequence[float], stylus_down: bool, config: DriverConfig) -> tuple[float, float, float]:
     """Return readings in metres of machine coordinates in mm; a stylus without a Z axis is where it was sent."""
     home = config.machine.homed_mpos_mm()
-    x, y, z = ((mpos[a] - home[a]) * config.machine.sign(a) / 1000.0 for a in range(3))
+    x, y, z = ((mpos[a] - home[a]) * config.machine.sign(a) / 1000.0 + 0.0 for a in range(3))
     if config.stylus.kind != "z_axis":
         z = config.stylus.stroke_m if stylus_down else 0.0
     return x, y, z
