@@ -204,8 +204,8 @@ class Bench:
             return
         self.tell(msg.CameraSeen(camera=CAMERA, stamp_ns=self.now_ns))
         if "panel" in self.talking:
-            self.tell(msg.PanelConfidence(value=self.confidence))
             self.tell(msg.PanelPose(camera_from_panel=self.camera_from_panel, stamp_ns=self.now_ns))
+            self.tell(msg.PanelConfidence(value=self.confidence))
             if self._steps < 10:
                 self.tell(msg.PanelControls(panel=PANEL))
         if "tip" in self.talking:

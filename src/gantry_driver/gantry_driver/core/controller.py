@@ -137,6 +137,7 @@ class _World:
     heartbeat_ns: int | None = None
     camera: CameraModel | None = None
     camera_stamp_ns: int | None = None
+    reported_panel: msg.PanelPose | None = None
     camera_from_panel: Transform | None = None
     panel_stamp_ns: int = 0
     confidence: float = 0.0
@@ -273,9 +274,9 @@ class Controller:
             case msg.MotionResult():
                 self._take_motion_result(event.result)
             case msg.PanelPose():
-                world.camera_from_panel, world.panel_stamp_ns = event.camera_from_panel, event.stamp_ns
+                world.reported_panel = event
             case msg.PanelConfidence():
-                world.confidence = event.value
+                self._take_confidence(event.value)
             case msg.PanelControls():
                 world.panel = event.panel
             case msg.CameraFromBase():
@@ -291,6 +292,15 @@ class Controller:
                 world.heartbeat_ns = self._now_ns
             case msg.Tick():
                 pass
+
+    def _take_confidence(self, value: float) -> None:
+        """Believe the pose that came before a good confidence; forget one that came before a bad one."""
+        world = self._world
+        world.confidence = value
+        if world.reported_panel is not None and value >= self.config.min_confidence:
+            world.camera_from_panel = world.reported_panel.camera_from_panel
+            world.panel_stamp_ns = world.reported_panel.stamp_ns
+        world.reported_panel = None
 
     def _take_motion_result(self, result: GoalResult) -> None:
         if self._job is None or self.phase not in MOVING or result.goal_id != str(self._stamp_ns):
@@ -346,18 +356,18 @@ class Controller:
     def _panel_obstacles(self) -> Iterator[_Obstacle]:
         world, config = self._world, self.config
         pose_age = self._age_s(world.panel_stamp_ns)
-        if world.camera_from_panel is None or world.panel is None:
-            missing = "pose" if world.camera_from_panel is None else "controls"
-            yield _Obstacle(
-                state="waiting: panel not recognised",
-                reason=f"the panel is not recognised: no {missing} yet",
-                every_goal=False,
-            )
-        elif not world.confidence >= config.min_confidence:
+        if not world.confidence >= config.min_confidence:
             yield _Obstacle(
                 state="waiting: panel not recognised",
                 reason=f"the panel is recognised with confidence {world.confidence:.2f}, "
                 f"at least {config.min_confidence:g} is needed",
+                every_goal=False,
+            )
+        elif world.camera_from_panel is None or world.panel is None:
+            missing = "pose" if world.camera_from_panel is None else "controls"
+            yield _Obstacle(
+                state="waiting: panel not recognised",
+                reason=f"the panel is not recognised: no {missing} yet",
                 every_goal=False,
             )
         elif pose_age > config.panel_max_age_s:

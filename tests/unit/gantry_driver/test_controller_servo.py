@@ -1,0 +1,67 @@
+"""Look-move-touch on a machine with backlash, scale, skew and noise that the controller does not know."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, PANEL, Bench
+
+from icu_common.core.results import Outcome
+
+SEEDS = range(20)
+
+
+def sloppy_bench(seed: int) -> Bench:
+    """Errors as large as the machine is allowed to have; the calibration knows none of them."""
+    rng = np.random.default_rng(seed)
+    bench = Bench(seed=seed)
+    scale, skew = rng.uniform(-0.004, 0.004, 2), rng.uniform(-0.003, 0.003)
+    bench.true_axes = np.array([[1 + scale[0], skew], [0.0, 1 + scale[1]]])
+    bench.backlash = rng.uniform(0.00015, 0.00025, 2)
+    bench.noise_m = np.array([4e-5, 4e-5, 1.5e-4])
+    return bench
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_true_error_at_contact(seed: int) -> None:
+    print(f"seed {seed}")
+    bench = sloppy_bench(seed).start()
+    for name in ("RUN_STOP", "CH1", "CH1_SCALE", "SCREEN"):
+        bench.lowest.clear()
+        result = bench.do(f"press:{name}")
+        assert result.outcome is Outcome.REACHED, result
+        control = next(c for c in PANEL.controls if c.name == name)
+        surface = BASE_FROM_PANEL.apply([*control.centre, control.height])
+        contact = min(bench.lowest, key=lambda p: p[2])
+        true_error = float(np.linalg.norm(contact[:2] - surface[:2]))
+        # Tolerance 0.15 mm plus the noise of the mean of five looks.
+        assert true_error < 0.00025, (name, true_error)
+        assert result.error_m < 0.00025
+        assert abs(result.error_m - true_error) < 0.0001
+        assert contact[2] == pytest.approx(surface[2] + 0.001, abs=2e-5)
+        assert int(dict(result.details)["corrections"]) <= 2
+
+
+def test_without_servoing_the_same_machine_misses() -> None:
+    errors = []
+    for seed in SEEDS:
+        bench = sloppy_bench(seed).start()
+        bench.go(*BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])[:2])
+        errors.append(np.linalg.norm(bench.tip_in_base()[:2] - BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])[:2]))
+    assert np.median(errors) > 0.0004, "the errors are too small to show anything"
+
+
+def test_every_correction_arrives_from_the_same_side() -> None:
+    bench = sloppy_bench(5).start()
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+    for path in bench.paths:
+        for before, after in itertools.pairwise(path):
+            if np.abs(after[:2] - before[:2]).max() > 1e-9:
+                assert (after[:2] > before[:2]).all()
+    bends = [p for p in bench.paths if len(p) == 2]
+    assert bends, "no correction was made"
+    for path in bends:
+        np.testing.assert_allclose(path[1] - path[0], [0.001, 0.001, 0.0], atol=1e-12)
+        assert path[0][2] == bench.paths[0][-1][2], "corrections stay at the hover height"
