@@ -1,0 +1,41 @@
+"""What the web server needs of the graph; the node provides it. Every call returns at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+
+class GraphError(RuntimeError):
+    """Nobody in the graph can take this; the message is for people."""
+
+
+class GraphPort(Protocol):
+    """The bridge's hands in the graph; called from the event loop's thread."""
+
+    def ros_ns(self) -> int:
+        """Return ROS time in ns."""
+        ...
+
+    def stop(self) -> None:
+        """Stop by every way there is; never raises."""
+        ...
+
+    def heartbeat(self) -> None:
+        """Tell the driver that an operator is there."""
+        ...
+
+    def send_command(self, text: str) -> None:
+        """Publish a gesture; GraphError when no controller listens."""
+        ...
+
+    def send_goal(self, pixel: tuple[float, float], stamp_ns: int) -> None:
+        """Publish a pixel goal of the left picture; GraphError when no controller listens."""
+        ...
+
+    def call(self, service: str, answered: Callable[[bool, str], None]) -> None:
+        """Call home, reset, enable, disable or calibrate; GraphError when the service is not there.
+
+        ``answered`` is called once, in any thread.
+        """
+        ...

@@ -1,0 +1,58 @@
+"""Files that only their owner may read, and records that are on disk before anything moves."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from scope_ui_bridge.core.audit import START, chain_line, verify
+
+
+def write_token(path: Path, token: str) -> None:
+    """Put the sign-in token into ``path`` with mode 0600, replacing the file as a whole.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fresh = path.with_name(f".{path.name}.{os.getpid()}")
+    fresh.unlink(missing_ok=True)
+    # O_EXCL: never through a link that somebody else has put there.
+    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "w", encoding="ascii") as file:
+        file.write(token + "\n")
+    fresh.replace(path)
+
+
+class AuditFile:
+    """Appends chained records; each call returns when the record is on disk.
+
+    Raises
+    ------
+    AuditError
+        When the existing file's chain is broken: it must be looked at and moved away by a person.
+    OSError
+        If the file cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._count, self._previous = 0, START
+        if path.exists():
+            with path.open(encoding="utf-8") as lines:
+                self._count, self._previous = verify(lines)
+        self._file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "w", encoding="utf-8")
+
+    def append(self, record: dict[str, Any]) -> None:
+        """Write one record and wait for the disk."""
+        line, digest = chain_line(self._count + 1, self._previous, record)
+        self._file.write(line + "\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._count, self._previous = self._count + 1, digest
+
+    def close(self) -> None:
+        self._file.close()

@@ -1,0 +1,198 @@
+"""The live picture for all pages: one JPEG per picture, made only while a page can take it; none slows another.
+
+A message is four bytes (length of the JSON, big endian), the JSON with stamp, age and overlay, and the JPEG.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import struct
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from aiohttp import web
+
+from scope_ui_bridge.core.desk import Desk
+from scope_ui_bridge.core.frame_window import FrameWindow
+from scope_ui_bridge.core.wire import CAMERAS, encode
+
+_LOG = logging.getLogger(__name__)
+_MAX_CORNERS = 600
+_CONVERSIONS = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR}
+
+Picture = npt.NDArray[Any]
+
+
+@dataclass(slots=True, eq=False)
+class VideoViewer:
+    """One video connection."""
+
+    socket: web.WebSocketResponse
+    camera: str = "left"
+    corners: bool = False
+    window: FrameWindow = field(default_factory=FrameWindow)
+    scene_version: int = -1
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Frame:
+    """An encoded picture; ``about`` and ``corners`` are pieces of JSON, made once for all viewers."""
+
+    seq: int
+    stamp_ns: int
+    about: str
+    corners: str
+    jpeg: bytes
+
+
+@dataclass(slots=True, eq=False)
+class _Stream:
+    """One camera: the newest raw picture, the newest encoded one, and whether the encoder is at work."""
+
+    raw: tuple[int, str, Picture] | None = None
+    raw_seq: int = 0
+    frame: _Frame | None = None
+    encoding: bool = False
+    complaint: str = ""
+
+
+class VideoHub:
+    """Encodes and hands out pictures; all methods run in the event loop's thread.
+
+    Parameters
+    ----------
+    desk
+        Gives the overlay, and is told which pictures were handed out.
+    executor
+        Where JPEGs are made.
+    quality
+        Returns the JPEG quality in force.
+    ros_ns
+        Returns ROS time in ns.
+    """
+
+    def __init__(self, desk: Desk, executor: Executor, quality: Callable[[], int], ros_ns: Callable[[], int]) -> None:
+        self._desk = desk
+        self._executor = executor
+        self._quality = quality
+        self._ros_ns = ros_ns
+        self._viewers: set[VideoViewer] = set()
+        self._streams = {camera: _Stream() for camera in CAMERAS}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self.encoded = 0
+
+    def add(self, viewer: VideoViewer) -> None:
+        """Start to serve a viewer."""
+        self._viewers.add(viewer)
+        self.kick(viewer)
+
+    def remove(self, viewer: VideoViewer) -> None:
+        """Forget a viewer."""
+        self._viewers.discard(viewer)
+
+    def offer(self, camera: str, stamp_ns: int, encoding: str, picture: Picture) -> None:
+        """Take the newest picture of a camera, (H, W) or (H, W, C) uint8."""
+        stream = self._streams[camera]
+        stream.raw = (stamp_ns, encoding, picture)
+        stream.raw_seq += 1
+        self._encode_if_wanted(camera)
+
+    def kick(self, viewer: VideoViewer) -> None:
+        """Call when a viewer can take more or looks at something else."""
+        viewer.changed.set()
+        self._encode_if_wanted(viewer.camera)
+
+    def _encode_if_wanted(self, camera: str) -> None:
+        stream = self._streams[camera]
+        done = stream.frame.seq if stream.frame else 0
+        if stream.encoding or stream.raw is None or stream.raw_seq == done:
+            return
+        if not any(viewer.camera == camera and viewer.window.open for viewer in self._viewers):
+            return
+        stream.encoding = True
+        task = asyncio.get_running_loop().create_task(self._encode(camera, stream.raw_seq, *stream.raw))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _encode(self, camera: str, seq: int, stamp_ns: int, encoding: str, picture: Picture) -> None:
+        stream = self._streams[camera]
+        loop = asyncio.get_running_loop()
+        try:
+            jpeg = await loop.run_in_executor(self._executor, to_jpeg, picture, encoding, self._quality())
+            self.encoded += 1
+            stream.frame = self._frame(camera, seq, stamp_ns, picture, jpeg)
+            self._desk.frame_offered(camera, stamp_ns)
+            for viewer in self._viewers:
+                if viewer.camera == camera:
+                    viewer.changed.set()
+        except (ValueError, cv2.error) as error:
+            stream.raw = None
+            if stream.complaint != str(error):  # once, not with every picture
+                stream.complaint = str(error)
+                _LOG.error("the %s picture cannot be shown: %s", camera, error)
+        finally:
+            stream.encoding = False
+        self._encode_if_wanted(camera)
+
+    async def serve(self, viewer: VideoViewer) -> None:
+        """Send pictures to one viewer until its connection ends (cancel this when it does)."""
+        while True:
+            await viewer.changed.wait()
+            viewer.changed.clear()
+            frame = self._streams[viewer.camera].frame
+            if frame is not None and viewer.window.wants(frame.seq):
+                viewer.window.sent(frame.seq)
+                await viewer.socket.send_bytes(self._message(viewer, frame))
+
+    def _message(self, viewer: VideoViewer, frame: _Frame) -> bytes:
+        scene = self._desk.scene
+        age_ms = (self._ros_ns() - frame.stamp_ns) / 1e6
+        parts = [f'{{"age_ms":{age_ms:.1f}', frame.about]
+        if viewer.scene_version != scene.version:
+            viewer.scene_version = scene.version
+            parts.append('"panel":' + encode(scene.panel(viewer.camera)))
+        if viewer.corners and frame.corners:
+            parts.append('"corners":' + frame.corners)
+        text = ",".join(parts).encode() + b"}"
+        return b"".join([struct.pack(">I", len(text)), text, frame.jpeg])
+
+    def _frame(self, camera: str, seq: int, stamp_ns: int, picture: Picture, jpeg: bytes) -> _Frame:
+        scene = self._desk.scene
+        height, width = picture.shape[:2]
+        about = {"seq": seq, "camera": camera, "stamp": str(stamp_ns), "width": width, "height": height}
+        corners = ""
+        if camera == "left" and scene.corners_px is not None and any(viewer.corners for viewer in self._viewers):
+            corners = encode_numbers(scene.corners_px[:_MAX_CORNERS])
+        text = encode(about | scene.moving_parts(camera, stamp_ns))[1:-1]
+        return _Frame(seq=seq, stamp_ns=stamp_ns, about=text, corners=corners, jpeg=jpeg)
+
+
+def encode_numbers(points: npt.NDArray[np.float32]) -> str:
+    """Return a flat JSON list of (N, 2) points with one decimal; points that are not finite are left out."""
+    finite = points[np.isfinite(points).all(axis=1)]
+    return "[" + ",".join(f"{value:.1f}" for value in finite.ravel().tolist()) + "]"
+
+
+def to_jpeg(picture: Picture, encoding: str, quality: int) -> bytes:
+    """Encode a picture.
+
+    Raises
+    ------
+    ValueError
+        For an encoding that people cannot look at as it is.
+    """
+    if encoding in _CONVERSIONS:
+        picture = cv2.cvtColor(picture, _CONVERSIONS[encoding])
+    elif encoding not in ("bgr8", "mono8"):
+        raise ValueError(f"encoding {encoding!r} is none of bgr8, mono8, {', '.join(_CONVERSIONS)}")
+    good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not good:
+        raise ValueError("OpenCV could not encode the picture")
+    return jpeg.tobytes()

@@ -1,0 +1,459 @@
+"""The operator page's server: aiohttp in a thread of its own, doing what the desk decides.
+
+Everything that comes from a page is untrusted: exact Host and Origin, a session cookie, bounded sizes, strict JSON.
+A stop goes out before it is written down; every other command is on disk before it goes out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import ssl
+import threading
+import time
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from icu_common.core.config import ConfigError
+from scope_ui_bridge.adapters.graph_port import GraphError, GraphPort
+from scope_ui_bridge.adapters.mailbox import Mailbox
+from scope_ui_bridge.adapters.secret_files import AuditFile
+from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
+from scope_ui_bridge.core.config import BridgeConfig
+from scope_ui_bridge.core.desk import Desk
+from scope_ui_bridge.core.effects import (
+    Broadcast,
+    CallService,
+    Effect,
+    Heartbeat,
+    Now,
+    Order,
+    Record,
+    Send,
+    SendCommand,
+    SendGoal,
+    StopNow,
+)
+from scope_ui_bridge.core.frame_window import FrameWindow
+from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.sign_in import Session, SignIn
+from scope_ui_bridge.core.wire import CAMERAS, MAX_BYTES, decode_object, encode
+
+_LOG = logging.getLogger(__name__)
+COOKIE = "icu_session"
+PAGE = Path(__file__).resolve().parent.parent / "page"
+_TICK_S = 0.05
+_OUTBOX = 200
+_HARD_LIMIT = 64 * 1024  # above this the WebSocket library itself closes the connection
+_START_TIMEOUT_S = 10.0
+_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
+        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    # not no-referrer: with that browsers send "Origin: null" with forms
+    "Referrer-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
+    "Cache-Control": "no-store",
+}
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class WebServer:
+    """Serves the page.
+
+    Parameters
+    ----------
+    config
+        Where to listen; limits that may change live are read from ``desk.config``.
+    desk, sign_in
+        The decisions; touched by the event loop's thread only, once :meth:`start` has been called.
+    graph
+        The way to the graph.
+    audit
+        Where commands are recorded, or None.
+    """
+
+    def __init__(
+        self, config: BridgeConfig, desk: Desk, sign_in: SignIn, graph: GraphPort, audit: AuditFile | None
+    ) -> None:
+        self._config = config
+        self._desk = desk
+        self._sign_in = sign_in
+        self._graph = graph
+        self._audit = audit
+        self._loop = asyncio.new_event_loop()
+        self.mailbox = Mailbox(self._loop)
+        self._encoder = ThreadPoolExecutor(1, "jpeg")
+        self._writer = ThreadPoolExecutor(1, "audit")  # one thread keeps the records in order
+        self.video = VideoHub(desk, self._encoder, lambda: desk.config.jpeg_quality, graph.ros_ns)
+        self._outboxes: dict[str, asyncio.Queue[str]] = {}
+        self._sockets: set[web.WebSocketResponse] = set()
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._closing = asyncio.Event()
+        self._started = threading.Event()
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="web", daemon=True)
+        self.port = 0
+
+    # --- life ------------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Listen, and return when pages can come.
+
+        Raises
+        ------
+        ConfigError
+            If the address cannot be used or the certificate cannot be read.
+        """
+        self._thread.start()
+        if not self._started.wait(_START_TIMEOUT_S):
+            raise ConfigError(f"the page was not served within {_START_TIMEOUT_S} s")
+        if self._failure is not None:
+            raise ConfigError(f"cannot serve on {self._config.host}:{self._config.port}: {self._failure}")
+
+    @property
+    def alive(self) -> bool:
+        """Whether pages are served; without it no heartbeat goes out."""
+        return self._thread.is_alive()
+
+    def close(self) -> None:
+        """Close all connections and end the thread."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._closing.set)
+            self._thread.join(_START_TIMEOUT_S)
+        self._encoder.shutdown(wait=False, cancel_futures=True)
+        self._writer.shutdown(wait=True)
+        if self._audit is not None:
+            self._audit.close()
+
+    def new_token(self, use: Callable[[str], None]) -> None:
+        """Make a new sign-in token and hand it to ``use`` in the server's thread."""
+        self.mailbox.each(lambda: use(self._sign_in.issue_token()))
+
+    def post(self, function: Callable[..., list[Effect]], *arguments: Any) -> None:
+        """Call a function of the desk in the server's thread, with the clocks last, and carry out its effects."""
+        self.mailbox.each(lambda: self._carry_out(function(*arguments, self._now())))
+
+    def post_value(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Call a function of the desk with the clocks last; in the server's thread only (through the mailbox)."""
+        function(*arguments, self._now())
+
+    def _run(self) -> None:
+        try:
+            self._loop.run_until_complete(self._serve())
+        except (OSError, ssl.SSLError, ValueError) as error:
+            self._failure = error
+        finally:
+            self._started.set()
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        runner = web.AppRunner(self._application(), access_log=None, handle_signals=False, shutdown_timeout=1.0)
+        await runner.setup()
+        try:
+            context: ssl.SSLContext | None = None
+            if self._config.tls:
+                context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+                context.load_cert_chain(self._config.tls_certificate, self._config.tls_key)
+            site = web.TCPSite(runner, self._config.host, self._config.port, ssl_context=context)
+            await site.start()
+            self.port = runner.addresses[0][1]
+            self._origins = self._config.origins(self.port)
+            self._hosts = {origin.partition("://")[2] for origin in self._origins}
+            self._started.set()
+            while not self._closing.is_set():
+                self._carry_out(self._desk.tick(self._now()))
+                with contextlib.suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(self._closing.wait(), _TICK_S)
+            for socket in list(self._sockets):
+                with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
+                    await asyncio.wait_for(socket.close(code=1001, message=b"server ends"), 0.5)
+        finally:
+            for task in self._tasks:
+                task.cancel()
+            await asyncio.gather(*self._tasks, return_exceptions=True)
+            await runner.cleanup()
+
+    def _application(self) -> web.Application:
+        application = web.Application(middlewares=[self._guard], client_max_size=MAX_BYTES)
+        router = application.router
+        router.add_get("/", self._index, allow_head=False)  # a HEAD would use the token up
+        router.add_post("/sign-in", self._enter)
+        router.add_post("/sign-out", self._leave)
+        router.add_post("/stop", self._stop)
+        router.add_get("/session", self._session_state)
+        router.add_get("/control", self._control)
+        router.add_get("/video", self._video)
+        router.add_static("/page/", PAGE, follow_symlinks=False)
+        return application
+
+    def _now(self) -> Now:
+        return Now(mono_s=time.monotonic(), ros_ns=self._graph.ros_ns(), wall_s=time.time())
+
+    # --- plain requests --------------------------------------------------------------------------------------------
+
+    @web.middleware
+    async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Refuse foreign hosts (DNS rebinding) and origins, and put the security headers on every answer."""
+        response: web.StreamResponse
+        socket = request.path in ("/control", "/video")
+        if request.host not in self._hosts:
+            response = web.Response(status=421, text="This server is not known by that name.\n")
+        elif (request.method == "POST" or socket) and request.headers.getall(
+            "Origin", []
+        ) not in self._single_origins():
+            _LOG.warning("refused %s %s from origin %r", request.method, request.path, request.headers.get("Origin"))
+            response = web.Response(status=403, text="This origin may not do that.\n")
+        else:
+            try:
+                response = await handler(request)
+            except web.HTTPException as error:
+                response = web.Response(status=error.status, text=f"{error.status}: {error.reason}\n")
+                if "Allow" in error.headers:
+                    response.headers["Allow"] = error.headers["Allow"]
+        if not response.prepared:
+            response.headers.update(_HEADERS)
+        return response
+
+    def _single_origins(self) -> list[list[str]]:
+        return [[origin] for origin in self._origins]
+
+    def _session(self, request: web.Request) -> Session | None:
+        return self._sign_in.session(request.cookies.get(COOKIE, ""), time.monotonic())
+
+    async def _index(self, request: web.Request) -> web.StreamResponse:
+        if self._session(request) is not None:
+            return web.FileResponse(PAGE / "index.html")
+        token = request.query.get("token", "")
+        if not token:
+            return self._sign_in_page(401, "")
+        # The page itself is the answer, not a redirect: after a link from elsewhere a browser would not send a
+        # SameSite=Strict cookie with the redirected request.
+        return self._try_token(request, token, web.FileResponse(PAGE / "index.html"))
+
+    async def _enter(self, request: web.Request) -> web.StreamResponse:
+        form = await request.post()
+        token = form.get("token", "")
+        welcome = web.Response(status=303, headers={"Location": "/"})
+        return self._try_token(request, token if isinstance(token, str) else "", welcome)
+
+    def _try_token(self, request: web.Request, token: str, welcome: web.StreamResponse) -> web.StreamResponse:
+        remote = request.remote or ""
+        try:
+            secret = self._sign_in.enter(token.strip(), remote, time.monotonic())
+        except Refusal as refusal:
+            _LOG.warning("sign-in from %s refused: %s", remote, refusal)
+            self._write_later(
+                {"wall_s": round(time.time(), 3), "who": remote, "command": "sign-in", "result": str(refusal)}
+            )
+            status = 429 if refusal.code == "wait" else 401
+            response = self._sign_in_page(status, refusal.code)
+            if refusal.code == "wait":
+                response.headers["Retry-After"] = str(int(refusal.values["seconds"]) + 1)
+            return response
+        session = self._sign_in.session(secret, time.monotonic())
+        assert session is not None
+        self._write_later(
+            {"wall_s": round(time.time(), 3), "who": session.name, "command": "sign-in", "result": "done"}
+        )
+        welcome.set_cookie(COOKIE, secret, httponly=True, samesite="Strict", secure=self._config.tls, path="/")
+        return welcome
+
+    @staticmethod
+    def _sign_in_page(status: int, problem: str) -> web.StreamResponse:
+        # The problem is a fixed code and shown by style alone (see sign_in.html): nothing of the request is echoed.
+        text = (
+            (PAGE / "sign_in.html").read_text(encoding="utf-8").replace('data-problem=""', f'data-problem="{problem}"')
+        )
+        return web.Response(status=status, text=text, content_type="text/html")
+
+    async def _leave(self, request: web.Request) -> web.StreamResponse:
+        self._sign_in.leave(request.cookies.get(COOKIE, ""))
+        response = web.Response(status=303, headers={"Location": "/"})
+        response.del_cookie(COOKIE, path="/")
+        return response
+
+    async def _session_state(self, request: web.Request) -> web.StreamResponse:
+        session = self._session(request)
+        if session is None:
+            return web.json_response({"signed_in": False}, status=401)
+        return web.json_response({"signed_in": True, "name": session.name})
+
+    async def _stop(self, request: web.Request) -> web.StreamResponse:
+        session = self._session(request)
+        if session is None:
+            return web.json_response({"ok": False, "code": "signed_out"}, status=401)
+        self._carry_out(self._desk.stop(session.name, self._now()))
+        if "text/html" in request.headers.get("Accept", ""):  # the form without its script
+            return web.Response(status=303, headers={"Location": "/"})
+        return web.json_response({"ok": True})
+
+    # --- WebSockets ------------------------------------------------------------------------------------------------
+
+    async def _open(self, request: web.Request) -> tuple[web.WebSocketResponse, Session]:
+        session = self._session(request)
+        if session is None:
+            raise web.HTTPUnauthorized(reason="sign in first")
+        if len(self._sockets) >= 2 * self._config.max_viewers:
+            raise web.HTTPServiceUnavailable(reason="too many viewers")
+        socket = web.WebSocketResponse(max_msg_size=_HARD_LIMIT, compress=False, heartbeat=5.0, timeout=1.0)
+        await socket.prepare(request)
+        self._sockets.add(socket)
+        return socket, session
+
+    async def _control(self, request: web.Request) -> web.StreamResponse:
+        socket, session = await self._open(request)
+        viewer = ""
+        sender: asyncio.Task[None] | None = None
+        try:
+            try:
+                viewer, hello = self._desk.join(session.name)
+            except Refusal as refusal:
+                await socket.send_str(encode({"type": "answer", "seq": None, "ok": False, **refusal.message()}))
+                return socket
+            outbox: asyncio.Queue[str] = asyncio.Queue(_OUTBOX)
+            outbox.put_nowait(encode(hello))
+            self._outboxes[viewer] = outbox
+            sender = asyncio.create_task(_send_all(socket, outbox))
+            async for message in socket:
+                if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
+                    break
+                if self._session(request) is None:  # signed out, or the session's time is over
+                    break
+                self._carry_out(self._desk.message(viewer, message.data, self._now()))
+        finally:
+            self._sockets.discard(socket)
+            self._outboxes.pop(viewer, None)
+            if viewer:
+                self._carry_out(self._desk.leave(viewer, self._now()))
+            if sender is not None:
+                sender.cancel()
+        return socket
+
+    async def _video(self, request: web.Request) -> web.StreamResponse:
+        socket, _ = await self._open(request)
+        viewer = VideoViewer(socket=socket)
+        self.video.add(viewer)
+        sender = asyncio.create_task(_until_gone(self.video.serve(viewer)))
+        try:
+            async for message in socket:
+                if message.type is not WSMsgType.TEXT or self._session(request) is None:
+                    break
+                try:
+                    self._video_message(viewer, message.data)
+                except Refusal as refusal:
+                    with contextlib.suppress(ConnectionError):
+                        await socket.send_str(encode({"type": "answer", "ok": False, **refusal.message()}))
+        finally:
+            self._sockets.discard(socket)
+            self.video.remove(viewer)
+            sender.cancel()
+        return socket
+
+    def _video_message(self, viewer: VideoViewer, text: str) -> None:
+        if len(text) > MAX_BYTES:
+            raise Refusal("oversized", size=len(text), limit=MAX_BYTES)
+        message = decode_object(text)
+        drawn, camera, corners = message.get("drawn"), message.get("camera"), message.get("corners")
+        if type(drawn) is int:
+            viewer.window.acknowledged(drawn)
+        elif isinstance(camera, str) and camera in CAMERAS and isinstance(corners, bool):
+            viewer.corners = corners
+            if camera != viewer.camera:
+                viewer.camera, viewer.window, viewer.scene_version = camera, FrameWindow(), -1
+        else:
+            raise Refusal("malformed", what="drawn, or camera and corners, are needed")
+        self.video.kick(viewer)
+
+    # --- effects ---------------------------------------------------------------------------------------------------
+
+    def _carry_out(self, effects: list[Effect]) -> None:
+        for effect in effects:
+            if isinstance(effect, StopNow):
+                self._graph.stop()
+                self._write_later(effect.record)
+            elif isinstance(effect, Heartbeat):
+                self._graph.heartbeat()
+            elif isinstance(effect, Send):
+                self._put(effect.viewer, encode(effect.message))
+            elif isinstance(effect, Broadcast):
+                text = encode(effect.message)
+                for viewer in list(self._outboxes):
+                    self._put(viewer, text)
+            elif isinstance(effect, Record):
+                self._write_later(effect.record)
+            else:
+                assert isinstance(effect, Order)
+                self._spawn(self._send_order(effect))
+
+    def _put(self, viewer: str, text: str) -> None:
+        outbox = self._outboxes.get(viewer)
+        if outbox is None:
+            return
+        try:
+            outbox.put_nowait(text)
+        except asyncio.QueueFull:
+            # A page that takes nothing for so long is gone or frozen; its queue must not grow.
+            _LOG.warning("viewer %s takes no messages: its queue is emptied", viewer)
+            while not outbox.empty():
+                outbox.get_nowait()
+            outbox.put_nowait(text)
+
+    async def _send_order(self, order: Order) -> None:
+        try:
+            await self._write(order.record)
+            if not self._desk.still_wanted(order):
+                raise GraphError("stopped before it went out")
+            if isinstance(order, SendCommand):
+                self._graph.send_command(order.text)
+            elif isinstance(order, SendGoal):
+                self._graph.send_goal(order.pixel, order.stamp_ns)
+            elif isinstance(order, CallService):
+                self._graph.call(order.service, lambda ok, text: self._service_answered(order.entry, ok, text))
+        except OSError as error:
+            self._carry_out(self._desk.order_failed(order, f"the record could not be written: {error}"))
+        except GraphError as error:
+            self._carry_out(self._desk.order_failed(order, str(error)))
+
+    def _service_answered(self, entry: int, success: bool, text: str) -> None:
+        self.post(self._desk.service_answered, entry, success, text)
+
+    async def _write(self, record: dict[str, Any]) -> None:
+        if self._audit is not None:
+            await self._loop.run_in_executor(self._writer, self._audit.append, record)
+
+    def _write_later(self, record: dict[str, Any]) -> None:
+        async def write() -> None:
+            try:
+                await self._write(record)
+            except OSError as error:
+                _LOG.error("the record could not be written: %s", error)
+
+        if self._audit is not None:
+            self._spawn(write())
+
+    def _spawn(self, work: Any) -> None:
+        task = self._loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+async def _send_all(socket: web.WebSocketResponse, outbox: asyncio.Queue[str]) -> None:
+    with contextlib.suppress(ConnectionError):
+        while True:
+            await socket.send_str(await outbox.get())
+
+
+async def _until_gone(work: Awaitable[None]) -> None:
+    with contextlib.suppress(ConnectionError):
+        await work

@@ -1,0 +1,103 @@
+"""What can be set on the bridge; the keys of config/params/ui_bridge.yaml are these fields."""
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import dataclass
+
+from icu_common.core.config import Config, ConfigError, setting
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BridgeConfig(Config):
+    """Where the page is served, what it may do, and how old things may be."""
+
+    host: str = setting("127.0.0.1", "Address to serve on; other than loopback needs TLS", read_only=True)
+    port: int = setting(8080, "TCP port, 0 = any free one", minimum=0, maximum=65535, read_only=True)
+    tls_certificate: str = setting("", "PEM file with the certificate chain, empty = no TLS", read_only=True)
+    tls_key: str = setting("", "PEM file with the certificate's private key", read_only=True)
+    extra_origins: str = setting(
+        "", "Further origins that may talk to the bridge, separated by spaces (https://name:port)", read_only=True
+    )
+    token_file: str = setting(
+        "~/.ros/ui_token", "File (mode 0600) that holds the unused sign-in token, empty = no file", read_only=True
+    )
+    session_lifetime_s: float = setting(
+        43200.0, "A sign-in ends after this time", minimum=60.0, maximum=604800.0, unit="s", read_only=True
+    )
+    audit_file: str = setting("", "File of hash-chained command records, empty = none", read_only=True)
+    layout: str = setting(
+        "", "Layout file of the panel, for the controls' labels, empty = labels made from their names", read_only=True
+    )
+    max_viewers: int = setting(24, "Pages served at the same time", minimum=1, maximum=200, read_only=True)
+    jpeg_quality: int = setting(80, "Quality of the live picture", minimum=20, maximum=100)
+    frame_amber_s: float = setting(0.25, "A picture older than this is shown as late", minimum=0.05, unit="s")
+    frame_max_age_s: float = setting(
+        0.5, "No selection and no actuation on a picture older than this", minimum=0.05, maximum=5.0, unit="s"
+    )
+    frame_stale_s: float = setting(1.0, "A picture older than this is greyed out", minimum=0.1, unit="s")
+    min_confidence: float = setting(
+        0.5, "No actuation below this confidence of the recognition", minimum=0.0, maximum=1.0
+    )
+    recognition_max_age_s: float = setting(
+        2.0, "No actuation when the recognition has been silent for this time", minimum=0.1, unit="s"
+    )
+    panel_moved_limit_m: float = setting(
+        0.002, "A selection is void when the panel has moved by more than this", minimum=0.0001, unit="m"
+    )
+    keepalive_fresh_s: float = setting(
+        0.4, "The heartbeat is published while the page's keep-alive is younger than this", minimum=0.1, unit="s"
+    )
+    silence_stop_s: float = setting(
+        0.6, "Something moves and the operator's page was silent for this time: stop", minimum=0.1, unit="s"
+    )
+    lease_timeout_s: float = setting(5.0, "A silent operator loses control after this time", minimum=1.0, unit="s")
+    answer_timeout_s: float = setting(
+        3.0, "A command without an answer for this time has failed", minimum=0.2, unit="s"
+    )
+
+    def __post_init__(self) -> None:
+        # Slotted dataclasses are new classes, so super() without arguments would look for the wrong one.
+        Config.__post_init__(self)
+        if self.keepalive_fresh_s > self.silence_stop_s:
+            raise ConfigError(
+                f"keepalive_fresh_s = {self.keepalive_fresh_s} is above silence_stop_s = {self.silence_stop_s}"
+            )
+        if bool(self.tls_certificate) != bool(self.tls_key):
+            raise ConfigError("tls_certificate and tls_key belong together: one of them is empty")
+        if not self.tls and not is_loopback(self.host):
+            raise ConfigError(
+                f"host = {self.host!r} is not loopback: set tls_certificate and tls_key, or serve on 127.0.0.1"
+            )
+        for origin in self.extra_origins.split():
+            if not origin.startswith("https://" if self.tls else ("http://", "https://")) or origin.count("/") != 2:
+                raise ConfigError(f"extra_origins: {origin!r} is not scheme://name:port of the right scheme")
+
+    @property
+    def tls(self) -> bool:
+        """Whether the page is served with TLS."""
+        return bool(self.tls_certificate)
+
+    def origins(self, port: int) -> frozenset[str]:
+        """Return the exact origins that may open WebSockets and post, for the port in use."""
+        scheme, default_port = ("https", 443) if self.tls else ("http", 80)
+        names = {"127.0.0.1", "localhost"} if is_loopback(self.host) else {self.host}
+        names |= {f"[{self.host}]"} if ":" in self.host else set()
+        suffix = "" if port == default_port else f":{port}"
+        return frozenset({f"{scheme}://{name}{suffix}" for name in names} | set(self.extra_origins.split()))
+
+    def url(self, port: int) -> str:
+        """Return the page's address for people."""
+        scheme = "https" if self.tls else "http"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{scheme}://{host}:{port}/"
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether only this machine can reach ``host``."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,87 @@
+"""What the desk wants done; the server does it. Frozen values, so that tests can compare them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Now:
+    """The clocks, read once per event: monotonic seconds, ROS time in ns, and wall time in seconds."""
+
+    mono_s: float
+    ros_ns: int
+    wall_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Send:
+    """A message for one viewer."""
+
+    viewer: str
+    message: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Broadcast:
+    """A message for all viewers."""
+
+    message: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heartbeat:
+    """Tell the driver that an operator is there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StopNow:
+    """Stop, before anything else; ``record`` is written afterwards."""
+
+    record: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Record:
+    """Something for the audit file that moves nothing (a result, a sign-in)."""
+
+    record: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """Something that may move the machine; ``record`` is on disk before it goes out.
+
+    It is dropped when the desk has stopped or changed hands in between, see ``Desk.still_wanted``.
+    """
+
+    entry: int
+    stops: int
+    epoch: int
+    record: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SendCommand(Order):
+    """A gesture for /gantry/command."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SendGoal(Order):
+    """A pixel goal of the left picture for /gantry/goal; ``stamp_ns`` names it in the results."""
+
+    pixel: tuple[float, float]
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CallService(Order):
+    """A service of the graph: home, reset, enable, disable, calibrate."""
+
+    service: str
+
+
+Effect = Send | Broadcast | Heartbeat | StopNow | Record | Order

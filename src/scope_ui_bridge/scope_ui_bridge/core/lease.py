@@ -1,0 +1,84 @@
+"""One operator at a time: who may move the machine, for how long, and what happens when the page falls silent."""
+
+from __future__ import annotations
+
+import math
+
+from scope_ui_bridge.core.refusal import Refusal
+
+
+class OperatorLease:
+    """The right to move the machine.
+
+    Each change of hands raises ``epoch``; commands that name an older one are refused. A silent holder keeps the lease
+    until ``timeout_s`` while nothing moves; nobody gets it without asking.
+    """
+
+    def __init__(self, timeout_s: float) -> None:
+        self.timeout_s = timeout_s
+        self.epoch = 0
+        self.holder = ""
+        self.requester = ""
+        self._last_alive_s = -math.inf
+
+    def take(self, viewer: str, now_s: float) -> None:
+        """Give the free lease to ``viewer``.
+
+        Raises
+        ------
+        Refusal
+            ``lease_held`` when somebody else has it.
+        """
+        if self.holder and self.holder != viewer:
+            raise Refusal("lease_held", holder=self.holder)
+        self._give(viewer, now_s)
+
+    def request(self, viewer: str, now_s: float) -> None:
+        """Ask the holder to hand over; a free lease is taken at once."""
+        if not self.holder:
+            self._give(viewer, now_s)
+        elif self.holder != viewer:
+            self.requester = viewer
+
+    def grant(self, viewer: str, now_s: float) -> None:
+        """Hand the lease of ``viewer`` over to who asked for it."""
+        self.check(viewer)
+        if not self.requester:
+            raise Refusal("no_request")
+        self._give(self.requester, now_s)
+
+    def decline(self, viewer: str) -> None:
+        """Turn the request down."""
+        self.check(viewer)
+        self.requester = ""
+
+    def release(self, viewer: str) -> bool:
+        """Take the lease (or the request) away from ``viewer``; return whether it held the lease."""
+        if self.requester == viewer:
+            self.requester = ""
+        if self.holder != viewer:
+            return False
+        self.holder = self.requester = ""
+        self.epoch += 1
+        return True
+
+    def alive(self, viewer: str, now_s: float) -> None:
+        """Note a keep-alive."""
+        if viewer == self.holder:
+            self._last_alive_s = now_s
+
+    def silence_s(self, now_s: float) -> float:
+        """Return how long the holder has been silent; infinite without a holder."""
+        return now_s - self._last_alive_s if self.holder else math.inf
+
+    def check(self, viewer: str, epoch: int | None = None) -> None:
+        """Refuse unless ``viewer`` holds the lease (``no_lease``) and names its epoch (``stale_epoch``)."""
+        if not self.holder or viewer != self.holder:
+            raise Refusal("no_lease", holder=self.holder)
+        if epoch is not None and epoch != self.epoch:
+            raise Refusal("stale_epoch", found=epoch, epoch=self.epoch)
+
+    def _give(self, viewer: str, now_s: float) -> None:
+        if viewer != self.holder:
+            self.epoch += 1
+        self.holder, self.requester, self._last_alive_s = viewer, "", now_s

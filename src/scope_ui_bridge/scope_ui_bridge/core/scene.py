@@ -1,0 +1,179 @@
+"""Where the panel, its controls, the stylus and the target are in the picture, in raw pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.core import frames
+from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry import Array, Plane, Transform
+
+_EDGE_POINTS = 8  # per edge of the panel, so that lens distortion shows
+_CIRCLE_POINTS = 24
+_TIP_LIFE_NS = 500_000_000  # a tip seen longer ago than this is not drawn
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Face:
+    """The top face of a control in panel_link: ``centre`` (3,) m with its height, ``size`` (width, height) m."""
+
+    name: str
+    kind: str
+    label: str
+    circle: bool
+    centre: tuple[float, float, float]
+    size: tuple[float, float]
+
+    def outline(self) -> Array:
+        """Return (N, 3) points in metres around the face, in panel_link."""
+        if self.circle:
+            turn = np.linspace(0.0, 2 * np.pi, _CIRCLE_POINTS, endpoint=False)
+            xy = np.column_stack([np.cos(turn), np.sin(turn)]) / 2
+        else:
+            xy = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+        flat = xy * self.size + self.centre[:2]
+        return np.column_stack([flat, np.full(len(flat), self.centre[2])])
+
+
+@dataclass(slots=True)
+class Scene:
+    """The newest geometry; ``version`` rises when the panel, a control or a camera has changed.
+
+    Points are in camera_left_optical_frame (rectified), except for the faces and the panel's ``outline``, (N, 2) m, both
+    in panel_link, and the target (any frame).
+    """
+
+    left: CameraModel | None = None
+    right: CameraModel | None = None
+    camera_from_panel: Transform | None = None
+    camera_from_base: Transform | None = None
+    faces: tuple[Face, ...] = ()
+    outline: Array | None = None
+    tip: Array | None = None
+    tip_ns: int = 0
+    target: tuple[str, Array] | None = None
+    corners_px: npt.NDArray[np.float32] | None = None
+    version: int = 0
+    _stereo: StereoModel | None = field(default=None, init=False)
+    _panels: dict[str, dict[str, Any]] = field(default_factory=dict, init=False)
+
+    def changed(self) -> None:
+        """Call after a change of what :meth:`panel` shows."""
+        self.version += 1
+        self._panels.clear()
+        self._stereo = None
+
+    def project(self, camera: str, points: npt.ArrayLike) -> Array | None:
+        """Project (N, 3) points of camera_left_optical_frame to raw pixels (N, 2); None without a calibration."""
+        if camera == "left":
+            return None if self.left is None else self.left.project(points)
+        if self.left is None or self.right is None:
+            return None
+        if self._stereo is None:
+            self._stereo = StereoModel(left=self.left, right=self.right)
+        return self._stereo.project_right(points)
+
+    def panel(self, camera: str) -> dict[str, Any]:
+        """Return what changes only with the panel: its outline and its controls, each with outline and box in pixels.
+
+        A control that is not wholly inside the picture is left out.
+        """
+        if camera not in self._panels:
+            self._panels[camera] = {"version": self.version, **self._build(camera)}
+        return self._panels[camera]
+
+    def _build(self, camera: str) -> dict[str, Any]:
+        model = self.left if camera == "left" else self.right
+        if self.camera_from_panel is None or model is None:
+            return {"outline": [], "controls": []}
+        controls = []
+        outlines = [face.outline() for face in self.faces]
+        stacked = np.vstack(outlines) if outlines else np.empty((0, 3))
+        pixels = self.project(camera, self.camera_from_panel.apply(stacked))
+        if pixels is None:
+            return {"outline": [], "controls": []}
+        ends = np.cumsum([len(outline) for outline in outlines])
+        for face, part in zip(self.faces, np.split(pixels, ends[:-1])):
+            low, high = part.min(axis=0), part.max(axis=0)
+            if not (np.isfinite(part).all() and (low >= 0).all() and (high <= np.array(model.size) - 1).all()):
+                continue
+            box = [*low, *(high - low)]
+            controls.append(
+                {
+                    "name": face.name,
+                    "kind": face.kind,
+                    "label": face.label,
+                    "outline": _rounded(part),
+                    "box": [round(float(v), 1) for v in box],
+                }
+            )
+        return {"outline": self._panel_outline(camera), "controls": controls}
+
+    def _panel_outline(self, camera: str) -> list[list[float]]:
+        if self.outline is None or len(self.outline) < 2 or self.camera_from_panel is None:
+            return []
+        along = np.linspace(0, 1, _EDGE_POINTS, endpoint=False)[:, None]
+        edge = np.vstack([a + along * (b - a) for a, b in pairwise(self.outline)])
+        pixels = self.project(camera, self.camera_from_panel.apply(np.column_stack([edge, np.zeros(len(edge))])))
+        return [] if pixels is None or not np.isfinite(pixels).all() else _rounded(pixels)
+
+    def on_panel(self, point: Array) -> bool:
+        """Tell whether a point of panel_link lies within the panel's extent; unknown extent = yes."""
+        if self.outline is None:
+            return True
+        low, high = self.outline.min(axis=0), self.outline.max(axis=0)
+        return bool((point[:2] >= low).all() and (point[:2] <= high).all())
+
+    def moving_parts(self, camera: str, stamp_ns: int) -> dict[str, Any]:
+        """Return what changes with the picture of this stamp: stylus tip and target in pixels (null = not seen)."""
+        fresh = abs(stamp_ns - self.tip_ns) < _TIP_LIFE_NS
+        return {
+            "tip": self._pixel(camera, self.tip if fresh else None),
+            "target": self._pixel(camera, self._target_in_camera()),
+        }
+
+    def _pixel(self, camera: str, point: Array | None) -> list[float] | None:
+        pixels = None if point is None else self.project(camera, point)
+        return None if pixels is None or not np.isfinite(pixels).all() else _rounded(pixels)[0]
+
+    def _target_in_camera(self) -> Array | None:
+        if self.target is None:
+            return None
+        frame, point = self.target
+        camera_from = {
+            frames.CAMERA_LEFT: Transform.identity(),
+            frames.PANEL: self.camera_from_panel,
+            frames.BASE: self.camera_from_base,
+        }.get(frame)
+        return None if camera_from is None else camera_from.apply(point)
+
+    def panel_point(self, pixel: tuple[float, float]) -> Array | None:
+        """Return (3,) m in panel_link where the ray of a raw pixel of the left picture meets the panel's face."""
+        if self.left is None or self.camera_from_panel is None:
+            return None
+        pose = self.camera_from_panel
+        try:
+            point = Plane.through(pose.translation, pose.rotation[:, 2]).intersect_ray(
+                np.zeros(3), self.left.rays([pixel])[0]
+            )
+        except ValueError:
+            return None
+        return pose.inverse().apply(point)
+
+    def face(self, name: str) -> Face | None:
+        """Return the control of that name."""
+        return next((face for face in self.faces if face.name == name), None)
+
+
+def moved_m(before: Transform, now: Transform, point_in_panel: npt.ArrayLike) -> float:
+    """Return by how many metres a point of the panel has moved between two poses of the panel."""
+    return float(np.linalg.norm(now.apply(point_in_panel) - before.apply(point_in_panel)))
+
+
+def _rounded(pixels: Array) -> list[list[float]]:
+    return [[round(float(u), 1), round(float(v), 1)] for u, v in pixels]

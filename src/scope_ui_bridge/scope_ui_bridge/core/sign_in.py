@@ -1,0 +1,96 @@
+"""Sign-in: a one-shot token, sessions behind a cookie, and back-off after failures. Secrets are kept as hashes only."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from scope_ui_bridge.core.refusal import Refusal
+
+_MAX_REMOTES = 1024
+_MAX_SESSIONS = 256
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Session:
+    """A signed-in browser; ``name`` is what the others and the records call its user."""
+
+    name: str
+    ends_s: float
+
+
+@dataclass(slots=True)
+class _Failures:
+    count: int = 0
+    blocked_until_s: float = 0.0
+
+
+class SignIn:
+    """Issues tokens and turns each into one session.
+
+    Parameters
+    ----------
+    new_secret
+        Returns an unguessable text (``secrets.token_urlsafe``).
+    session_lifetime_s
+        How long a session lives.
+    """
+
+    def __init__(self, new_secret: Callable[[], str], session_lifetime_s: float) -> None:
+        self._new_secret = new_secret
+        self._lifetime_s = session_lifetime_s
+        self._token = b""
+        self._sessions: OrderedDict[bytes, Session] = OrderedDict()
+        self._failures: OrderedDict[str, _Failures] = OrderedDict()
+        self._count = 0
+
+    def issue_token(self) -> str:
+        """Return a new token that signs in once; an unused older one becomes void."""
+        token = self._new_secret()
+        self._token = _digest(token)
+        return token
+
+    def enter(self, token: str, remote: str, now_s: float) -> str:
+        """Use the token up and return the cookie's value.
+
+        Raises
+        ------
+        Refusal
+            ``wrong_token``, or ``wait`` with the seconds until the next try of this remote address is looked at.
+        """
+        failures = self._failures.get(remote, _Failures())
+        if now_s < failures.blocked_until_s:
+            raise Refusal("wait", seconds=round(failures.blocked_until_s - now_s, 1))
+        if not self._token or not hmac.compare_digest(_digest(token), self._token):
+            failures.count += 1
+            failures.blocked_until_s = now_s + min(_FIRST_WAIT_S * 2 ** min(failures.count - 1, 20), _LONGEST_WAIT_S)
+            self._failures[remote] = failures
+            self._failures.move_to_end(remote)
+            while len(self._failures) > _MAX_REMOTES:
+                self._failures.popitem(last=False)
+            raise Refusal("wrong_token")
+        self._token = b""
+        self._failures.pop(remote, None)
+        self._count += 1
+        secret = self._new_secret()
+        self._sessions[_digest(secret)] = Session(name=f"Operator {self._count}", ends_s=now_s + self._lifetime_s)
+        while len(self._sessions) > _MAX_SESSIONS:
+            self._sessions.popitem(last=False)
+        return secret
+
+    def session(self, cookie: str, now_s: float) -> Session | None:
+        """Return the session of a cookie, or None."""
+        session = self._sessions.get(_digest(cookie)) if cookie else None
+        return session if session is not None and now_s < session.ends_s else None
+
+    def leave(self, cookie: str) -> None:
+        """End a session."""
+        self._sessions.pop(_digest(cookie), None)
+
+
+def _digest(secret: str) -> bytes:
+    return hashlib.sha256(secret.encode("utf-8", "replace")).digest()

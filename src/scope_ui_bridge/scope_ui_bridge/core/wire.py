@@ -1,0 +1,228 @@
+"""Control messages between page and bridge: strict JSON in, typed values out, and back.
+
+Python's decoder takes NaN, Infinity and 1e999; here they are refused, as are repeated keys, unknown fields and texts
+of more than 4 KiB.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+from scope_ui_bridge.core.refusal import Refusal
+
+MAX_BYTES = 4096
+_MAX_INTEGER = 2**53
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """What every message of the page carries.
+
+    ``seq`` rises with each message of a connection, ``boot`` names the server's run, ``epoch`` the operator's lease.
+    """
+
+    seq: int
+    boot: str
+    epoch: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alive(Message):
+    """The page draws; ``client_ms`` goes back to it for the round trip."""
+
+    client_ms: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stop(Message):
+    """Stop everything."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lease(Message):
+    """``step``: take, release, request, grant (hand over) or decline."""
+
+    step: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Select(Message):
+    """A control's name, or a point (raw pixel), on the picture with this stamp; neither = clear the selection."""
+
+    camera: str
+    stamp_ns: int
+    control: str = ""
+    point_px: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Act(Message):
+    """Confirm: do the gesture at the selection, having seen the picture with this stamp."""
+
+    gesture: str
+    argument: float
+    selection: int
+    camera: str
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call(Message):
+    """Ask a service of the graph: home, reset, enable, disable, calibrate."""
+
+    service: str
+
+
+LEASE_STEPS = ("take", "release", "request", "grant", "decline")
+SERVICES = ("home", "reset", "enable", "disable", "calibrate")
+CAMERAS = ("left", "right")
+GESTURES = ("press", "hold", "turn")
+
+
+def decode(text: str | bytes) -> Message:
+    """Parse one message of the page.
+
+    Raises
+    ------
+    Refusal
+        ``malformed`` with what is wrong, or ``oversized``; ``text`` may be anything.
+    """
+    size = len(text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass"))
+    if size > MAX_BYTES:
+        raise Refusal("oversized", size=size, limit=MAX_BYTES)
+    return _typed(decode_object(text))
+
+
+def decode_object(text: str | bytes) -> dict[str, Any]:
+    """Parse a JSON object strictly: no NaN, no infinity, no repeated key."""
+    try:
+        value = json.loads(
+            text, parse_constant=_no_constant, parse_float=_finite, parse_int=_integer, object_pairs_hook=_unique
+        )
+    except (ValueError, RecursionError) as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
+        raise Refusal("malformed", what=str(error)[:120] or type(error).__name__) from error
+    if not isinstance(value, dict):
+        raise Refusal("malformed", what=f"an object is needed, not {type(value).__name__}")
+    return value
+
+
+def encode(message: dict[str, Any]) -> str:
+    """Return JSON; a NaN or infinity anywhere becomes null, since JSON has neither."""
+    return json.dumps(_without_nan(message), separators=(",", ":"), allow_nan=False)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _without_nan(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(part) for part in value]
+    return value
+
+
+def _no_constant(text: str) -> NoReturn:
+    raise ValueError(f"{text} is not JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is too large")
+    return value
+
+
+def _integer(text: str) -> int:
+    if len(text) > 20:
+        raise ValueError(f"an integer of {len(text)} digits is too large")
+    return int(text)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    value = dict(pairs)
+    if len(value) != len(pairs):
+        raise ValueError("a key stands twice")
+    return value
+
+
+def _typed(raw: dict[str, Any]) -> Message:
+    read = _Reader(raw)
+    kind = read.choice("type", ("alive", "stop", "lease", "select", "act", "call"))
+    head: dict[str, Any] = {"seq": read.integer("seq"), "boot": read.text("boot"), "epoch": read.integer("epoch")}
+    message: Message
+    if kind == "alive":
+        message = Alive(**head, client_ms=read.number("client_ms"))
+    elif kind == "stop":
+        message = Stop(**head)
+    elif kind == "lease":
+        message = Lease(**head, step=read.choice("step", LEASE_STEPS))
+    elif kind == "select":
+        control = read.text("control") if "control" in raw else ""
+        point = (read.number("u"), read.number("v")) if "u" in raw else None
+        if control and point:
+            read.wrong("control", control, "either a control or a point")
+        message = Select(
+            **head, camera=read.choice("camera", CAMERAS), stamp_ns=read.stamp("stamp"), control=control, point_px=point
+        )
+    elif kind == "act":
+        gesture = read.choice("gesture", GESTURES)
+        message = Act(
+            **head,
+            gesture=gesture,
+            argument=math.nan if gesture == "press" else read.number("argument"),
+            selection=read.integer("selection"),
+            camera=read.choice("camera", CAMERAS),
+            stamp_ns=read.stamp("stamp"),
+        )
+    else:
+        message = Call(**head, service=read.choice("service", SERVICES))
+    read.finish()
+    return message
+
+
+class _Reader:
+    """Takes fields out of the object and complains by name."""
+
+    def __init__(self, raw: dict[str, Any]) -> None:
+        self._raw = dict(raw)
+
+    def wrong(self, name: str, value: Any, needed: str) -> NoReturn:
+        raise Refusal("malformed", what=f"{name} = {str(value)[:40]!r}: {needed} is needed")
+
+    def integer(self, name: str) -> int:
+        value = self._raw.pop(name, None)
+        if type(value) is not int or not 0 <= value < _MAX_INTEGER:
+            self.wrong(name, value, "an integer from 0 to 2^53")
+        return value
+
+    def number(self, name: str) -> float:
+        value = self._raw.pop(name, None)
+        if type(value) not in (int, float) or not abs(value) < 1e15:
+            self.wrong(name, value, "a number")
+        return float(value)
+
+    def text(self, name: str) -> str:
+        value = self._raw.pop(name, None)
+        if not isinstance(value, str) or len(value) > 64 or not value.isprintable():
+            self.wrong(name, value, "a text of up to 64 characters")
+        return value
+
+    def choice(self, name: str, choices: tuple[str, ...]) -> str:
+        value = self._raw.pop(name, None)
+        if not isinstance(value, str) or value not in choices:
+            self.wrong(name, value, "one of " + ", ".join(choices))
+        return value
+
+    def stamp(self, name: str) -> int:
+        # Nanoseconds do not fit into a double, so the page passes them on as the text it got.
+        value = self.text(name)
+        if not (value.isascii() and value.isdigit() and len(value) <= 20):
+            self.wrong(name, value, "nanoseconds as a text of digits")
+        return int(value)
+
+    def finish(self) -> None:
+        if self._raw:
+            raise Refusal("malformed", what=f"unknown field {', '.join(sorted(self._raw))[:60]}")

@@ -1,0 +1,321 @@
+"""ROS node behind the operator page: topics to the desk, the desk's decisions to the graph.
+
+The executor runs in the main thread, the web server in its own. Callbacks here convert a message and hand it over;
+nothing waits. The server's thread publishes directly: rclpy's publishers and clients may be used from any thread, and a
+stop must not wait for the executor's turn.
+
+SIGUSR1 makes a new sign-in token (the old one is void), prints it and writes it to the token file.
+"""
+
+from __future__ import annotations
+
+import secrets
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
+from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
+
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.config import ConfigError
+from icu_common.core.frames import CAMERA_LEFT, JOINTS
+from icu_common.core.panel_layout import Control, LayoutError, PanelLayout, load_layout
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    camera_model,
+    cloud_array,
+    controls_of_message,
+    header,
+    image_array,
+    joint_positions,
+    point_array,
+    point_message,
+    result_of_message,
+    stamp_ns,
+    transform_of_message,
+    transform_of_pose,
+)
+from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import run
+from scope_ui_bridge.adapters.graph_port import GraphError
+from scope_ui_bridge.adapters.secret_files import AuditFile, write_token
+from scope_ui_bridge.adapters.web_server import WebServer
+from scope_ui_bridge.core.audit import AuditError
+from scope_ui_bridge.core.config import BridgeConfig
+from scope_ui_bridge.core.desk import Desk
+from scope_ui_bridge.core.scene import Face
+from scope_ui_bridge.core.sign_in import SignIn
+
+_SERVICES = {
+    "home": "gantry/home",
+    "reset": "gantry/reset",
+    "enable": "gantry/enable",
+    "disable": "gantry/enable",
+    "calibrate": "calibration/run",
+}
+
+
+class BridgeNode(Node):
+    """Serves the operator page; also the :class:`GraphPort` of its web server."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("ui_bridge", **kwargs)
+        parameters = LiveParameters(self, BridgeConfig, self._on_config)
+        config = parameters.config
+        self._layout = _read_layout(config)
+        self._cameras: dict[str, CameraInfo] = {}
+        self._axes = np.eye(2)
+        self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "")
+        self._scene = self._desk.scene
+        self._token_file = Path(config.token_file).expanduser() if config.token_file else None
+        self._make_outlets()
+        sign_in = SignIn(lambda: secrets.token_urlsafe(32), config.session_lifetime_s)
+        self._server = WebServer(config, self._desk, sign_in, self, _open_audit(config))
+        self._mail = self._server.mailbox
+        self._make_inlets()
+        try:
+            self._server.start()
+        except ConfigError:
+            self._server.close()
+            raise
+        self.create_timer(1.0, self._check_server)
+        self.issue_token()
+
+    @property
+    def url(self) -> str:
+        """The page's address, without a token."""
+        return self._desk.config.url(self._server.port)
+
+    def issue_token(self) -> None:
+        """Make a new sign-in token, print the page's address with it, and write it to the token file."""
+        self._server.new_token(self._announce)
+
+    def close(self) -> None:
+        """End the server; without its heartbeat the driver holds."""
+        self._server.close()
+        if self._token_file is not None:
+            self._token_file.unlink(missing_ok=True)
+
+    def _announce(self, token: str) -> None:
+        print(f"Operator page: {self.url}?token={token}", flush=True)
+        if self._token_file is None:
+            return
+        try:
+            write_token(self._token_file, token)
+        except OSError as error:
+            self.get_logger().error(f"the sign-in token could not be written to {self._token_file}: {error}")
+
+    def _check_server(self) -> None:
+        if not self._server.alive:
+            raise RuntimeError("the web server has ended; the bridge ends too, so that bring-up sees it")
+
+    def _on_config(self, config: BridgeConfig) -> None:
+        self._mail.each(self._use_config, config)
+
+    def _use_config(self, config: BridgeConfig) -> None:
+        self._desk.config = config
+
+    # --- from the graph --------------------------------------------------------------------------------------------
+
+    def _make_inlets(self) -> None:
+        self._pictures = [
+            NewestSubscription(self, Image, f"{side}/image_raw", self._picture_taker(side))
+            for side in ("left", "right")
+        ]
+        self._hear(CameraInfo, "left/camera_info", qos.SENSOR, lambda m: self._camera_seen("left", m))
+        self._hear(CameraInfo, "right/camera_info", qos.SENSOR, lambda m: self._camera_seen("right", m))
+        self._hear(PointCloud2, "corners", qos.SENSOR, self._corners_seen)
+        self._hear(PoseStamped, "panel/pose", qos.LATCHED, self._pose_seen)
+        self._hear(MarkerArray, "panel/controls", qos.LATCHED, self._controls_seen)
+        self._hear(Float32, "panel/confidence", qos.SENSOR, self._confidence_seen)
+        self._hear(PointStamped, "stylus/tip", qos.SENSOR, self._tip_seen)
+        self._hear(PointStamped, "gantry/target", qos.LATCHED, self._target_seen)
+        self._hear(String, "gantry/state", qos.LATCHED, self._state_taker("controller"))
+        self._hear(String, "gantry/driver_state", qos.LATCHED, self._state_taker("driver"))
+        self._hear(String, "calibration/state", qos.LATCHED, self._state_taker("calibration"))
+        self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, self._calibration_seen)
+        self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, self._axes_seen)
+        self._hear(JointState, "joint_states", qos.SENSOR, self._joints_seen)
+        self._hear(DiagnosticArray, "gantry/result", qos.RESULTS, self._result_seen)
+
+    def _hear(self, message_type: Any, topic: str, profile: Any, take: Callable[[Any], None]) -> None:
+        def callback(message: Any) -> None:
+            try:
+                take(message)
+            except ValueError as error:
+                self.get_logger().error(f"{topic}: ignored: {error}", throttle_duration_sec=5.0)
+
+        self.create_subscription(message_type, topic, callback, profile)
+
+    def _picture_taker(self, side: str) -> Callable[[Image], None]:
+        def take(message: Image) -> None:
+            try:
+                picture = image_array(message)
+            except ValueError as error:
+                self.get_logger().error(f"{side} picture ignored: {error}", throttle_duration_sec=5.0)
+                return
+            stamp = stamp_ns(message.header.stamp)
+            self._mail.newest(side, self._server.video.offer, side, stamp, message.encoding, picture)
+
+        return take
+
+    def _state_taker(self, part: str) -> Callable[[String], None]:
+        return lambda message: self._mail.newest(part, self._desk.set_state, part, message.data)
+
+    def _camera_seen(self, side: str, message: CameraInfo) -> None:
+        known = self._cameras.get(side)
+        # Every picture repeats the calibration; only a new one is work.
+        if known is None or any(list(getattr(known, m)) != list(getattr(message, m)) for m in "kdrp"):
+            model = camera_model(message, side)
+            self._cameras[side] = message
+            self._mail.each(self._set_scene, {side: model})
+
+    def _pose_seen(self, message: PoseStamped) -> None:
+        _check_frame(message.header, CAMERA_LEFT)
+        self._mail.newest("pose", self._set_scene, {"camera_from_panel": transform_of_pose(message.pose)})
+
+    def _controls_seen(self, message: MarkerArray) -> None:
+        controls, outline = controls_of_message(message)
+        faces = tuple(_face(control, self._label(control)) for control in controls)
+        self._mail.newest("controls", self._set_scene, {"faces": faces, "outline": outline})
+
+    def _label(self, control: Control) -> str:
+        known = {c.name: c.label for c in self._layout.controls} if self._layout else {}
+        return known.get(control.name) or control.name.replace("_", " ").capitalize()
+
+    def _set_scene(self, values: dict[str, CameraModel | Any]) -> None:
+        for name, value in values.items():
+            setattr(self._scene, name, value)
+        self._scene.changed()
+
+    def _tip_seen(self, message: PointStamped) -> None:
+        _check_frame(message.header, CAMERA_LEFT)
+        self._mail.newest("tip", self._set_tip, point_array(message), stamp_ns(message.header.stamp))
+
+    def _set_tip(self, point: Any, stamp: int) -> None:
+        self._scene.tip, self._scene.tip_ns = point, stamp
+
+    def _target_seen(self, message: PointStamped) -> None:
+        self._mail.newest("target", setattr, self._scene, "target", (message.header.frame_id, point_array(message)))
+
+    def _corners_seen(self, message: PointCloud2) -> None:
+        self._mail.newest("corners", setattr, self._scene, "corners_px", cloud_array(message, ("u", "v")))
+
+    def _calibration_seen(self, message: TransformStamped) -> None:
+        _check_frame(message.header, CAMERA_LEFT)
+        self._mail.newest("calibrated", setattr, self._scene, "camera_from_base", transform_of_message(message))
+
+    def _axes_seen(self, message: Float64MultiArray) -> None:
+        if len(message.data) != 4 or not np.isfinite(message.data).all():
+            raise ValueError(f"{list(message.data)}: 4 finite values are needed")
+        self._axes = np.array(message.data).reshape(2, 2)
+
+    def _joints_seen(self, message: JointState) -> None:
+        reading = joint_positions(message, JOINTS)
+        x, y = self._axes @ reading[:2]
+        self._mail.newest("joints", self._desk.set_position, float(x), float(y), float(reading[2]))
+
+    def _confidence_seen(self, message: Float32) -> None:
+        self._mail.newest("confidence", self._server.post_value, self._desk.set_confidence, float(message.data))
+
+    def _result_seen(self, message: DiagnosticArray) -> None:
+        self._server.post(self._desk.result, result_of_message(message))
+
+    # --- to the graph (GraphPort; called in the server's thread) ---------------------------------------------------
+
+    def _make_outlets(self) -> None:
+        self._goal = self.create_publisher(PointStamped, "gantry/goal", qos.COMMAND)
+        self._command = self.create_publisher(String, "gantry/command", qos.COMMAND)
+        self._stop_request = self.create_publisher(Empty, "gantry/stop_request", qos.RESULTS)
+        self._heartbeat = self.create_publisher(Header, "heartbeat", qos.RESULTS)
+        self._stop_service = self.create_client(Trigger, "gantry/stop")
+        self._enable_service = self.create_client(SetBool, "gantry/enable")
+        self._triggers = {
+            name: self.create_client(Trigger, topic) for name, topic in _SERVICES.items() if topic != "gantry/enable"
+        }
+
+    def ros_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def stop(self) -> None:
+        self._stop_request.publish(Empty())
+        if self._stop_service.service_is_ready():
+            self._stop_service.call_async(Trigger.Request())
+        self.get_logger().warning("stop")
+
+    def heartbeat(self) -> None:
+        self._heartbeat.publish(header(self.ros_ns(), "operator"))
+
+    def send_command(self, text: str) -> None:
+        if self._command.get_subscription_count() == 0:
+            raise GraphError("no gantry controller listens")
+        self._command.publish(String(data=text))
+
+    def send_goal(self, pixel: tuple[float, float], stamp_ns: int) -> None:
+        if self._goal.get_subscription_count() == 0:
+            raise GraphError("no gantry controller listens")
+        self._goal.publish(point_message([*pixel, 0.0], header(stamp_ns, CAMERA_LEFT)))
+
+    def call(self, service: str, answered: Callable[[bool, str], None]) -> None:
+        switch = service in ("enable", "disable")
+        client = self._enable_service if switch else self._triggers[service]
+        if not client.service_is_ready():
+            raise GraphError(f"the service {_SERVICES[service]} is not there")
+        request = SetBool.Request(data=service == "enable") if switch else Trigger.Request()
+
+        def done(future: Any) -> None:
+            answer = future.result()
+            answered(bool(answer.success), str(answer.message))
+
+        client.call_async(request).add_done_callback(done)
+
+
+def _face(control: Control, label: str) -> Face:
+    x, y, z = (v * 1e-3 for v in (*control.position_mm, control.height_mm))
+    width, height = (v * 1e-3 for v in control.size_mm)
+    circle = control.shape == "circle"
+    return Face(
+        name=control.name, kind=control.kind, label=label, circle=circle, centre=(x, y, z), size=(width, height)
+    )
+
+
+def _read_layout(config: BridgeConfig) -> PanelLayout | None:
+    try:
+        return load_layout(Path(config.layout)) if config.layout else None
+    except (OSError, LayoutError) as error:
+        raise ConfigError(f"layout: {error}") from error
+
+
+def _open_audit(config: BridgeConfig) -> AuditFile | None:
+    try:
+        return AuditFile(Path(config.audit_file).expanduser()) if config.audit_file else None
+    except (OSError, AuditError) as error:
+        raise ConfigError(f"audit_file = {config.audit_file!r}: {error}; look at it and move it away") from error
+
+
+def _check_frame(head: Header, frame: str) -> None:
+    if head.frame_id != frame:
+        raise ValueError(f"frame {head.frame_id!r}, {frame!r} is needed")
+
+
+def _make() -> BridgeNode:
+    node = BridgeNode()
+    signal.signal(signal.SIGUSR1, lambda number, frame: node.issue_token())
+    return node
+
+
+def main() -> int:
+    return run(_make)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

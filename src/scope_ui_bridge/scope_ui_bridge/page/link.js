@@ -1,0 +1,109 @@
+// The control connection: numbered messages, answers, round trip, and noticing a dead server (no close event comes then).
+
+const SILENT_MS = 1500;
+const ANSWER_MS = 3000;
+
+export class Link extends EventTarget {
+  #socket = null;
+  #seq = 0;
+  #boot = "";
+  #waiting = new Map();
+  #retryMs = 300;
+  #lastHeard = 0;
+  epoch = 0;
+  rttMs = null;
+
+  get open() {
+    return this.#socket !== null && this.#boot !== "" && this.#socket.readyState === WebSocket.OPEN;
+  }
+
+  get silent() {
+    return !this.open || performance.now() - this.#lastHeard > SILENT_MS;
+  }
+
+  connect() {
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    const socket = new WebSocket(`${scheme}://${location.host}/control`);
+    this.#socket = socket;
+    this.#seq = 0;
+    this.#boot = "";
+    this.#lastHeard = performance.now();
+    socket.addEventListener("message", (event) => this.#take(JSON.parse(event.data)));
+    socket.addEventListener("close", () => this.#lost(socket));
+  }
+
+  /** Call often: gives a connection up on which nothing arrives any more. */
+  watch() {
+    if (this.#socket && performance.now() - this.#lastHeard > 2 * SILENT_MS) {
+      const socket = this.#socket;
+      socket.close();
+      this.#lost(socket);
+    }
+  }
+
+  /** Send and return the answer {ok, code, values}; never rejects. */
+  ask(type, fields = {}) {
+    if (!this.open) return Promise.resolve({ ok: false, code: "link_down", values: {} });
+    const seq = this.#send(type, fields);
+    return new Promise((resolve) => {
+      const timer = setTimeout(() => this.#settle({ seq, ok: false, code: "link_down", values: {} }), ANSWER_MS);
+      this.#waiting.set(seq, { resolve, timer });
+    });
+  }
+
+  alive() {
+    if (this.open) this.#send("alive", { client_ms: performance.now() });
+  }
+
+  #send(type, fields) {
+    this.#seq += 1;
+    this.#socket.send(JSON.stringify({ type, seq: this.#seq, boot: this.#boot, epoch: this.epoch, ...fields }));
+    return this.#seq;
+  }
+
+  #take(message) {
+    this.#lastHeard = performance.now();
+    if (message.type === "alive") {
+      const rtt = performance.now() - message.client_ms;
+      this.rttMs = this.rttMs === null ? rtt : 0.8 * this.rttMs + 0.2 * rtt;
+      return;
+    }
+    if (message.type === "hello") {
+      this.#boot = message.boot;
+      this.#retryMs = 300;
+    }
+    const state = message.type === "hello" ? message.state : message;
+    if (state.lease) this.epoch = state.lease.epoch;
+    if (message.type === "answer" && this.#settle(message)) return;
+    this.dispatchEvent(new CustomEvent(message.type, { detail: message }));
+  }
+
+  #settle(answer) {
+    const waiting = this.#waiting.get(answer.seq);
+    if (!waiting) return false;
+    clearTimeout(waiting.timer);
+    this.#waiting.delete(answer.seq);
+    waiting.resolve(answer);
+    return true;
+  }
+
+  async #lost(socket) {
+    if (socket !== this.#socket) return;
+    this.#socket = null;
+    this.#boot = "";
+    for (const seq of [...this.#waiting.keys()]) this.#settle({ seq, ok: false, code: "link_down", values: {} });
+    this.dispatchEvent(new CustomEvent("lost"));
+    await new Promise((resolve) => setTimeout(resolve, this.#retryMs));
+    this.#retryMs = Math.min(2 * this.#retryMs, 5000);
+    try {
+      const answer = await fetch("/session", { signal: AbortSignal.timeout(3000) });
+      if (answer.status === 401) {
+        location.replace("/");
+        return;
+      }
+    } catch {
+      // the server is away; the connection attempt below fails too and we come back here
+    }
+    this.connect();
+  }
+}

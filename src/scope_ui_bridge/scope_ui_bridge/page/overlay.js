@@ -1,0 +1,184 @@
+// What lies over the picture: outlines and marks in SVG, and a real button for each control. All in raw pixels of the
+// picture; the centre of the first pixel is (0, 0), hence the half pixel.
+
+import { t } from "./strings.js";
+
+const NS = "http://www.w3.org/2000/svg";
+
+export class Overlay extends EventTarget {
+  #svg;
+  #box;
+  #stage;
+  #layers = {};
+  #buttons = new Map();
+  #panel = { outline: [], controls: [] };
+  #selection = null;
+  #size = [1280, 720];
+
+  constructor(stage, svg, box) {
+    super();
+    this.#stage = stage;
+    this.#svg = svg;
+    this.#box = box;
+    for (const name of ["outline", "controls", "corners", "target", "tip", "chosen"]) {
+      const group = document.createElementNS(NS, "g");
+      group.setAttribute("class", `layer-${name}`);
+      svg.append(group);
+      this.#layers[name] = group;
+    }
+    box.addEventListener("keydown", (event) => this.#arrows(event));
+    stage.addEventListener("click", (event) => this.#clicked(event));
+  }
+
+  get controls() {
+    return this.#panel.controls;
+  }
+
+  frame(about) {
+    if (about.width !== this.#size[0] || about.height !== this.#size[1] || !this.#svg.hasAttribute("viewBox")) {
+      this.#size = [about.width, about.height];
+      this.#svg.setAttribute("viewBox", `-0.5 -0.5 ${about.width} ${about.height}`);
+      this.#stage.style.aspectRatio = `${about.width} / ${about.height}`;
+      this.#placeAll();
+    }
+    if (about.panel) this.#show(about.panel);
+    this.#mark("tip", about.tip);
+    this.#mark("target", about.target);
+    this.#dots(about.corners);
+  }
+
+  select(selection) {
+    this.#selection = selection;
+    for (const [name, button] of this.#buttons) button.setAttribute("aria-pressed", String(selection?.control === name));
+    this.#drawControls();
+    this.#mark("chosen", selection && !selection.control ? selection.pixel : null);
+  }
+
+  #show(panel) {
+    const before = this.#panel.controls.map((control) => control.name).join();
+    this.#panel = panel;
+    const names = panel.controls.map((control) => control.name);
+    if (names.join() !== before) this.#makeButtons(panel.controls);
+    this.#placeAll();
+    this.#layers.outline.replaceChildren(...doubled("path", { d: path(panel.outline, true) }));
+    this.#drawControls();
+    if (names.join() !== before) this.dispatchEvent(new CustomEvent("controls"));
+  }
+
+  #makeButtons(controls) {
+    const inReadingOrder = [...controls].sort((a, b) => Math.round((a.box[1] - b.box[1]) / 24) || a.box[0] - b.box[0]);
+    const focused = document.activeElement?.dataset?.control;
+    this.#buttons.clear();
+    this.#box.replaceChildren();
+    for (const control of inReadingOrder) {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.dataset.control = control.name;
+      button.dataset.kind = control.kind;
+      button.dataset.tag = control.label;
+      button.setAttribute("aria-label", `${control.label}, ${t(`kind_${control.kind}`)}`);
+      button.setAttribute("aria-pressed", String(this.#selection?.control === control.name));
+      if (control.kind === "connector") button.setAttribute("aria-disabled", "true");
+      this.#buttons.set(control.name, button);
+      this.#box.append(button);
+      if (focused === control.name) button.focus();
+    }
+  }
+
+  #placeAll() {
+    const [width, height] = this.#size;
+    for (const control of this.#panel.controls) {
+      const style = this.#buttons.get(control.name)?.style;
+      if (!style) continue;
+      const [x, y, w, h] = control.box;
+      style.left = `${(100 * (x + 0.5)) / width}%`;
+      style.top = `${(100 * (y + 0.5)) / height}%`;
+      style.width = `${(100 * w) / width}%`;
+      style.height = `${(100 * h) / height}%`;
+      style.zIndex = String(Math.max(1, 1000 - Math.round(Math.sqrt(w * h)))); // small controls lie on top
+    }
+  }
+
+  #drawControls() {
+    const shapes = this.#panel.controls.flatMap((control) => {
+      const chosen = this.#selection?.control === control.name ? " chosen" : "";
+      return doubled("path", { d: path(control.outline, true) }, `${control.kind}${chosen}`);
+    });
+    this.#layers.controls.replaceChildren(...shapes);
+  }
+
+  #dots(corners) {
+    let d = "";
+    for (let i = 0; corners && i + 1 < corners.length; i += 2) d += `M${corners[i]} ${corners[i + 1]}h0`;
+    this.#layers.corners.replaceChildren(...(d ? doubled("path", { d }) : []));
+  }
+
+  #mark(name, pixel) {
+    if (!pixel) {
+      this.#layers[name].replaceChildren();
+      return;
+    }
+    const [u, v] = pixel;
+    const r = name === "tip" ? 9 : 14;
+    const d =
+      `M${u - r} ${v}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0` +
+      `M${u - 1.7 * r} ${v}h${r}M${u + 0.7 * r} ${v}h${r}M${u} ${v - 1.7 * r}v${r}M${u} ${v + 0.7 * r}v${r}`;
+    this.#layers[name].replaceChildren(...doubled("path", { d }));
+  }
+
+  #clicked(event) {
+    const button = event.target.closest("[data-control]");
+    const byKey = event.detail === 0;
+    // A touch screen is touched where it was clicked; from the keyboard, in its middle.
+    if (button && (byKey || button.dataset.kind !== "touch_area")) {
+      this.dispatchEvent(new CustomEvent("choose", { detail: { control: button.dataset.control, byKey } }));
+      return;
+    }
+    const area = this.#svg.getBoundingClientRect();
+    const u = ((event.clientX - area.left) / area.width) * this.#size[0] - 0.5;
+    const v = ((event.clientY - area.top) / area.height) * this.#size[1] - 0.5;
+    this.dispatchEvent(new CustomEvent("choose", { detail: { u: round(u), v: round(v), byKey } }));
+  }
+
+  /** Arrow keys go to the nearest control in that direction. */
+  #arrows(event) {
+    const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    const from = this.#panel.controls.find((control) => control.name === event.target.dataset?.control);
+    if (!way || !from || event.shiftKey || event.ctrlKey || event.altKey || event.metaKey) return;
+    event.preventDefault();
+    const [x, y] = centre(from);
+    let best = null;
+    for (const control of this.#panel.controls) {
+      const [dx, dy] = [centre(control)[0] - x, centre(control)[1] - y];
+      const along = dx * way[0] + dy * way[1];
+      const across = Math.abs(dx * way[1]) + Math.abs(dy * way[0]);
+      if (along < 2 || across > 2 * along) continue;
+      const cost = along + 2 * across;
+      if (!best || cost < best.cost) best = { cost, name: control.name };
+    }
+    if (best) this.#buttons.get(best.name).focus();
+  }
+}
+
+function centre(control) {
+  const [x, y, w, h] = control.box;
+  return [x + w / 2, y + h / 2];
+}
+
+function round(value) {
+  return Math.round(value * 10) / 10;
+}
+
+function path(points, closed) {
+  return points.length ? `M${points.map(([u, v]) => `${u} ${v}`).join("L")}${closed ? "Z" : ""}` : "";
+}
+
+/** A dark line under a bright one: readable on any picture. */
+function doubled(tag, attributes, name = "") {
+  return ["under", "over"].map((layer) => {
+    const element = document.createElementNS(NS, tag);
+    for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+    element.setAttribute("class", `${layer} ${name}`);
+    return element;
+  });
+}

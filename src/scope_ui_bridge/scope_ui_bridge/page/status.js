@@ -1,0 +1,46 @@
+// Header and banner: states by text and icon as well as by colour.
+
+import { t } from "./strings.js";
+
+const LOOKS = {
+  good: "✓", busy: "▶", waiting: "▲", bad: "■", none: "○",
+};
+const LOOK_OF = {
+  idle: "good", ready: "good", calibrated: "good",
+  moving: "busy", homing: "busy", looking: "busy", touching: "busy", calibrating: "busy", connecting: "busy",
+  unhomed: "waiting", waiting: "waiting", uncalibrated: "waiting",
+  stopped: "bad", alarm: "bad", disconnected: "bad", mismatch: "bad", failed: "bad",
+};
+
+export function chip(id, look, text, title = "") {
+  const element = document.getElementById(id);
+  const key = `${look} ${text} ${title}`;
+  if (element.dataset.key === key) return;
+  element.dataset.key = key;
+  element.dataset.look = look;
+  element.title = title;
+  const icon = document.createElement("span");
+  icon.className = "icon";
+  icon.setAttribute("aria-hidden", "true");
+  icon.textContent = LOOKS[look];
+  element.querySelector("dd").replaceChildren(icon, text);
+}
+
+export function stateChip(id, { state, reason }) {
+  const text = state ? t(`state_${state}`, { reason }) : t("unknown");
+  const full = reason && state !== "calibrating" ? `${text}: ${reason}` : text;
+  chip(id, LOOK_OF[state] ?? "none", text, full);
+}
+
+/** Show the most urgent of the banners that apply, or none. */
+export function banner(element, candidates) {
+  const found = candidates.find((candidate) => candidate.when);
+  const key = found ? `${found.look} ${found.text}` : "";
+  if (element.dataset.key === key) return;
+  element.dataset.key = key;
+  element.hidden = !found;
+  if (!found) return;
+  element.dataset.look = found.look;
+  element.querySelector(".icon").textContent = LOOKS[found.look];
+  element.querySelector("p").textContent = found.text;
+}

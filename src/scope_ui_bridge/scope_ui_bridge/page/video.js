@@ -1,0 +1,101 @@
+// The live picture: newest frame only. A frame is acknowledged once it is drawn, so a slow or hidden page gets fewer.
+
+export class Video extends EventTarget {
+  #socket = null;
+  #canvas;
+  #context;
+  #wish = { camera: "left", corners: false };
+  #retryMs = 300;
+  #pending = null;
+  #decoding = false;
+  #link;
+  shown = null; // {camera, stamp, age_ms, arrived}
+
+  constructor(canvas, link) {
+    super();
+    this.#canvas = canvas;
+    this.#context = canvas.getContext("2d", { alpha: false });
+    this.#link = link;
+  }
+
+  /** Age of the shown picture in ms: age when sent, half the round trip, and the time since it came. */
+  get ageMs() {
+    if (!this.shown) return Infinity;
+    return this.shown.age_ms + (this.#link.rttMs ?? 0) / 2 + performance.now() - this.shown.arrived;
+  }
+
+  connect() {
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    const socket = new WebSocket(`${scheme}://${location.host}/video`);
+    socket.binaryType = "arraybuffer";
+    this.#socket = socket;
+    socket.addEventListener("open", () => {
+      this.#retryMs = 300;
+      this.#send(this.#wish);
+    });
+    socket.addEventListener("message", (event) => {
+      if (typeof event.data === "string") return;
+      this.#pending = { data: event.data, arrived: performance.now(), socket };
+      this.#decode();
+    });
+    socket.addEventListener("close", () => {
+      if (socket !== this.#socket) return;
+      setTimeout(() => this.connect(), this.#retryMs);
+      this.#retryMs = Math.min(2 * this.#retryMs, 5000);
+    });
+  }
+
+  look(wish) {
+    if (wish.camera !== undefined && wish.camera !== this.#wish.camera) this.shown = null;
+    this.#wish = { ...this.#wish, ...wish };
+    this.#send(this.#wish);
+  }
+
+  get camera() {
+    return this.#wish.camera;
+  }
+
+  #send(message) {
+    if (this.#socket?.readyState === WebSocket.OPEN) this.#socket.send(JSON.stringify(message));
+  }
+
+  async #decode() {
+    if (this.#decoding) return;
+    this.#decoding = true;
+    while (this.#pending) {
+      const { data, arrived, socket } = this.#pending;
+      this.#pending = null;
+      const length = new DataView(data).getUint32(0);
+      const about = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+      try {
+        const bitmap = await createImageBitmap(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }));
+        if (about.camera === this.#wish.camera) this.#show(about, bitmap, arrived);
+        bitmap.close();
+      } catch (error) {
+        console.error("a picture could not be decoded", error);
+      }
+      if (socket === this.#socket) await this.#drawn(about.seq);
+    }
+    this.#decoding = false;
+  }
+
+  #show(about, bitmap, arrived) {
+    if (this.#canvas.width !== about.width || this.#canvas.height !== about.height) {
+      this.#canvas.width = about.width;
+      this.#canvas.height = about.height;
+    }
+    this.#context.drawImage(bitmap, 0, 0);
+    this.shown = { camera: about.camera, stamp: about.stamp, age_ms: about.age_ms, arrived };
+    this.dispatchEvent(new CustomEvent("frame", { detail: about }));
+  }
+
+  /** Acknowledge in the next animation frame: hidden pages have none, and then the server makes no pictures for us. */
+  #drawn(seq) {
+    return new Promise((resolve) =>
+      requestAnimationFrame(() => {
+        this.#send({ drawn: seq });
+        resolve();
+      }),
+    );
+  }
+}

@@ -1,0 +1,258 @@
+"""A small stand-in for the rest of the graph, for tests of the page alone: pictures, pose, answers to commands.
+
+Run as a program. It draws the panel from its layout, answers gestures as the controller does (accepted, then reached
+with a measured error after a motion of one second), and obeys stop, reset, home and enable. Lines on standard input
+change the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``stall`` and ``resume`` (pictures).
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
+from std_msgs.msg import Empty, Float32, Header, String
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
+
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.frames import CAMERA_LEFT, JOINTS, PANEL
+from icu_common.core.geometry import Transform
+from icu_common.core.gesture import parse_gesture
+from icu_common.core.panel_layout import PanelLayout, load_layout, rgb
+from icu_common.core.results import GoalResult, Outcome
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    camera_info_message,
+    cloud_message,
+    controls_message,
+    header,
+    image_message,
+    joint_message,
+    point_message,
+    pose_message,
+    result_message,
+    result_of_message,
+    stamp_ns,
+)
+from icu_common.nodes.runtime import run
+
+LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
+PX_PER_MM = 4
+ERROR_M = 0.00042
+MOTION_S = 1.0
+
+
+def camera() -> CameraModel:
+    k = np.array([[1700.0, 0, 639.5], [0, 1700.0, 359.5], [0, 0, 1]])
+    p = np.hstack([k, np.zeros((3, 1))])
+    return CameraModel(name="left", width=1280, height=720, k=k, d=np.zeros(5), r=np.eye(3), p=p)
+
+
+def right_camera() -> CameraModel:
+    left = camera()
+    p = left.p.copy()
+    p[0, 3] = -1700.0 * 0.12
+    return CameraModel(name="right", width=1280, height=720, k=left.k, d=left.d, r=left.r, p=p)
+
+
+def panel_pose(shift_m: float = 0.0) -> Transform:
+    """Return camera_from_panel: 0.68 m away, seen from 20 degrees below."""
+    tilt = math.radians(20)
+    facing = np.diag([1.0, -1.0, -1.0])
+    turn = np.array([[1, 0, 0], [0, math.cos(tilt), -math.sin(tilt)], [0, math.sin(tilt), math.cos(tilt)]])
+    rotation = turn @ facing
+    centre = np.array([0.16, 0.075, 0.0])
+    return Transform(rotation, np.array([shift_m, 0.0, 0.68]) - rotation @ centre)
+
+
+def draw_face(layout: PanelLayout, running: bool, phase: float) -> np.ndarray:
+    width, height = (round(v * PX_PER_MM) for v in layout.size_mm)
+    face = np.full((height, width, 3), rgb(layout.colour)[::-1], np.uint8)
+    for control in layout.controls:
+        x, y = control.position_mm[0] * PX_PER_MM, height - control.position_mm[1] * PX_PER_MM
+        w, h = (v * PX_PER_MM / 2 for v in control.size_mm)
+        colour = rgb(control.lit_colour if control.name == "RUN_STOP" and running else control.colour)[::-1]
+        if control.shape == "circle":
+            cv2.circle(face, (round(x), round(y)), round(w), colour, -1, cv2.LINE_AA)
+            cv2.circle(face, (round(x), round(y)), round(w), (30, 30, 30), 2, cv2.LINE_AA)
+        else:
+            corners = (round(x - w), round(y - h)), (round(x + w), round(y + h))
+            cv2.rectangle(face, *corners, colour, -1)
+            cv2.rectangle(face, *corners, (60, 60, 60), 2)
+    screen = layout.control("SCREEN")
+    x = np.linspace(-screen.size_mm[0] / 2 + 3, screen.size_mm[0] / 2 - 3, 300)
+    y = 20 * np.sin(x / 9 + (phase if running else 0.0))
+    points = np.column_stack([(x + screen.position_mm[0]), layout.size_mm[1] - screen.position_mm[1] - y]) * PX_PER_MM
+    cv2.polylines(face, [points.round().astype(np.int32)], False, (60, 220, 250), 4, cv2.LINE_AA)
+    return face
+
+
+class SyntheticScope(Node):
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("synthetic_scope", **kwargs)
+        self.layout = load_layout(LAYOUT)
+        self.models = {"left": camera(), "right": right_camera()}
+        self.running, self.phase, self.shift, self.confidence, self.stalled = True, 0.0, 0.0, 0.97, False
+        self.position = [0.1, 0.05, 0.0]
+        self.goal: tuple[str, str, int] | None = None
+        self.enabled = True
+        self.heartbeat_ns = 0
+        self.controller, self.driver = "ready", "idle"
+        self.images = {s: self.create_publisher(Image, f"{s}/image_raw", qos.IMAGES) for s in self.models}
+        self.infos = {s: self.create_publisher(CameraInfo, f"{s}/camera_info", qos.IMAGES) for s in self.models}
+        self.poses = self.create_publisher(PoseStamped, "panel/pose", qos.LATCHED)
+        self.controls = self.create_publisher(MarkerArray, "panel/controls", qos.LATCHED)
+        self.confidences = self.create_publisher(Float32, "panel/confidence", qos.SENSOR)
+        self.corners = self.create_publisher(PointCloud2, "corners", qos.RESULTS)
+        self.tips = self.create_publisher(PointStamped, "stylus/tip", qos.SENSOR)
+        self.targets = self.create_publisher(PointStamped, "gantry/target", qos.LATCHED)
+        self.states = self.create_publisher(String, "gantry/state", qos.LATCHED)
+        self.drivers = self.create_publisher(String, "gantry/driver_state", qos.LATCHED)
+        self.calibrations = self.create_publisher(String, "calibration/state", qos.LATCHED)
+        self.joints = self.create_publisher(JointState, "joint_states", qos.SENSOR)
+        self.results = self.create_publisher(DiagnosticArray, "gantry/result", qos.RESULTS)
+        self.create_subscription(String, "gantry/command", self.on_command, qos.COMMAND)
+        self.create_subscription(PointStamped, "gantry/goal", self.on_goal, qos.COMMAND)
+        self.create_subscription(Empty, "gantry/stop_request", lambda m: self.stop("operator"), qos.RESULTS)
+        self.create_subscription(Header, "heartbeat", self.on_heartbeat, qos.SENSOR)
+        for name, function in (("stop", self.on_stop), ("reset", self.on_reset), ("home", self.on_home)):
+            self.create_service(Trigger, f"gantry/{name}", function)
+        self.create_service(SetBool, "gantry/enable", self.on_enable)
+        self.create_timer(1 / 15, self.on_picture)
+        self.create_timer(0.05, self.on_tick)
+        self.controls.publish(controls_message(self.layout, header(0, PANEL)))
+        self.calibrations.publish(String(data="calibrated: rms 0.08 mm, 12 poses"))
+        self.say()
+        threading.Thread(target=self.listen, daemon=True).start()
+
+    def now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def listen(self) -> None:
+        for line in sys.stdin:
+            word, *rest = line.split()
+            if word in ("stall", "resume"):
+                self.stalled = word == "stall"
+            else:
+                setattr(self, word, float(rest[0]))
+
+    def say(self) -> None:
+        self.states.publish(String(data=self.controller))
+        self.drivers.publish(String(data=self.driver))
+
+    def on_heartbeat(self, message: Header) -> None:
+        self.heartbeat_ns = stamp_ns(message.stamp)
+
+    def on_picture(self) -> None:
+        self.phase += 0.2
+        stamp = self.now()
+        pose = panel_pose(self.shift)
+        self.confidences.publish(Float32(data=self.confidence))
+        self.poses.publish(pose_message(pose, header(stamp, CAMERA_LEFT)))
+        self.joints.publish(joint_message(JOINTS, self.position, header(stamp, "")))
+        tip = pose.apply(np.array([self.position[0], self.position[1], 0.03 - self.position[2]]))
+        self.tips.publish(point_message(tip, header(stamp, CAMERA_LEFT)))
+        if self.stalled:
+            return
+        face = draw_face(self.layout, self.running, self.phase)
+        size_m = np.array(self.layout.size_mm) * 1e-3
+        corners = np.array([[0, 0, 0], [size_m[0], 0, 0], [*size_m, 0], [0, size_m[1], 0]])
+        height, width = face.shape[:2]
+        source = np.array([[0, height], [width, height], [width, 0], [0, 0]], np.float32)
+        for side, model in self.models.items():
+            points = pose.apply(corners) - (np.array([0.12, 0, 0]) if side == "right" else 0)
+            warp = cv2.getPerspectiveTransform(source, model.project(points).astype(np.float32))
+            picture = cv2.warpPerspective(face, warp, (1280, 720), borderValue=(52, 48, 44))
+            if side == "left":
+                u, v = model.project(tip)[0]
+                cv2.circle(picture, (round(u), round(v)), 6, (255, 0, 255), -1, cv2.LINE_AA)
+                gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+                found = cv2.goodFeaturesToTrack(gray, 300, 0.02, 6).reshape(-1, 2)
+                rows = np.column_stack([found, np.ones(len(found))])
+                self.corners.publish(cloud_message(("u", "v", "response"), rows, header(stamp, CAMERA_LEFT)))
+            self.images[side].publish(image_message(picture, "bgr8", header(stamp, CAMERA_LEFT)))
+            self.infos[side].publish(camera_info_message(model, header(stamp, CAMERA_LEFT)))
+
+    def on_tick(self) -> None:
+        if self.goal is None:
+            return
+        goal_id, text, started = self.goal
+        if self.now() - self.heartbeat_ns > 0.6e9:
+            self.stop("heartbeat lost")
+        elif self.now() - started > MOTION_S * 1e9:
+            self.goal = None
+            self.controller, self.driver = "ready", "idle"
+            self.running = self.running != ("RUN_STOP" in text)
+            self.answer(goal_id, text, Outcome.REACHED, error_m=ERROR_M, duration_s=MOTION_S)
+            self.say()
+
+    def answer(self, goal_id: str, text: str, outcome: Outcome, **more: Any) -> None:
+        result = GoalResult(goal_id=goal_id, goal=text, outcome=outcome, **more)
+        message = result_message(result, self.now())
+        assert result_of_message(message).goal_id == goal_id
+        self.results.publish(message)
+
+    def start(self, goal_id: str, text: str, xy: np.ndarray) -> None:
+        if self.controller != "ready":
+            self.answer(goal_id, text, Outcome.REJECTED, reason=f"the controller is {self.controller}")
+            return
+        self.goal = (goal_id, text, self.now())
+        self.position = [float(xy[0]), float(xy[1]), 0.0]
+        self.controller, self.driver = "moving", "moving"
+        target = panel_pose(self.shift).apply(np.array([*xy, 0.0]))
+        self.targets.publish(point_message(target, header(self.now(), CAMERA_LEFT)))
+        self.answer(goal_id, text, Outcome.ACCEPTED)
+        self.say()
+
+    def on_command(self, message: String) -> None:
+        gesture = parse_gesture(message.data)
+        name = gesture.target
+        place = (
+            np.array(self.layout.control(name).position_mm) * 1e-3 if isinstance(name, str) else np.array([0.1, 0.1])
+        )
+        self.start(gesture.id or message.data, message.data, place)
+
+    def on_goal(self, message: PointStamped) -> None:
+        text = f"({message.point.x:.1f}, {message.point.y:.1f})@{message.header.frame_id}"
+        self.start(str(stamp_ns(message.header.stamp)), text, np.array([0.1, 0.1]))
+
+    def stop(self, why: str) -> None:
+        if self.goal is not None:
+            self.answer(self.goal[0], self.goal[1], Outcome.ABORTED, reason=f"stopped: {why}")
+            self.goal = None
+        self.controller = self.driver = f"stopped: {why}"
+        self.say()
+
+    def on_stop(self, request: Any, response: Any) -> Any:
+        self.stop("operator")
+        response.success, response.message = True, "stopped"
+        return response
+
+    def on_reset(self, request: Any, response: Any) -> Any:
+        self.controller, self.driver = "ready", "idle"
+        self.say()
+        response.success, response.message = True, "reset"
+        return response
+
+    def on_home(self, request: Any, response: Any) -> Any:
+        self.position = [0.0, 0.0, 0.0]
+        response.success, response.message = True, "homing"
+        return response
+
+    def on_enable(self, request: Any, response: Any) -> Any:
+        self.enabled = bool(request.data)
+        response.success, response.message = True, "enabled" if self.enabled else "disabled"
+        return response
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(SyntheticScope))
