@@ -1,0 +1,242 @@
+"""The calibration procedure, driven by a machine in a few lines that has backlash, scale, skew and a tilted stylus."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from harris_perception.core.calibration_run import (
+    Action,
+    CalibrationRun,
+    Failed,
+    Finished,
+    Progress,
+    Purpose,
+    RunConfig,
+    SendGoal,
+    StillConfig,
+    StillWatch,
+    plan,
+)
+from harris_perception.core.hand_eye import HandEyeConfig
+from icu_common.core.config import ConfigError
+from icu_common.core.geometry import Transform
+from icu_common.core.results import GoalResult, Outcome
+
+AXES = np.array([[1.003, -0.002], [0.0, 0.998]])
+POSE = Transform(
+    np.asarray(cv2.Rodrigues(np.array([2.71, 0.05, -0.08]))[0], dtype=float), np.array([-0.17, 0.09, 0.66])
+)
+MS = 1_000_000
+
+
+class Machine:
+    """Answers goals and shows the tip; ``fault(machine, stop number)`` may spoil things."""
+
+    def __init__(self, run: CalibrationRun, seed: int, fault: Any = None) -> None:
+        self.run, self.rng, self.fault = run, np.random.default_rng(seed), fault
+        self.now = 10_000 * MS
+        self.reading, self.true = np.zeros(3), np.zeros(3)
+        self.lag, self.slip = np.zeros(2), np.zeros(3)
+        self.goals: list[tuple[float, float, float]] = []
+        self.progress: list[Progress] = []
+        self.end: Finished | Failed | None = None
+        self.silent = self.blind = False
+        self.outcome = Outcome.REACHED
+
+    def act(self, actions: list[Action]) -> None:
+        for action in actions:
+            if isinstance(action, SendGoal):
+                self.goals.append(action.xyz)
+                self.go(action)
+            elif isinstance(action, Progress):
+                self.progress.append(action)
+            else:
+                self.end = action
+
+    def go(self, goal: SendGoal) -> None:
+        if self.fault is not None:
+            self.fault(self, len(self.goals))
+        if self.silent:
+            return
+        target = np.array([goal.xyz[0], goal.xyz[1], -goal.xyz[2]])
+        moved = np.sign(target[:2] - self.reading[:2])
+        self.reading = np.round(target * 80e3) / 80e3
+        # Backlash of 0.2 mm: the carriage lags behind the motor by which way it came.
+        self.lag = np.where(moved != 0, 0.0001 * moved, self.lag)
+        self.true = np.array([*(self.reading[:2] - self.lag), self.reading[2]]) - self.slip
+
+        def answer(outcome: Outcome, reason: str = "") -> None:
+            result = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome, reason=reason)
+            self.act(self.run.result(result, self.now))
+
+        answer(Outcome.ACCEPTED)
+        self.now += 800 * MS
+        self.run.reading(self.now, self.reading)
+        if self.outcome is not Outcome.ACCEPTED:
+            answer(self.outcome, "" if self.outcome is Outcome.REACHED else "hit the wall")
+
+    def spin(self, seconds: float) -> None:
+        """15 pictures and 10 readings a second until the run is over."""
+        for step in range(int(seconds * 30)):
+            self.now += 33 * MS
+            if self.end is not None:
+                return
+            if step % 3 == 0:
+                self.run.reading(self.now, self.reading)
+            if step % 2 == 0 and not self.blind:
+                base = np.array([*(AXES @ self.true[:2]), 0.0]) + self.true[2] * np.array([0.001, -0.0015, -1.0])
+                noise = self.rng.normal(0, (0.00004, 0.00004, 0.0002))
+                self.act(self.run.tip(self.now - 20 * MS, POSE.apply(base) + noise, self.now))
+            self.act(self.run.tick(self.now))
+
+
+def machine(seed: int = 1, fault: Any = None, **config: Any) -> Machine:
+    run = CalibrationRun(RunConfig(**config), StillConfig(), HandEyeConfig(), 0)
+    rig = Machine(run, seed, fault)
+    rig.act(run.start(rig.now))
+    rig.spin(300.0)
+    return rig
+
+
+def test_run_finds_the_hidden_axes_and_checks_itself() -> None:
+    rig = machine()
+    assert isinstance(rig.end, Finished), rig.end
+    result = rig.end.calibration
+    np.testing.assert_allclose(result.base_from_reading, AXES, atol=0.0004)
+    np.testing.assert_allclose(result.stylus_direction, (0.001, -0.0015, -1.0), atol=0.012)
+    query = np.array([(0.05, 0.05, 0.03), (0.3, 0.15, 0.03), (0.18, 0.1, 0.0)])
+    seen = POSE.apply(np.column_stack([(query[:, :2] - 0.0001) @ AXES.T, -query[:, 2]]))
+    error = np.linalg.norm(result.tip_in_camera(query) - seen, axis=1)
+    print("aim error mm", error * 1e3, "held out mm", rig.end.held_out_m * 1e3)
+    assert error.max() < 0.0003
+    assert len(rig.end.held_out_m) == 4
+    assert rig.end.held_out_m.max() < 0.0004
+    assert [p.total for p in rig.progress] == [28] * len(rig.progress)
+    assert rig.progress[-1].done == 28
+
+
+def test_places_are_spread_inside_the_limits_and_entered_from_lower_left() -> None:
+    config = RunConfig()
+    stops = plan(config)
+    fit = np.array([(s.x, s.y, s.z) for s in stops if s.purpose is Purpose.FIT])
+    assert len(fit) == 24
+    np.testing.assert_allclose(fit.min(axis=0), (0.03, 0.03, -0.012))
+    np.testing.assert_allclose(fit.max(axis=0), (0.33, 0.18, 0.0))
+    for before, stop in itertools.pairwise(stops):
+        if stop.purpose in (Purpose.FIT, Purpose.CHECK):
+            assert stop.x >= before.x and stop.y >= before.y, (before, stop)
+    checks = [(s.x, s.y) for s in stops if s.purpose is Purpose.CHECK]
+    assert len(set(checks)) == 4
+    assert not set(checks) & {(x, y) for x, y, _ in fit}
+    assert stops[-1].z == 0.0
+
+
+def silent(rig: Machine, number: int) -> None:
+    rig.silent = number == 5
+
+
+def never_there(rig: Machine, number: int) -> None:
+    rig.outcome = Outcome.ACCEPTED if number == 4 else Outcome.REACHED
+
+
+def aborts(rig: Machine, number: int) -> None:
+    rig.outcome = Outcome.ABORTED if number == 3 else Outcome.REACHED
+
+
+def blind_for_good(rig: Machine, number: int) -> None:
+    rig.blind = number > 2
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        (silent, r"the goal was not answered within 3 s"),
+        (never_there, r"the goal was not reached within 30 s"),
+        (aborts, r"the goal x = 30, y = 30, z = -12 mm was aborted: hit the wall"),
+        (blind_for_good, r"8 of 28 places gave no sample; last: the tip was seen 0 of 8 times while"),
+    ],
+)
+def test_every_wait_ends_with_its_reason(fault: Any, reason: str) -> None:
+    rig = machine(fault=fault)
+    assert isinstance(rig.end, Failed)
+    assert re.match(reason, rig.end.reason), rig.end.reason
+    goals = len(rig.goals)
+    rig.end = None
+    rig.spin(60.0)
+    assert (len(rig.goals), rig.end) == (goals, None)
+
+
+def test_a_few_unseen_places_do_not_matter() -> None:
+    def blind_at_some(rig: Machine, number: int) -> None:
+        rig.blind = number in (3, 9, 14)
+
+    rig = machine(fault=blind_at_some)
+    assert isinstance(rig.end, Finished), rig.end
+    assert rig.progress[-1].note == "3 missed"
+
+
+def test_an_alarm_of_the_driver_ends_the_run() -> None:
+    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), 0)
+    run.start(0)
+    assert run.driver_state("moving") == []
+    assert run.driver_state("alarm: hard limit") == [Failed("the driver says 'alarm: hard limit'")]
+    assert run.over and run.tick(10**15) == []
+
+
+def test_answers_to_other_goals_are_ignored() -> None:
+    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), 0)
+    run.start(77)
+    other = GoalResult(goal_id="78", goal="", outcome=Outcome.ABORTED)
+    assert run.result(other, 100) == []
+    assert not run.over
+
+
+def test_a_slipping_drive_is_noticed_at_the_held_out_places() -> None:
+    def slips(rig: Machine, number: int) -> None:
+        rig.slip = np.array([0.003, 0.0, 0.0]) if number > 27 else np.zeros(3)
+
+    rig = machine(fault=slips)
+    assert isinstance(rig.end, Failed)
+    assert re.match(r"at a held-out place the tip was [23]\.\d\d mm off, 1\.00 mm are accepted", rig.end.reason)
+
+
+def test_still_watch_wants_a_resting_machine_and_a_steady_tip() -> None:
+    watch = StillWatch(StillConfig(tips=4, settle_s=0.3, scatter_m=0.0005))
+    assert watch.sample(0) == "no joint_states arrive"
+    watch.reading(1000 * MS, np.array([0.1, 0.1, 0.0]))
+    for k in range(4):
+        watch.tip((1010 + 60 * k) * MS, np.array([0.0, 0.0, 0.6]))
+    assert watch.sample(1300 * MS) == "the tip was seen 0 of 4 times while the machine stood still"
+    for k in range(4):
+        watch.tip((1310 + 60 * k) * MS, np.array([0.001 * k, 0.0, 0.6]))
+    assert watch.sample(1600 * MS) == "the tip scatters by 1.12 mm, 0.50 mm are accepted"
+    watch.restart(1600 * MS)
+    for k, x in enumerate((0.0001, -0.0001, 0.0001, -0.0001)):
+        watch.tip((1910 + 60 * k) * MS, np.array([x, 0.0, 0.6]))
+    sample = watch.sample(2000 * MS)
+    assert not isinstance(sample, str)
+    np.testing.assert_allclose(sample.tip, (0.0, 0.0, 0.6), atol=1e-9)
+    np.testing.assert_allclose(sample.covariance[0, 0], 4 / 3 * 1e-8 / 4, rtol=1e-6)
+    watch.reading(2100 * MS, np.array([0.1001, 0.1, 0.0]))
+    assert isinstance(watch.sample(2150 * MS), str)
+    assert watch.sample(9000 * MS) == "no joint_states arrive"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"x_min_m": 0.001}, r"x_min_m = 0\.001: at least approach_m = 0\.003"),
+        ({"y_max_m": 0.02}, r"y_max_m = 0\.02 is not above y_min_m = 0\.03"),
+        ({"heights_m": ()}, "at least one height"),
+        ({"heights_m": (0.01,)}, "above its maximum 0 m"),
+    ],
+)
+def test_impossible_plans_are_refused(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        RunConfig(**wrong)
