@@ -5,6 +5,7 @@ Per frame only the screen and the stylus are drawn; the rest comes from :class:`
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import cv2
@@ -14,13 +15,13 @@ import numpy.typing as npt
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import Control, PanelLayout
 from scope_bench.core import screen
-from scope_bench.core.configuration import BenchConfig, LightConfig, PanelConfig
+from scope_bench.core.configuration import BenchConfig, LightConfig, PanelConfig, StylusConfig
 from scope_bench.core.instrument import InstrumentState
-from scope_bench.core.optics import Camera, StereoRig, stereo_rig, turn
-from scope_bench.core.panel_texture import Picture, draw_face
+from scope_bench.core.optics import StereoRig, stereo_rig, turn
+from scope_bench.core.panel_texture import Picture
 from scope_bench.core.solids import ControlState
 from scope_bench.core.stylus_picture import StylusPainter
-from scope_bench.core.view import FACE_PER_MM, View, Window
+from scope_bench.core.view import Rays, Surfaces, View, Window
 
 GLARE_SHIFT_MM = 52.0
 """The lamp's mirror image lies as far behind the panel as the lamp before it, so it wanders with the camera."""
@@ -61,11 +62,10 @@ class Renderer:
     def __init__(self, layout: PanelLayout, config: BenchConfig, panel_from: Transform) -> None:
         self.layout = layout
         self.rig: StereoRig = stereo_rig(config.camera)
-        face = draw_face(layout, FACE_PER_MM)
-        self._sides = [
-            _Side(camera, panel_from, layout, face, config, shift)
-            for camera, shift in ((self.rig.left, 0.0), (self.rig.right, GLARE_SHIFT_MM))
-        ]
+        self._config = config
+        self._rays = Rays(self.rig.left), Rays(self.rig.right)
+        self._surfaces = Surfaces.of(layout)
+        self._sides = self._make_sides(panel_from)
         self._rng = np.random.default_rng(config.seed)
         self._still_of: InstrumentState | None = None
         self._still: Picture = np.zeros((1, 1, 3), np.uint8)
@@ -80,8 +80,21 @@ class Renderer:
         """The left and the right view."""
         return self._sides[0].view, self._sides[1].view
 
+    def _make_sides(self, panel_from: Transform) -> list[_Side]:
+        return [
+            _Side(View(rays, panel_from, self.layout, self._surfaces, self._config.light, shift), self._config.stylus)
+            for rays, shift in zip(self._rays, (0.0, GLARE_SHIFT_MM))
+        ]
+
+    def move_panel(self, panel_from: Transform) -> None:
+        """Put the panel elsewhere: ``base_from_panel``."""
+        hidden = self._sides[0].hidden
+        self._sides = self._make_sides(panel_from)
+        self.hide(hidden)
+
     def relight(self, light: LightConfig) -> None:
         """Change light, blur, glare and noise."""
+        self._config = dataclasses.replace(self._config, light=light)
         changed = light.noise != self._light.noise
         self._light = light
         for side in self._sides:
@@ -146,24 +159,16 @@ class Renderer:
 class _Side:
     """One camera's part of the renderer."""
 
-    def __init__(
-        self,
-        camera: Camera,
-        panel_from: Transform,
-        layout: PanelLayout,
-        face: Picture,
-        config: BenchConfig,
-        shift_mm: float,
-    ) -> None:
-        self.view = View(camera, panel_from, layout, face, config.light, shift_mm)
-        self._stylus = StylusPainter(self.view, config.stylus)
+    def __init__(self, view: View, stylus: StylusConfig) -> None:
+        self.view = view
+        self._stylus = StylusPainter(view, stylus)
         self._screen: Window | None = None
-        for control in layout.controls:
+        for control in view.layout.controls:
             if control.kind == "touch_area" and self._screen is None:
                 self._prepare_screen(control)
         self._hand: tuple[Window, npt.NDArray[np.float32], npt.NDArray[np.float32]] | None = None
-        self._hidden: tuple[float, float, float, float] | None = None
-        self.relight(config.light)
+        self.hidden: tuple[float, float, float, float] | None = None
+        self._light_screen()
 
     def _prepare_screen(self, control: Control) -> None:
         (x, y), (w, h) = control.position_mm, control.size_mm
@@ -177,13 +182,16 @@ class _Side:
 
     def relight(self, light: LightConfig) -> None:
         self.view.relight(light)
+        self._light_screen()
+        self.hide(self.hidden)
+
+    def _light_screen(self) -> None:
         if self._screen is not None:
             gain = np.clip(self.view.vignette[self._screen] * 235, 0, 255).astype(np.uint8)
             self._screen_gain = np.repeat(gain[..., None], 3, axis=2)
-        self.hide(self._hidden)
 
     def hide(self, rectangle_mm: tuple[float, float, float, float] | None) -> None:
-        self._hidden = rectangle_mm
+        self.hidden = rectangle_mm
         self._hand = None
         if rectangle_mm is None:
             return

@@ -103,9 +103,9 @@ def _button(control: Control, state: ControlState, hit: Hit, light: Array) -> tu
     if state.lamp:
         lamp = bgr(state.lamp)
         glow = np.where(hit.top & ~near_edge, 1.0, 0.55)[..., None]
-        reflected = reflected * (1 - 0.75 * glow)
+        reflected = reflected * (1 - 0.88 * glow)
         centre = np.exp(-((hit.x / half[0]) ** 2 + (hit.y / half[1]) ** 2))[..., None]
-        emitted = glow * (0.72 * lamp + 70 * centre * (lamp / 255 + 0.25))
+        emitted = glow * (0.8 * lamp + 60 * centre * (lamp / 255 + 0.25))
     elif control.lit_colour:
         # The dark lens of a lamp that is off keeps a hint of its colour.
         inside = (hit.top & ~near_edge)[..., None]

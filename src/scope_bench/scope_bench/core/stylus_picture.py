@@ -37,29 +37,22 @@ class StylusPainter:
     def __init__(self, view: View, config: StylusConfig) -> None:
         self._view = view
         self._config = config
-        camera = view.camera
-        a, b = view.slopes
-        rotation = camera.camera_from_base.rotation.T
-        direction = rotation @ np.stack([a.ravel(), b.ravel(), np.ones(a.size)])
-        # Rays in base_link, scaled to z = -1: the camera looks down at the bench.
-        self._lean = (direction[:2] / -direction[2]).reshape(2, camera.height, camera.width)
-        self._eye = camera.position
+        # Rays in base_link with z = -1: the cameras look down at the bench.
+        self._lean, self._eye = view.rays.lean, view.rays.eye
 
     def draw(self, picture: Picture, tip: Array) -> None:
         """Draw the stylus with its ball's centre at ``tip``, (3,) metres in base_link, into ``picture``."""
         config = self._config
         stem, shaft = config.stem_mm / 1000, config.shaft_mm / 1000
         top = max(tip[2] + shaft, config.arm_height_m + 0.02)
-        parts = [self._rod(tip, tip[2] + stem, config.arm_height_m, config.shaft_diameter_mm / 2000)]
-        self._over(picture, parts)
+        rod = config.shaft_diameter_mm / 2000
+        ball_radius = config.ball_diameter_mm / 2000
+        # From far to near: the camera looks down, so what is higher hides what is lower.
+        ball = self._ball(tip, ball_radius)
+        thin = self._rod(tip, tip[2], tip[2] + stem, config.stem_diameter_mm / 2000, tip, ball_radius)
+        self._over(picture, [ball, thin, self._rod(tip, tip[2] + stem, config.arm_height_m, rod)])
         self._arm(picture, tip)
-        upper = [self._rod(tip, config.arm_height_m + 0.008, top, config.shaft_diameter_mm / 2000)]
-        # The ball hides the stem's lower end only from below, which no camera of the bench sees.
-        ball = self._ball(tip, config.ball_diameter_mm / 2000)
-        thin = self._rod(
-            tip, tip[2], tip[2] + stem, config.stem_diameter_mm / 2000, tip, config.ball_diameter_mm / 2000
-        )
-        self._over(picture, [*upper, ball, thin])
+        self._over(picture, [self._rod(tip, config.arm_height_m + 0.008, top, rod)])
 
     def _over(self, picture: Picture, parts: list[_Part | None]) -> None:
         gain = self._view.light.level

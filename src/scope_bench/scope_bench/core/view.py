@@ -17,7 +17,7 @@ from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import Control, PanelLayout
 from scope_bench.core.configuration import LightConfig
 from scope_bench.core.optics import Camera
-from scope_bench.core.panel_texture import Canvas, Picture
+from scope_bench.core.panel_texture import Canvas, Picture, draw_face
 from scope_bench.core.solids import LAMP_DIRECTION, ControlState, cast, paint
 
 FACE_PER_MM = 12.0
@@ -39,19 +39,55 @@ class Sprite:
     emitted: npt.NDArray[np.float32]
 
 
+class Rays:
+    """The viewing rays of a camera through its pixels' centres; they stay when the panel moves.
+
+    ``lean`` (2, H, W) is how far a ray moves along x and y of base_link per metre downwards; ``eye`` (3,) is where all
+    begin, in metres in base_link.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
+        a, b = camera.slopes(u, v)
+        direction = camera.camera_from_base.rotation.T @ np.stack([a.ravel(), b.ravel(), np.ones(a.size)])
+        self.camera = camera
+        self.eye = camera.position
+        self.lean: Array = (direction[:2] / -direction[2]).reshape(2, camera.height, camera.width)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surfaces:
+    """What is drawn once for a layout: the printed face, the controls' shadows on it, the table, the case's shadow."""
+
+    face: Picture
+    face_shadow: npt.NDArray[np.float32]
+    table: Picture
+    table_shadow: npt.NDArray[np.float32]
+
+    @classmethod
+    def of(cls, layout: PanelLayout) -> Surfaces:
+        """Draw them."""
+        return cls(
+            face=draw_face(layout, FACE_PER_MM),
+            face_shadow=_face_shadow(layout),
+            table=_table(),
+            table_shadow=_table_shadow(layout),
+        )
+
+
 class View:
     """The still scene of one camera.
 
     Parameters
     ----------
-    camera
-        The camera.
+    rays
+        The camera's rays.
     base_from_panel
         Where the panel stands.
     layout
         The panel.
-    face
-        Its printed face from :func:`scope_bench.core.panel_texture.draw_face` at ``FACE_PER_MM``.
+    surfaces
+        Its surfaces.
     light
         Light, lens and sensor.
     glare_shift_mm
@@ -60,28 +96,26 @@ class View:
 
     def __init__(
         self,
-        camera: Camera,
+        rays: Rays,
         base_from_panel: Transform,
         layout: PanelLayout,
-        face: Picture,
+        surfaces: Surfaces,
         light: LightConfig,
         glare_shift_mm: float,
     ) -> None:
-        self.camera = camera
+        self.rays = rays
+        self.camera = camera = rays.camera
         self.layout = layout
         self.light = light
         self.glare_shift_mm = glare_shift_mm
-        v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
-        a, b = camera.slopes(u, v)
-        rotation = (camera.camera_from_base @ base_from_panel).rotation.T
-        direction = rotation @ np.stack([a.ravel(), b.ravel(), np.ones(a.size)])
-        lean = (direction[:2] / direction[2]).reshape(2, camera.height, camera.width)
-        self.eye_mm = base_from_panel.inverse().apply(camera.position) * 1000
-        self.slopes = a, b
-        self.lean = lean
-        self.xy0 = self.eye_mm[:2, None, None] - lean * self.eye_mm[2]
+        panel_from_base = base_from_panel.inverse()
+        down = np.concatenate([rays.lean, np.full((1, camera.height, camera.width), -1.0)])
+        direction = np.tensordot(panel_from_base.rotation, down, axes=1)
+        self.eye_mm = panel_from_base.apply(rays.eye) * 1000
+        self.lean: Array = direction[:2] / direction[2]
+        self.xy0: Array = self.eye_mm[:2, None, None] - self.lean * self.eye_mm[2]
         self.base_from_panel = base_from_panel
-        self._ground = self._draw_ground(face)
+        self._ground = self._draw_ground(surfaces)
         self._sprites: dict[str, Sprite] = {}
         self._states: dict[str, ControlState] = {}
         # Far from the camera first.
@@ -145,11 +179,9 @@ class View:
         radius2 = ((u - self.camera.width / 2) ** 2 + (v - self.camera.height / 2) ** 2) / (self.camera.width / 2) ** 2
         return (1 - self.light.vignetting * np.clip(radius2 / 1.3, 0, 1.2)).astype(np.float32)
 
-    def _draw_ground(self, face: Picture) -> npt.NDArray[np.float32]:
+    def _draw_ground(self, surfaces: Surfaces) -> npt.NDArray[np.float32]:
         """Draw the face, the case's sides and the table: (H, W, 3) reflected light under even lighting."""
         height, width = self.camera.height, self.camera.width
-        table, origin = _table(self.layout)
-        shadow = _shadows(self.layout)
         result = np.empty((height, width, 3), np.float32)
         case = Control(
             name="case",
@@ -157,20 +189,27 @@ class View:
             position_mm=(self.layout.size_mm[0] / 2, self.layout.size_mm[1] / 2),
             size_mm=self.layout.size_mm,
         )
-        table_xy = self.xy0 - self.lean * CASE_MM
+        table_z = float(self.base_from_panel.translation[2]) - CASE_MM / 1000
+        table_xy = (self.rays.eye[:2, None, None] + self.rays.lean * (self.rays.eye[2] - table_z)) * 1000
+        under = self.xy0 - self.lean * CASE_MM
         for top in range(0, height, _STRIP):
             window = (slice(top, min(top + _STRIP, height)), slice(0, width))
             x, y = self.samples(self.xy0, window).astype(np.float32)
             s = np.float32(FACE_PER_MM)
             map_x, map_y = x * s - 0.5, (np.float32(self.layout.size_mm[1]) - y) * s - 0.5
-            seen = cv2.remap(face, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            seen = cv2.remap(surfaces.face, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             printed = cv2.resize(seen, (width, window[0].stop - top), interpolation=cv2.INTER_AREA).astype(np.float32)
             x0, y0 = self.xy0[:, window[0]].astype(np.float32)
-            printed *= cv2.remap(shadow, x0 + 19.5, self.layout.size_mm[1] - y0 + 19.5, cv2.INTER_LINEAR)[..., None]
-            below = table_xy[:, window[0]].astype(np.float32)
+            printed *= _shade(surfaces.face_shadow, self.layout, x0, y0)
+            table_x, table_y = table_xy[:, window[0]].astype(np.float32)
             ground = cv2.remap(
-                table, (below[0] - origin) * 2 - 0.5, (-below[1] - origin) * 2 - 0.5, cv2.INTER_LINEAR, borderMode=1
+                surfaces.table,
+                (table_x - _TABLE_LEFT) * _TABLE_PER_MM - 0.5,
+                (_TABLE_TOP - table_y) * _TABLE_PER_MM - 0.5,
+                cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_REPLICATE,
             ).astype(np.float32)
+            ground *= _shade(surfaces.table_shadow, self.layout, *under[:, window[0]].astype(np.float32))
             size = (width, window[0].stop - top)
             inside = (x >= 0) & (x <= self.layout.size_mm[0]) & (y >= 0) & (y <= self.layout.size_mm[1])
             on_top = cv2.resize(inside.astype(np.float32), size, interpolation=cv2.INTER_AREA)[..., None]
@@ -259,41 +298,56 @@ def _relative(inner: Window, outer: Window) -> Window:
     )
 
 
-def _table(layout: PanelLayout) -> tuple[Picture, float]:
-    """Draw the mat under the instrument, 2 texels per mm; its first texel lies at (origin, -origin) mm, y down."""
-    origin, size = -260.0, 1040.0
-    canvas = Canvas((size, size), 2.0, "#39443f")
-    for i in range(53):
-        strong = i % 5 == 0
-        colour, line = ("#566660", 0.9) if strong else ("#45524c", 0.5)
-        canvas.rectangle(i * 20.0, 0.0, line, size, colour)
-        canvas.rectangle(0.0, i * 20.0, size, line, colour)
-    picture = canvas.picture.astype(np.float32)
-    # The case's shadow falls to the right and down.
-    shade = np.ones(picture.shape[:2], np.float32)
-    x0, y0 = -origin + 10, -origin - layout.size_mm[1] + 16
-    shade[int(y0 * 2) : int((y0 + layout.size_mm[1]) * 2), int(x0 * 2) : int((x0 + layout.size_mm[0]) * 2)] = 0.45
-    shade = cv2.GaussianBlur(shade, (0, 0), 16)
-    return np.rint(picture * shade[..., None]).astype(np.uint8), origin
+_TABLE_LEFT, _TABLE_TOP, _TABLE_SIDE, _TABLE_PER_MM = -260.0, 460.0, 880.0, 2.0
+_SHADOW_BORDER = 100
 
 
-def _shadows(layout: PanelLayout) -> npt.NDArray[np.float32]:
-    """Return the soft shadows of the controls on the face as factors, one per mm, with 20 mm around the face."""
-    width, height = (round(side) + 40 for side in layout.size_mm)
-    scale = 2
-    shade = np.zeros((height * scale, width * scale), np.float32)
+def _table() -> Picture:
+    """Draw the mat under the instrument; its upper left corner lies at (_TABLE_LEFT, _TABLE_TOP) mm in base_link."""
+    canvas = Canvas((_TABLE_SIDE, _TABLE_SIDE), _TABLE_PER_MM, "#39443f")
+    for i in range(45):
+        colour, line = ("#566660", 0.9) if i % 5 == 0 else ("#45524c", 0.5)
+        canvas.rectangle(i * 20.0, 0.0, line, _TABLE_SIDE, colour)
+        canvas.rectangle(0.0, i * 20.0, _TABLE_SIDE, line, colour)
+    return canvas.picture
+
+
+def _shade(shadow: npt.NDArray[np.float32], layout: PanelLayout, x: Array, y: Array) -> npt.NDArray[np.float32]:
+    """Look up a shadow map, one texel per mm with a border around the panel, at panel points in mm: (..., 1)."""
+    rows = np.asarray(layout.size_mm[1] + _SHADOW_BORDER - 0.5 - y, np.float32)
+    columns = np.asarray(x + (_SHADOW_BORDER - 0.5), np.float32)
+    found = cv2.remap(shadow, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found)[..., None]
+
+
+def _empty_shadow(layout: PanelLayout) -> npt.NDArray[np.float32]:
+    width, height = (round(side) + 2 * _SHADOW_BORDER for side in layout.size_mm)
+    return np.zeros((height, width), np.float32)
+
+
+def _table_shadow(layout: PanelLayout) -> npt.NDArray[np.float32]:
+    """Return the case's soft shadow on the table as factors; it falls to the right and down."""
+    shadow = _empty_shadow(layout)
+    top, left = _SHADOW_BORDER + 16, _SHADOW_BORDER + 10
+    shadow[top : top + round(layout.size_mm[1]), left : left + round(layout.size_mm[0])] = 1.0
+    return np.asarray(1 - 0.55 * cv2.GaussianBlur(shadow, (0, 0), 8), dtype=np.float32)
+
+
+def _face_shadow(layout: PanelLayout) -> npt.NDArray[np.float32]:
+    """Return the controls' soft shadows on the face as factors."""
+    shadow = _empty_shadow(layout)
     for control in layout.controls:
-        if control.height_mm > 0:
-            reach = 0.45 * control.height_mm
-            for step in np.linspace(0, 1, 6):
-                x = control.position_mm[0] - LAMP_DIRECTION[0] * reach * step + 20
-                y = layout.size_mm[1] - (control.position_mm[1] - LAMP_DIRECTION[1] * reach * step) + 20
-                half_x, half_y = (side / 2 * scale for side in control.size_mm)
-                if control.shape == "circle":
-                    cv2.circle(shade, (round(x * scale), round(y * scale)), round(half_x), 1.0, -1)
-                else:
-                    low = (round(x * scale - half_x), round(y * scale - half_y))
-                    cv2.rectangle(shade, low, (round(x * scale + half_x), round(y * scale + half_y)), 1.0, -1)
-    shade = cv2.GaussianBlur(shade, (0, 0), 1.6 * scale)
-    small = cv2.resize(shade, (width, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(1 - 0.38 * small, dtype=np.float32)
+        for step in np.linspace(0, 1, 6) if control.height_mm > 0 else ():
+            reach = 0.45 * control.height_mm * step
+            x = control.position_mm[0] - LAMP_DIRECTION[0] * reach + _SHADOW_BORDER
+            y = layout.size_mm[1] - control.position_mm[1] + LAMP_DIRECTION[1] * reach + _SHADOW_BORDER
+            half_x, half_y = (side / 2 for side in control.size_mm)
+            # Sixteenths of a millimetre, with half a texel between a texel's corner and its centre.
+            centre = (round((x - 0.5) * 16), round((y - 0.5) * 16))
+            if control.shape == "circle":
+                cv2.circle(shadow, centre, round(half_x * 16), (1.0,), -1, shift=4)
+            else:
+                reach_px = round(half_x * 16), round(half_y * 16)
+                low, high = (tuple(c + sign * r for c, r in zip(centre, reach_px)) for sign in (-1, 1))
+                cv2.rectangle(shadow, low, high, (1.0,), -1, shift=4)
+    return np.asarray(1 - 0.38 * cv2.GaussianBlur(shadow, (0, 0), 1.6), dtype=np.float32)
