@@ -256,7 +256,12 @@ def test_driver_that_is_not_idle(driver: str) -> None:
     [
         ("heartbeat", ["no operator heartbeat", "at most 0.6 s"], True, "waiting: no operator (heartbeat)"),
         ("joints", ["no joint_states", "at most 1 s"], True, "waiting: no joint_states"),
-        ("camera", ["picture of the left camera", "at most 1 s"], False, "waiting: no picture from the left camera"),
+        (
+            "camera",
+            ["no picture from the left camera", "at most 1 s"],
+            False,
+            "waiting: no picture from the left camera",
+        ),
     ],
 )
 @pytest.mark.parametrize("later", [False, True])
@@ -308,7 +313,7 @@ def test_panel_never_seen_unsure_or_old() -> None:
     bench = Bench().start()
     bench.talking -= {"panel"}
     bench.run(2.5)
-    rejected(bench, bench.do("press:RUN_STOP"), "pose is 2.", "at most 2 s")
+    rejected(bench, bench.do("press:RUN_STOP"), "no pose of the panel for 2.", "at most 2 s")
     assert bench.controller.state == "waiting: panel pose is old"
 
 
@@ -412,7 +417,7 @@ def test_jumping_tip_is_not_averaged() -> None:
 def test_stalled_camera_in_every_phase(phase: Phase) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = silence("camera")
-    aborted(bench, bench.do("press:RUN_STOP"), "the camera has stalled", "1.0 s old", "the stylus is up")
+    aborted(bench, bench.do("press:RUN_STOP"), "the camera has stalled", "no picture for 1.0 s", "the stylus is up")
     stylus_is_up(bench)
 
 

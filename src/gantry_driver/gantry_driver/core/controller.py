@@ -327,10 +327,18 @@ class Controller:
                 shown += f": {reason.strip()}"
             yield _Obstacle(state=shown, reason=f"the driver is {world.driver!r}, 'idle' is needed", every_goal=True)
         elif world.readings is None or self._age_s(world.readings_ns) > config.joints_timeout_s:
-            text = f"no joint_states for {_seconds(self._age_s(world.readings_ns))}"
+            text = f"no joint_states {_since(self._age_s(world.readings_ns))}"
             yield _Obstacle(
                 state="waiting: no joint_states",
                 reason=f"{text}, at most {config.joints_timeout_s:g} s are allowed",
+                every_goal=True,
+            )
+        heartbeat_age = self._age_s(world.heartbeat_ns)
+        if heartbeat_age > config.heartbeat_timeout_s:
+            yield _Obstacle(
+                state="waiting: no operator (heartbeat)",
+                reason=f"no operator heartbeat {_since(heartbeat_age)}, "
+                f"at most {config.heartbeat_timeout_s:g} s are allowed",
                 every_goal=True,
             )
         if world.camera_from_base is None or world.base_from_reading is None:
@@ -339,19 +347,11 @@ class Controller:
         if camera_age > config.camera_timeout_s:
             yield _Obstacle(
                 state="waiting: no picture from the left camera",
-                reason=f"the newest picture of the left camera is {_seconds(camera_age)} old, "
+                reason=f"no picture from the left camera {_since(camera_age)}, "
                 f"at most {config.camera_timeout_s:g} s are allowed",
                 every_goal=False,
             )
         yield from self._panel_obstacles()
-        heartbeat_age = self._age_s(world.heartbeat_ns)
-        if heartbeat_age > config.heartbeat_timeout_s:
-            yield _Obstacle(
-                state="waiting: no operator (heartbeat)",
-                reason=f"no operator heartbeat for {_seconds(heartbeat_age)}, "
-                f"at most {config.heartbeat_timeout_s:g} s are allowed",
-                every_goal=True,
-            )
 
     def _panel_obstacles(self) -> Iterator[_Obstacle]:
         world, config = self._world, self.config
@@ -373,8 +373,7 @@ class Controller:
         elif pose_age > config.panel_max_age_s:
             yield _Obstacle(
                 state="waiting: panel pose is old",
-                reason=f"the panel's pose is {_seconds(pose_age)} old, "
-                f"at most {config.panel_max_age_s:g} s are allowed",
+                reason=f"no pose of the panel {_since(pose_age)}, at most {config.panel_max_age_s:g} s are allowed",
                 every_goal=False,
             )
 
@@ -695,16 +694,16 @@ class Controller:
         if state not in ("idle", "moving"):
             return _Fault(cause=f"the driver is {world.driver!r}", lift=False)
         if self._age_s(world.readings_ns) > config.joints_timeout_s:
-            age = _seconds(self._age_s(world.readings_ns))
-            return _Fault(cause=f"no joint_states for {age}", lift=False, stop=True)
+            age = _since(self._age_s(world.readings_ns))
+            return _Fault(cause=f"no joint_states {age}", lift=False, stop=True)
         if self._age_s(world.heartbeat_ns) > config.heartbeat_timeout_s:
-            age = _seconds(self._age_s(world.heartbeat_ns))
-            return _Fault(cause=f"lost the operator: no heartbeat for {age}")
+            age = _since(self._age_s(world.heartbeat_ns))
+            return _Fault(cause=f"lost the operator: no heartbeat {age}")
         if job.touch is None or self.phase is Phase.LIFT:
             return None
         if self._age_s(world.camera_stamp_ns) > config.camera_timeout_s:
-            age = _seconds(self._age_s(world.camera_stamp_ns))
-            return _Fault(cause=f"the camera has stalled: the newest picture is {age} old")
+            age = _since(self._age_s(world.camera_stamp_ns))
+            return _Fault(cause=f"the camera has stalled: no picture {age}")
         assert job.scene is not None
         # A dip of the confidence alone means nothing: the arm hides a part of the panel.
         if world.confidence >= config.min_confidence and world.camera_from_panel is not None:
@@ -789,8 +788,8 @@ def _nanoseconds(seconds: float) -> int:
     return round(seconds * NANO)
 
 
-def _seconds(age_s: float) -> str:
-    return f"{age_s:.1f} s" if math.isfinite(age_s) else "ever"
+def _since(age_s: float) -> str:
+    return f"for {age_s:.1f} s" if math.isfinite(age_s) else "yet"
 
 
 def _id_in(text: str) -> str:
