@@ -72,6 +72,8 @@ def parse(arguments: Sequence[str]) -> Request:
 
     if (given.control is None) == (not given.point) or len(given.point) not in (0, 2):
         parser.error("give either X Y or --control NAME")
+    if given.control is not None and not given.control.replace("_", "").isalnum():
+        parser.error(f"--control {given.control!r}: a name of letters, digits and '_' is needed")
     if given.control is not None and given.frame is not None:
         parser.error("--frame belongs to X Y")
     if not given.timeout > 0:

@@ -1,0 +1,225 @@
+"""gantry_goal and gantry_prepare as a person starts them: processes with arguments, output and exit codes."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nodes.gantry_bench import RUN_STOP, GantryBench
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from gantry_driver.cli import gantry_goal
+from icu_common.nodes import qos
+
+SOURCES = os.pathsep.join(str(p) for p in (Path(__file__).parents[2] / "src").iterdir() if p.is_dir())
+
+
+class Program:
+    """A command line program beside the test's own nodes, in the same ROS domain."""
+
+    def __init__(self, ros: Any, module: str, *arguments: str) -> None:
+        self.ros = ros
+        path = os.pathsep.join(filter(None, [SOURCES, os.environ.get("PYTHONPATH", "")]))
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id()), "PYTHONPATH": path}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", f"gantry_driver.cli.{module}", *arguments],
+            env=environment,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
+
+    def end(self, within_s: float = 40.0) -> tuple[int, str]:
+        """Spin the test's nodes until the program ends; return its exit code and output."""
+        try:
+            self.ros.spin_until(lambda: self.process.poll() is not None, within_s)
+        finally:
+            self.process.kill()
+            output, _ = self.process.communicate()
+        return self.process.returncode, output
+
+
+@pytest.fixture
+def bench(ros: Any) -> GantryBench:
+    """The operator is the program under test, so the bench sends no heartbeat."""
+    bench = GantryBench(ros, heartbeat=False)
+    bench.see()
+    return bench
+
+
+def test_press_a_control(ros: Any, bench: GantryBench) -> None:
+    code, output = Program(ros, "gantry_goal", "--control", "RUN_STOP").end()
+    assert code == 0, output
+    assert re.search(r"^accepted: press:RUN_STOP id=cli-\d+-\d+$", output, re.MULTILINE), output
+    assert re.search(r"^reached: .*, error 0\.000 mm \(by cameras\), \d+\.\d s$", output, re.MULTILINE), output
+    np.testing.assert_allclose(
+        bench.trajectories[1].points[-1].positions, [*RUN_STOP[:2], -RUN_STOP[2] - 0.001], atol=1e-7
+    )
+
+
+def test_move_to_a_point_and_press_a_point(ros: Any, bench: GantryBench) -> None:
+    code, output = Program(ros, "gantry_goal", "0.10", "0.05", "--z", "-0.005").end()
+    assert code == 0 and "error 0.000 mm (by readings)" in output, output
+    np.testing.assert_allclose(bench.trajectories[0].points[-1].positions, [0.10, 0.05, 0.005], atol=1e-9)
+    code, output = Program(ros, "gantry_goal", "0.05", "0.05", "--press").end()
+    assert code == 0 and "error 0.000 mm (by cameras)" in output, output
+    np.testing.assert_allclose(bench.trajectories[2].points[-1].positions, [0.05, 0.05, 0.034], atol=1e-7)
+
+
+def test_rejected(ros: Any, bench: GantryBench) -> None:
+    code, output = Program(ros, "gantry_goal", "0.9", "0.05").end()
+    assert code == 1 and "rejected: gantry_x_joint = 0.9000 m lies outside 0.0000 to 0.3590 m" in output, output
+    assert bench.trajectories == []
+
+
+def test_nobody_there(ros: Any) -> None:
+    code, output = Program(ros, "gantry_goal", "0.1", "0.05", "--timeout", "1.5").end()
+    assert code == 3 and "error: nobody takes /gantry/goal" in output, output
+
+
+def test_ctrl_c_stops_the_machine(ros: Any, bench: GantryBench) -> None:
+    bench.obey = False
+    program = Program(ros, "gantry_goal", "0.3", "0.2")
+    ros.spin_until(lambda: bench.trajectories, 30.0)
+    program.process.send_signal(signal.SIGINT)
+    # The driver would answer a stop with its state; the program waits for the controller's answer to that.
+    ros.spin_until(lambda: bench.stops, 10.0)
+    bench.driver_state.publish(String(data="stopped: stop requested"))
+    code, output = program.end()
+    assert code == 1, output
+    assert "interrupted: stopping" in output and "aborted: the driver is 'stopped: stop requested'" in output, output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "give either X Y or --control NAME"),
+        (["0.1"], "give either X Y or --control NAME"),
+        (["0.1", "0.2", "0.3"], "give either X Y"),
+        (["0.1", "nan"], "'nan' is not finite"),
+        (["0.1", "a"], "invalid"),
+        (["0.1", "0.1", "--control", "RUN_STOP"], "give either"),
+        (["--control", "RUN_STOP", "--frame", "base_link"], "--frame belongs to X Y"),
+        (["--control", "RUN STOP"], "'RUN STOP': a name of letters"),
+        (["--control", "CH1_SCALE:90"], "'CH1_SCALE:90': a name of letters"),
+        (["--control", "RUN_STOP", "--hold", "99"], "up to 30"),
+        (["--control", "CH1_SCALE", "--turn", "0"], "not zero"),
+        (["--control", "CH1_SCALE", "--turn", "30", "--hold", "1"], "not allowed with"),
+        (["0.1", "0.1", "--z", "-0.01", "--press"], "--z belongs to a move"),
+        (["0.1", "0.1", "--timeout", "0"], "above 0 is needed"),
+    ],
+)
+def test_wrong_usage(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        gantry_goal.parse(arguments)
+    assert ended.value.code == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--control", "RUN_STOP"], "press:RUN_STOP"),
+        (["--control", "MENU", "--hold", "2"], "hold:MENU:2.0"),
+        (["--control", "CH1_SCALE", "--turn", "-30"], "turn:CH1_SCALE:-30.0"),
+        (["0.1", "0.2", "--press"], "press:0.1,0.2@base_link"),
+        (["0.1", "0.2", "--frame", "panel_link"], "press:0.1,0.2@panel_link"),
+        (
+            ["640", "360", "--frame", "camera_left_optical_frame", "--hold", "1"],
+            "hold:640.0,360.0@camera_left_optical_frame:1.0",
+        ),
+    ],
+)
+def test_gestures(arguments: list[str], text: str) -> None:
+    gesture = gantry_goal.parse(arguments).gesture
+    assert gesture is not None and gesture.text().partition(" id=")[0] == text and gesture.id
+
+
+def test_negative_coordinates_are_numbers() -> None:
+    assert gantry_goal.parse(["-0.01", "0.2"]).xyz == (-0.01, 0.2, 0.0)
+
+
+class Machine:
+    """Driver and hand-eye as gantry_prepare sees them: services that answer at once, and latched states."""
+
+    def __init__(
+        self, bench: GantryBench, *, calibrated: bool, homed: bool = False, calibration_fails: bool = False
+    ) -> None:
+        self.bench = bench
+        self.calls: list[str] = []
+        self.calibration_fails = calibration_fails
+        node = bench.node
+        self.calibration = node.create_publisher(String, "/calibration/state", qos.LATCHED)
+        self.calibration.publish(String(data="calibrated: from file" if calibrated else "uncalibrated"))
+        bench.driver_state.publish(String(data="idle" if homed else "unhomed"))
+        node.create_service(SetBool, "/gantry/enable", self._enable)
+        node.create_service(Trigger, "/gantry/home", self._home)
+        node.create_service(Trigger, "/calibration/run", self._calibrate)
+
+    def _enable(self, request: Any, response: Any) -> Any:
+        self.calls.append(f"enable {request.data}")
+        response.success, response.message = True, "enabled"
+        return response
+
+    def _home(self, request: Any, response: Any) -> Any:
+        self.calls.append("home")
+        for text in ("homing", "idle"):
+            self.bench.driver_state.publish(String(data=text))
+        response.success = True
+        return response
+
+    def _calibrate(self, request: Any, response: Any) -> Any:
+        self.calls.append("calibrate")
+        last = "failed: 3 of 12 samples" if self.calibration_fails else "calibrated: sigma 0.1 mm"
+        for text in ("calibrating 1/12", last):
+            self.calibration.publish(String(data=text))
+        response.success = True
+        return response
+
+
+def test_prepare_does_what_is_needed(ros: Any, bench: GantryBench) -> None:
+    machine = Machine(bench, calibrated=False)
+    code, output = Program(ros, "gantry_prepare", "--timeout", "30").end()
+    assert code == 0, output
+    assert machine.calls == ["enable True", "home", "calibrate"]
+    for line in ("driver: unhomed", "homing: idle", "calibration: calibrated: sigma 0.1 mm", "controller: ready"):
+        assert line in output, output
+
+
+def test_prepare_leaves_alone_what_is_ready(ros: Any, bench: GantryBench) -> None:
+    machine = Machine(bench, calibrated=True, homed=True)
+    code, output = Program(ros, "gantry_prepare", "--timeout", "30").end()
+    assert code == 0 and machine.calls == ["enable True"], output
+
+
+def test_prepare_does_it_again_when_asked(ros: Any, bench: GantryBench) -> None:
+    machine = Machine(bench, calibrated=True, homed=True)
+    code, output = Program(ros, "gantry_prepare", "--home", "--calibrate", "--timeout", "30").end()
+    assert code == 0 and machine.calls == ["enable True", "home", "calibrate"], output
+
+
+def test_prepare_reports_a_failed_calibration(ros: Any, bench: GantryBench) -> None:
+    Machine(bench, calibrated=False, homed=True, calibration_fails=True)
+    code, output = Program(ros, "gantry_prepare", "--timeout", "30").end()
+    assert code == 1 and "error: calibration: failed: 3 of 12 samples" in output, output
+
+
+def test_prepare_does_not_clear_an_alarm(ros: Any, bench: GantryBench) -> None:
+    machine = Machine(bench, calibrated=True)
+    bench.driver_state.publish(String(data="alarm: 1 hard limit"))
+    code, output = Program(ros, "gantry_prepare", "--timeout", "30").end()
+    assert code == 1 and "the driver is 'alarm: 1 hard limit'" in output, output
+    assert machine.calls == []
+
+
+def test_prepare_without_a_driver(ros: Any) -> None:
+    code, output = Program(ros, "gantry_prepare", "--timeout", "1.5").end()
+    assert code == 3 and "no gantry/driver_state" in output, output
