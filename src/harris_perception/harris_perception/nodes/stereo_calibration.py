@@ -1,0 +1,67 @@
+"""The calibration of a stereo pair, put together from both cameras' ``camera_info`` topics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo
+
+from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import camera_model
+
+SIDES = ("left", "right")
+
+
+class StereoCalibration:
+    """Listens to ``left/camera_info`` and ``right/camera_info``.
+
+    Parameters
+    ----------
+    node
+        The node that subscribes.
+    on_change
+        Called after the pair's calibration became known, changed or unusable.
+
+    Attributes
+    ----------
+    stereo
+        The pair's calibration, None while it is not known.
+    complaint
+        Why it is not known, else empty.
+    """
+
+    def __init__(self, node: Node, on_change: Callable[[], None]) -> None:
+        self._on_change = on_change
+        self._infos: dict[str, CameraInfo] = {}
+        self._keys: dict[str, bytes] = {}
+        self.stereo: StereoModel | None = None
+        self.complaint = "no camera_info yet"
+        for side in SIDES:
+            node.create_subscription(
+                CameraInfo, f"{side}/camera_info", lambda info, side=side: self._on_info(side, info), qos.IMAGES
+            )
+
+    def _on_info(self, side: str, info: CameraInfo) -> None:
+        # It comes with every picture; only a change is worth the work.
+        key = b"".join(bytes(memoryview(part).cast("B")) for part in (info.d, info.k, info.r, info.p))
+        key += f"{info.width} {info.height} {info.distortion_model}".encode()
+        if self._keys.get(side) == key:
+            return
+        self._keys[side], self._infos[side] = key, info
+        if len(self._infos) < len(SIDES):
+            return
+        try:
+            left, right = (_model(side, self._infos[side]) for side in SIDES)
+            self.stereo, self.complaint = StereoModel(left=left, right=right), ""
+        except ValueError as error:
+            self.stereo, self.complaint = None, str(error)
+        self._on_change()
+
+
+def _model(side: str, info: CameraInfo) -> CameraModel:
+    try:
+        return camera_model(info, f"camera_{side}")
+    except ValueError as error:
+        raise ValueError(f"{side} camera is not calibrated: {error}") from error

@@ -1,0 +1,82 @@
+"""Stylus tracker node: publishes where the ball at the stylus's end is, and nothing when that is not certain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped
+from rclpy.node import Node
+from sensor_msgs.msg import Image
+
+from harris_perception.core.pairing import Pairing
+from harris_perception.core.stylus import Search, StylusConfig, StylusTracker
+from harris_perception.nodes.stereo_calibration import StereoCalibration
+from icu_common.core import frames
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import diagnostic_status, header, image_array, point_message, stamp_ns
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import run
+
+
+class StylusNode(Node):
+    """Subscribes to ``left/image_raw``, ``left/camera_info`` and the same for ``right``; publishes ``tip``."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("stylus_tracker", **options)
+        self._parameters = LiveParameters(self, StylusConfig, self._configure)
+        self._calibration = StereoCalibration(self, lambda: self._configure(self._parameters.config))
+        self._pairs = Pairing(2)
+        self._tracker: StylusTracker | None = None
+        self._seen = self._missed = 0
+        self._last = Search(tip=None, reason="no pictures yet")
+        self._configure(self._parameters.config)
+        self._tip = self.create_publisher(PointStamped, "tip", qos.RESULTS)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        for stream, side in enumerate(("left", "right")):
+            self.create_subscription(
+                Image, f"{side}/image_raw", lambda message, stream=stream: self._on_image(stream, message), qos.IMAGES
+            )
+        self.create_timer(1.0, self._report)
+
+    def _configure(self, config: StylusConfig) -> None:
+        self._pairs.tolerance_ns = round(config.pair_tolerance_s * 1e9)
+        stereo = self._calibration.stereo
+        self._tracker = StylusTracker(config, stereo) if stereo is not None else None
+
+    def _on_image(self, stream: int, message: Image) -> None:
+        pair = self._pairs.add(stream, stamp_ns(message.header.stamp), message)
+        if pair is None or self._tracker is None:
+            return
+        try:
+            self._last = self._tracker.find(image_array(pair[0]), image_array(pair[1]))
+        except ValueError as error:
+            self._last = Search(tip=None, reason=str(error))
+        self._seen, self._missed = self._seen + (self._last.tip is not None), self._missed + (self._last.tip is None)
+        if self._last.tip is not None:
+            head = header(stamp_ns(pair[0].header.stamp), frames.CAMERA_LEFT)
+            self._tip.publish(point_message(self._last.tip, head))
+
+    def _report(self) -> None:
+        last = self._last
+        reason = self._calibration.complaint or last.reason
+        values: list[tuple[str, Any]] = [("seen", self._seen), ("missed", self._missed)]
+        values.append(("unpaired", self._pairs.unpaired))
+        if last.left is not None and last.right is not None:
+            values.append(("row_error_px", f"{last.row_error_px:.3f}"))
+            values.append(("fit_error", f"{max(last.left.error, last.right.error):.3f}"))
+            values.append(("arc_deg", f"{min(last.left.arc_deg, last.right.arc_deg):.0f}"))
+        level, text = ("warn", f"tip not seen: {reason}") if reason else ("ok", "tip seen")
+        status = diagnostic_status("stylus_tracker", level, text, values)
+        self._diagnostics.publish(
+            DiagnosticArray(header=header(self.get_clock().now().nanoseconds, ""), status=[status])
+        )
+
+
+def main() -> int:
+    """Run the stylus tracker node."""
+    return run(StylusNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,145 @@
+"""Stylus tracker against ray-cast scenes: accuracy where the shaft hides a part, silence where there is doubt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from unit.harris_perception.rendered_stylus import Look, render, stereo_model
+
+from harris_perception.core.stylus import StylusConfig, StylusTracker
+from icu_common.core.config import ConfigError
+
+STEREO = stereo_model()
+TIP = np.array([0.03, -0.02, 0.66])
+MAGENTA = (190, 25, 225)
+
+
+def tracker(**settings: Any) -> StylusTracker:
+    return StylusTracker(StylusConfig(**settings), STEREO)
+
+
+def pair(tip: Any = TIP, look: Look | None = None, seed: int = 3) -> list[np.ndarray[Any, Any]]:
+    return render(STEREO, np.asarray(tip), np.random.default_rng(seed), look)
+
+
+def draw(pictures: list[np.ndarray[Any, Any]], tip: Any, paint: Any) -> None:
+    """Paint something at the projection of ``tip`` in both pictures."""
+    for picture, at in zip(pictures, (STEREO.left.project(tip)[0], STEREO.project_right(tip)[0])):
+        paint(picture, tuple(round(float(v) * 16) for v in at))
+
+
+@pytest.mark.parametrize(
+    ("look", "lateral_mm", "depth_mm", "least"),
+    [
+        (Look(shaft_from=0.016, shaft_radius=0.0005), 0.08, 0.3, 10),
+        (Look(shaft_from=0.016, shaft_radius=0.0005, panel=(60, 60, 62)), 0.08, 0.3, 10),
+        (Look(shaft_from=0.016, shaft_radius=0.0005, light=(-0.8, 0.4, -0.5)), 0.12, 0.35, 10),
+        (Look(shaft_from=0.006), 0.15, 0.5, 10),
+        (Look(shaft_from=0.004), 0.22, 0.8, 6),
+    ],
+    ids=["thin stem", "dark panel", "light from the left", "thick shaft", "thick shaft hides half"],
+)
+def test_the_centre_is_measured(look: Look, lateral_mm: float, depth_mm: float, least: int) -> None:
+    seed = 11
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    errors = []
+    for _ in range(10):
+        tip = np.array([rng.uniform(0.01, 0.1), rng.uniform(-0.05, 0.05), rng.uniform(0.56, 0.72)])
+        found = tracker().find(*render(STEREO, tip, rng, look))
+        if found.tip is not None:
+            errors.append((found.tip - tip) * 1000)
+    assert len(errors) >= least
+    lateral, depth = np.hypot(*np.array(errors)[:, :2].T), np.array(errors)[:, 2]
+    print(f"lateral rms {np.sqrt((lateral**2).mean()):.3f} mm, depth rms {np.sqrt((depth**2).mean()):.3f} mm")
+    assert np.sqrt((lateral**2).mean()) < lateral_mm
+    assert np.sqrt((depth**2).mean()) < depth_mm
+
+
+def test_the_ball_is_found_again_after_a_jump_out_of_the_search_window() -> None:
+    track = tracker(search_margin_px=20)
+    for tip in (TIP, TIP + [0.0005, 0.0, 0.0], TIP + [0.05, 0.04, -0.05]):
+        found = track.find(*pair(tip))
+        assert found.tip is not None and np.abs(found.tip - tip).max() < 0.0006
+
+
+def test_a_pink_light_over_everything_does_not_hide_it() -> None:
+    pictures = [np.clip(p * np.array([1.15, 0.85, 1.2]), 0, 255).astype(np.uint8) for p in pair()]
+    found = tracker().find(*pictures)
+    assert found.tip is not None and np.abs(found.tip - TIP).max() < 0.0006
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_nothing_is_said_when_one_camera_does_not_see_it(side: int) -> None:
+    pictures = pair()
+    pictures[side][:] = 90
+    found = tracker().find(*pictures)
+    assert found.tip is None and ("left", "right")[side] in found.reason
+
+
+def test_nothing_is_said_when_most_of_it_is_hidden() -> None:
+    for hidden_from in (-4.0, -2.0):
+        found = tracker().find(*pair(look=replace(Look(), hidden_from=hidden_from)))
+        assert found.tip is None and found.reason
+
+
+def test_nothing_is_said_when_the_rows_disagree() -> None:
+    left, right = pair()
+    found = tracker().find(left, np.roll(right, 2, axis=0))
+    assert found.tip is None and "rows differ by" in found.reason
+
+
+@pytest.mark.parametrize(
+    "paint",
+    [
+        lambda p, at: cv2.circle(p, at, 16 * 14, MAGENTA, -1, cv2.LINE_AA, 4),
+        lambda p, at: cv2.circle(p, at, 16 * 3, MAGENTA, -1, cv2.LINE_AA, 4),
+        lambda p, at: cv2.line(p, at, (at[0] + 16 * 30, at[1]), MAGENTA, 2, cv2.LINE_AA, 4),
+        lambda p, at: cv2.rectangle(p, at, (at[0] + 16 * 9, at[1] + 16 * 9), MAGENTA, -1, cv2.LINE_AA, 4),
+        lambda p, at: cv2.putText(p, "CH3", (at[0] // 16, at[1] // 16), 0, 0.5, MAGENTA, 1, cv2.LINE_AA),
+    ],
+    ids=["large button", "lamp", "trace", "square", "label"],
+)
+def test_other_magenta_things_are_not_taken_for_it(paint: Any) -> None:
+    alone = pair(np.array([0.0, 0.0, 3.0]), Look(ball=(60, 60, 60)))
+    draw(alone, TIP, paint)
+    found = tracker().find(*alone)
+    assert found.tip is None and found.reason
+    beside = pair()
+    draw(beside, TIP + [0.05, 0.03, 0.0], paint)
+    found = tracker().find(*beside)
+    assert found.tip is not None and np.abs(found.tip - TIP).max() < 0.0006
+
+
+def test_two_balls_are_one_too_many() -> None:
+    other = TIP + [0.04, 0.04, 0.0]
+    pictures, second = pair(), pair(other)
+    places = (STEREO.left.project(other)[0], STEREO.project_right(other)[0])
+    for picture, extra, (u, v) in zip(pictures, second, places):
+        box = slice(round(v) - 20, round(v) + 20), slice(round(u) - 20, round(u) + 20)
+        picture[box] = extra[box]
+    found = tracker().find(*pictures)
+    assert found.tip is None and "2 places" in found.reason
+
+
+def test_noise_alone_is_nothing() -> None:
+    rng = np.random.default_rng(8)
+    pictures = [rng.integers(0, 256, (480, 800, 3), np.uint8) for _ in range(2)]
+    assert tracker().find(*pictures).tip is None
+    assert tracker().find(*(np.full((480, 800, 3), v, np.uint8) for v in (0, 255))).tip is None
+
+
+def test_depth_outside_the_limits_is_refused() -> None:
+    assert tracker(max_depth_m=0.6).find(*pair()).tip is None
+    assert tracker(min_depth_m=0.7).find(*pair()).tip is None
+
+
+def test_wrong_input_is_named() -> None:
+    with pytest.raises(ValueError, match=r"\(480, 640, 3\)"):
+        tracker().find(np.zeros((480, 640, 3), np.uint8), np.zeros((480, 800, 3), np.uint8))
+    with pytest.raises(ConfigError, match="max_depth_m"):
+        StylusConfig(min_depth_m=1.0, max_depth_m=0.5)
