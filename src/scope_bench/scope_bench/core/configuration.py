@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from icu_common.core.config import Config, nested, setting
+from icu_common.core.config import Config, ConfigError, nested, setting
+
+
+def _check_lengths(config: Config, **lengths: int) -> None:
+    for name, count in lengths.items():
+        value = getattr(config, name)
+        if len(value) != count:
+            raise ConfigError(f"{name} = {value!r} has {len(value)} values, {count} are needed")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +48,10 @@ class CameraConfig(Config):
     )
     rate_hz: float = setting(15.0, "Stereo pairs per second", minimum=0.2, maximum=60.0, unit="Hz")
 
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        _check_lengths(self, centre_px=4, distortion=10, skew_deg=3, aim_m=3)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightConfig(Config):
@@ -52,7 +63,7 @@ class LightConfig(Config):
     glare: float = setting(0.16, "Strength of the lamp's reflection, 1 = full white", minimum=0.0, maximum=3.0)
     glare_at_mm: tuple[float, ...] = setting(
         (62.0, 118.0),
-        "Where the left camera sees the reflection, on the panel",
+        "Where on the panel the left camera sees it",
         minimum=-500.0,
         maximum=1000.0,
         unit="mm",
@@ -60,6 +71,10 @@ class LightConfig(Config):
     glare_radius_mm: float = setting(26.0, "Size of the reflection", minimum=1.0, maximum=500.0, unit="mm")
     blur_px: float = setting(0.55, "Defocus, standard deviation", minimum=0.0, maximum=10.0, unit="px")
     noise: float = setting(1.6, "Sensor noise, standard deviation in grey levels", minimum=0.0, maximum=60.0)
+
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        _check_lengths(self, glare_at_mm=2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +87,10 @@ class PanelConfig(Config):
     yaw_deg: float = setting(1.2, "Turn about z", minimum=-45.0, maximum=45.0, unit="deg")
     tilt_deg: tuple[float, ...] = setting((0.25, -0.2), "Tilt about x and y", minimum=-30.0, maximum=30.0, unit="deg")
 
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        _check_lengths(self, position_m=3, tilt_deg=2)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MechanicsConfig(Config):
@@ -82,28 +101,32 @@ class MechanicsConfig(Config):
     )
     backlash_z_mm: float = setting(0.02, "Greatest backlash of z", minimum=0.0, maximum=2.0, unit="mm")
     scale: float = setting(0.004, "Greatest error of an axis' scale", minimum=0.0, maximum=0.1)
-    skew_rad: float = setting(
-        0.003, "Greatest deviation of y from the right angle", minimum=0.0, maximum=0.1, unit="rad"
-    )
+    skew_rad: float = setting(0.003, "Greatest error of the right angle", minimum=0.0, maximum=0.1, unit="rad")
     tilt_rad: float = setting(0.002, "Greatest tilt of the z axis", minimum=0.0, maximum=0.1, unit="rad")
     homed_mm: tuple[float, ...] = setting(
         (-359.0, -219.0, -1.0),
-        "Machine position after homing",
+        "Position after homing",
         minimum=-2000.0,
         maximum=2000.0,
         unit="mm",
         read_only=True,
     )
 
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        _check_lengths(self, backlash_mm=2, homed_mm=3)
+        if self.backlash_mm[0] > self.backlash_mm[1]:
+            raise ConfigError(f"backlash_mm = {self.backlash_mm!r}: the smaller value comes first")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StylusConfig(Config):
     """What lowers the stylus, and its shape."""
 
-    kind: str = setting("z_axis", "What lowers the stylus", choices=("z_axis", "servo", "solenoid"))
-    travel_mm: float = setting(50.0, "Stroke of a servo or solenoid", minimum=1.0, maximum=100.0, unit="mm")
-    servo_up: float = setting(0.0, "Spindle value at which a servo is up", minimum=0.0, maximum=10000.0)
-    servo_down: float = setting(1000.0, "Spindle value at which a servo is down", minimum=0.0, maximum=10000.0)
+    kind: str = setting("z_axis", "What lowers the stylus", choices=("z_axis", "servo_m3", "solenoid_m8"))
+    travel_mm: float = setting(36.0, "Stroke of a servo or solenoid", minimum=1.0, maximum=100.0, unit="mm")
+    servo_up: float = setting(200.0, "Spindle value at which a servo is up", minimum=0.0, maximum=10000.0)
+    servo_down: float = setting(800.0, "Spindle value at which a servo is down", minimum=0.0, maximum=10000.0)
     speed_mm_s: float = setting(150.0, "Speed of a servo or solenoid", minimum=1.0, maximum=5000.0, unit="mm/s")
     ball_diameter_mm: float = setting(4.0, "The ball at the tip", minimum=0.5, maximum=20.0, unit="mm")
     stem_diameter_mm: float = setting(1.0, "The stem that carries the ball", minimum=0.1, maximum=20.0, unit="mm")

@@ -130,16 +130,7 @@ class StereoRig:
 
 
 def stereo_rig(config: CameraConfig) -> StereoRig:
-    """Mount the two cameras on their bar.
-
-    Raises
-    ------
-    ValueError
-        If a list in the configuration has the wrong length.
-    """
-    for name, count in (("centre_px", 4), ("distortion", 10), ("skew_deg", 3), ("aim_m", 3)):
-        if len(getattr(config, name)) != count:
-            raise ValueError(f"camera.{name} has {len(getattr(config, name))} values, {count} are needed")
+    """Mount the two cameras on their bar."""
     # A bar that looks along -z with x to the right, then raised towards -y, swung about z, and rolled.
     base_from_bar = turn(2, config.azimuth_deg) @ turn(0, config.elevation_deg) @ np.diag([1.0, -1.0, -1.0])
     base_from_bar = base_from_bar @ turn(2, config.roll_deg)

@@ -94,8 +94,8 @@ class Canvas:
         c0, c1 = (int(np.clip(v, 0, columns)) for v in (np.floor(x0 * s) - 1, np.ceil(x1 * s) + 1))
         top, bottom = (self.height_mm - y1) * s, (self.height_mm - y0) * s
         r0, r1 = (int(np.clip(v, 0, rows)) for v in (np.floor(top) - 1, np.ceil(bottom) + 1))
-        xs = (np.arange(c0, c1) + 0.5) / s
-        ys = self.height_mm - (np.arange(r0, r1) + 0.5) / s
+        xs = (np.arange(c0, c1, dtype=np.float64) + 0.5) / s
+        ys = self.height_mm - (np.arange(r0, r1, dtype=np.float64) + 0.5) / s
         return slice(r0, r1), slice(c0, c1), xs, ys
 
     def _blend(self, rows: slice, columns: slice, share: Array, colour: str) -> None:

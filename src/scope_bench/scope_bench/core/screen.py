@@ -83,23 +83,23 @@ def still_part(state: InstrumentState, size: tuple[int, int]) -> Picture:
     if state.note:
         _text(picture, state.note, 520, middle, 15, WHITE)
     row = (bottom + 8 + height) / 2
-    left = 12.0
+    edge = 12.0
     for channel, (name, colour) in enumerate((("1", YELLOW), ("2", CYAN))):
         scale = engineering(VOLTS_PER_DIVISION[state.volts_index[channel]], "V")
         if state.channels[channel]:
-            left = _box(picture, name, left, row, colour, "#0a0f12")
-            left = _text(picture, scale, left + 12, row, 15, colour) + 34
+            edge = _box(picture, name, edge, row, colour, "#0a0f12")
+            edge = _text(picture, scale, edge + 12, row, 15, colour) + 34
         else:
-            left = _text(picture, name + " OFF", left + 8, row, 15, GREY) + 34
+            edge = _text(picture, name + " OFF", edge + 8, row, 15, GREY) + 34
     if state.math:
-        left = _text(picture, "M 1+2", left, row, 15, ORANGE) + 30
+        edge = _text(picture, "M 1+2", edge, row, 15, ORANGE) + 30
     _text(picture, "1 kHz", width - 90, row, 15, WHITE)
     level = TOP_PX + (4 - state.trigger_div) * DIVISION_PX
     _strokes(picture, [np.array([[right + 18, level - 7], [right + 4, level], [right + 18, level + 7]])], YELLOW, 2)
     for channel, colour in enumerate((YELLOW, CYAN)):
         if state.channels[channel]:
-            y = TOP_PX + (4 - state.position_div[channel]) * DIVISION_PX
-            _strokes(picture, [np.array([[4, y - 7], [16, y], [4, y + 7]])], colour, 2)
+            row = TOP_PX + (4 - state.position_div[channel]) * DIVISION_PX
+            _strokes(picture, [np.array([[4, row - 7], [16, row], [4, row + 7]])], colour, 2)
     return picture
 
 

@@ -58,9 +58,9 @@ class StylusPainter:
         gain = self._view.light.level
         blur = self._view.light.blur_px
         for part in filter(None, parts):
-            share, light = part.share, part.light * gain
+            share, light = part.share, np.asarray(part.light * gain, np.float32)
             if blur > 0:
-                share, light = cv2.GaussianBlur(share, (0, 0), blur), cv2.GaussianBlur(light, (0, 0), blur)
+                share, light = (np.asarray(cv2.GaussianBlur(x, (0, 0), blur), np.float32) for x in (share, light))
             under = picture[part.window].astype(np.float32)
             mixed = under * (1 - share[..., None]) + light * self._view.vignette[part.window][..., None]
             picture[part.window] = np.clip(mixed + 0.5, 0, 255).astype(np.uint8)

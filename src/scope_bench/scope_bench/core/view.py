@@ -167,8 +167,8 @@ class View:
         c0, c1 = max(columns.start - 1, 0), min(columns.stop + 1, grid.shape[-1])
         part = grid[..., r0:r1, c0:c1].reshape(-1, r1 - r0, c1 - c0)
         size = ((c1 - c0) * count, (r1 - r0) * count)
-        # cv2.resize puts the samples where they belong: sample i of n lies at (i + 0.5) / n - 0.5 from a pixel's centre.
-        large = np.stack([cv2.resize(layer, size, interpolation=cv2.INTER_LINEAR) for layer in part])
+        # cv2.resize puts the samples where they belong: sample i of n lies (i + 0.5) / n - 0.5 from a pixel's centre.
+        large: Array = np.stack([cv2.resize(layer, size, interpolation=cv2.INTER_LINEAR) for layer in part])
         top, left = (rows.start - r0) * count, (columns.start - c0) * count
         height, width = (rows.stop - rows.start) * count, (columns.stop - columns.start) * count
         return large[:, top : top + height, left : left + width]
@@ -177,7 +177,7 @@ class View:
         """Return (H, W), the share of light that the lens lets through."""
         v, u = np.mgrid[0 : self.camera.height, 0 : self.camera.width].astype(np.float64)
         radius2 = ((u - self.camera.width / 2) ** 2 + (v - self.camera.height / 2) ** 2) / (self.camera.width / 2) ** 2
-        return (1 - self.light.vignetting * np.clip(radius2 / 1.3, 0, 1.2)).astype(np.float32)
+        return np.asarray(1 - self.light.vignetting * np.clip(radius2 / 1.3, 0, 1.2), dtype=np.float32)
 
     def _draw_ground(self, surfaces: Surfaces) -> npt.NDArray[np.float32]:
         """Draw the face, the case's sides and the table: (H, W, 3) reflected light under even lighting."""
@@ -243,7 +243,7 @@ class View:
             weighted = np.asarray(layer * share[..., None], dtype=np.float32)
             return np.asarray(cv2.resize(weighted, size, interpolation=cv2.INTER_AREA))
 
-        small = cv2.resize(share, size, interpolation=cv2.INTER_AREA)
+        small = np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
         return Sprite(window=window, share=small[..., None], reflected=gathered(reflected), emitted=gathered(emitted))
 
     def _compose(self, window: Window) -> None:
@@ -317,7 +317,7 @@ def _shade(shadow: npt.NDArray[np.float32], layout: PanelLayout, x: Array, y: Ar
     rows = np.asarray(layout.size_mm[1] + _SHADOW_BORDER - 0.5 - y, np.float32)
     columns = np.asarray(x + (_SHADOW_BORDER - 0.5), np.float32)
     found = cv2.remap(shadow, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found)[..., None]
+    return np.asarray(found, dtype=np.float32)[..., None]
 
 
 def _empty_shadow(layout: PanelLayout) -> npt.NDArray[np.float32]:

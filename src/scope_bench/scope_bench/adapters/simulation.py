@@ -1,0 +1,348 @@
+"""Runs the bench in a thread of its own: motor samples in, stereo pairs out, the truth to the log and to tests."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import selectors
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar, TextIO
+
+from icu_common.adapters.frame_link import FrameServer
+from icu_common.core.config import ConfigError, from_mapping, to_mapping
+from icu_common.core.panel_layout import PanelLayout
+from scope_bench.adapters.motion_client import MotionClient
+from scope_bench.core.bench import Bench, matrix
+from scope_bench.core.configuration import BenchConfig
+from scope_bench.core.renderer import Renderer
+
+EXPOSURE_LAG_S = 0.015
+"""The exposure lies so far back that the motor samples around it have come."""
+RECONNECT_S = 0.25
+SEND_S = 0.03
+CAMERA_STATES = ("ok", "frozen", "unplugged")
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """What the simulation tells the diagnostics."""
+
+    board_connected: bool
+    frames_sent: int
+    readers: int
+    render_ms: float
+    bad_lines: int
+    error: str
+
+
+class Simulation:
+    """The bench in real time.
+
+    Parameters
+    ----------
+    layout
+        The panel.
+    config
+        The bench, with the paths of its sockets and of the truth log.
+
+    Raises
+    ------
+    OSError
+        If a socket or the log cannot be made.
+    ValueError
+        If the configuration does not fit together.
+    """
+
+    def __init__(self, layout: PanelLayout, config: BenchConfig) -> None:
+        self._layout = layout
+        self._config = config
+        self._bench = Bench(layout, config)
+        self._renderer = Renderer(layout, config, self._bench.panel_from)
+        self._camera = "ok"
+        self._frames: FrameServer | None = None
+        self._sent = 0
+        self._readers = 0
+        self._render_s = 0.0
+        self._error = ""
+        self._hidden: tuple[float, float, float, float] | None = None
+        self._jobs: deque[BenchConfig] = deque()
+        self._stopping = False
+        self._clients: dict[socket.socket, bytearray] = {}
+        self._selector = selectors.DefaultSelector()
+        self._wake_read, self._wake_write = socket.socketpair()
+        self._wake_read.setblocking(False)
+        self._wake_write.setblocking(False)
+        self._selector.register(self._wake_read, selectors.EVENT_READ, self._woken)
+        self._motion = MotionClient(Path(config.motion_socket)) if config.motion_socket else None
+        self._reconnect_at = 0.0
+        self._listener: socket.socket | None = None
+        self._log: TextIO | None = None
+        try:
+            self._open()
+        except OSError:
+            self._close()
+            raise
+        self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
+
+    def _open(self) -> None:
+        config = self._config
+        self._plug()
+        if config.test_socket:
+            path = Path(config.test_socket)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.unlink(missing_ok=True)
+            self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            self._listener.bind(os.fspath(path))
+            self._listener.listen(8)
+            self._listener.setblocking(False)
+            self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+        if config.truth_log:
+            log = Path(config.truth_log)
+            log.parent.mkdir(parents=True, exist_ok=True)
+            self._log = log.open("a", encoding="utf-8")
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and remove the sockets; may be called twice."""
+        self._stopping = True
+        self._wake()
+        if self._thread.is_alive():
+            self._thread.join(10.0)
+
+    def configure(self, config: BenchConfig) -> None:
+        """Take another configuration; from any thread."""
+        self._jobs.append(config)
+        self._wake()
+
+    def health(self) -> Health:
+        """Return numbers for the diagnostics; from any thread."""
+        motion = self._motion
+        return Health(
+            board_connected=motion is not None and motion.socket is not None,
+            frames_sent=self._sent,
+            readers=self._readers,
+            render_ms=self._render_s * 1000,
+            bad_lines=motion.bad_lines if motion is not None else 0,
+            error=self._error,
+        )
+
+    def _wake(self) -> None:
+        # OSError: the thread has closed everything already, or is being woken anyway.
+        with contextlib.suppress(OSError):
+            self._wake_write.send(b"\0")
+
+    def _woken(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            self._wake_read.recv(4096)
+
+    def _run(self) -> None:
+        next_frame = time.monotonic()
+        try:
+            while not self._stopping:
+                now = time.monotonic()
+                due = [next_frame - now]
+                if self._motion is not None and self._motion.socket is None:
+                    due.append(self._reconnect_at - now)
+                for key, _ in self._selector.select(max(min(due), 0.0)):
+                    key.data()
+                while self._jobs:
+                    self._reconfigure(self._jobs.popleft())
+                self._connect()
+                now = time.monotonic()
+                if now >= next_frame:
+                    self._expose(now)
+                    period = 1 / self._config.camera.rate_hz
+                    # Keep the beat; after a long pause begin anew instead of catching up.
+                    next_frame = next_frame + period if now - next_frame < period else now + period
+                elif self._frames is not None:
+                    self._frames.flush()
+                self._write_log()
+        except Exception as error:
+            # The node's diagnostics say it; a thread that dies silently would look like a frozen camera.
+            self._error = f"the bench has stopped: {error!r}"
+            raise
+        finally:
+            self._close()
+
+    def _connect(self) -> None:
+        motion, now = self._motion, time.monotonic()
+        if motion is None or motion.socket is not None or now < self._reconnect_at:
+            return
+        self._reconnect_at = now + RECONNECT_S
+        if motion.connect() and motion.socket is not None:
+            self._selector.register(motion.socket, selectors.EVENT_READ, self._read_motion)
+
+    def _read_motion(self) -> None:
+        motion = self._motion
+        if motion is None or motion.socket is None:
+            return
+        link = motion.socket
+        samples = motion.read()
+        if motion.socket is None:
+            self._selector.unregister(link)
+        for sample in samples:
+            self._bench.feed(sample.mpos_mm, sample.spindle, sample.coolant, sample.time_s)
+
+    def _expose(self, now: float) -> None:
+        self._bench.advance(now)
+        frames = self._frames
+        self._readers = frames.reader_count() if frames is not None else 0
+        if frames is None or not self._readers or self._camera != "ok":
+            return
+        exposure = now - EXPOSURE_LAG_S
+        pictures = self._renderer.render(self._bench.moment(exposure))
+        frames.send(pictures, time.time_ns() - round((time.monotonic() - exposure) * 1e9))
+        deadline = time.monotonic() + SEND_S
+        while not frames.flush() and (left := deadline - time.monotonic()) > 0:
+            frames.wait_writable(left)
+        self._sent += 1
+        self._render_s = time.monotonic() - now
+
+    def _reconfigure(self, config: BenchConfig) -> None:
+        old, self._config = self._config, config
+        self._bench.reconfigure(config)
+        if config.camera != old.camera or config.stylus != old.stylus:
+            self._renderer = Renderer(self._layout, config, self._bench.panel_from)
+            self._renderer.hide(self._hidden)
+            return
+        if config.light != old.light:
+            self._renderer.relight(config.light)
+        if config.panel != old.panel:
+            self._renderer.move_panel(self._bench.panel_from)
+
+    def _write_log(self) -> None:
+        records = self._bench.take_records()
+        if self._log is None or not records:
+            return
+        offset = time.time() - time.monotonic()
+        for record in records:
+            self._log.write(json.dumps({"t": round(record.pop("time_s") + offset, 6), **record}) + "\n")
+        self._log.flush()
+
+    def _plug(self) -> None:
+        if self._config.frame_socket and self._frames is None:
+            self._frames = FrameServer(Path(self._config.frame_socket))
+
+    def _unplug(self) -> None:
+        if self._frames is not None:
+            self._frames.close()
+            self._frames = None
+
+    def _accept(self) -> None:
+        if self._listener is not None:
+            with contextlib.suppress(OSError):
+                client, _ = self._listener.accept()
+                client.setblocking(False)
+                self._clients[client] = bytearray()
+                self._selector.register(client, selectors.EVENT_READ, lambda: self._read_client(client))
+
+    def _read_client(self, client: socket.socket) -> None:
+        buffer = self._clients[client]
+        try:
+            data = client.recv(65536)
+            buffer += data
+            while (end := buffer.find(b"\n")) >= 0:
+                line = bytes(buffer[:end])
+                del buffer[: end + 1]
+                client.sendall(json.dumps(self._answer(line)).encode() + b"\n")
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._selector.unregister(client)
+            client.close()
+            del self._clients[client]
+
+    def _answer(self, line: bytes) -> dict[str, Any]:
+        try:
+            request = json.loads(line)
+            if not isinstance(request, dict) or request.get("do") not in self._COMMANDS:
+                raise ValueError(f"a mapping with do = one of {', '.join(self._COMMANDS)} is needed")
+            return {"ok": True, **(self._COMMANDS[request["do"]](self, request) or {})}
+        except (ValueError, KeyError, TypeError, OSError) as error:
+            return {"ok": False, "error": str(error) if isinstance(error, ValueError) else repr(error)}
+
+    def _do_truth(self, request: dict[str, Any]) -> dict[str, Any]:
+        rig = self._renderer.rig
+        camera_from_base = rig.rectified_left_from_base()
+        return {
+            "t": time.time(),
+            **self._bench.truth(),
+            "camera_from_base": matrix(camera_from_base),
+            "camera_from_panel": matrix(camera_from_base @ self._bench.panel_from),
+            "board_connected": self.health().board_connected,
+            "camera": self._camera,
+        }
+
+    def _do_set(self, request: dict[str, Any]) -> None:
+        values = {**to_mapping(self._config), **request["values"]}
+        try:
+            self._reconfigure(from_mapping(BenchConfig, values))
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+
+    def _do_hide(self, request: dict[str, Any]) -> None:
+        given = request.get("rectangle_mm")
+        if given is None:
+            self._hidden = None
+        else:
+            x, y, width, height = (float(v) for v in given)
+            if not (width > 0 and height > 0):
+                raise ValueError(f"rectangle_mm = {given}: width and height must be positive")
+            self._hidden = x, y, width, height
+        self._renderer.hide(self._hidden)
+
+    def _do_move_panel(self, request: dict[str, Any]) -> None:
+        dx, dy, turn = (float(request.get(key, 0.0)) for key in ("dx_m", "dy_m", "turn_deg"))
+        if max(abs(dx), abs(dy)) > 0.1 or abs(turn) > 20:
+            raise ValueError(f"dx_m {dx}, dy_m {dy}, turn_deg {turn}: at most 0.1 m and 20 degrees")
+        self._bench.move_panel(dx, dy, turn)
+        self._renderer.move_panel(self._bench.panel_from)
+
+    def _do_camera(self, request: dict[str, Any]) -> None:
+        state = request["state"]
+        if state not in CAMERA_STATES:
+            raise ValueError(f"state {state!r} is none of {', '.join(CAMERA_STATES)}")
+        self._camera = state
+        if state == "unplugged":
+            self._unplug()
+        else:
+            self._plug()
+
+    _COMMANDS: ClassVar[dict[str, Callable[[Simulation, dict[str, Any]], dict[str, Any] | None]]] = {
+        "truth": _do_truth,
+        "set": _do_set,
+        "hide": _do_hide,
+        "move_panel": _do_move_panel,
+        "camera": _do_camera,
+    }
+
+    def _close(self) -> None:
+        self._write_log()
+        self._unplug()
+        if self._motion is not None:
+            self._motion.close()
+        for client in self._clients:
+            client.close()
+        self._clients.clear()
+        if self._listener is not None:
+            self._listener.close()
+            Path(self._config.test_socket).unlink(missing_ok=True)
+            self._listener = None
+        if self._log is not None:
+            self._log.close()
+            self._log = None
+        self._selector.close()
+        self._wake_read.close()
+        self._wake_write.close()

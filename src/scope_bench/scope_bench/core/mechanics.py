@@ -1,0 +1,83 @@
+"""From motor positions to the stylus' true place, with errors that only the bench knows.
+
+Each axis has play: the carriage follows its motor only after the play is used up. The axes' scales are off, y is not
+square to x, and z is not upright. The frame is base_link, whose origin is the ball's centre when homed and retracted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.core.geometry import Array
+from scope_bench.core.configuration import MechanicsConfig, StylusConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Errors:
+    """The hidden errors: ``play_mm`` of x, y and the stylus; ``base_from_carriage`` (2, 2); ``lean`` (2,) per unit."""
+
+    play_mm: Array
+    base_from_carriage: Array
+    lean: Array
+
+
+def draw_errors(config: MechanicsConfig, rng: np.random.Generator) -> Errors:
+    """Draw the errors within their bounds."""
+    play = np.append(rng.uniform(config.backlash_mm[0], config.backlash_mm[1], 2), rng.uniform(0, config.backlash_z_mm))
+    scale = 1 + rng.uniform(-config.scale, config.scale, 2)
+    skew = rng.uniform(-config.skew_rad, config.skew_rad)
+    lean = rng.uniform(-config.tilt_rad, config.tilt_rad, 2)
+    # x runs along the lower rail, which is base_link's x axis; y deviates from the right angle by the skew.
+    matrix = np.array([[scale[0], -scale[1] * np.sin(skew)], [0.0, scale[1] * np.cos(skew)]])
+    return Errors(play_mm=play, base_from_carriage=matrix, lean=lean)
+
+
+class Mechanism:
+    """Follows the motors; remembers where in its play each axis stands."""
+
+    def __init__(self, config: MechanicsConfig, stylus: StylusConfig, errors: Errors) -> None:
+        self._stylus = stylus
+        self._errors = errors
+        self._homed = np.asarray(config.homed_mm)
+        self._carriage: Array | None = None
+        self._stroke_mm = 0.0
+        self._last_s = 0.0
+
+    def tip(self, mpos_mm: npt.ArrayLike, spindle: float, coolant: bool, now_s: float) -> Array:
+        """Return the ball's centre, (3,) metres in base_link, when nothing stops it.
+
+        Parameters
+        ----------
+        mpos_mm
+            (3,) true motor positions in the frame of the homed machine.
+        spindle, coolant
+            What the tool pins do; they move the stylus when it is a servo or a solenoid.
+        now_s
+            Time of the sample; must not go back.
+        """
+        motor = np.asarray(mpos_mm, dtype=np.float64) - self._homed
+        motor[2] = -motor[2] if self._stylus.kind == "z_axis" else self._stroke(spindle, coolant, now_s)
+        if self._carriage is None:
+            self._carriage = motor.copy()
+        # Play: the carriage is pushed by the motor from one side or the other. After homing the last move was upwards,
+        # so the origin is where the motor pushes in the positive direction.
+        self._carriage = np.clip(self._carriage, motor, motor + self._errors.play_mm)
+        extension = self._carriage[2]
+        xy = self._errors.base_from_carriage @ self._carriage[:2] + self._errors.lean * extension
+        return np.array([xy[0], xy[1], -extension]) / 1000
+
+    def _stroke(self, spindle: float, coolant: bool, now_s: float) -> float:
+        config = self._stylus
+        if config.kind == "servo_m3":
+            span = config.servo_down - config.servo_up
+            share = (spindle - config.servo_up) / span if span and spindle > 0 else 0.0
+            target = float(np.clip(share, 0, 1)) * config.travel_mm
+        else:
+            target = config.travel_mm if coolant else 0.0
+        reach = config.speed_mm_s * max(now_s - self._last_s, 0.0)
+        self._last_s = now_s
+        self._stroke_mm += float(np.clip(target - self._stroke_mm, -reach, reach))
+        return self._stroke_mm

@@ -1,0 +1,82 @@
+"""The simulated bench as a program of the graph: parameters and diagnostics around the simulation's thread."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from icu_common.core.config import ConfigError
+from icu_common.core.panel_layout import load_layout
+from icu_common.nodes.conversions import diagnostic_status, header
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.qos import RESULTS
+from icu_common.nodes.runtime import run
+from scope_bench.adapters.simulation import Health, Simulation
+from scope_bench.core.configuration import BenchConfig
+
+DIAGNOSTICS_S = 1.0
+
+
+class BenchNode(Node):
+    """Runs the bench; nothing of the physical truth goes to a topic."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("bench", **kwargs)
+        self._parameters = LiveParameters(self, BenchConfig, self._changed)
+        self._simulation = _simulation(self._parameters.config)
+        self._frames_before = 0
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RESULTS)
+        self.create_timer(DIAGNOSTICS_S, self._report)
+        self._simulation.start()
+
+    def _changed(self, config: BenchConfig) -> None:
+        self._simulation.configure(config)
+
+    def _report(self) -> None:
+        health = self._simulation.health()
+        rate = (health.frames_sent - self._frames_before) / DIAGNOSTICS_S
+        self._frames_before = health.frames_sent
+        level, message = _judged(health)
+        values = [
+            ("board_connected", health.board_connected),
+            ("readers", health.readers),
+            ("pairs_per_s", rate),
+            ("render_ms", round(health.render_ms, 1)),
+            ("bad_lines", health.bad_lines),
+        ]
+        status = diagnostic_status(self.get_fully_qualified_name(), level, message, values)
+        stamp = self.get_clock().now().nanoseconds
+        self._diagnostics.publish(DiagnosticArray(header=header(stamp, ""), status=[status]))
+
+    def close(self) -> None:
+        """Stop the simulation and remove its sockets."""
+        self._simulation.stop()
+
+
+def _judged(health: Health) -> tuple[str, str]:
+    if health.error:
+        return "error", health.error
+    if not health.board_connected:
+        return "warn", "no motor positions: the mock board does not answer"
+    return "ok", "running"
+
+
+def _simulation(config: BenchConfig) -> Simulation:
+    if not config.layout:
+        raise ConfigError("layout is empty: the panel's layout file is needed")
+    try:
+        return Simulation(load_layout(Path(config.layout)), config)
+    except (ValueError, OSError) as error:
+        raise ConfigError(str(error)) from error
+
+
+def main() -> int:
+    """Run the node until SIGINT or SIGTERM."""
+    return run(BenchNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
