@@ -35,6 +35,10 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Compile a function that is only called from compiled ones and becomes part of them."""
-    result: F = numba.njit(nogil=True, fastmath=_FASTMATH, error_model="numpy")(function)
+    """Compile a function that becomes part of the compiled ones which call it.
+
+    Without ``inline`` the compiler decides by size; a row loop that stays a call does not know that its rows do not
+    overlap, and is not vectorised.
+    """
+    result: F = numba.njit(nogil=True, fastmath=_FASTMATH, error_model="numpy", inline="always")(function)
     return result

@@ -1,4 +1,11 @@
-"""The loops of the detector over pixels and corners, compiled by numba; see harris.py for what they are used for."""
+"""The loops of the detector over pixels and corners, compiled by numba; see harris.py for what they are used for.
+
+How the fused pass got fast (measured by benchmarks/bench_harris.py, each step against the one before): two rows at a
+time share loads and half of the vertical sums; strips of columns keep all rows in the first-level cache; all float rows
+lie in one array at constant distances, so that the compiler sees that they do not overlap and vectorises the loops
+without checks; the horizontal sums come straight from the 16-bit gradients; the test for a peak marks bytes in a
+vectorised loop, and only marked pixels are looked at one by one.
+"""
 
 from __future__ import annotations
 
@@ -9,69 +16,280 @@ import numpy.typing as npt
 
 from harris_perception.core.compiled import compiled, inlined
 
-F32 = npt.NDArray[np.float32]
+Array = npt.NDArray[Any]
+
+# Columns worked on at once and the length of a scratch row, which holds them and their neighbours. Not a power of
+# two: rows 4096 bytes apart would fall on the same cache sets.
+_STRIP = 640
+_ROW = 656
+
+# Below this fraction of the product of the two diagonal elements a determinant is rounding of float32, no corner.
+_RANK_ONE = np.float32(2.0**-21)
 
 
 @inlined
-def quadratic_peak(above: Any, here: Any, below: Any, x: int) -> tuple[float, float]:
+def _smooth_and_difference(p0: Any, p1: Any, p2: Any, p3: Any, rows: Any, n: int, centre: Any) -> None:
+    """Combine picture rows vertically: smoothed and differentiated around p1 (rows 0, 1) and around p2 (rows 2, 3)."""
+    s0, d0, s1, d1 = rows[:_ROW], rows[_ROW : 2 * _ROW], rows[2 * _ROW : 3 * _ROW], rows[3 * _ROW :]
+    # Explicit casts: numba widens sums of small integers to 64 bits, and so many of them would not be narrowed again.
+    cast = rows.dtype.type
+    for x in range(n):
+        a, b, c, d = cast(p0[x]), cast(p1[x]), cast(p2[x]), cast(p3[x])
+        s0[x] = cast(a + cast(centre * b)) + c
+        d0[x] = c - a
+        s1[x] = cast(b + cast(centre * c)) + d
+        d1[x] = d - b
+
+
+@inlined
+def _gradient(smooth: Any, difference: Any, gx: Any, gy: Any, n: int, centre: Any) -> None:
+    """Finish a row of the gradient horizontally; element x belongs to the picture's column x + 1."""
+    for x in range(n):
+        gx[x] = smooth[x + 2] - smooth[x]
+        gy[x] = difference[x] + centre * difference[x + 1] + difference[x + 2]
+
+
+@inlined
+def _response_rows(g: Any, rows: Any, old: int, new: int, result: int, n: int, k: Any) -> None:
+    """Compute two rows of the response from two rows of gradients and the horizontal sums of the two rows above.
+
+    ``g`` holds gx, gy of both rows. ``rows`` holds, from the element ``old`` on, six rows: the sums gx^2, gy^2, gx gy
+    of either row above; the new sums go to ``new`` on in the same order, the response to the two rows at ``result``.
+    """
+    for x in range(n):
+        u0, u1, u2 = np.float32(g[x]), np.float32(g[x + 1]), np.float32(g[x + 2])
+        v0, v1, v2 = np.float32(g[_ROW + x]), np.float32(g[_ROW + x + 1]), np.float32(g[_ROW + x + 2])
+        a0, b0, c0 = u0 * u0 + u1 * u1 + u2 * u2, v0 * v0 + v1 * v1 + v2 * v2, u0 * v0 + u1 * v1 + u2 * v2
+        u0, u1, u2 = np.float32(g[2 * _ROW + x]), np.float32(g[2 * _ROW + x + 1]), np.float32(g[2 * _ROW + x + 2])
+        v0, v1, v2 = np.float32(g[3 * _ROW + x]), np.float32(g[3 * _ROW + x + 1]), np.float32(g[3 * _ROW + x + 2])
+        a1, b1, c1 = u0 * u0 + u1 * u1 + u2 * u2, v0 * v0 + v1 * v1 + v2 * v2, u0 * v0 + u1 * v1 + u2 * v2
+        rows[new + x], rows[new + _ROW + x], rows[new + 2 * _ROW + x] = a0, b0, c0
+        rows[new + 3 * _ROW + x], rows[new + 4 * _ROW + x], rows[new + 5 * _ROW + x] = a1, b1, c1
+        am, bm, cm = rows[old + 3 * _ROW + x] + a0, rows[old + 4 * _ROW + x] + b0, rows[old + 5 * _ROW + x] + c0
+        a, b, c = rows[old + x] + am, rows[old + _ROW + x] + bm, rows[old + 2 * _ROW + x] + cm
+        trace = a + b
+        rows[result + x] = a * b - c * c - k * trace * trace
+        a, b, c = am + a1, bm + b1, cm + c1
+        trace = a + b
+        rows[result + _ROW + x] = a * b - c * c - k * trace * trace
+
+
+@inlined
+def _mark_peaks(above: Any, here: Any, below: Any, marks: Any, n: int, floor: Any) -> None:
+    """Mark the columns 1 to n - 2 that exceed ``floor`` and their four neighbours; of equal ones the first counts."""
+    for x in range(1, n - 1):
+        r = here[x]
+        marks[x] = (r > floor) & (r > here[x - 1]) & (r >= here[x + 1]) & (r > above[x]) & (r >= below[x])
+
+
+@inlined
+def _quadratic_peak(above: Any, here: Any, below: Any, x: int) -> tuple[Any, Any]:
     """Return the offset (dx, dy) of the maximum of the quadratic through a 3x3 neighbourhood, at most half a pixel."""
-    gx = 0.5 * (here[x + 1] - here[x - 1])
-    gy = 0.5 * (below[x] - above[x])
-    hxx = here[x + 1] + here[x - 1] - 2.0 * here[x]
-    hyy = below[x] + above[x] - 2.0 * here[x]
-    hxy = 0.25 * (below[x + 1] - below[x - 1] - above[x + 1] + above[x - 1])
+    half = np.float32(0.5)
+    gx = half * (here[x + 1] - here[x - 1])
+    gy = half * (below[x] - above[x])
+    hxx = (here[x + 1] - here[x]) + (here[x - 1] - here[x])
+    hyy = (below[x] - here[x]) + (above[x] - here[x])
+    hxy = np.float32(0.25) * ((below[x + 1] - below[x - 1]) - (above[x + 1] - above[x - 1]))
     det = hxx * hyy - hxy * hxy
-    if det > 1e-6 * hxx * hyy and hxx < 0.0:
+    if det > np.float32(1e-6) * hxx * hyy:
         dx = (hxy * gy - hyy * gx) / det
         dy = (hxy * gx - hxx * gy) / det
-        if abs(dx) <= 0.5 and abs(dy) <= 0.5:
+        if abs(dx) <= half and abs(dy) <= half:
             return dx, dy
     # A ridge or saddle beside the peak: each axis alone. A maximum has no positive curvature; zero means a plateau.
-    dx = min(max(-gx / hxx, -0.5), 0.5) if hxx < 0.0 else 0.0
-    dy = min(max(-gy / hyy, -0.5), 0.5) if hyy < 0.0 else 0.0
+    dx = min(max(-gx / hxx, -half), half) if hxx < 0 else np.float32(0.0)
+    dy = min(max(-gy / hyy, -half), half) if hyy < 0 else np.float32(0.0)
     return dx, dy
 
 
 @inlined
-def is_peak(above: Any, here: Any, below: Any, x: int) -> bool:
-    """Tell whether a response is the largest of its 3x3 neighbourhood; of equal ones the first in reading order is."""
-    r = here[x]
-    return bool(
-        r > here[x - 1]
-        and r >= here[x + 1]
-        and r > above[x - 1]
-        and r > above[x]
-        and r > above[x + 1]
-        and r >= below[x - 1]
-        and r >= below[x]
-        and r >= below[x + 1]
-    )
+def _collect(
+    above: Any,
+    here: Any,
+    below: Any,
+    words: Any,
+    n: int,
+    x0: int,
+    y: int,
+    floor: Any,
+    relative: Any,
+    subpixel: bool,
+    found: Any,
+    count: int,
+) -> tuple[Any, int, Any]:
+    """Append the marked pixels that also exceed their diagonal neighbours to ``found`` (x, y, response).
+
+    ``words`` are the marks, eight to a word. The floor rises with the strongest peak so far. Returns ``found`` (a
+    larger one when it was full), the count and the floor.
+    """
+    for block in range((n + 31) // 32):
+        w = 4 * block
+        if (words[w] | words[w + 1] | words[w + 2] | words[w + 3]) == 0:
+            continue
+        for word in range(w, w + 4):
+            bits = words[word]
+            x = 8 * word
+            while bits != 0:
+                r = here[x]
+                if (
+                    bits & np.uint64(255)
+                    and r > floor
+                    and r > above[x - 1]
+                    and r > above[x + 1]
+                    and r >= below[x - 1]
+                    and r >= below[x + 1]
+                ):
+                    if count == found.shape[0]:
+                        found = np.concatenate((found, np.empty_like(found)))
+                    found[count, 0], found[count, 1], found[count, 2] = x0 + x, y, r
+                    if subpixel:
+                        dx, dy = _quadratic_peak(above, here, below, x)
+                        found[count, 0] += dx
+                        found[count, 1] += dy
+                    count += 1
+                    floor = max(floor, relative * r)
+                bits >>= np.uint64(8)
+                x += 1
+    return found, count, floor
 
 
 @compiled
-def peaks_of(response: F32, margin: int, floor: float, subpixel: bool) -> tuple[F32, F32]:
-    """Return xy (N, 2) [px] and response (N,) of the 3x3 maxima above ``floor``, ``margin`` px inside the picture."""
-    height, width = response.shape
+def fused_peaks(
+    gray: Array,
+    weight: Array,
+    border: int,
+    first: int,
+    last: int,
+    k: float,
+    absolute: float,
+    relative: float,
+    subpixel: bool,
+) -> tuple[Array, Any]:
+    """Return the peaks of the Harris response with a 3x3 gradient and a 3x3 box window in the rows first to last - 1.
+
+    Parameters
+    ----------
+    gray
+        (H, W) uint8 or float32.
+    weight
+        (1,) weight of the centre in the gradient's smoothing: 1 for the kernels of 1988, 2 for Sobel's. Its dtype is
+        that of the gradients: int16 for uint8 pictures (exact), float32 for float32.
+    border
+        Columns at the left and right edge without peaks, at least 3.
+    first, last
+        Rows with peaks, 3 <= first, last <= H - 3.
+    k
+        Weight of trace^2.
+    absolute, relative
+        Thresholds; the second as a fraction of the strongest peak so far.
+    subpixel
+        Refine by the quadratic through 3x3 responses.
+
+    Returns
+    -------
+    tuple
+        (N, 3) float32 x, y, response, and the threshold reached, which the first of them may not exceed.
+    """
+    width = gray.shape[1]
+    centre = weight[0]
+    vertical = np.empty(4 * _ROW, weight.dtype)
+    gradients = np.empty(4 * _ROW, weight.dtype)
+    rows = np.empty(16 * _ROW, np.float32)
+    r0, r1 = rows[12 * _ROW : 13 * _ROW], rows[13 * _ROW : 14 * _ROW]
+    r2, r3 = rows[14 * _ROW : 15 * _ROW], rows[15 * _ROW :]
+    words = np.zeros(_ROW // 8 + 4, np.uint64)  # _collect reads blocks of four
+    marks = words.view(np.uint8)
+    weight_k, fraction, floor = np.float32(k), np.float32(relative), np.float32(absolute)
+    found = np.empty((2048, 3), np.float32)
     count = 0
-    xy = np.empty((1024, 2), np.float32)
-    strength = np.empty(1024, np.float32)
-    for y in range(margin, height - margin):
-        above, here, below = response[y - 1], response[y], response[y + 1]
-        for x in range(margin, width - margin):
-            if here[x] > floor and is_peak(above, here, below, x):
-                if count == len(strength):
-                    xy = np.concatenate((xy, np.empty_like(xy)))
-                    strength = np.concatenate((strength, np.empty_like(strength)))
-                dx, dy = quadratic_peak(above, here, below, x) if subpixel else (0.0, 0.0)
-                xy[count, 0] = x + dx
-                xy[count, 1] = y + dy
-                strength[count] = here[x]
-                count += 1
-    return xy[:count], strength[:count]
+    for start in range(border, width - border, _STRIP):
+        x0 = start - 1  # column of the response's first element; its gradient starts one further left, the picture two
+        n = min(start + _STRIP, width - border) + 1 - x0
+        words[:] = 0
+        for y in range(first - 2, last + 2, 2):  # y and y + 1 are gradient rows; responses are y - 1 and y
+            p = x0 - 2
+            # The last pair may lack its second row; what is computed from the repeated one is not looked at.
+            bottom = gray[min(y + 2, gray.shape[0] - 1), p:]
+            _smooth_and_difference(gray[y - 1, p:], gray[y, p:], gray[y + 1, p:], bottom, vertical, n + 4, centre)
+            _gradient(vertical[:_ROW], vertical[_ROW : 2 * _ROW], gradients[:_ROW], gradients[_ROW:], n + 2, centre)
+            _gradient(
+                vertical[2 * _ROW : 3 * _ROW],
+                vertical[3 * _ROW :],
+                gradients[2 * _ROW : 3 * _ROW],
+                gradients[3 * _ROW :],
+                n + 2,
+                centre,
+            )
+            even = ((y - first) // 2) % 2 == 0
+            if even:
+                _response_rows(gradients, rows, 0, 6 * _ROW, 12 * _ROW, n, weight_k)
+                above, here, below, beyond = r2, r3, r0, r1
+            else:
+                _response_rows(gradients, rows, 6 * _ROW, 0, 14 * _ROW, n, weight_k)
+                above, here, below, beyond = r0, r1, r2, r3
+            if first <= y - 2 < last:
+                _mark_peaks(above, here, below, marks, n, floor)
+                found, count, floor = _collect(
+                    above, here, below, words, n, x0, y - 2, floor, fraction, subpixel, found, count
+                )
+            if first <= y - 1 < last:
+                _mark_peaks(here, below, beyond, marks, n, floor)
+                found, count, floor = _collect(
+                    here, below, beyond, words, n, x0, y - 1, floor, fraction, subpixel, found, count
+                )
+    return found[:count], floor
 
 
 @compiled
-def apart(xy: F32, distance: float, limit: int) -> npt.NDArray[np.int64]:
+def peaks_of(
+    response: Array, border: int, first: int, last: int, absolute: float, relative: float, subpixel: bool
+) -> tuple[Array, Any]:
+    """Return the peaks of a response picture (H, W) float32; parameters and result as for ``fused_peaks``."""
+    width = response.shape[1]
+    words = np.zeros(_ROW // 8 + 4, np.uint64)  # _collect reads blocks of four
+    marks = words.view(np.uint8)
+    fraction, floor = np.float32(relative), np.float32(absolute)
+    found = np.empty((2048, 3), np.float32)
+    count = 0
+    for start in range(border, width - border, _STRIP):
+        x0 = start - 1
+        n = min(start + _STRIP, width - border) + 1 - x0
+        words[:] = 0
+        for y in range(first, last):
+            above, here, below = response[y - 1, x0:], response[y, x0:], response[y + 1, x0:]
+            _mark_peaks(above, here, below, marks, n, floor)
+            found, count, floor = _collect(above, here, below, words, n, x0, y, floor, fraction, subpixel, found, count)
+    return found[:count], floor
+
+
+@compiled
+def response_of(a: Array, b: Array, c: Array, kind: int, k: float, result: Array) -> None:
+    """Fill ``result`` with the response of the sums a = gx^2, b = gy^2, c = gx gy, all (H, W) float32.
+
+    ``kind`` 0: det - k trace^2; 1: the smaller eigenvalue; 2: det / trace.
+    """
+    weight = np.float32(k)
+    zero, half = np.float32(0.0), np.float32(0.5)
+    for y in range(a.shape[0]):
+        ra, rb, rc, out = a[y], b[y], c[y], result[y]
+        if kind == 0:
+            for x in range(a.shape[1]):
+                trace = ra[x] + rb[x]
+                out[x] = ra[x] * rb[x] - rc[x] * rc[x] - weight * trace * trace
+            continue
+        for x in range(a.shape[1]):
+            product = ra[x] * rb[x]
+            det = product - rc[x] * rc[x]
+            trace = ra[x] + rb[x]
+            divisor = trace
+            if kind == 1:  # det / larger eigenvalue: the difference of two large numbers would be rounding
+                divisor = half * trace + np.sqrt((half * (ra[x] - rb[x])) ** 2 + rc[x] * rc[x])
+            out[x] = zero if det <= _RANK_ONE * product else det / divisor
+
+
+@compiled
+def apart(xy: Array, distance: float, limit: int) -> npt.NDArray[np.int64]:
     """Return indices of at most ``limit`` points, taken in order, that keep ``distance`` px to all taken before."""
     left, top = xy[:, 0].min(), xy[:, 1].min()
     columns = int((xy[:, 0].max() - left) / distance) + 1
