@@ -72,13 +72,17 @@ class Outbound:
         self.faults: deque[AnswerFault] = deque()
         self._queue: deque[tuple[float, bytes]] = deque()
         self._free_s = 0.0
+        self._arrived_s = 0.0
         self._merge_until = 0.0
 
     def send(self, data: bytes, now: float, *, after_s: float = 0.0) -> None:
-        """Queue bytes; they arrive when the line has carried them."""
-        start = max(self._free_s, now) + after_s
-        self._free_s = start + len(data) * self.byte_s
-        self._queue.append((self._free_s, data))
+        """Queue bytes; they arrive in order when the line has carried them, ``after_s`` later if something delays them.
+
+        The delay is on the host's side: the board's transmit buffer empties all the same.
+        """
+        self._free_s = max(self._free_s, now) + len(data) * self.byte_s
+        self._arrived_s = max(self._arrived_s, self._free_s + after_s)
+        self._queue.append((self._arrived_s, data))
 
     def answer(self, data: bytes, now: float) -> str | None:
         """Queue an answer through the injected faults; return the name of the fault that hit it."""
@@ -99,14 +103,13 @@ class Outbound:
             # Every answer until then waits for the same moment, as behind a slow USB latency timer.
             if self._merge_until <= now:
                 self._merge_until = now + fault.seconds
-            self._free_s = max(self._free_s, self._merge_until)
-            self._queue.append((self._free_s, data))
+            self.send(data, now, after_s=self._merge_until - now)
         return fault.kind
 
     def clear(self) -> None:
         """Drop everything, as when the cable is pulled."""
         self._queue.clear()
-        self._merge_until = self._free_s = 0.0
+        self._merge_until = self._free_s = self._arrived_s = 0.0
 
     def due(self) -> float | None:
         """Return when the next piece arrives at the host."""
