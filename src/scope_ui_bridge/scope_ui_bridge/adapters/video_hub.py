@@ -31,10 +31,10 @@ Picture = npt.NDArray[Any]
 
 @dataclass(slots=True, eq=False)
 class VideoViewer:
-    """One video connection."""
+    """One video connection; it gets nothing until it has said which camera it looks at."""
 
     socket: web.WebSocketResponse
-    camera: str = "left"
+    camera: str = ""
     corners: bool = False
     window: FrameWindow = field(default_factory=FrameWindow)
     scene_version: int = -1
@@ -61,6 +61,9 @@ class _Stream:
     frame: _Frame | None = None
     encoding: bool = False
     complaint: str = ""
+
+
+_NOTHING = _Stream()
 
 
 class VideoHub:
@@ -91,7 +94,6 @@ class VideoHub:
     def add(self, viewer: VideoViewer) -> None:
         """Start to serve a viewer."""
         self._viewers.add(viewer)
-        self.kick(viewer)
 
     def remove(self, viewer: VideoViewer) -> None:
         """Forget a viewer."""
@@ -110,7 +112,7 @@ class VideoHub:
         self._encode_if_wanted(viewer.camera)
 
     def _encode_if_wanted(self, camera: str) -> None:
-        stream = self._streams[camera]
+        stream = self._streams.get(camera, _NOTHING)
         done = stream.frame.seq if stream.frame else 0
         if stream.encoding or stream.raw is None or stream.raw_seq == done:
             return
@@ -146,7 +148,7 @@ class VideoHub:
         while True:
             await viewer.changed.wait()
             viewer.changed.clear()
-            frame = self._streams[viewer.camera].frame
+            frame = self._streams.get(viewer.camera, _NOTHING).frame
             if frame is not None and viewer.window.wants(frame.seq):
                 viewer.window.sent(frame.seq)
                 await viewer.socket.send_bytes(self._message(viewer, frame))

@@ -278,7 +278,7 @@ class Desk:
         state = self._snapshot(now)
         fastest, slowest = STATE_PERIOD_S
         age = now.mono_s - self._last_state[0]
-        if age >= slowest or (age >= fastest and state != self._last_state[1]):
+        if age >= slowest or (age >= fastest - 0.01 and state != self._last_state[1]):
             self._last_state = (now.mono_s, state)
             effects.append(Broadcast(message={"type": "state", **state}))
         return effects

@@ -15,6 +15,8 @@ from icu_common.core.geometry import Array, Plane, Transform
 
 _EDGE_POINTS = 8  # per edge of the panel, so that lens distortion shows
 _CIRCLE_POINTS = 24
+_REDRAW_M = 0.0001  # a fifth of a pixel on the bench; less is the noise of the pose
+_PROBES = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.3, 0.0]])
 _TIP_LIFE_NS = 500_000_000  # a tip seen longer ago than this is not drawn
 
 
@@ -44,8 +46,8 @@ class Face:
 class Scene:
     """The newest geometry; ``version`` rises when the panel, a control or a camera has changed.
 
-    Points are in camera_left_optical_frame (rectified), except for the faces and the panel's ``outline``, (N, 2) m, both
-    in panel_link, and the target (any frame).
+    Points are in camera_left_optical_frame (rectified), except for the faces and the panel's ``outline``, (N, 2) m,
+    both in panel_link, and the target (any frame).
     """
 
     left: CameraModel | None = None
@@ -59,6 +61,7 @@ class Scene:
     target: tuple[str, Array] | None = None
     corners_px: npt.NDArray[np.float32] | None = None
     version: int = 0
+    _drawn: Transform | None = field(default=None, init=False)
     _stereo: StereoModel | None = field(default=None, init=False)
     _panels: dict[str, dict[str, Any]] = field(default_factory=dict, init=False)
 
@@ -67,6 +70,14 @@ class Scene:
         self.version += 1
         self._panels.clear()
         self._stereo = None
+
+    def place_panel(self, camera_from_panel: Transform) -> None:
+        """Take a new pose of the panel; what is drawn changes only when the panel has visibly moved."""
+        self.camera_from_panel = camera_from_panel
+        drawn = self._drawn
+        if drawn is None or np.abs(camera_from_panel.apply(_PROBES) - drawn.apply(_PROBES)).max() > _REDRAW_M:
+            self._drawn = camera_from_panel
+            self.changed()
 
     def project(self, camera: str, points: npt.ArrayLike) -> Array | None:
         """Project (N, 3) points of camera_left_optical_frame to raw pixels (N, 2); None without a calibration."""
@@ -89,12 +100,12 @@ class Scene:
 
     def _build(self, camera: str) -> dict[str, Any]:
         model = self.left if camera == "left" else self.right
-        if self.camera_from_panel is None or model is None:
+        if self._drawn is None or model is None:
             return {"outline": [], "controls": []}
         controls = []
         outlines = [face.outline() for face in self.faces]
         stacked = np.vstack(outlines) if outlines else np.empty((0, 3))
-        pixels = self.project(camera, self.camera_from_panel.apply(stacked))
+        pixels = self.project(camera, self._drawn.apply(stacked))
         if pixels is None:
             return {"outline": [], "controls": []}
         ends = np.cumsum([len(outline) for outline in outlines])
@@ -115,11 +126,11 @@ class Scene:
         return {"outline": self._panel_outline(camera), "controls": controls}
 
     def _panel_outline(self, camera: str) -> list[list[float]]:
-        if self.outline is None or len(self.outline) < 2 or self.camera_from_panel is None:
+        if self.outline is None or len(self.outline) < 2 or self._drawn is None:
             return []
         along = np.linspace(0, 1, _EDGE_POINTS, endpoint=False)[:, None]
         edge = np.vstack([a + along * (b - a) for a, b in pairwise(self.outline)])
-        pixels = self.project(camera, self.camera_from_panel.apply(np.column_stack([edge, np.zeros(len(edge))])))
+        pixels = self.project(camera, self._drawn.apply(np.column_stack([edge, np.zeros(len(edge))])))
         return [] if pixels is None or not np.isfinite(pixels).all() else _rounded(pixels)
 
     def on_panel(self, point: Array) -> bool:

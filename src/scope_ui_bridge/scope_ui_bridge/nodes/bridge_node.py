@@ -24,7 +24,6 @@ from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
-from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import CAMERA_LEFT, JOINTS
 from icu_common.core.panel_layout import Control, LayoutError, PanelLayout, load_layout
@@ -181,7 +180,7 @@ class BridgeNode(Node):
 
     def _pose_seen(self, message: PoseStamped) -> None:
         _check_frame(message.header, CAMERA_LEFT)
-        self._mail.newest("pose", self._set_scene, {"camera_from_panel": transform_of_pose(message.pose)})
+        self._mail.newest("pose", self._scene.place_panel, transform_of_pose(message.pose))
 
     def _controls_seen(self, message: MarkerArray) -> None:
         controls, outline = controls_of_message(message)
@@ -192,7 +191,7 @@ class BridgeNode(Node):
         known = {c.name: c.label for c in self._layout.controls} if self._layout else {}
         return known.get(control.name) or control.name.replace("_", " ").capitalize()
 
-    def _set_scene(self, values: dict[str, CameraModel | Any]) -> None:
+    def _set_scene(self, values: dict[str, Any]) -> None:
         for name, value in values.items():
             setattr(self._scene, name, value)
         self._scene.changed()

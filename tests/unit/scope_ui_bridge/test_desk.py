@@ -1,0 +1,417 @@
+"""The desk: what a click becomes, when it is refused, and when the machine is stopped."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from unit.scope_ui_bridge.desk_rig import BOOT, Rig, answer, logged, of_type, pose, refusal
+
+from icu_common.core.gesture import Gesture, Point, parse_gesture
+from icu_common.core.results import GoalResult, Outcome
+from scope_ui_bridge.core.config import BridgeConfig
+from scope_ui_bridge.core.effects import (
+    Broadcast,
+    CallService,
+    Effect,
+    Heartbeat,
+    Order,
+    Record,
+    Send,
+    SendCommand,
+    SendGoal,
+    StopNow,
+)
+
+
+def selected(effects: list[Effect]) -> dict:
+    (found,) = [e.message["selection"] for e in of_type(effects, Broadcast) if e.message["type"] == "selection"]
+    return dict(found)
+
+
+# --- from click to command ---
+
+
+def test_a_control_is_selected_then_pressed_and_its_result_is_shown() -> None:
+    rig = Rig()
+    shown = selected(rig.select(control="RUN_STOP"))
+    assert (shown["label"], shown["panel_mm"], shown["gestures"]) == ("Run / Stop", [200.0, 120.0], ["press", "hold"])
+    effects = rig.act("press")
+    (command,) = of_type(effects, SendCommand)
+    gesture = parse_gesture(command.text)
+    assert (gesture.kind, gesture.target) == ("press", "RUN_STOP")
+    assert command.record["frame"] == str(rig.stamp)
+    assert command.record["who"] == "Operator 1"
+    assert rig.desk.still_wanted(command)
+    assert logged(effects)[0]["status"] == "sent"
+    done = GoalResult(goal_id=gesture.id, goal="", outcome=Outcome.ACCEPTED)
+    assert logged(rig.desk.result(done, rig.now))[0]["status"] == "accepted"
+    done = GoalResult(goal_id=gesture.id, goal="", outcome=Outcome.REACHED, error_m=0.000234, duration_s=3.456)
+    effects = rig.desk.result(done, rig.now)
+    entry = logged(effects)[0]
+    assert (entry["status"], entry["error_mm"], entry["duration_s"]) == ("reached", 0.234, 3.46)
+    assert of_type(effects, Record)[0].record["error_mm"] == 0.234
+    assert not rig.desk.moving
+
+
+@pytest.mark.parametrize(
+    ("control", "gesture", "argument", "expected"),
+    [("RUN_STOP", "hold", 2.0, ("hold", 2.0)), ("CH1_SCALE", "turn", -15.0, ("turn", -15.0))],
+)
+def test_hold_and_turn_carry_their_argument(control: str, gesture: str, argument: float, expected: tuple) -> None:
+    rig = Rig()
+    rig.select(control=control)
+    (command,) = of_type(rig.act(gesture, argument), SendCommand)
+    sent = parse_gesture(command.text)
+    assert (sent.kind, sent.argument) == expected
+
+
+def test_a_press_on_a_point_is_a_pixel_goal_and_a_hold_is_a_gesture_there() -> None:
+    rig = Rig()
+    shown = selected(rig.select(u=700.0, v=300.0))
+    # 700 px is 60.5 px right of the axis: 60.5 / 1700 * 0.65 m = 23.1 mm from the centre at 160 mm (distortion: < 0.1)
+    assert shown["panel_mm"] == pytest.approx([183.1, 97.8], abs=0.1)
+    (goal,) = of_type(rig.act("press"), SendGoal)
+    assert goal.pixel == (700.0, 300.0)
+    assert goal.stamp_ns == rig.now.ros_ns
+    finished = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=Outcome.REJECTED, reason="too far")
+    assert logged(rig.desk.result(finished, rig.now))[0]["reason"] == "too far"
+    (command,) = of_type(rig.act("hold", 1.5), SendCommand)
+    sent = parse_gesture(command.text)
+    assert sent.target == Point(x=700.0, y=300.0, frame="camera_left_optical_frame")
+
+
+def test_goals_of_one_moment_still_have_names_of_their_own() -> None:
+    rig = Rig()
+    rig.select(u=700.0, v=300.0)
+    stamps = []
+    for _ in range(2):
+        (goal,) = of_type(rig.act("press"), SendGoal)
+        stamps.append(goal.stamp_ns)
+        done = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=Outcome.REJECTED)
+        rig.desk.result(done, rig.now)
+    assert stamps[0] < stamps[1]
+
+
+def test_results_of_others_are_shown_too() -> None:
+    rig = Rig()
+    started = GoalResult(goal_id="press:MENU", goal="press:MENU", outcome=Outcome.ACCEPTED)
+    assert logged(rig.desk.result(started, rig.now))[0] | {"entry": 0, "wall_ms": 0} == {
+        "entry": 0,
+        "wall_ms": 0,
+        "who": "Graph",
+        "action": "press:MENU",
+        "target": "",
+        "status": "accepted",
+        "reason": "",
+        "error_mm": None,
+        "duration_s": None,
+    }
+    assert rig.desk.moving
+
+
+# --- refusals ---
+
+
+def test_a_click_on_an_old_picture_is_refused_with_age_and_bound() -> None:
+    rig = Rig()
+    rig.seconds += 0.51
+    answered = answer(rig.select(control="RUN_STOP"))
+    assert (answered["code"], answered["values"]) == ("frame_old", {"age_ms": 510, "limit_ms": 500})
+
+
+def test_a_click_on_a_picture_that_was_never_sent_is_refused() -> None:
+    assert refusal(Rig().select(control="RUN_STOP", stamp="123")) == "frame_unknown"
+
+
+def test_a_selection_can_be_confirmed_later_but_only_on_a_fresh_picture() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    old = str(rig.stamp)
+    rig.wait(3.0, alive=True)
+    assert refusal(rig.act(stamp=old)) == "frame_old"
+    assert of_type(rig.act(), SendCommand)
+
+
+def test_a_panel_that_moved_since_the_selection_voids_it() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    rig.desk.scene.place_panel(pose(0.0015))
+    assert of_type(rig.act(), SendCommand), "1.5 mm is within the bound of 2 mm"
+    rig.desk.order_failed(Order(entry=2, stops=0, epoch=1, record={}), "test")
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    rig.desk.scene.place_panel(pose(0.0025))
+    answered = answer(rig.act())
+    assert (answered["code"], answered["values"]) == ("panel_moved", {"moved_mm": 2.5, "limit_mm": 2.0})
+    assert refusal(rig.act()) == "selection_gone"
+
+
+@pytest.mark.parametrize(
+    ("confidence", "code"), [(0.0, "low_confidence"), (0.49, "low_confidence"), (math.nan, "panel_not_seen")]
+)
+def test_low_confidence_refuses_selection_and_action(confidence: float, code: str) -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    rig.see(confidence)
+    assert refusal(rig.act()) == code
+    assert refusal(rig.select(control="RUN_STOP")) == code
+
+
+def test_a_silent_recognition_refuses() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    rig.wait(2.1, alive=True, see=False)
+    rig.stamp = rig.now.ros_ns
+    rig.desk.frame_offered("left", rig.stamp)
+    assert refusal(rig.act()) == "recognition_silent"
+
+
+@pytest.mark.parametrize(
+    ("state", "code"),
+    [("", "no_controller"), ("waiting: not homed", "not_ready"), ("moving", "not_ready"), ("stopped: x", "not_ready")],
+)
+def test_a_controller_that_is_not_ready_refuses_with_its_reason(state: str, code: str) -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    rig.desk.set_state("controller", state)
+    answered = answer(rig.act())
+    assert answered["code"] == code
+    if code == "not_ready":
+        assert f"{answered['values']['state']}: {answered['values']['reason']}".strip(": ") == state
+    shown = [e.message for e in of_type(rig.wait(0.2, alive=True), Broadcast) if e.message["type"] == "state"]
+    assert shown[-1]["refusal"]["code"] == code, "the page shows the reason before anybody clicks"
+
+
+def test_what_cannot_be_done_is_refused() -> None:
+    rig = Rig()
+    assert refusal(rig.select(control="NO_SUCH")) == "unknown_control"
+    assert refusal(rig.select(control="CH1_IN")) == "not_operable"
+    assert refusal(rig.select(u=5.0, v=5.0)) == "off_panel"
+    rig.desk.frame_offered("right", rig.stamp)
+    assert refusal(rig.select(camera="right", u=700.0, v=300.0)) == "point_needs_left"
+    assert refusal(rig.act()) == "selection_gone"
+    rig.select(control="RUN_STOP")
+    assert refusal(rig.act("turn", 10.0)) == "wrong_gesture"
+    assert refusal(rig.act("hold", 31.0)) == "malformed"
+    assert refusal(rig.act(selection=0)) == "selection_gone"
+
+
+def test_one_command_at_a_time() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    assert of_type(rig.act(), SendCommand)
+    assert refusal(rig.act()) == "busy_pending"
+
+
+def test_a_command_without_an_answer_fails_visibly_and_frees_the_desk() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    rig.act()
+    effects = rig.wait(3.2, alive=True)
+    assert [entry["status"] for entry in logged(effects)] == ["no_answer"]
+    assert of_type(rig.act(), SendCommand)
+
+
+def test_an_accepted_goal_whose_end_was_lost_is_given_up_once_the_controller_rests() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    (command,) = of_type(rig.act(), SendCommand)
+    rig.desk.result(GoalResult(goal_id=parse_gesture(command.text).id, goal="", outcome=Outcome.ACCEPTED), rig.now)
+    rig.desk.set_state("controller", "moving")
+    assert logged(rig.wait(10.0, alive=True)) == [], "a goal may take its time"
+    rig.desk.set_state("controller", "ready")
+    assert [entry["status"] for entry in logged(rig.wait(3.2, alive=True))] == ["no_answer"]
+
+
+# --- who may ---
+
+
+def test_without_the_lease_nothing_but_stop_is_done() -> None:
+    rig = Rig()
+    viewer, _ = rig.desk.join("Operator 2")
+    head = {"camera": "left", "stamp": str(rig.stamp)}
+    assert refusal(rig.ask(viewer, type="select", control="RUN_STOP", **head)) == "no_lease"
+    assert refusal(rig.ask(viewer, type="act", gesture="press", selection=1, **head)) == "no_lease"
+    assert refusal(rig.ask(viewer, type="call", service="home")) == "no_lease"
+    assert refusal(rig.ask(viewer, type="lease", step="take")) == "lease_held"
+    effects = rig.ask(viewer, type="stop")
+    assert of_type(effects, StopNow)
+    assert logged(effects)[0]["who"] == "Operator 2"
+
+
+def test_replays_stale_epochs_and_old_boots_are_refused_but_a_stop_is_always_good() -> None:
+    rig = Rig()
+    message = {"type": "call", "service": "home", "seq": 50, "boot": BOOT, "epoch": 1}
+    assert of_type(rig.desk.message(rig.a, json.dumps(message), rig.now), CallService)
+    assert refusal(rig.desk.message(rig.a, json.dumps(message), rig.now)) == "replayed"
+    assert refusal(rig.desk.message(rig.a, json.dumps(message | {"seq": 51, "epoch": 0}), rig.now)) == "stale_epoch"
+    assert refusal(rig.desk.message(rig.a, json.dumps(message | {"seq": 52, "boot": "old"}), rig.now)) == "old_boot"
+    stop = {"type": "stop", "seq": 1, "boot": "old", "epoch": 0}
+    assert of_type(rig.desk.message(rig.a, json.dumps(stop), rig.now), StopNow)
+
+
+def test_a_flood_is_dropped_without_closing_and_the_stop_in_it_is_heard() -> None:
+    rig = Rig()
+    answers = [rig.ask(rig.a, type="call", service="enable") for _ in range(400)]
+    codes = [e.message.get("code") for effects in answers for e in of_type(effects, Send)]
+    assert codes.count("rate_limited") == 1, "told once a second, not with every message"
+    assert answers[-1] == []
+    assert of_type(rig.ask(rig.a, type="stop"), StopNow)
+    rig.seconds += 2.0
+    assert rig.ask(rig.a, type="alive", client_ms=5.0)[0].message == {"type": "alive", "client_ms": 5.0}  # type: ignore[union-attr]
+
+
+def test_hand_over_is_asked_for_and_not_done_while_something_moves() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    other, _ = rig.desk.join("Operator 2")
+    rig.ask(other, type="lease", step="request")
+    rig.desk.set_state("driver", "moving")
+    assert refusal(rig.ask(rig.a, type="lease", step="grant")) == "busy_moving"
+    rig.desk.set_state("driver", "idle")
+    effects = rig.ask(rig.a, type="lease", step="grant")
+    assert rig.desk.lease.holder == other
+    assert {"type": "selection", "selection": None} in [e.message for e in of_type(effects, Broadcast)]
+    assert refusal(rig.select(control="RUN_STOP")) == "no_lease"
+
+
+def test_there_is_room_for_so_many_pages() -> None:
+    rig = Rig(BridgeConfig(max_viewers=1))
+    with pytest.raises(Exception, match="too_many_viewers limit=1"):
+        rig.desk.join("Operator 2")
+    rig.desk.leave(rig.a, rig.now)
+    rig.desk.join("Operator 2")
+
+
+# --- heartbeat and watchdog ---
+
+
+def test_the_heartbeat_follows_the_operators_keep_alives() -> None:
+    rig = Rig()
+    assert 4 <= len(of_type(rig.wait(1.0, alive=True), Heartbeat)) <= 6
+    silent = rig.wait(2.0)
+    assert len(of_type(silent, Heartbeat)) <= 2, "none after 400 ms of silence"
+    assert of_type(silent, StopNow) == [], "nothing moves, so there is nothing to stop"
+    assert of_type(rig.wait(0.5, alive=True), Heartbeat)
+
+
+def test_without_an_operator_there_is_no_heartbeat_even_with_live_viewers() -> None:
+    rig = Rig(operator=False)
+    assert of_type(rig.wait(2.0, alive=True), Heartbeat) == []
+
+
+@pytest.mark.parametrize("moving", ["driver", "controller", "calibration", "pending"])
+def test_600_ms_of_silence_while_something_moves_stops_it_once_and_takes_the_lease(moving: str) -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    if moving == "pending":
+        rig.act()
+    else:
+        rig.desk.set_state(moving, {"calibration": "calibrating 3/12"}.get(moving, "moving"))
+    assert of_type(rig.wait(0.55), StopNow) == []
+    effects = rig.wait(0.1)
+    (stop,) = of_type(effects, StopNow)
+    assert (stop.record["who"], stop.record["target"]) == ("Watchdog", "stopped_page_silent")
+    assert rig.desk.lease.holder == ""
+    assert of_type(rig.wait(2.0, alive=True), (Heartbeat, StopNow)) == [], "nothing resumes by itself"
+    assert refusal(rig.act()) == "no_lease"
+
+
+def test_a_page_that_goes_away_stops_what_it_moved_at_once() -> None:
+    rig = Rig()
+    rig.desk.set_state("controller", "touching")
+    (stop,) = of_type(rig.desk.leave(rig.a, rig.now), StopNow)
+    assert stop.record["target"] == "stopped_page_gone"
+    rig = Rig()
+    assert of_type(rig.desk.leave(rig.a, rig.now), StopNow) == []
+    assert rig.desk.lease.holder == ""
+
+
+def test_a_viewers_page_may_go_away_while_others_work() -> None:
+    rig = Rig()
+    viewer, _ = rig.desk.join("Operator 2")
+    rig.desk.set_state("controller", "moving")
+    assert rig.desk.leave(viewer, rig.now) == []
+    assert rig.desk.lease.holder == rig.a
+
+
+def test_what_others_move_from_the_command_line_is_not_stopped_without_an_operator() -> None:
+    rig = Rig(operator=False)
+    rig.desk.set_state("controller", "moving")
+    assert of_type(rig.wait(2.0), StopNow) == []
+
+
+def test_an_idle_operator_loses_control_after_the_timeout() -> None:
+    rig = Rig()
+    assert of_type(rig.wait(5.2), StopNow) == []
+    assert rig.desk.lease.holder == ""
+
+
+def test_a_stop_voids_an_order_that_has_not_gone_out() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    (command,) = of_type(rig.act(), SendCommand)
+    rig.ask(rig.a, type="stop")
+    assert not rig.desk.still_wanted(command)
+    assert logged(rig.desk.order_failed(command, "stopped"))[0]["status"] == "failed"
+    rig.select(control="RUN_STOP")
+    (command,) = of_type(rig.act(), SendCommand)
+    rig.ask(rig.a, type="lease", step="release")
+    assert not rig.desk.still_wanted(command)
+
+
+def test_one_press_of_stop_on_two_ways_is_one_line_of_the_log_and_two_stops() -> None:
+    rig = Rig()
+    first, second = rig.desk.stop("Operator 1", rig.now), rig.desk.stop("Operator 1", rig.now)
+    assert (len(logged(first)), len(logged(second))) == (1, 0)
+    assert of_type(second, StopNow)
+    rig.seconds += 1.0
+    assert len(logged(rig.desk.stop("Operator 1", rig.now))) == 1
+
+
+# --- services and state ---
+
+
+def test_services_are_called_and_their_answers_shown() -> None:
+    rig = Rig()
+    (call,) = of_type(rig.ask(rig.a, type="call", service="home"), CallService)
+    assert call.service == "home"
+    assert not rig.desk.moving, "asking is not moving; the driver says homing"
+    entry = logged(rig.desk.service_answered(call.entry, False, "not enabled", rig.now))[0]
+    assert (entry["status"], entry["reason"]) == ("rejected", "not enabled")
+
+
+def test_the_state_is_sent_on_change_at_most_ten_times_a_second_and_at_least_once() -> None:
+    def states(effects: list[Effect]) -> list[dict]:
+        return [e.message for e in of_type(effects, Broadcast) if e.message["type"] == "state"]
+
+    rig = Rig()
+    assert 2 <= len(states(rig.wait(3.0, alive=True))) <= 5
+    sent = []
+    for step in range(40):
+        rig.desk.set_position(0.001 * step, 0.02, 0.003)
+        sent += states(rig.wait(0.05, alive=True))
+    assert 15 <= len(sent) <= 21
+    assert sent[-1]["position_mm"][1:] == [20.0, 3.0]
+    assert sent[-1]["driver"] == {"state": "idle", "reason": ""}
+
+
+def test_a_new_page_gets_the_log_the_selection_and_the_state() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    rig.act()
+    _, hello = rig.desk.join("Operator 2")
+    assert (hello["boot"], hello["you"]["name"], hello["title"]) == (BOOT, "Operator 2", "DSO")
+    assert [entry["action"] for entry in hello["log"]] == ["press"]
+    assert hello["selection"]["control"] == "RUN_STOP"
+    assert hello["state"]["calibration"] == {"state": "calibrated", "reason": "rms 0.1 mm"}
+    assert hello["limits"] == {"amber_ms": 250.0, "max_age_ms": 500.0, "stale_ms": 1000.0}
+
+
+def test_a_gesture_at_a_pixel_survives_its_text() -> None:
+    gesture = Gesture(kind="hold", target=Point(x=700.25, y=3.0, frame="camera_left_optical_frame"), argument=1.0)
+    assert parse_gesture(gesture.text()) == gesture
+    assert np.isfinite(parse_gesture(gesture.text()).argument)

@@ -1,0 +1,145 @@
+"""Overlay geometry against pinhole arithmetic, and the configuration's bounds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from unit.scope_ui_bridge.desk_rig import FACES, camera, pose, scene
+
+from icu_common.core.config import ConfigError, from_mapping, to_mapping
+from icu_common.core.geometry import Transform
+from scope_ui_bridge.core.config import BridgeConfig
+from scope_ui_bridge.core.scene import Scene
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def pinhole(x_m: float, y_m: float, z_m: float) -> tuple[float, float]:
+    """Return the pixel of a point of the panel by hand: no distortion, panel 0.65 m away, facing the camera."""
+    depth = 0.65 - z_m
+    return 639.5 + 1700 * (x_m - 0.16) / depth, 359.5 - 1700 * (y_m - 0.075) / depth
+
+
+def flat_scene() -> Scene:
+    made = scene()
+    made.left, made.right = camera(k1=0.0), camera("right", 0.12, k1=0.0)
+    made.changed()
+    return made
+
+
+def test_a_controls_top_face_is_drawn_at_its_height() -> None:
+    (button, *_rest) = flat_scene().panel("left")["controls"]
+    expected = [pinhole(0.2 + sx * 0.008, 0.12 + sy * 0.0045, 0.003) for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    assert np.abs(np.array(button["outline"]) - expected).max() < 0.06
+    low, high = np.min(expected, axis=0), np.max(expected, axis=0)
+    assert button["box"] == pytest.approx([*low, *(high - low)], abs=0.11)
+
+
+def test_in_the_right_picture_everything_is_shifted_by_the_disparity() -> None:
+    made = flat_scene()
+    left, right = made.panel("left"), made.panel("right")
+    by_name = {control["name"]: control for control in right["controls"]}
+    for face, control in zip(FACES, left["controls"]):
+        shift = np.array(control["outline"]) - np.array(by_name[face.name]["outline"])
+        assert shift == pytest.approx(np.tile([1700 * 0.12 / (0.65 - face.centre[2]), 0], (len(shift), 1)), abs=0.11)
+
+
+def test_distortion_bends_the_panels_outline() -> None:
+    outline = np.array(scene().panel("left")["outline"])
+    bottom = outline[:8]
+    assert len(outline) == 32
+    assert np.ptp(bottom[:, 1]) > 0.5
+    assert np.abs(outline[0] - pinhole(0, 0, 0)).max() < 12
+
+
+def test_controls_outside_the_picture_are_left_out() -> None:
+    made = flat_scene()
+    made.place_panel(pose(0.22))
+    # 0.22 m to the right: RUN_STOP at 0.2 + 0.22 - 0.16 = 0.26 m is at 639.5 + 680 px, outside 1280
+    assert made.panel("left")["controls"] == []
+    assert made.panel("left")["outline"]
+
+
+def test_noise_of_the_pose_changes_nothing_and_a_shift_does() -> None:
+    made = scene()
+    version = made.version
+    made.place_panel(pose(0.00005))
+    assert made.version == version
+    assert made.camera_from_panel is not None
+    assert made.camera_from_panel.translation[0] == pytest.approx(-0.16 + 0.00005), "checks use the newest pose"
+    made.place_panel(pose(0.001))
+    assert made.version == version + 1
+
+
+def test_a_pixel_and_its_panel_point_belong_together() -> None:
+    made = scene()
+    for x, y in ((0.02, 0.02), (0.3, 0.14), (0.16, 0.075)):
+        pixel = made.project("left", pose().apply(np.array([x, y, 0.0])))
+        assert pixel is not None
+        assert made.panel_point((pixel[0, 0], pixel[0, 1])) == pytest.approx([x, y, 0.0], abs=1e-6)
+    assert made.on_panel(np.array([0.31, 0.14, 0.0]))
+    assert not made.on_panel(np.array([0.33, 0.14, 0.0]))
+
+
+def test_tip_and_target_are_projected_and_old_tips_are_not() -> None:
+    made = flat_scene()
+    made.tip, made.tip_ns = np.array([0.0, 0.0, 0.5]), 10_000_000_000
+    made.target = ("base_link", np.array([0.01, 0.0, 0.0]))
+    assert made.moving_parts("left", 10_100_000_000) == {"tip": [639.5, 359.5], "target": None}
+    made.camera_from_base = Transform(np.eye(3), np.array([0.0, 0.0, 0.5]))
+    assert made.moving_parts("left", 10_600_000_000) == {"tip": None, "target": [673.5, 359.5]}
+    made.target = ("panel_link", np.array([0.16, 0.075, 0.0]))
+    assert made.moving_parts("left", 0)["target"] == [639.5, 359.5]
+    made.target = ("nowhere", np.zeros(3))
+    assert made.moving_parts("left", 0)["target"] is None
+
+
+def test_without_a_calibration_or_a_pose_nothing_is_drawn() -> None:
+    assert Scene().panel("left") == {"version": 0, "outline": [], "controls": []}
+    blind = Scene(left=camera(), faces=FACES)
+    assert blind.panel("left")["controls"] == []
+    assert blind.panel_point((1.0, 1.0)) is None
+    assert scene_without_right().panel("right")["controls"] == []
+
+
+def scene_without_right() -> Scene:
+    made = scene()
+    made.right = None
+    made.changed()
+    return made
+
+
+def test_the_parameter_file_has_known_keys_and_the_defaults() -> None:
+    document = yaml.safe_load((ROOT / "config" / "params" / "ui_bridge.yaml").read_text())
+    values = document["/**"]["ros__parameters"]
+    assert from_mapping(BridgeConfig, values) == BridgeConfig()
+    given_by_bring_up = {"token_file", "audit_file", "layout"}
+    assert set(to_mapping(BridgeConfig())) - set(values) == given_by_bring_up
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "::", "bridge.example"])
+def test_other_addresses_than_loopback_need_tls(host: str) -> None:
+    with pytest.raises(ConfigError, match="not loopback"):
+        BridgeConfig(host=host)
+    assert BridgeConfig(host=host, tls_certificate="a.pem", tls_key="b.pem").tls
+
+
+def test_half_a_certificate_bad_origins_and_bad_times_are_refused() -> None:
+    with pytest.raises(ConfigError, match="belong together"):
+        BridgeConfig(tls_certificate="a.pem")
+    with pytest.raises(ConfigError, match="ftp://x"):
+        BridgeConfig(extra_origins="ftp://x")
+    with pytest.raises(ConfigError, match="http://x"):
+        BridgeConfig(host="10.0.0.1", tls_certificate="a", tls_key="b", extra_origins="http://x")
+    with pytest.raises(ConfigError, match="keepalive_fresh_s"):
+        BridgeConfig(keepalive_fresh_s=0.7)
+
+
+def test_origins_are_exact() -> None:
+    assert BridgeConfig().origins(8080) == {"http://127.0.0.1:8080", "http://localhost:8080"}
+    secure = BridgeConfig(host="10.0.0.1", tls_certificate="a", tls_key="b", extra_origins="https://room.example")
+    assert secure.origins(443) == {"https://10.0.0.1", "https://room.example"}
+    assert secure.url(8443) == "https://10.0.0.1:8443/"
