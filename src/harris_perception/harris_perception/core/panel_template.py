@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,11 +10,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.stroke_font import strokes
 from icu_common.core.geometry import Array
-from icu_common.core.panel_layout import Artwork, Circle, Control, Line, PanelLayout, Rectangle, rgb
+from icu_common.core.panel_layout import Artwork, Circle, Control, Line, PanelLayout, Rectangle, Text, rgb
+from icu_common.core.stroke_font import text_strokes
 
-_SUPERSAMPLING = 3
 _SHIFT = 4  # OpenCV draws to 1/16 px
 
 
@@ -27,12 +27,16 @@ class PanelTemplate:
         (H, W) uint8.
     steady
         (H, W) bool: printed on the face itself; neither on a proud control, nor on a screen or a lamp that changes.
+    exact
+        (H, W) bool: steady, and where the layout says it to the tenth of a millimetre. Drawn text is not: a maker's
+        typeface has other shapes and widths than ours.
     px_per_mm
         Scale; the panel's lower left corner is the picture's.
     """
 
     gray: npt.NDArray[np.uint8]
     steady: npt.NDArray[np.bool_]
+    exact: npt.NDArray[np.bool_]
     px_per_mm: float
 
     @property
@@ -52,7 +56,7 @@ def draw_panel(layout: PanelLayout, px_per_mm: float) -> npt.NDArray[np.uint8]:
     Raises
     ------
     ValueError
-        If the picture would have less than 16 or more than 8192 pixels on a side.
+        If the picture would have less than 16 or more than 8192 pixels on a side, or the font lacks a character.
     """
     width, height = (round(side * px_per_mm) for side in layout.size_mm)
     if not (min(width, height) >= 16 and max(width, height) <= 8192):
@@ -104,7 +108,20 @@ def panel_template(
     for control in layout.controls:
         if control.height_mm > 0 or control.kind == "touch_area" or control.lit_colour:
             cv2.fillPoly(steady, [_polygon_px(outline_mm(control), gray.shape[0], px_per_mm)], 0, cv2.LINE_8, _SHIFT)
-    return PanelTemplate(np.ascontiguousarray(gray, dtype=np.uint8), steady.astype(bool), px_per_mm)
+    exact = steady.copy()
+    for item in layout.artwork if picture is None else ():
+        if isinstance(item, Text):
+            cv2.fillPoly(exact, [_polygon_px(_text_box_mm(item), gray.shape[0], px_per_mm)], 0, cv2.LINE_8, _SHIFT)
+    return PanelTemplate(np.ascontiguousarray(gray, dtype=np.uint8), steady.astype(bool), exact.astype(bool), px_per_mm)
+
+
+def _text_box_mm(item: Text) -> Array:
+    """Return the corners of a box that the text keeps inside in any usual typeface."""
+    lines = text_strokes(item.text, (0.0, 0.0), item.height_mm)
+    half_width = max((float(np.abs(line[:, 0]).max()) for line in lines), default=0.0) * 1.25 + item.line_mm
+    half_height = 0.65 * item.height_mm + item.line_mm
+    corners = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    return np.asarray(corners * (half_width, half_height) + item.at_mm)
 
 
 def outline_mm(control: Control) -> Array:
@@ -149,47 +166,88 @@ def _polygon_px(points_mm: npt.NDArray[Any], height_px: int, px_per_mm: float) -
 
 
 class _Canvas:
-    """A supersampled picture with millimetres as its coordinates."""
+    """A picture with millimetres as its coordinates.
+
+    Each pixel gets the share that a shape covers of it, from the distance to the shape's edge: OpenCV's drawing rounds
+    to whole pixels, which would move edges by more than they are measured to.
+    """
 
     def __init__(self, width: int, height: int, px_per_mm: float, colour: str) -> None:
-        self.size = (width, height)
-        self.scale = px_per_mm * _SUPERSAMPLING
-        self.pixels = np.full((height * _SUPERSAMPLING, width * _SUPERSAMPLING, 3), _bgr(colour), np.uint8)
+        self.scale = px_per_mm
+        self.pixels = np.full((height, width, 3), _bgr(colour), np.float32)
 
     def picture(self) -> npt.NDArray[np.uint8]:
-        return np.asarray(cv2.resize(self.pixels, self.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        return np.rint(self.pixels).astype(np.uint8)
 
     def artwork(self, item: Artwork) -> None:
         if isinstance(item, Rectangle):
             x, y, width, height = item.rectangle_mm
-            corners = np.array([(x, y), (x + width, y), (x + width, y + height), (x, y + height)])
-            self.shape(corners, item.fill, item.outline, item.line_mm)
+            self.rectangle(x, y, width, height, item.fill)
+            corners = np.array([(x, y), (x + width, y), (x + width, y + height), (x, y + height), (x, y)])
+            self.lines([corners], item.outline, item.line_mm, square=True)
         elif isinstance(item, Circle):
             x, y, radius = item.circle_mm
-            angle = np.arange(72) * (2 * np.pi / 72)
-            corners = np.array((x, y)) + radius * np.column_stack([np.cos(angle), np.sin(angle)])
-            self.shape(corners, item.fill, item.outline, item.line_mm)
+            self.ring(x, y, -1.0, radius, item.fill)
+            self.ring(x, y, radius - item.line_mm / 2, radius + item.line_mm / 2, item.outline)
         elif isinstance(item, Line):
             x0, y0, x1, y1 = item.line_from_to_mm
             self.lines([np.array([(x0, y0), (x1, y1)])], item.colour, item.line_mm)
         else:
-            placed = [stroke + item.at_mm for stroke in strokes(item.text, item.height_mm)]
-            self.lines(placed, item.colour, item.line_mm)
+            self.lines(text_strokes(item.text, item.at_mm, item.height_mm), item.colour, item.line_mm)
 
     def control(self, control: Control) -> None:
-        self.shape(outline_mm(control), control.colour, "", 0.0)
+        (x, y), (width, height) = control.position_mm, control.size_mm
+        if control.shape == "circle":
+            self.ring(x, y, -1.0, width / 2, control.colour)
+        else:
+            self.rectangle(x - width / 2, y - height / 2, width, height, control.colour)
 
-    def shape(self, corners_mm: Array, fill: str, outline: str, line_mm: float) -> None:
-        if fill:
-            polygon = _polygon_px(corners_mm, self.pixels.shape[0], self.scale)
-            cv2.fillPoly(self.pixels, [polygon], _bgr(fill), cv2.LINE_AA, _SHIFT)
-        if outline:
-            self.lines([np.vstack([corners_mm, corners_mm[:1]])], outline, line_mm)
+    def rectangle(self, x: float, y: float, width: float, height: float, colour: str) -> None:
+        window, xs, ys = self._window(x, y, x + width, y + height)
+        across = self._share(np.abs(xs - x - width / 2) - width / 2)
+        up = self._share(np.abs(ys - y - height / 2) - height / 2)
+        self._blend(window, up * across, colour)
 
-    def lines(self, polylines_mm: list[Array], colour: str, line_mm: float) -> None:
-        pixels = [_polygon_px(line, self.pixels.shape[0], self.scale) for line in polylines_mm]
-        thickness = max(1, round(line_mm * self.scale))
-        cv2.polylines(self.pixels, pixels, False, _bgr(colour), thickness, cv2.LINE_AA, _SHIFT)
+    def ring(self, x: float, y: float, inner: float, outer: float, colour: str) -> None:
+        window, xs, ys = self._window(x - outer, y - outer, x + outer, y + outer)
+        radius = np.hypot(xs - x, ys - y)
+        self._blend(window, self._share(radius - outer) * (1 - self._share(radius - inner)), colour)
+
+    def lines(self, polylines_mm: list[Array], colour: str, line_mm: float, *, square: bool = False) -> None:
+        half = line_mm / 2
+        for line in polylines_mm:
+            low, high = line.min(axis=0) - half, line.max(axis=0) + half
+            window, xs, ys = self._window(low[0], low[1], high[0], high[1])
+            distance = np.full((ys.size, xs.size), np.inf)
+            for start, end in itertools.pairwise(line):
+                length = float(np.hypot(*(end - start)))
+                if length == 0.0:
+                    continue
+                ux, uy = (end - start) / length
+                along = (xs - start[0]) * ux + (ys - start[1]) * uy
+                beyond = np.abs(along - length / 2) - length / 2
+                beside = np.abs((ys - start[1]) * ux - (xs - start[0]) * uy)
+                # Square corners of outlines, round ends of everything else.
+                far = np.maximum(beyond, beside) if square else np.hypot(np.maximum(beyond, 0), beside)
+                np.minimum(distance, far, out=distance)
+            self._blend(window, self._share(distance - half), colour)
+
+    def _window(self, x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[slice, slice], Array, Array]:
+        """Return rows and columns around a box in mm, and the mm of their centres, (1, W) and (H, 1)."""
+        height, width = self.pixels.shape[:2]
+        left, right = (int(np.clip(np.floor(v * self.scale) + d, 0, width)) for v, d in ((x0, -1), (x1, 2)))
+        top, bottom = (int(np.clip(np.floor(height - v * self.scale) + d, 0, height)) for v, d in ((y1, -1), (y0, 2)))
+        xs: Array = (np.arange(left, right, dtype=np.float64) + 0.5) / self.scale
+        ys: Array = (height - np.arange(top, bottom, dtype=np.float64) - 0.5) / self.scale
+        return (slice(top, bottom), slice(left, right)), xs[None, :], ys[:, None]
+
+    def _share(self, distance_mm: Array) -> Array:
+        return np.asarray(np.clip(0.5 - distance_mm * self.scale, 0.0, 1.0))
+
+    def _blend(self, window: tuple[slice, slice], share: Array, colour: str) -> None:
+        if colour:
+            under = self.pixels[window]
+            under += share[..., None].astype(np.float32) * (np.array(_bgr(colour), np.float32) - under)
 
 
 def _bgr(colour: str) -> tuple[int, int, int]:

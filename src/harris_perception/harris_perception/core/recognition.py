@@ -2,10 +2,12 @@
 
 A new panel is searched by descriptors at Harris corners, matched with those of a template pyramid, under a robust
 homography (MAGSAC). A found one is refined by warping the picture onto the template and measuring with optical flow,
-forward and backward, what is still amiss; the same step follows it from frame to frame. A patchwise correlation with
-the template decides whether to believe it, and several frames must agree before it counts.
+forward and backward, what is still amiss; the same step follows it from frame to frame. The template's edges (where the
+Harris response is negative) are then measured across, which is most of what a drawn panel shows, and give the pose. A
+patchwise correlation with the template decides whether to believe it, and several frames must agree before it counts.
 
-Only what is printed on the face is used: controls stand proud (parallax), screens and lamps change.
+Only what is printed on the face is used: controls stand proud (parallax), screens and lamps change. Text is good for
+finding the panel; where it was drawn from the layout its typeface is not the maker's, and it measures nothing.
 """
 
 from __future__ import annotations
@@ -18,8 +20,16 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.edge_alignment import EdgePoints, edge_points, shifts
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_template import PanelTemplate, hidden_by_controls, panel_template
+from harris_perception.core.planar_pose import (
+    fit_pose,
+    homography_of_pose,
+    inverse,
+    map_points,
+    pose_of_homography,
+)
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, ConfigError, nested, setting
 from icu_common.core.geometry import Array, Transform, nearest_rotation
@@ -60,6 +70,9 @@ class RefineConfig(Config):
     tolerance_px: float = setting(0.8, "Misfit of a measured point", minimum=0.1, maximum=10.0, unit="px")
     min_points: int = setting(20, "Points that fit", minimum=6, maximum=5000)
     min_spread: float = setting(0.05, "Part of the face that the points span", minimum=0.0, maximum=1.0)
+    edge_points: int = setting(30, "Edge points that fit", minimum=8, maximum=5000)
+    edge_reach_px: float = setting(5.0, "Greatest distance of an edge", minimum=1.0, maximum=30.0, unit="px")
+    edge_correlation: float = setting(0.75, "Likeness of the profiles across an edge", minimum=0.1, maximum=1.0)
     patch_mm: float = setting(6.0, "Side of a patch of the correlation", minimum=1.0, maximum=100.0, unit="mm")
     patch_correlation: float = setting(0.6, "A patch agrees from here on", minimum=0.1, maximum=1.0)
     min_agreement: float = setting(
@@ -133,6 +146,7 @@ class _Level:
     even: Gray
     corners_px: Floats
     corners_mm: Array
+    edges: EdgePoints
 
 
 class PanelRecogniser:
@@ -242,35 +256,19 @@ class PanelRecogniser:
 
     def _refine(self, rectified: Gray, start: Array, camera: CameraModel, *, tracked: bool) -> Sighting | None:
         """Measure the panel near ``start`` (rectified_from_mm); None when it is not there."""
-        config = self.config.refine
-        homography: Array | None = start
-        pose: Transform | None = None
-        points, rms = 0, 0.0
-        for _ in range(3):
-            assert homography is not None
-            level = self._level_for(homography)
-            pose = pose_of_homography(homography, self.layout.size_mm, camera) if level is not None else None
-            if level is None or pose is None:
-                return None
-            visible = self._visible(level, pose)
-            warped = self._warp(rectified, homography, level)
-            measured = _flow(level, visible, warped, config)
-            if measured is None:
-                return None
-            template_mm, level_px = measured
-            pixels = _map(homography @ _inverse(level.template.px_from_mm), level_px)
-            fitted = _fit(template_mm, pixels, config, self.layout.size_mm)
-            if fitted is None:
-                return None
-            homography, used = fitted
-            points = int(used.sum())
-        assert homography is not None
-        pose, rms = pose_of_points(template_mm[used] * 1e-3, pixels[used], camera)
+        by_corners = self._by_corners(rectified, start, camera)
+        if by_corners is None:
+            return None
+        measured = self._by_edges(rectified, by_corners, camera)
+        if measured is None:
+            return None
+        pose, points, rms = measured
+        homography = homography_of_pose(pose, camera)
         level = self._level_for(homography)
         if level is None:
             return None
         agreement = self._agreement(level, self._visible(level, pose), self._warp(rectified, homography, level))
-        if agreement < config.min_agreement:
+        if agreement < self.config.refine.min_agreement:
             return None
         return Sighting(
             rectified_from_mm=homography,
@@ -281,6 +279,58 @@ class PanelRecogniser:
             tracked=tracked,
         )
 
+    def _by_corners(self, rectified: Gray, start: Array, camera: CameraModel) -> Array | None:
+        """Return rectified_from_mm after following the template's corners: robust, coarse."""
+        homography = start
+        for _ in range(2):
+            level = self._level_for(homography)
+            pose = pose_of_homography(homography, self.layout.size_mm, camera) if level is not None else None
+            if level is None or pose is None:
+                return None
+            warped = self._warp(rectified, homography, level)
+            flow = _flow(level, self._visible(level, pose), warped, self.config.refine)
+            if flow is None:
+                return None
+            pixels = map_points(homography @ inverse(level.template.px_from_mm), flow[1])
+            fitted = _fit(flow[0], pixels, self.config.refine, self.layout.size_mm)
+            if fitted is None:
+                return None
+            homography = fitted
+        return homography
+
+    def _by_edges(self, rectified: Gray, start: Array, camera: CameraModel) -> tuple[Transform, int, float] | None:
+        """Return camera_from_panel, the number of edge points that fit, and their rms misfit in px."""
+        config = self.config.refine
+        pose = pose_of_homography(start, self.layout.size_mm, camera)
+        error = np.empty(0)
+        for reach in (config.edge_reach_px, 0.5 * config.edge_reach_px, 2.0):
+            if pose is None:
+                return None
+            homography = homography_of_pose(pose, camera)
+            level = self._level_for(homography)
+            if level is None:
+                return None
+            nearest = level.edges.px.astype(int)
+            seen = self._visible(level, pose, margin_px=5)[nearest[:, 1], nearest[:, 0]]
+            edges = level.edges.chosen(seen)
+            moved, good = shifts(edges, self._warp(rectified, homography, level), reach, config.edge_correlation)
+            if int(good.sum()) < config.edge_points:
+                return None
+            edges, moved = edges.chosen(good), moved[good]
+            rectified_from_level = homography @ inverse(level.template.px_from_mm)
+            found = edges.px + moved[:, None] * edges.across
+            pixels = map_points(rectified_from_level, found)
+            along = edges.across[:, ::-1] * (-1.0, 1.0)
+            tangent = map_points(rectified_from_level, found + along) - pixels
+            across = tangent[:, ::-1] * (1.0, -1.0)
+            across /= np.linalg.norm(across, axis=1, keepdims=True)
+            points_m = map_points(inverse(level.template.px_from_mm), edges.px) * 1e-3
+            pose, error = fit_pose(pose, points_m, pixels, camera, across)
+        near = error[np.abs(error) < max(3 * 1.4826 * float(np.median(np.abs(error))), 0.3)]
+        if pose is None or len(near) < config.edge_points:
+            return None
+        return pose, len(near), float(np.sqrt(np.mean(near**2)))
+
     def _level_for(self, homography: Array) -> _Level | None:
         """Return the level whose scale is nearest to the picture's; None for a homography that no camera makes."""
         width, height = self.layout.size_mm
@@ -288,7 +338,7 @@ class PanelRecogniser:
         depth = np.column_stack([corners, np.ones(4)]) @ homography[2]
         if not (np.isfinite(homography).all() and (depth * depth[0] > 0).all()):
             return None
-        outline = _map(homography, corners)
+        outline = map_points(homography, corners)
         side = np.roll(outline, -1, axis=0) - outline
         following = np.roll(side, -1, axis=0)
         turn = side[:, 0] * following[:, 1] - side[:, 1] * following[:, 0]
@@ -301,15 +351,19 @@ class PanelRecogniser:
             return None
         return min(self._levels, key=lambda level: abs(np.log(level.template.px_per_mm / scale)))
 
-    def _visible(self, level: _Level, pose: Transform) -> npt.NDArray[np.bool_]:
+    def _visible(self, level: _Level, pose: Transform, margin_px: int = 0) -> npt.NDArray[np.bool_]:
+        """Return where steady print is not hidden by proud controls, at least ``margin_px`` away from them."""
         viewpoint_mm = pose.inverse().translation * 1e3
         shape = level.template.gray.shape
         hidden = hidden_by_controls(self.layout, viewpoint_mm, (shape[0], shape[1]), level.template.px_per_mm)
+        if margin_px:
+            size = 2 * margin_px + 1
+            hidden = cv2.dilate(hidden.astype(np.uint8), np.ones((size, size), np.uint8)).astype(bool)
         return np.asarray(level.template.steady & ~hidden)
 
     def _warp(self, rectified: Gray, homography: Array, level: _Level) -> Gray:
         height, width = level.template.gray.shape
-        rectified_from_level = homography @ _inverse(level.template.px_from_mm)
+        rectified_from_level = homography @ inverse(level.template.px_from_mm)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(rectified, rectified_from_level, (width, height), flags=flags), np.uint8)
 
@@ -383,95 +437,6 @@ def mean_pose(poses: Any) -> Transform:
     return Transform(rotation, np.mean([p.translation for p in poses], axis=0))
 
 
-def pose_of_homography(rectified_from_mm: Array, size_mm: tuple[float, float], camera: CameraModel) -> Transform | None:
-    """Return camera_from_panel from a homography, or None when it is no camera's."""
-    x, y = (np.linspace(0.0, side, 5) for side in size_mm)
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    pixels = _map(rectified_from_mm, points)
-    if not np.isfinite(pixels).all():
-        return None
-    return _planar_pnp(points * 1e-3, pixels, camera)
-
-
-def pose_of_points(points_m: Array, pixels: Array, camera: CameraModel) -> tuple[Transform, float]:
-    """Return camera_from_panel and the rms misfit in px, from (N, 2) face points in m and (N, 2) rectified pixels.
-
-    Starts from infinitesimal plane-based pose estimation (T. Collins, A. Bartoli, "Infinitesimal Plane-based Pose
-    Estimation", IJCV 109(3), 2014), whose better solution is refined by Gauss-Newton.
-
-    Raises
-    ------
-    ValueError
-        If the points admit no pose in front of the camera.
-    """
-    start = _planar_pnp(points_m, pixels, camera)
-    if start is None:
-        raise ValueError("the points admit no pose in front of the camera")
-    pose, residual = start, np.inf
-    world = np.column_stack([points_m, np.zeros(len(points_m))])
-    focal = np.array([camera.p[0, 0], camera.p[1, 1]])
-    for _ in range(15):
-        seen = pose.apply(world)
-        x, y, z = seen.T
-        error = pixels - (focal * seen[:, :2] / z[:, None] + camera.p[:2, 2])
-        zero = np.zeros(len(z))
-        by_point = np.stack(
-            [
-                np.column_stack([focal[0] / z, zero, -focal[0] * x / z**2]),
-                np.column_stack([zero, focal[1] / z, -focal[1] * y / z**2]),
-            ],
-            axis=1,
-        )
-        # Turn about the panel's seen centre, so that rotation and translation hardly disturb one another.
-        centre = seen.mean(axis=0)
-        arm = seen - centre
-        by_turn = np.einsum("nij,njk->nik", by_point, -_cross(arm))
-        jacobian = np.concatenate([by_turn, by_point], axis=2).reshape(-1, 6)
-        step = np.linalg.lstsq(jacobian, error.ravel(), rcond=None)[0]
-        turn = np.asarray(cv2.Rodrigues(step[:3])[0], dtype=np.float64)
-        pose = Transform(nearest_rotation(turn @ pose.rotation), turn @ (pose.translation - centre) + centre + step[3:])
-        residual = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
-        if np.abs(step).max() < 1e-10:
-            break
-    return pose, residual
-
-
-def _cross(vectors: Array) -> Array:
-    x, y, z = vectors.T
-    zero = np.zeros(len(x))
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-
-
-def _planar_pnp(points_m: Array, pixels: Array, camera: CameraModel) -> Transform | None:
-    world = np.column_stack([points_m, np.zeros(len(points_m))])
-    # IPPE wants the points around the origin of their plane.
-    shift = world.mean(axis=0)
-    try:
-        count, turns, moves, errors = cv2.solvePnPGeneric(
-            world - shift, pixels, camera.p[:, :3], np.zeros(5), flags=cv2.SOLVEPNP_IPPE
-        )
-    except cv2.error:
-        return None
-    if not count:
-        return None
-    best = int(np.argmin(np.ravel(errors)))
-    rotation = nearest_rotation(cv2.Rodrigues(turns[best])[0])
-    translation = np.ravel(moves[best]) - rotation @ shift
-    if not (np.isfinite(translation).all() and translation[2] > 0):
-        return None
-    return Transform(rotation, translation)
-
-
-def _inverse(homography: Array) -> Array:
-    return np.asarray(np.linalg.inv(homography), dtype=np.float64)
-
-
-def _map(homography: Array, points: npt.NDArray[Any]) -> Array:
-    mapped = np.column_stack([points, np.ones(len(points))]) @ homography.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(mapped[:, :2] / mapped[:, 2:])
-
-
 def _level(template: PanelTemplate, detector: HarrisDetector) -> _Level:
     corners = detector.detect(template.gray).xy
     # A corner that touches a control, screen or lamp would be measured with parallax or with what changes.
@@ -479,8 +444,9 @@ def _level(template: PanelTemplate, detector: HarrisDetector) -> _Level:
     steady = cv2.erode(template.steady.astype(np.uint8), margin).astype(bool)
     nearest = np.rint(corners).astype(int)
     corners = corners[steady[nearest[:, 1], nearest[:, 0]]]
-    corners_mm = _map(_inverse(template.px_from_mm), corners.astype(np.float64))
-    return _Level(template, even_out(template.gray), corners.astype(np.float32), corners_mm)
+    corners_mm = map_points(inverse(template.px_from_mm), corners.astype(np.float64))
+    edges = edge_points(template.gray, template.exact)
+    return _Level(template, even_out(template.gray), corners.astype(np.float32), corners_mm, edges)
 
 
 def even_out(gray: Gray) -> Gray:
@@ -517,18 +483,14 @@ def _flow(
     return level.corners_mm[usable[good]], forward[good, 0].astype(np.float64)
 
 
-def _fit(
-    points_mm: Array, pixels: Array, config: RefineConfig, size_mm: tuple[float, float]
-) -> tuple[Array, npt.NDArray[np.bool_]] | None:
-    """Return rectified_from_mm and which points fit; None when too few do or they crowd in one place."""
+def _fit(points_mm: Array, pixels: Array, config: RefineConfig, size_mm: tuple[float, float]) -> Array | None:
+    """Return rectified_from_mm; None when too few points fit or they crowd in one place."""
     fitted = _homography(points_mm, pixels, config.tolerance_px, config.min_points)
     if fitted is None:
         return None
-    used = fitted[1]
+    homography, used = fitted
     hull = cv2.convexHull(points_mm[used].astype(np.float32))
-    if cv2.contourArea(hull) < config.min_spread * size_mm[0] * size_mm[1]:
-        return None
-    return fitted
+    return homography if cv2.contourArea(hull) >= config.min_spread * size_mm[0] * size_mm[1] else None
 
 
 def _homography(
