@@ -210,8 +210,8 @@ def _check_motion(readings: Array, tips: Array, config: HandEyeConfig) -> None:
             f"{need * 1e3:.0f} mm in x and in y"
         )
     if across < need:
-        half = 0.5 * (need + across) * directions[1] * np.sign(directions[1][np.argmax(np.abs(directions[1]))])
-        x, y = (centre + half) * 1e3
+        off = 1.05 * need * directions[1] * np.sign(directions[1][np.argmax(np.abs(directions[1]))])
+        x, y = (centre + off) * 1e3
         kind = "lie on one line" if across < 0.1 * need else "hardly leave one line"
         raise DegenerateError(
             f"the samples {kind} ({along * 1e3:.0f} mm long, {across * 1e3:.1f} mm across): add one near "
