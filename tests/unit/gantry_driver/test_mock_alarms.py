@@ -172,6 +172,29 @@ def test_dwell_and_tools_wait_for_the_planner() -> None:
     assert rig.machine.truth()["spindle"] == 0.0 and rig.machine.truth()["coolant"] is False
 
 
+def test_a_dwell_lasts_whole_steps_and_stands_still_in_a_hold() -> None:
+    rig = Rig.free()
+    rig.board.receive(b"G4P0.01\n", rig.now)
+    assert rig.until(OK, 1.0) == pytest.approx(0.05)
+    rig.send(b"G4P1\n", 0.5)
+    rig.send(b"!", 5.0)
+    assert rig.send(b"~", 0.4) == b""
+    assert rig.run(0.2) == OK
+
+
+def test_an_open_door_at_power_up_suspends_the_board() -> None:
+    rig = Rig.free()
+    rig.machine.mechanics.door_open = True
+    rig.board.power_on(rig.now)
+    assert rig.run(0.5) == BANNER + b"[MSG:Check Door]\r\n"
+    assert rig.send(b"G21\n~", 0.2) == b""
+    assert rig.report()[0] == "Door:1"
+    rig.machine.inject("door", {"on": False})
+    rig.run(0.1)
+    assert rig.send(b"~", 0.2) == OK
+    assert rig.report()[0] == "Idle"
+
+
 def test_program_pause_waits_for_resume() -> None:
     rig = Rig.free()
     assert rig.send(b"M0\nG0X-1\n", 1.0) == b""

@@ -1,1 +1,14 @@
-"""A GRBL 1.1 controller board in software, behind a pseudo-terminal; shares no code with the driver."""
+"""A GRBL 1.1h controller board in software, behind a pseudo-terminal; shares no code with the driver.
+
+``serial_line`` carries bytes, ``board`` is the firmware, ``gcode`` its parser, ``motion`` its planner and step
+generator, ``settings`` its EEPROM, ``mechanics`` the motors and switches, ``machine`` adds faults. These are pure:
+time is an argument. ``pty_port``, ``line_socket`` and ``service`` touch the world; ``main`` is the program.
+
+Simpler than the firmware, on purpose:
+
+- Steps are solved in closed form; the firmware's look-ahead of about 50 ms (a hold begins that much later) is absent.
+- Numbers are doubles, not 32-bit floats.
+- Built without parking, line numbers, single-axis homing and laser mode (``$32`` is only stored).
+- Each axis has one limit switch, at its home end.
+- ``$J=`` without an axis word answers error:26, as the documents demand an axis word.
+"""

@@ -28,6 +28,7 @@ LINE_CHARACTERS = 79  # the line buffer has 80, one of them for the end
 ALARM_DELAY_S = 0.5
 EEPROM_BYTE_S = 0.0034  # ATmega328P datasheet, EEPROM write time (erase and write)
 UART_FIFO_BYTES = 2
+DWELL_STEP_S = 0.05  # a dwell is a whole number of these, with real-time requests served in between
 DOOR_SPINDLE_S, DOOR_COOLANT_S = 4.0, 1.0
 TRAVEL_TOLERANCE_MM = 1e-5
 WCO_IDLE, WCO_BUSY, OV_IDLE, OV_BUSY = 10, 30, 10, 20
@@ -739,9 +740,10 @@ class Board:
                     self._raise(Flag.START)
 
     def _restore_wait(self, seconds: float) -> Firmware:
-        until = self.now + seconds
-        while self.now < until and Suspend.RESTORE in self._suspend:
-            yield min(self.now + 0.05, until)
+        for _ in range(math.ceil(seconds / DWELL_STEP_S)):
+            if Suspend.RESTORE not in self._suspend:
+                return
+            yield self.now + DWELL_STEP_S
             if self._alarm is not None or self._flags:
                 yield from self._serve()
 
@@ -1096,10 +1098,9 @@ class Board:
 
     def _dwell(self, seconds: float) -> Firmware:
         yield from self._buffer_sync()
-        until = self.now + seconds
-        while self.now < until:
-            yield min(self.now + 0.05, until)  # real-time requests are served every 50 ms of a dwell
+        for _ in range(math.ceil(seconds / DWELL_STEP_S - 1e-9)):
             yield from self._checkpoint()
+            yield self.now + DWELL_STEP_S
 
     def _act(self, block: CheckedBlock) -> Firmware:
         p, places = self.parser, self.eeprom.systems

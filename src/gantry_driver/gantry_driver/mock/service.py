@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import selectors
@@ -37,11 +38,6 @@ class Service:
         self._board = machine.board
         self._scale = time_scale
         self._reset_on_open = reset_on_open
-        self._selector = selectors.DefaultSelector()
-        self._wake_read, self._wake_write = socket.socketpair()
-        self._wake_read.setblocking(False)
-        self._wake_write.setblocking(False)
-        self._selector.register(self._wake_read, selectors.EVENT_READ, self._woken)
         self._stopping = False
         self._start_s = time.monotonic()
         self._fault_ends_s: dict[str, float] = {}
@@ -51,31 +47,38 @@ class Service:
         self._log_dirty = False
         if log is not None:
             self._board.journal.sink = self._log_entry
-        self._truth = LineServer(truth_socket, self._selector) if truth_socket else None
-        self._control = LineServer(control_socket, self._selector) if control_socket else None
-        self.port = PtyPort(self._selector, link, self._received, self._opened)
+        with contextlib.ExitStack() as stack:  # what fails here closes what was opened before it
+            self._selector = stack.enter_context(selectors.DefaultSelector())
+            self._wake_read, self._wake_write = socket.socketpair()
+            for end in (self._wake_read, self._wake_write):
+                stack.callback(end.close)
+                end.setblocking(False)
+            self._selector.register(self._wake_read, selectors.EVENT_READ, self._woken)
+            self._truth = self._serve(truth_socket, stack)
+            self._control = self._serve(control_socket, stack)
+            self.port = PtyPort(self._selector, link, self._received, self._opened)
+            stack.callback(self.port.unplug)
+            self._closing = stack.pop_all()
         self._board.power_on(self._now())
 
-    @property
-    def wake_fd(self) -> int:
-        """A descriptor for :func:`signal.set_wakeup_fd`."""
-        return self._wake_write.fileno()
+    def _serve(self, path: Path | None, stack: contextlib.ExitStack) -> LineServer | None:
+        if path is None:
+            return None
+        server = LineServer(path, self._selector)
+        stack.callback(server.close)
+        return server
 
     def stop(self) -> None:
         """Let :meth:`run` return; may be called from a signal handler or another thread."""
         self._stopping = True
-        try:
+        with contextlib.suppress(BlockingIOError, OSError):  # full of wake-ups already, or closed
             self._wake_write.send(b"\0")
-        except BlockingIOError:
-            pass  # it is full of wake-ups already
 
     def run(self) -> None:
         """Serve until stopped, then close everything."""
-        try:
+        with self._closing:
             while not self._stopping:
                 self._turn()
-        finally:
-            self._close()
 
     def _now(self) -> float:
         return (time.monotonic() - self._start_s) * self._scale
@@ -189,12 +192,3 @@ class Service:
         assert self._log is not None
         self._log.write(json.dumps(entry) + os.linesep)
         self._log_dirty = True
-
-    def _close(self) -> None:
-        self.port.unplug()
-        for server in (self._truth, self._control):
-            if server is not None:
-                server.close()
-        self._selector.close()
-        self._wake_read.close()
-        self._wake_write.close()

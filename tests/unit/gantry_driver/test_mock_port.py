@@ -1,0 +1,327 @@
+"""The mock board as a program and behind a real pseudo-terminal, spoken to by pyserial."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+from unit.gantry_driver.mock_rig import BANNER, FREE, UNLOCK
+
+from gantry_driver.mock.machine import Machine
+from gantry_driver.mock.main import main
+from gantry_driver.mock.service import Service
+from gantry_driver.mock.settings import make_eeprom
+
+DEADLINE_S = 20.0
+SOURCES = [str(Path(__file__).parents[3] / "src" / name) for name in ("gantry_driver", "icu_common")]
+
+
+class Lines:
+    """A client of one of the board's sockets."""
+
+    def __init__(self, path: Path) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(DEADLINE_S)
+        self._socket.connect(os.fspath(path))
+        self._file = self._socket.makefile("rwb")
+
+    def read(self) -> dict[str, Any]:
+        return json.loads(self._file.readline())
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        return self.send(json.dumps(request).encode())
+
+    def send(self, line: bytes) -> dict[str, Any]:
+        self._file.write(line + b"\n")
+        self._file.flush()
+        return self.read()
+
+    def close(self) -> None:
+        self._file.close()
+        self._socket.close()
+
+
+class Running:
+    """A service in a thread, and what is connected to it."""
+
+    def __init__(self, folder: Path, stack: contextlib.ExitStack, **options: Any) -> None:
+        self.link, self.truth_path, self.control_path = folder / "port", folder / "truth", folder / "control"
+        settings = options.pop("settings", {})
+        self.service = Service(
+            Machine(make_eeprom(settings)),
+            link=self.link,
+            truth_socket=self.truth_path,
+            control_socket=self.control_path,
+            **options,
+        )
+        self._stack = stack
+        thread = threading.Thread(target=self.service.run)
+        thread.start()
+        stack.callback(thread.join, DEADLINE_S)
+        stack.callback(self.service.stop)
+        self.control = self.client(self.control_path)
+
+    def client(self, path: Path) -> Lines:
+        client = Lines(path)
+        self._stack.callback(client.close)
+        return client
+
+    def open(self, **arguments: Any) -> serial.Serial:
+        port = serial.Serial(os.fspath(self.link), 115200, timeout=DEADLINE_S, exclusive=True, **arguments)
+        self._stack.callback(port.close)
+        return port
+
+    def fault(self, kind: str, **arguments: Any) -> None:
+        assert self.control.ask(do="fault", kind=kind, **arguments)["ok"] is True
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Running]]:
+    with contextlib.ExitStack() as stack:
+        yield lambda **options: Running(tmp_path, stack, **options)
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, "the condition did not come true"
+        select.select([], [], [], 0.005)
+
+
+def expect(port: serial.Serial, ending: bytes) -> bytes:
+    seen = port.read_until(ending)
+    assert seen.endswith(ending), f"{ending!r} did not come; seen: {seen!r}"
+    return seen
+
+
+def test_opening_the_port_resets_the_board(start: Callable[..., Running]) -> None:
+    running = start()
+    port = running.open()
+    assert expect(port, UNLOCK) == BANNER + UNLOCK
+    port.write(b"$X\n")
+    assert expect(port, b"ok\r\n") == b"[MSG:Caution: Unlocked]\r\nok\r\n"
+    port.close()
+    wait_for(lambda: running.control.ask(do="state")["open"] is False)
+    again = running.open()
+    assert expect(again, UNLOCK) == BANNER + UNLOCK
+
+
+def test_a_board_that_ignores_dtr_keeps_its_state(start: Callable[..., Running]) -> None:
+    running = start(settings=FREE, reset_on_open=False)
+    wait_for(lambda: running.control.ask(do="state")["t"] > 0.2)
+    port = running.open()
+    wait_for(lambda: running.control.ask(do="state")["open"] is True)
+    port.write(b"G0X-1\nG4P0\n")
+    assert expect(port, b"ok\r\nok\r\n") == b"ok\r\nok\r\n"
+    port.close()
+    wait_for(lambda: running.control.ask(do="state")["open"] is False)
+    port = running.open()
+    wait_for(lambda: running.control.ask(do="state")["open"] is True)
+    port.write(b"?")
+    assert expect(port, b">\r\n").startswith(b"<Idle|MPos:-1.000,0.000,0.000|")
+
+
+def test_home_and_move_end_to_end(start: Callable[..., Running]) -> None:
+    running = start(time_scale=20.0)
+    truth = running.client(running.truth_path)
+    port = running.open()
+    expect(port, UNLOCK)
+    port.write(b"$H\n")
+    assert expect(port, b"ok\r\n") == b"ok\r\n"
+    port.write(b"G1X-300Y-150Z-20F6000\nM3S250\nG4P0\n")
+    expect(port, b"ok\r\nok\r\nok\r\n")
+    port.write(b"?")
+    assert expect(port, b">\r\n").startswith(b"<Idle|MPos:-300.000,-150.000,-20.000|")
+    deadline = time.monotonic() + DEADLINE_S
+    while (line := truth.read())["mpos"] != [-300.0, -150.0, -20.0] or line["spindle"] != 250.0:
+        assert time.monotonic() < deadline
+    assert line["coolant"] is False
+    assert abs(line["t"] - time.monotonic()) < DEADLINE_S
+    assert running.control.ask(do="state")["steps"] == [-24000, -12000, -8000]
+    texts = [entry["text"] for entry in running.control.ask(do="log", kind="line")["entries"]]
+    assert texts == ["$H", "G1X-300Y-150Z-20F6000", "M3S250", "G4P0"]
+    counters = running.control.ask(do="counters")["counters"]
+    assert counters["lines"] == 4 and counters["homings"] == 1 and counters["bytes_lost"] == 0
+
+
+def test_truth_comes_fast_while_moving_to_every_client(start: Callable[..., Running]) -> None:
+    running = start(settings=FREE)
+    fast, slow = running.client(running.truth_path), running.client(running.truth_path)
+    port = running.open()
+    expect(port, BANNER)
+    port.write(b"G1X-50F3000\nG4P0\n")
+    expect(port, b"ok\r\nok\r\n")
+    track = [fast.read()]
+    while track[-1]["mpos"][0] != -230.0:
+        track.append(fast.read())
+    moving = [line for line in track if line["state"] == "Run"]
+    span = moving[-1]["t"] - moving[0]["t"]
+    assert span == pytest.approx(1.0, abs=0.2)
+    assert len(moving) > 60  # 200 on an idle machine
+    xs = [line["mpos"][0] for line in moving]
+    assert xs == sorted(xs, reverse=True)
+    for line in moving[10:-10]:  # at constant speed, 50 mm/s
+        assert xs[0] - line["mpos"][0] == pytest.approx(50.0 * (line["t"] - moving[0]["t"]), abs=2.5)
+    assert slow.read()["mpos"] == track[0]["mpos"]  # it reads late and hinders nobody
+    rest = [fast.read()["t"] for _ in range(6)]
+    assert (rest[-1] - rest[0]) / 5 > 0.03
+
+
+def test_unplugging_kills_the_port_and_a_new_one_appears(start: Callable[..., Running]) -> None:
+    running = start()
+    port = running.open()
+    expect(port, UNLOCK)
+    before = running.link.readlink()
+    running.fault("unplug", seconds=0.3)
+    assert not running.link.exists()
+    with pytest.raises(serial.SerialException):
+        port.read(1)
+    port.close()
+    assert running.control.ask(do="state")["port"] is None
+    wait_for(running.link.exists)
+    port = running.open()
+    assert expect(port, UNLOCK) == BANNER + UNLOCK
+    assert running.control.ask(do="state")["port"] == str(running.link.readlink())
+    assert before.parent == running.link.readlink().parent
+
+
+def test_unplugging_in_a_move_stops_the_motors(start: Callable[..., Running]) -> None:
+    running = start(settings=FREE)
+    port = running.open()
+    expect(port, BANNER)
+    port.write(b"G1X-100F600\n")
+    wait_for(lambda: running.control.ask(do="state")["state"] == "Run")
+    running.fault("unplug", seconds=0.1)
+    here = running.control.ask(do="state")
+    assert here["state"] == "Off" and -280.0 < here["mpos"][0] < -180.0
+    wait_for(running.link.exists)
+    assert running.control.ask(do="state")["mpos"] == here["mpos"]
+    assert running.control.ask(do="state")["steps"] == [0, 0, 0]
+
+
+def test_a_port_that_is_not_read_blocks_the_writer(start: Callable[..., Running]) -> None:
+    running = start(settings=FREE)
+    port = running.open(write_timeout=0.3)
+    expect(port, BANNER)
+    running.fault("stop_reading", seconds=1.5)
+    with pytest.raises(serial.SerialTimeoutException):
+        for _ in range(64):
+            port.write(b"\n" * 4096)
+    assert running.control.ask(do="counters")["counters"].get("lines", 0) == 0
+    wait_for(lambda: running.control.ask(do="counters")["counters"].get("lines", 0) > 0)
+
+
+def test_control_refuses_what_it_does_not_know(start: Callable[..., Running]) -> None:
+    control = start().control
+    assert control.send(b"{oops")["error"].startswith("not JSON")
+    assert control.send(b"[1]")["error"] == "a JSON object is needed"
+    assert control.ask(do="dance")["error"] == "do = 'dance' is none of state, counters, log, fault"
+    assert control.ask(do="log", since="x")["error"] == "since = 'x': a whole number is needed"
+    assert control.ask(do="fault", kind="hang", seconds=-2)["error"] == "seconds = -2 is not within 0 to 3600 s"
+    assert control.ask(do="fault", kind="unheard of")["ok"] is False
+    assert control.ask(do="state")["state"] == "Alarm"
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    command = [sys.executable, "-m", "gantry_driver.mock.main", "--set", "20=0", "--set", "22=0", "--log"]
+    command += [str(tmp_path / "log.jsonl"), "--link", str(tmp_path / "port"), "--truth-socket", str(tmp_path / "t")]
+    command += ["--control-socket", str(tmp_path / "c"), "--ros-args", "-r", "__node:=x", "--", "--seed", "3"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(SOURCES)}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    try:
+        yield process, tmp_path
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait(DEADLINE_S)
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_program_prints_its_port_logs_and_cleans_up(
+    program: tuple[subprocess.Popen[str], Path], number: signal.Signals
+) -> None:
+    process, folder = program
+    assert process.stdout is not None
+    path = process.stdout.readline().strip()
+    assert path == str(folder / "port") and stat.S_ISCHR(Path(path).stat().st_mode)
+    with serial.Serial(path, 115200, timeout=DEADLINE_S) as port:
+        expect(port, BANNER)
+        port.write(b"G21 (mm)\n?")
+        expect(port, b">\r\n")
+        process.send_signal(number)
+        assert process.wait(DEADLINE_S) == 0
+    assert sorted(p.name for p in folder.iterdir()) == ["log.jsonl"]
+    entries = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    assert [e["bytes"] for e in entries if e["kind"] == "rx"] == ["G21 (mm)\n?"]
+    assert [(e["text"], e["answer"]) for e in entries if e["kind"] == "line"] == [("G21", "ok")]
+    assert [e["byte"] for e in entries if e["kind"] == "realtime"] == [ord("?")]
+
+
+def cpu_s(pid: int) -> float:
+    return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) / 1e9
+
+
+@pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="needs the scheduler's statistics")
+def test_program_needs_little_of_a_core(program: tuple[subprocess.Popen[str], Path]) -> None:
+    process, folder = program
+    assert process.stdout is not None
+    path = process.stdout.readline().strip()
+    with serial.Serial(path, 115200, timeout=DEADLINE_S) as port, contextlib.closing(Lines(folder / "t")) as truth:
+        expect(port, BANNER)
+        shares = []
+        for command in (b"", b"G1X-100F3000\n"):
+            port.write(command)
+            begin, used = truth.read()["t"], cpu_s(process.pid)
+            while (line := truth.read())["t"] < begin + 1.0:
+                pass
+            shares.append((cpu_s(process.pid) - used) / (line["t"] - begin))
+    print(f"share of a core at rest {shares[0]:.3%}, moving {shares[1]:.3%}")
+    assert shares[0] < 0.03
+    assert shares[1] < 0.15
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--set", "99=1"], "GRBL 1.1 has no setting $99"),
+        (["--set", "22=0"], "$20=1 is refused with error:10"),
+        (["--settings", "no-such-file"], "No such file"),
+    ],
+)
+def test_program_refuses_bad_arguments(arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--time-scale", "0"], ["--baud", "17"], ["--start", "1,2"], ["--bogus"]])
+def test_program_refuses_values_out_of_bounds(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    assert arguments[-1] in capsys.readouterr().err
+
+
+def test_program_leaves_a_file_in_the_links_place_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for option in ("--link", "--truth-socket"):
+        (tmp_path / "precious").write_text("data")
+        assert main(["--control-socket", str(tmp_path / "c"), option, str(tmp_path / "precious")]) == 2
+        assert "exists and is not a" in capsys.readouterr().err
+        assert (tmp_path / "precious").read_text() == "data"
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["precious"]
