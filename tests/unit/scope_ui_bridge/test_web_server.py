@@ -16,9 +16,13 @@ import pytest
 from unit.scope_ui_bridge.web_rig import Page, Rig, page, until
 
 from icu_common.core.config import ConfigError
+from icu_common.core.results import GoalResult, Outcome
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.adapters.web_server import COOKIE, PAGE
 from scope_ui_bridge.core.audit import verify
+from scope_ui_bridge.core.effects import Now
+
+NOW = Now(mono_s=0.0, ros_ns=0, wall_s=0.0)
 
 
 def with_rig(scenario: Callable[[Rig], Awaitable[None]], **options: Any) -> None:
@@ -297,6 +301,10 @@ def test_stop_by_plain_post_from_a_viewer() -> None:
             html = {**viewer.origin, "Accept": "text/html"}
             async with viewer.session.post("/stop", headers=html, allow_redirects=False) as answer:
                 assert (answer.status, answer.headers["Location"]) == (303, "/")
+            assert len(rig.graph.named("stop")) == 1, "twice within half a second is one stop"
+            rig.server.mailbox.each(rig.desk.result, GoalResult(goal_id="x", goal="x", outcome=Outcome.REJECTED), NOW)
+            async with viewer.session.post("/stop", headers=viewer.origin) as answer:
+                assert answer.status == 200
         assert len(rig.graph.named("stop")) == 2
 
     with_rig(scenario)

@@ -153,7 +153,7 @@ class Desk:
         self._selection: Selection | None = None
         self._selection_count = 0
         self._last_goal_ns = 0
-        self._last_stop = (-math.inf, "")
+        self._last_stop = (-math.inf, "", 0)
         self._last_heartbeat_s = -math.inf
         self._last_active_s = -math.inf
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
@@ -252,13 +252,14 @@ class Desk:
     def stop(self, who: str, now: Now, code: str = "") -> list[Effect]:
         """Stop, for whoever asks; ``code`` says why when it was not a person."""
         self.stops += 1
-        last_s, last_who = self._last_stop
-        self._last_stop = (now.mono_s, who)
-        record = self._record(who, "stop", code, now)
-        if who == last_who and now.mono_s - last_s < _SAME_STOP_S:  # one press arrives on two ways
-            return [StopNow(record=record)]
+        last_s, last_who, last_entry = self._last_stop
+        if who == last_who and now.mono_s - last_s < _SAME_STOP_S and last_entry == self._entry_count:
+            # One press arrives on two ways, and nothing was ordered in between. The stop has gone out; a second one
+            # would end the driver's lifting of the stylus (docs/decisions/stopping.md).
+            return []
         entry = self._new_entry(who, "stop", code, now, status="done")
-        return [StopNow(record=record), self._shown(entry)]
+        self._last_stop = (now.mono_s, who, entry.entry)
+        return [StopNow(record=self._record(who, "stop", code, now)), self._shown(entry)]
 
     def tick(self, now: Now) -> list[Effect]:
         """Call every 50 ms: heartbeat, watchdog, answers that did not come, state for the pages."""

@@ -1,0 +1,406 @@
+"""The bridge as a node: topics become what the page shows, and the page's commands become messages."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import struct
+import threading
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
+from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
+
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.config import ConfigError
+from icu_common.core.frames import CAMERA_LEFT, JOINTS, PANEL
+from icu_common.core.geometry import Transform
+from icu_common.core.gesture import parse_gesture
+from icu_common.core.panel_layout import load_layout
+from icu_common.core.results import GoalResult, Outcome
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    camera_info_message,
+    cloud_message,
+    controls_message,
+    header,
+    image_message,
+    joint_message,
+    point_message,
+    pose_message,
+    result_message,
+    stamp_ns,
+)
+from scope_ui_bridge.nodes.bridge_node import BridgeNode
+
+LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
+WITHIN_S = 15.0
+SERVICES = {"gantry/stop": Trigger, "gantry/home": Trigger, "gantry/reset": Trigger, "calibration/run": Trigger}
+
+
+def camera() -> CameraModel:
+    k = np.array([[1000.0, 0, 319.5], [0, 1000.0, 239.5], [0, 0, 1]])
+    p = np.hstack([k, np.zeros((3, 1))])
+    return CameraModel(name="left", width=640, height=480, k=k, d=np.zeros(5), r=np.eye(3), p=p)
+
+
+def panel_pose() -> Transform:
+    rotation = np.diag([1.0, -1.0, -1.0])
+    return Transform(rotation, np.array([0.0, 0.0, 0.8]) - rotation @ np.array([0.16, 0.075, 0.0]))
+
+
+class Graph:
+    """Everything around the bridge: publishers of what it shows, and lists of what it sends."""
+
+    def __init__(self, ros: Any) -> None:
+        self.ros = ros
+        self.probe = probe = ros.plain("graph")
+        self.publishers = {
+            topic: probe.create_publisher(kind, topic, profile)
+            for topic, kind, profile in (
+                ("left/image_raw", Image, qos.IMAGES),
+                ("left/camera_info", CameraInfo, qos.IMAGES),
+                ("corners", PointCloud2, qos.RESULTS),
+                ("panel/pose", PoseStamped, qos.LATCHED),
+                ("panel/controls", MarkerArray, qos.LATCHED),
+                ("panel/confidence", Float32, qos.RESULTS),
+                ("stylus/tip", PointStamped, qos.SENSOR),
+                ("gantry/target", PointStamped, qos.LATCHED),
+                ("gantry/state", String, qos.LATCHED),
+                ("gantry/driver_state", String, qos.LATCHED),
+                ("gantry/result", DiagnosticArray, qos.RESULTS),
+                ("calibration/state", String, qos.LATCHED),
+                ("calibration/axes", Float64MultiArray, qos.LATCHED),
+                ("joint_states", JointState, qos.RESULTS),
+            )
+        }
+        self.commands = ros.collect(probe, String, "gantry/command", qos.COMMAND)
+        self.goals = ros.collect(probe, PointStamped, "gantry/goal", qos.COMMAND)
+        self.stops = ros.collect(probe, Empty, "gantry/stop_request", qos.RESULTS)
+        self.heartbeats = ros.collect(probe, Header, "heartbeat", qos.SENSOR)
+        self.called: list[str] = []
+        for name, kind in SERVICES.items():
+            probe.create_service(kind, name, self._service(name))
+        probe.create_service(SetBool, "gantry/enable", self._service("gantry/enable"))
+
+    def _service(self, name: str) -> Callable[[Any, Any], Any]:
+        def answer(request: Any, response: Any) -> Any:
+            self.called.append(f"{name} {request.data}" if name == "gantry/enable" else name)
+            response.success, response.message = name != "gantry/home", f"{name} answered"
+            return response
+
+        return answer
+
+    def publish(self, topic: str, message: Any) -> None:
+        self.publishers[topic].publish(message)
+
+    def now(self) -> int:
+        return int(self.probe.get_clock().now().nanoseconds)
+
+    def show_all(self, level: int = 100) -> int:
+        """Publish one round of everything; return the picture's stamp."""
+        stamp = self.now()
+        picture = np.full((480, 640, 3), level, np.uint8)
+        self.publish("left/camera_info", camera_info_message(camera(), header(stamp, CAMERA_LEFT)))
+        self.publish("panel/controls", controls_message(load_layout(LAYOUT), header(stamp, PANEL)))
+        self.publish("panel/pose", pose_message(panel_pose(), header(stamp, CAMERA_LEFT)))
+        self.publish("panel/confidence", Float32(data=0.9))
+        self.publish("stylus/tip", point_message([0.0, 0.0, 0.5], header(stamp, CAMERA_LEFT)))
+        self.publish("gantry/target", point_message([0.05, 0.0, 0.5], header(stamp, CAMERA_LEFT)))
+        self.publish(
+            "corners", cloud_message(("u", "v", "response"), [[1, 2, 9], [3, 4, 8]], header(stamp, CAMERA_LEFT))
+        )
+        self.publish("calibration/axes", Float64MultiArray(data=[1.0, 0.1, 0.0, 1.0]))
+        self.publish("joint_states", joint_message(JOINTS, [0.1, 0.05, 0.02], header(stamp, "")))
+        for part, text in (
+            ("gantry/state", "ready"),
+            ("gantry/driver_state", "idle"),
+            ("calibration/state", "calibrated"),
+        ):
+            self.publish(part, String(data=text))
+        self.publish("left/image_raw", image_message(picture, "bgr8", header(stamp, CAMERA_LEFT)))
+        return stamp
+
+
+class Browser:
+    """A page's connections, run in a thread of its own while the test spins the nodes."""
+
+    def __init__(self, ros: Any, url: str) -> None:
+        self.ros = ros
+        self.url, _, self.token = url.partition("?token=")
+        self.origin = self.url.rstrip("/")
+        self.heard: list[dict[str, Any]] = []
+        self.frames: list[dict[str, Any]] = []
+        self.seq = 0
+        self.loop = asyncio.new_event_loop()
+        self.thread = threading.Thread(target=self.loop.run_forever, daemon=True)
+        self.thread.start()
+        self.tasks: list[Any] = []
+        self.run(self._open())
+
+    def run(self, work: Awaitable[Any]) -> Any:
+        future = asyncio.run_coroutine_threadsafe(work, self.loop)  # type: ignore[arg-type]
+        self.ros.spin_until(future.done, WITHIN_S)
+        return future.result()
+
+    async def _open(self) -> None:
+        self.session = aiohttp.ClientSession(self.origin, cookie_jar=aiohttp.CookieJar(unsafe=True))
+        async with self.session.get("/", params={"token": self.token}) as answer:
+            assert answer.status == 200
+        self.control = await self.session.ws_connect("/control", headers={"Origin": self.origin})
+        self.video = await self.session.ws_connect("/video", headers={"Origin": self.origin})
+        await self.video.send_str('{"camera":"left","corners":true}')
+        self.tasks = [self.loop.create_task(self._hear()), self.loop.create_task(self._look())]
+
+    async def _hear(self) -> None:
+        async for message in self.control:
+            self.heard.append(json.loads(message.data))
+
+    async def _look(self) -> None:
+        async for message in self.video:
+            (length,) = struct.unpack_from(">I", message.data)
+            self.frames.append(json.loads(message.data[4 : 4 + length]))
+            await self.video.send_str(json.dumps({"drawn": self.frames[-1]["seq"]}))
+
+    def latest(self, kind: str) -> dict[str, Any]:
+        found = [m for m in self.heard if m["type"] == kind]
+        return dict(found[-1]) if found else {}
+
+    def state(self) -> dict[str, Any]:
+        return self.latest("state")
+
+    def ask(self, **fields: Any) -> dict[str, Any]:
+        self.seq += 1
+        seq = self.seq
+        hello = self.latest("hello")
+        epoch = (self.state() or hello["state"])["lease"]["epoch"]
+        text = json.dumps({"seq": seq, "boot": hello["boot"], "epoch": epoch, **fields})
+        self.run(self.control.send_str(text))
+        find = lambda: next((m for m in self.heard if m["type"] == "answer" and m["seq"] == seq), None)  # noqa: E731
+        return dict(self.ros.spin_until(find, WITHIN_S, lambda: self.heard[-3:]))
+
+    def alive(self) -> None:
+        self.seq += 1
+        boot = self.latest("hello")["boot"]
+        text = json.dumps({"type": "alive", "seq": self.seq, "boot": boot, "epoch": 0, "client_ms": 1})
+        self.run(self.control.send_str(text))
+
+    def close(self) -> None:
+        async def end() -> None:
+            for task in self.tasks:
+                task.cancel()
+            await asyncio.gather(*self.tasks, return_exceptions=True)
+            await self.session.close()
+
+        asyncio.run_coroutine_threadsafe(end(), self.loop).result(WITHIN_S)
+        self.loop.call_soon_threadsafe(self.loop.stop)
+        self.thread.join(WITHIN_S)
+        self.loop.close()
+
+
+@pytest.fixture
+def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
+    """The bridge in a graph that it is matched with, and a page that is signed in and hears of the state."""
+    graph = Graph(ros)
+    parameters = {"port": 0, "token_file": str(tmp_path / "token"), "audit_file": str(tmp_path / "audit.jsonl")}
+    node = ros.node(BridgeNode, {**parameters, "layout": str(LAYOUT)})
+    ros.spin_until((tmp_path / "token").exists, WITHIN_S)
+    url = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", capfd.readouterr().out)
+    assert url
+    assert url[0].endswith((tmp_path / "token").read_text().strip())
+    assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
+    ros.spin_until(lambda: all(p.get_subscription_count() for p in graph.publishers.values()), WITHIN_S)
+    ros.spin_until(lambda: node.count_subscribers("gantry/command") and node.count_subscribers("gantry/goal"), WITHIN_S)
+    browser = Browser(ros, url[0])
+    try:
+        ros.spin_until(lambda: browser.latest("hello"), WITHIN_S)
+        yield graph, browser, node, tmp_path
+    finally:
+        browser.close()
+
+
+def shown(ros: Any, graph: Graph, browser: Browser) -> dict[str, Any]:
+    """Publish until the page has a picture with its overlay, and the bridge is ready; return the last picture's data."""
+
+    def ready() -> bool:
+        graph.show_all()
+        good = any("panel" in f and f["panel"]["controls"] for f in browser.frames)
+        return bool(good and browser.state().get("refusal", 1) is None)
+
+    ros.spin_until(ready, WITHIN_S, lambda: (browser.state(), browser.frames[-1:]))
+    return browser.frames[-1]
+
+
+def test_the_page_shows_what_the_topics_say(ros: Any, bridge: Any) -> None:
+    graph, browser, _, _ = bridge
+    stamps = []
+
+    def seen() -> Any:
+        stamps.append(str(graph.show_all()))
+        complete = [f for f in browser.frames if f["tip"] and f["target"] and "corners" in f]
+        return browser.state().get("position_mm") and complete
+
+    frame = ros.spin_until(seen, WITHIN_S, lambda: (browser.state(), browser.frames[-1:]))[-1]
+    assert frame["stamp"] in stamps
+    assert (frame["width"], frame["height"], frame["corners"]) == (640, 480, [1.0, 2.0, 3.0, 4.0])
+    assert frame["tip"] == [319.5, 239.5]
+    assert frame["target"] == [419.5, 239.5]
+    panel = [f["panel"] for f in browser.frames if "panel" in f][-1]
+    (run_stop,) = [c for c in panel["controls"] if c["name"] == "RUN_STOP"]
+    depth = 0.8 - 0.003
+    left, right = 319.5 + 1000 * (0.200 - 0.16) / depth, 319.5 + 1000 * (0.216 - 0.16) / depth
+    top = 239.5 - 1000 * (0.1315 - 0.075) / depth
+    assert run_stop["label"] == "Run / Stop"
+    assert run_stop["box"][:3] == pytest.approx([left, top, right - left], abs=0.11)
+    # base_from_reading = [[1, 0.1], [0, 1]]: x = 100 + 0.1 * 50 mm
+    assert browser.state()["position_mm"] == [105.0, 50.0, 20.0]
+    assert browser.state()["confidence"] == 0.9
+
+
+def test_a_control_is_pressed_and_the_result_comes_back(ros: Any, bridge: Any) -> None:
+    graph, browser, _, folder = bridge
+    assert browser.ask(type="lease", step="take")["ok"]
+    frame = shown(ros, graph, browser)
+    answer = browser.ask(type="select", camera="left", stamp=frame["stamp"], control="RUN_STOP")
+    assert answer["ok"], answer
+    number = browser.latest("selection")["selection"]["number"]
+    frame = shown(ros, graph, browser)
+    act = {"type": "act", "gesture": "press", "selection": number, "camera": "left", "stamp": frame["stamp"]}
+    answer = browser.ask(**act)
+    assert answer["ok"], answer
+    (command,) = ros.spin_until(lambda: graph.commands, WITHIN_S)
+    gesture = parse_gesture(command.data)
+    assert (gesture.kind, gesture.target) == ("press", "RUN_STOP")
+    for outcome, error in ((Outcome.ACCEPTED, float("nan")), (Outcome.REACHED, 0.00031)):
+        result = GoalResult(goal_id=gesture.id, goal=command.data, outcome=outcome, error_m=error)
+        graph.publish("gantry/result", result_message(result, graph.now()))
+    ros.spin_until(lambda: browser.latest("log")["entry"]["status"] == "reached", WITHIN_S)
+    assert browser.latest("log")["entry"]["error_mm"] == 0.31
+    records = [json.loads(line) for line in (folder / "audit.jsonl").read_text().splitlines()]
+    assert command.data in [record["command"] for record in records]
+
+
+def test_a_point_becomes_a_pixel_goal(ros: Any, bridge: Any) -> None:
+    graph, browser, _, _ = bridge
+    assert browser.ask(type="lease", step="take")["ok"]
+    frame = shown(ros, graph, browser)
+    assert browser.ask(type="select", camera="left", stamp=frame["stamp"], u=330.5, v=250.25)["ok"]
+    number = browser.latest("selection")["selection"]["number"]
+    frame = shown(ros, graph, browser)
+    before = graph.now()
+    act = {"type": "act", "gesture": "press", "selection": number, "camera": "left", "stamp": frame["stamp"]}
+    assert browser.ask(**act)["ok"]
+    (goal,) = ros.spin_until(lambda: graph.goals, WITHIN_S)
+    assert goal.header.frame_id == CAMERA_LEFT
+    assert (goal.point.x, goal.point.y) == (330.5, 250.25)
+    assert before <= stamp_ns(goal.header.stamp) <= graph.now()
+
+
+def test_stop_goes_out_as_message_and_as_service(ros: Any, bridge: Any) -> None:
+    graph, browser, node, _ = bridge
+    ros.spin_until(lambda: node._stop_service.service_is_ready(), WITHIN_S)
+    ros.spin_until(lambda: node._stop_request.get_subscription_count(), WITHIN_S)
+    assert browser.ask(type="stop")["ok"], "without the lease"
+    ros.spin_until(lambda: graph.stops and "gantry/stop" in graph.called, WITHIN_S)
+
+
+def test_heartbeats_are_published_only_with_the_operators_keep_alives(ros: Any, bridge: Any) -> None:
+    graph, browser, node, _ = bridge
+    ros.spin_until(lambda: node._heartbeat.get_subscription_count(), WITHIN_S)
+    browser.alive()
+    assert browser.ask(type="lease", step="take")["ok"]
+
+    def beating() -> bool:
+        browser.alive()
+        return len(graph.heartbeats) >= 3
+
+    ros.spin_until(beating, WITHIN_S)
+    stamps = [stamp_ns(beat.stamp) for beat in graph.heartbeats]
+    assert stamps == sorted(stamps)
+    graph.publish("gantry/driver_state", String(data="moving"))
+    ros.spin_until(lambda: graph.stops, WITHIN_S)  # no keep-alive any more
+    count = len(graph.heartbeats)
+    ros.spin_until(lambda: browser.state()["lease"]["holder"] == "", WITHIN_S)
+    browser.alive()
+    assert browser.ask(type="call", service="home")["code"] == "no_lease"
+    assert len(graph.heartbeats) == count
+    assert browser.latest("log")["entry"]["target"] == "stopped_page_silent"
+
+
+@pytest.mark.parametrize(
+    ("service", "called", "status"),
+    [
+        ("home", "gantry/home", "rejected"),
+        ("reset", "gantry/reset", "done"),
+        ("enable", "gantry/enable True", "done"),
+        ("disable", "gantry/enable False", "done"),
+        ("calibrate", "calibration/run", "done"),
+    ],
+)
+def test_services_are_called_and_their_answer_is_shown(
+    ros: Any, bridge: Any, service: str, called: str, status: str
+) -> None:
+    graph, browser, node, _ = bridge
+    clients = [node._enable_service, *node._triggers.values()]
+    ros.spin_until(lambda: all(client.service_is_ready() for client in clients), WITHIN_S)
+    assert browser.ask(type="lease", step="take")["ok"]
+    assert browser.ask(type="call", service=service)["ok"]
+    ros.spin_until(lambda: browser.latest("log")["entry"]["status"] not in ("sent",), WITHIN_S)
+    assert graph.called == [called]
+    entry = browser.latest("log")["entry"]
+    assert (entry["status"], entry["reason"]) == (status, f"{called.split()[0]} answered")
+
+
+def test_limits_change_while_it_runs_and_addresses_do_not(ros: Any, bridge: Any) -> None:
+    _, _, node, _ = bridge
+    (bad,) = node.set_parameters([Parameter("silence_stop_s", value=0.2)])
+    assert not bad.successful
+    assert "keepalive_fresh_s" in bad.reason
+    (good,) = node.set_parameters([Parameter("min_confidence", value=0.8)])
+    assert good.successful
+    ros.spin_until(lambda: node._desk.config.min_confidence == 0.8, WITHIN_S)
+    (fixed,) = node.set_parameters([Parameter("host", value="localhost")])
+    assert not fixed.successful
+
+
+def test_a_new_token_voids_the_old_one(ros: Any, bridge: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    _, browser, node, folder = bridge
+    before = (folder / "token").read_text()
+    node.issue_token()
+    ros.spin_until(lambda: (folder / "token").read_text() != before, WITHIN_S)
+    token = (folder / "token").read_text().strip()
+    assert f"?token={token}" in capfd.readouterr().out
+
+    async def status(value: str) -> int:
+        async with aiohttp.ClientSession(browser.origin) as session:
+            async with session.get("/", params={"token": value}) as answer:
+                return answer.status
+
+    assert browser.run(status(token)) == 200
+
+
+@pytest.mark.parametrize(
+    ("parameters", "named"),
+    [
+        ({"host": "0.0.0.0"}, "not loopback"),
+        ({"layout": "/nonexistent/x.yaml"}, "layout"),
+        ({"audit_file": "/proc/nonexistent/audit"}, "audit_file"),
+    ],
+)
+def test_a_wrong_configuration_is_refused_by_name(ros: Any, parameters: dict[str, Any], named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        BridgeNode(
+            context=ros.context,
+            parameter_overrides=[Parameter(k, value=v) for k, v in {"port": 0, "token_file": "", **parameters}.items()],
+        )
