@@ -12,7 +12,7 @@ Entry = dict[str, Any]
 class Journal:
     """Numbered entries, the newest ``capacity`` of them, and counters that never forget."""
 
-    def __init__(self, capacity: int = 50_000) -> None:
+    def __init__(self, capacity: int = 20_000) -> None:
         self.entries: deque[Entry] = deque(maxlen=capacity)
         self.counts: Counter[str] = Counter()
         self.sink: Callable[[Entry], None] | None = None

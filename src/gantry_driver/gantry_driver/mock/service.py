@@ -1,4 +1,13 @@
-"""Runs a mock machine in real time: port, truth socket, control socket and log around one selector."""
+"""Runs a mock machine in real time: port, truth socket, control socket and log around one selector.
+
+Truth socket: a line ``{"t": s on the monotonic clock, "mpos": [x, y, z] mm of the motors in the frame of a homed board,
+"spindle": rpm, "coolant": bool, "state": as the report has it, or Off}``, 200 a second while moving, else 20.
+
+Control socket: one JSON object per line, each answered by one line with ``ok`` and, when refused, ``error``:
+``{"do": "state"}``, ``{"do": "counters"}``, ``{"do": "log", "since": N, "kind": "line"}`` (both optional; kinds: rx,
+realtime, line, alarm, eeprom, banner, fault, opened, power_on, power_off), ``{"do": "fault", "kind": K, ...}`` with the
+faults and arguments of :data:`gantry_driver.mock.machine.FAULTS`. Times in answers are board seconds.
+"""
 
 from __future__ import annotations
 
@@ -134,7 +143,8 @@ class Service:
         if now - self._truth_s < period - 0.0005 and moving == self._was_moving:
             return
         self._truth_s, self._was_moving = now, moving
-        self._truth.broadcast(json.dumps({"t": now, **self.machine.truth()}).encode() + b"\n")
+        sampled = self._start_s + self._board.now / self._scale
+        self._truth.broadcast(json.dumps({"t": sampled, **self.machine.truth()}).encode() + b"\n")
 
     def _command(self, line: bytes) -> dict[str, Any]:
         """Answer one line of the control socket; ``do`` is state, counters, log or fault."""
