@@ -156,6 +156,7 @@ class Machine:
         self.bench = bench
         self.calls: list[str] = []
         self.calibration_fails = calibration_fails
+        self.refusals = 0
         node = bench.node
         self.calibration = node.create_publisher(String, "/calibration/state", qos.LATCHED)
         self.calibration.publish(String(data="calibrated: from file" if calibrated else "uncalibrated"))
@@ -178,6 +179,10 @@ class Machine:
 
     def _calibrate(self, request: Any, response: Any) -> Any:
         self.calls.append("calibrate")
+        if self.refusals:
+            self.refusals -= 1
+            response.success, response.message = False, "no camera_info yet"
+            return response
         last = "failed: 3 of 12 samples" if self.calibration_fails else "calibrated: sigma 0.1 mm"
         for text in ("calibrating 1/12", last):
             self.calibration.publish(String(data=text))
@@ -192,6 +197,24 @@ def test_prepare_does_what_is_needed(ros: Any, bench: GantryBench) -> None:
     assert machine.calls == ["enable True", "home", "calibrate"]
     for line in ("driver: unhomed", "homing: idle", "calibration: calibrated: sigma 0.1 mm", "controller: ready"):
         assert line in output, output
+
+
+def test_prepare_has_patience_with_cameras_that_start_slowly(ros: Any, bench: GantryBench) -> None:
+    machine = Machine(bench, calibrated=False, homed=True)
+    machine.refusals = 2
+    code, output = Program(ros, "gantry_prepare", "--timeout", "30").end()
+    assert code == 0 and machine.calls == ["enable True", "calibrate", "calibrate", "calibrate"], output
+    assert output.count("calibration/run is refused so far: no camera_info yet") == 1
+
+
+def test_prepare_lets_a_stored_calibration_be_checked(ros: Any, bench: GantryBench) -> None:
+    machine = Machine(bench, calibrated=True, homed=True)
+    machine.calibration.publish(String(data="uncalibrated: waiting for camera_info to check the calibration file"))
+    program = Program(ros, "gantry_prepare", "--timeout", "30")
+    ros.spin_until(lambda: machine.calls, 30.0)
+    machine.calibration.publish(String(data="calibrated: from file"))
+    code, output = program.end()
+    assert code == 0 and machine.calls == ["enable True"], output
 
 
 def test_prepare_leaves_alone_what_is_ready(ros: Any, bench: GantryBench) -> None:

@@ -127,7 +127,10 @@ def carry_out(session: OperatorSession, request: Request) -> int:
         else:
             goal_id = request.gesture.id
             commands.publish(String(data=request.gesture.text()))
-        return _follow(session, goal_id, until)
+        code = _follow(session, goal_id, until)
+        if code == REACHED and request.xyz is not None and request.xyz[2] < 0:
+            say("the stylus is down: without an operator the driver now stops and lifts it, then needs gantry/reset")
+        return code
     except TimedOut as error:
         complain(str(error))
         if goal_id:

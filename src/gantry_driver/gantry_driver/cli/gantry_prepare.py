@@ -30,6 +30,8 @@ from gantry_driver.cli.operator_session import (
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
 _BROKEN = ("disconnected", "stopped", "alarm", "mismatch")
 CONNECT_S = 15.0
+CAMERA_S = 60.0
+RETRY_S = 1.0
 
 
 class Failed(Exception):
@@ -51,10 +53,16 @@ def prepare(session: OperatorSession, *, home: bool, calibrate: bool, until: flo
     if home or session.latest(DRIVER) != "idle":
         steps.call(Trigger, "gantry/home", Trigger.Request())
         steps.follow(DRIVER, "homing", done=lambda text: text == "idle", failed=_BROKEN)
-    calibration = steps.wait(lambda: session.latest(CALIBRATION), "no calibration/state")
+    # A stored calibration counts once the cameras have shown that it is theirs.
+    steps.wait(
+        lambda: session.latest(CALIBRATION) and "waiting" not in session.latest(CALIBRATION),
+        lambda: f"calibration/state: {session.latest(CALIBRATION) or 'nothing'}",
+    )
+    calibration = session.latest(CALIBRATION)
     if calibrate or not calibration.startswith("calibrated"):
         if not calibration.startswith("calibrating"):
-            steps.call(Trigger, "calibration/run", Trigger.Request())
+            # Cameras can take longer to start than a machine takes to home.
+            steps.call(Trigger, "calibration/run", Trigger.Request(), patience_s=CAMERA_S)
         steps.follow(CALIBRATION, "calibration", done=lambda t: t.startswith("calibrated"), failed=("failed",))
     steps.wait_ready()
 
@@ -84,23 +92,37 @@ class _Steps:
         if text.partition(":")[0] in _BROKEN:
             raise Failed(f"the driver is {text!r}; look at the machine, then call gantry/reset")
 
-    def wait(self, condition: Callable[[], Any], missing: str) -> Any:
+    def wait(self, condition: Callable[[], Any], missing: str | Callable[[], str]) -> Any:
         """Wait for a condition until the deadline of the whole preparation."""
-        return self._session.wait_for(condition, self._until, lambda: missing)
+        say_missing = missing if callable(missing) else lambda: missing
+        return self._session.wait_for(condition, self._until, say_missing)
 
-    def call(self, service_type: Any, name: str, request: Any) -> None:
-        """Call a service; a refusal is a failure."""
+    def call(self, service_type: Any, name: str, request: Any, *, patience_s: float = 0.0) -> None:
+        """Call a service, again while it refuses and there is patience; the last refusal is a failure."""
         session = self._session
-        self._seen_before_call = {topic: len(texts) for topic, texts in session.states.items()}
         client = session.node.create_client(service_type, name)
         self.wait(client.service_is_ready, f"service {name} is not offered")
-        future = client.call_async(request)
-        self.wait(future.done, f"service {name} does not answer")
-        answer = future.result()
+        give_up = min(time.monotonic() + patience_s, self._until)
+        refusal = ""
+        while True:
+            self._seen_before_call = {topic: len(texts) for topic, texts in session.states.items()}
+            future = client.call_async(request)
+            self.wait(future.done, f"service {name} does not answer")
+            answer = future.result()
+            if answer.success:
+                break
+            again = time.monotonic() + RETRY_S
+            if again > give_up:
+                raise Failed(f"{name} was refused: {answer.message}")
+            if answer.message != refusal:
+                refusal = answer.message
+                say(f"{name} is refused so far: {refusal}")
+            self._pause_until(again)
         session.node.destroy_client(client)
-        if not answer.success:
-            raise Failed(f"{name} was refused: {answer.message}")
         say(f"{name}: {answer.message or 'accepted'}")
+
+    def _pause_until(self, when: float) -> None:
+        self.wait(lambda: time.monotonic() > when, "out of time")
 
     def follow(self, topic: str, what: str, *, done: Callable[[str], bool], failed: tuple[str, ...]) -> None:
         """Print what a state topic says after the last call until it is done or has failed."""
