@@ -34,11 +34,16 @@ def compiled(function: F) -> F:
     return result
 
 
-def inlined(function: F) -> F:
-    """Compile a function that becomes part of the compiled ones which call it.
+def called(function: F) -> F:
+    """Compile a function that compiled ones call; one copy, which keeps compiling short."""
+    result: F = numba.njit(nogil=True, fastmath=_FASTMATH, error_model="numpy")(function)
+    return result
 
-    Without ``inline`` the compiler decides by size; a row loop that stays a call does not know that its rows do not
-    overlap, and is not vectorised.
+
+def inlined(function: F) -> F:
+    """Compile a function that becomes part of the compiled ones which call it, once for each call.
+
+    For loops over rows: one that stays a call does not know that its rows do not overlap, and is not vectorised.
     """
     result: F = numba.njit(nogil=True, fastmath=_FASTMATH, error_model="numpy", inline="always")(function)
     return result

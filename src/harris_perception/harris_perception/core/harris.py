@@ -227,19 +227,15 @@ class HarrisDetector:
     def _selected(self, bands: Sequence[Peaks]) -> Corners:
         config = self.config
         peaks = bands[0][0] if len(bands) == 1 else np.concatenate([peaks for peaks, _ in bands])
-        peaks = peaks[peaks[:, 2] > max(floor for _, floor in bands)]
-        # Positive floats sort like their bits. One sort of (response, place from the end) in a word is several times
-        # faster than argsort, and equal responses stay in reading order.
-        places = np.arange(len(peaks), dtype=np.uint64)[::-1]
-        keys = np.sort((peaks[:, 2].view(np.uint32).astype(np.uint64) << np.uint64(32)) | places)[::-1]
-        peaks = peaks[len(peaks) - 1 - (keys & np.uint64(0xFFFFFFFF)).astype(np.intp)]
+        spaced = config.even_spread or config.suppression_radius_px > 1.0
         limit = config.max_corners or len(peaks)
-        if config.even_spread and len(peaks) > limit:
-            peaks = peaks[_spread(peaks, limit, config.suppression_radius_px)]
-        elif config.suppression_radius_px > 1.0 and len(peaks) > 0:
-            peaks = peaks[kernels.apart(peaks, config.suppression_radius_px, limit)]
-        peaks = peaks[:limit]
-        return Corners(np.ascontiguousarray(peaks[:, :2]), np.ascontiguousarray(peaks[:, 2]))
+        xy, response = kernels.ranked(peaks, max(floor for _, floor in bands), len(peaks) if spaced else limit)
+        if spaced and len(xy) > 0:
+            even = config.even_spread and len(xy) > limit
+            find = _spread if even else kernels.apart
+            kept = find(xy, config.suppression_radius_px, limit)
+            xy, response = xy[kept], response[kept]
+        return Corners(xy, response)
 
 
 def _call(task: Callable[[], Peaks]) -> Peaks:
@@ -281,13 +277,13 @@ def _window_taps(config: HarrisConfig) -> F32:
     return np.ones(config.window_px, np.float32)
 
 
-def _spread(peaks: F32, limit: int, least: float) -> npt.NDArray[np.int64]:
+def _spread(xy: F32, least: float, limit: int) -> npt.NDArray[np.int64]:
     """Return ``limit`` indices at the largest distance that leaves so many, by bisection (Bailo, PRL 106, 2018)."""
-    low, high = least, float(np.hypot(*np.ptp(peaks[:, :2], axis=0))) + least
-    best = kernels.apart(peaks, low, limit)
+    low, high = least, float(np.hypot(*np.ptp(xy, axis=0))) + least
+    best = kernels.apart(xy, low, limit)
     while high - low > 0.25 and len(best) == limit:
         middle = 0.5 * (low + high)
-        tried = kernels.apart(peaks, middle, limit)
+        tried = kernels.apart(xy, middle, limit)
         if len(tried) == limit:
             low, best = middle, tried
         else:

@@ -1,0 +1,126 @@
+"""Time from a grey picture to the list of corners, against OpenCV and scikit-image, one thread and two.
+
+All do the same work: 3x3 Sobel, window 3, k 0.04, threshold 1 % of the strongest, 3x3 suppression, all corners, sorted
+by response; ours with sub-pixel positions on top. The peers are measured twice: with malloc keeping large blocks (their
+best case, and the one that the goals are about) and with glibc's default. Agreement is the share of corners on the same
+pixel among those of either list that are at least 3 px inside, without sub-pixel.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import cv2
+import numpy as np
+from rows import Row, bound, data_folder, interleaved_ms, row, tune_malloc, write
+
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+
+SIZES = ((640, 480), (1280, 720), (1920, 1080))
+GOALS = {(640, 480): 3.0, (1280, 720): 3.0, (1920, 1080): 4.0}
+CONFIG = HarrisConfig(gradient="sobel", max_corners=0)
+
+
+def picture(width: int, height: int) -> np.ndarray:
+    """Return a photograph cut or scaled to the size; without the data folder a drawing with noise."""
+    folder = data_folder()
+    if folder is not None:
+        photograph = cv2.imread(str(next((folder / "stereo/aloe").glob("*l*.*g"))), cv2.IMREAD_GRAYSCALE)
+        scale = max(width / photograph.shape[1], height / photograph.shape[0])
+        scaled = cv2.resize(photograph, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        return np.ascontiguousarray(scaled[:height, :width])
+    rng = np.random.default_rng(1)
+    canvas = np.full((height, width), 120, np.uint8)
+    for _ in range(width * height // 2000):
+        centre, size = rng.uniform((0, 0), (width, height)), rng.uniform(5, 40, 2)
+        box = cv2.boxPoints((tuple(map(float, centre)), tuple(map(float, size)), float(rng.uniform(0, 180))))
+        cv2.fillConvexPoly(canvas, box.astype(np.int32), int(rng.integers(0, 256)), lineType=cv2.LINE_AA)
+    noisy = cv2.GaussianBlur(canvas, (0, 0), 0.8) + rng.normal(0, 2, canvas.shape)
+    return np.clip(noisy, 0, 255).astype(np.uint8)
+
+
+def good_features(gray: np.ndarray) -> np.ndarray:
+    found = cv2.goodFeaturesToTrack(gray, 0, 0.01, 0, blockSize=3, useHarrisDetector=True, k=0.04)
+    return np.asarray(found).reshape(-1, 2)
+
+
+def harris_and_dilate(gray: np.ndarray) -> np.ndarray:
+    response = cv2.cornerHarris(gray, 3, 3, 0.04)
+    _, high, _, _ = cv2.minMaxLoc(response)
+    _, response = cv2.threshold(response, 0.01 * high, 0, cv2.THRESH_TOZERO)
+    peaks = (response == cv2.dilate(response, None)) & (response > 0)
+    return np.asarray(cv2.findNonZero(peaks.view(np.uint8))).reshape(-1, 2)
+
+
+def scikit_image() -> Callable[[np.ndarray], Any] | None:
+    try:
+        from skimage.feature import corner_harris, corner_peaks
+    except ImportError:
+        return None
+    return lambda gray: corner_peaks(corner_harris(gray, k=0.04, sigma=1), min_distance=1, threshold_rel=0.01)
+
+
+def agreement(gray: np.ndarray) -> float:
+    height, width = gray.shape
+
+    def inside(xy: np.ndarray) -> set[tuple[int, int]]:
+        return {(int(x), int(y)) for x, y in xy if 3 <= x < width - 3 and 3 <= y < height - 3}
+
+    config = HarrisConfig(gradient="sobel", max_corners=0, subpixel=False)
+    ours, theirs = inside(HarrisDetector(config).detect(gray).xy), inside(good_features(gray))
+    return len(ours & theirs) / max(len(ours | theirs), 1)
+
+
+def measure(threads: int, label: str, goals: bool) -> list[Row]:
+    rows: list[Row] = []
+    cv2.setNumThreads(threads)
+    peer = scikit_image()
+    with ThreadPoolExecutor(threads) as pool:
+        run = map if threads == 1 else pool.map
+        detector = HarrisDetector(CONFIG, bands=threads, run=run)
+        detector.warm()
+        for width, height in SIZES:
+            gray = picture(width, height)
+            mirrored = np.ascontiguousarray(gray[:, ::-1])
+            functions: dict[str, Callable[[], Any]] = {
+                "ours": lambda gray=gray: detector.detect(gray),
+                "pair": lambda gray=gray, mirrored=mirrored: detector.detect([gray, mirrored]),
+                "cv2.goodFeaturesToTrack": lambda gray=gray: good_features(gray),
+                "cv2.cornerHarris + dilate": lambda gray=gray: harris_and_dilate(gray),
+            }
+            if peer is not None and threads == 1:
+                functions["skimage corner_harris + corner_peaks"] = lambda gray=gray: peer(gray)
+            ms = interleaved_ms(functions, slow=["skimage corner_harris + corner_peaks"])
+            what = f"{width}x{height}, {threads} thread{'s' * (threads > 1)}, {label} [ms]"
+            for name in list(functions)[2:]:
+                goal = GOALS[width, height] if goals and name == "cv2.goodFeaturesToTrack" and threads == 1 else None
+                rows.append(row(what, ms["ours"], ms[name], name, goal))
+            rows.append(row(what.replace(" [ms]", ": pair / one"), ms["pair"] / ms["ours"], 2.0, "two calls", 1.0))
+            if goals and threads == 1:
+                corners = len(detector.detect(gray))
+                rows.append(
+                    bound(f"{width}x{height}: agreement, {corners} corners", agreement(gray), 0.99, at_least=True)
+                )
+    return rows
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--default-malloc", action="store_true", help="only with glibc's default malloc")
+    if parser.parse_args().default_malloc:
+        write("harris_default_malloc", measure(1, "default malloc", goals=False), title="grey picture to corners")
+        return 0
+    subprocess.run([sys.executable, __file__, "--default-malloc"], check=True)
+    tune_malloc()
+    rows = measure(1, "tuned malloc", goals=True) + measure(2, "tuned malloc", goals=False)
+    write("harris", rows, title="grey picture to corners")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
