@@ -21,7 +21,8 @@ BALL = np.array([176.0, 22.0, 226.0])
 SHAFT = np.array([46.0, 44.0, 42.0])
 ARM = np.array([52.0, 50.0, 48.0])
 LIGHT = np.array([-0.35, 0.45, 0.82])
-_COUNT = 3
+_COUNT, _BALL_COUNT = 3, 6
+"""Samples per pixel and direction; the ball is measured, the rest only seen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,8 +66,8 @@ class StylusPainter:
             mixed = under * (1 - share[..., None]) + light * self._view.vignette[part.window][..., None]
             picture[part.window] = np.clip(mixed + 0.5, 0, 255).astype(np.uint8)
 
-    def _rays(self, window: Window) -> tuple[Array, Array]:
-        lean = self._view.samples(self._lean, window, _COUNT)
+    def _rays(self, window: Window, count: int = _COUNT) -> tuple[Array, Array]:
+        lean = self._view.samples(self._lean, window, count)
         return lean[0], lean[1]
 
     def _gather(self, window: Window, hit: npt.NDArray[np.bool_], colour: Array) -> _Part:
@@ -85,7 +86,7 @@ class StylusPainter:
     def _ball(self, tip: Array, radius: float) -> _Part | None:
         corners = tip + radius * 1.1 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         window = window_around(self._view.camera.project(corners), self._margin(), self._view.camera)
-        dx, dy = self._rays(window)
+        dx, dy = self._rays(window, _BALL_COUNT)
         # |eye + t d - tip| = radius with d = (dx, dy, -1).
         ex, ey, ez = self._eye - tip
         a = dx**2 + dy**2 + 1

@@ -7,6 +7,7 @@ near; when one of them moves, only its surroundings are composed anew.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import cv2
@@ -65,8 +66,9 @@ class Surfaces:
     table_shadow: npt.NDArray[np.float32]
 
     @classmethod
+    @functools.lru_cache(maxsize=2)
     def of(cls, layout: PanelLayout) -> Surfaces:
-        """Draw them."""
+        """Draw them; drawing takes about a second, so the last ones are kept."""
         return cls(
             face=draw_face(layout, FACE_PER_MM),
             face_shadow=_face_shadow(layout),

@@ -1,0 +1,181 @@
+"""The bench as a whole, fed with motor samples."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from icu_common.core.panel_layout import load_layout
+from scope_bench.core.bench import Bench
+from scope_bench.core.configuration import BenchConfig, PanelConfig
+
+ROOT = Path(__file__).parents[3]
+LAYOUT = load_layout(ROOT / "config/scopes/dso_bench_4.yaml")
+
+
+class Rig:
+    """Drives the motors so that the undisturbed ball goes where asked, in panel millimetres."""
+
+    def __init__(self, config: BenchConfig | None = None) -> None:
+        self.bench = Bench(LAYOUT, config or BenchConfig())
+        self.time = 100.0
+        self.records: list[dict] = []
+        self.bench.feed((-359.0, -219.0, -1.0), 0, False, self.time)
+
+    def motor(self, point_mm: tuple[float, float, float]) -> np.ndarray:
+        base = self.bench.panel_from.apply(np.array(point_mm) / 1000) * 1000
+        errors = self.bench.errors
+        xy = np.linalg.solve(errors.base_from_carriage, base[:2] + errors.lean * base[2])
+        return np.array([-359 + xy[0], -219 + xy[1], -1 + base[2]])
+
+    def go(self, x: float, y: float, z: float, seconds: float = 1.0) -> None:
+        target = self.motor((x, y, z))
+        start = getattr(self, "_at", np.array([-359.0, -219.0, -1.0]))
+        for share in np.linspace(0, 1, 101)[1:]:
+            self.time += seconds / 100
+            self.bench.feed(start + (target - start) * share, 0, False, self.time)
+        self._at = target
+        self.records += self.bench.take_records()
+
+    def press(self, name: str) -> None:
+        control = LAYOUT.control(name)
+        x, y = control.position_mm
+        # Always from the lower left, so that the play is taken up in one direction.
+        self.go(x - 2, y - 2, 30)
+        self.go(x, y, 30)
+        self.go(x, y, control.height_mm + 0.4)
+        self.go(x, y, 30)
+
+    def events(self, *kinds: str) -> list[tuple[str, str]]:
+        return [(r["event"], r["control"]) for r in self.records if r["event"] in kinds]
+
+
+def test_pressing_run_stop_stops_the_trace_and_is_logged() -> None:
+    rig = Rig()
+    rig.press("RUN_STOP")
+    assert not rig.bench.state.running
+    assert rig.events("contact", "press", "unpress", "release") == [
+        (kind, "RUN_STOP") for kind in ("contact", "press", "unpress", "release")
+    ]
+    change = next(r for r in rig.records if r["event"] == "instrument")
+    assert change["changes"] == {"running": False}
+    contact = next(r for r in rig.records if r["event"] == "contact")
+    assert contact["tip_panel_mm"][:2] == pytest.approx((208.0, 127.0), abs=0.03)
+    assert contact["tip_panel_mm"][2] == pytest.approx(5.0, abs=0.11)
+    again = rig.bench.panel_from.apply(np.array(contact["tip_panel_mm"]) / 1000)
+    assert contact["tip_base_m"] == pytest.approx(again.tolist(), abs=1e-6)
+    json.dumps(rig.records)
+    rig.press("RUN_STOP")
+    assert rig.bench.state.running
+
+
+def test_turning_a_knob_changes_the_scale() -> None:
+    rig = Rig()
+    rig.go(211 + 4, 92, 30)
+    rig.go(211 + 6, 92, 30)
+    rig.go(211 + 6, 92, 16.5)
+    for degrees in range(0, -46, -5):
+        angle = np.radians(degrees)
+        rig.go(211 + 6 * np.cos(angle), 92 + 6 * np.sin(angle), 16.5, 0.1)
+    rig.go(220, 80, 30)
+    assert rig.bench.state.knob_deg("CH1_SCALE") == pytest.approx(-45, abs=4)
+    release = next(r for r in rig.records if r["event"] == "release")
+    assert release["control"] == "CH1_SCALE"
+    assert release["turned_deg"] == pytest.approx(rig.bench.state.knob_deg("CH1_SCALE"), abs=0.01)
+    changes = [r["changes"] for r in rig.records if r["event"] == "instrument"]
+    assert [list(c) for c in changes] == [["volts_index"], ["volts_index"]]
+
+
+def test_touching_the_screen_sets_the_marker_there() -> None:
+    rig = Rig()
+    rig.go(55, 58, 30)
+    rig.go(57.5, 61.5, 30)
+    rig.go(57.5, 61.5, 1.5)
+    assert rig.bench.state.marker == pytest.approx(((57.5 - 15) / 170, (61.5 - 30) / 105), abs=0.001)
+    assert rig.bench.touch.contact == "SCREEN"
+    assert rig.bench.truth()["contact"] == "SCREEN"
+
+
+def test_holding_menu_opens_the_system_menu() -> None:
+    rig = Rig()
+    x, y = LAYOUT.control("MENU").position_mm
+    rig.go(x, y, 30)
+    rig.go(x, y, 3.2)
+    assert rig.bench.state.menu == "MENU"
+    rig.bench.advance(rig.time + 1.5)
+    assert rig.bench.state.menu == "SYSTEM"
+
+
+def test_a_collision_with_a_knobs_side_is_in_the_log() -> None:
+    rig = Rig()
+    rig.go(225, 104, 30)
+    rig.go(225, 104, 8)
+    rig.go(225, 92, 8)
+    rig.go(212, 92, 8)
+    # Passing between the two knobs is free, going on into the left one is not.
+    assert rig.events("collision") == [("collision", "CH1_SCALE")]
+
+
+def test_play_moves_the_ball_with_the_direction_of_approach() -> None:
+    rig = Rig()
+    rig.go(90, 75, 30)
+    rig.go(100, 80, 30)
+    from_below = rig.bench.tip_base()
+    rig.go(110, 85, 30)
+    rig.go(100, 80, 30)
+    difference = (rig.bench.tip_base() - from_below) * 1000
+    expected = rig.bench.errors.base_from_carriage @ rig.bench.errors.play_mm[:2]
+    assert difference[:2] == pytest.approx(expected.tolist(), abs=1e-4)
+
+
+def test_a_moment_lies_between_the_samples_around_it() -> None:
+    rig = Rig()
+    rig.go(100, 80, 30)
+    start, begin = rig.bench.tip_base(), rig.time
+    rig.go(120, 80, 30)
+    end = rig.bench.tip_base()
+    assert rig.bench.tip_at(begin) == pytest.approx(start.tolist())
+    quarter = rig.bench.tip_at(begin + 0.2525)
+    assert quarter == pytest.approx((start + (end - start) * 0.2525).tolist(), abs=3e-6)
+    assert rig.bench.tip_at(rig.time + 5) == pytest.approx(end.tolist())
+    assert rig.bench.moment(begin).tip == pytest.approx(tuple(start))
+
+
+def test_a_pushed_panel_stays_under_the_ball_and_is_touched_elsewhere() -> None:
+    rig = Rig()
+    rig.go(208, 127, 30)
+    before = rig.bench.tip_base()
+    rig.bench.move_panel(0.003, -0.001, 0.0)
+    assert rig.bench.tip_base() == pytest.approx(before.tolist(), abs=1e-9), "the machine has not moved"
+    yaw = np.radians(BenchConfig().panel.yaw_deg)
+    dx, dy = -3 * np.cos(yaw) + 1 * np.sin(yaw), 3 * np.sin(yaw) + 1 * np.cos(yaw)
+    assert rig.bench.touch.tip_mm[:2] == pytest.approx((208 + dx, 127 + dy), abs=0.05)
+
+
+def test_a_new_configuration_is_taken() -> None:
+    rig = Rig()
+    config = dataclasses.replace(rig.bench.config, panel=PanelConfig(position_m=(0.05, 0.025, -0.035)))
+    errors = rig.bench.errors
+    rig.bench.reconfigure(config)
+    assert rig.bench.panel_from.translation == pytest.approx([0.05, 0.025, -0.035])
+    assert rig.bench.errors is errors
+
+
+def test_equal_seeds_make_equal_benches() -> None:
+    first, again, other = (Rig(BenchConfig(seed=seed)) for seed in (3, 3, 4))
+    for rig in (first, again, other):
+        rig.press("CH2")
+    assert first.records == again.records
+    assert first.bench.errors.play_mm[0] != other.bench.errors.play_mm[0]
+
+
+def test_samples_that_go_back_in_time_are_ignored() -> None:
+    rig = Rig()
+    rig.go(100, 80, 30)
+    tip = rig.bench.tip_base()
+    rig.bench.feed((-359.0, -219.0, -1.0), 0, False, rig.time - 0.5)
+    assert np.array_equal(rig.bench.tip_base(), tip)
