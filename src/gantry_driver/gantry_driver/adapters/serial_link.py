@@ -51,6 +51,7 @@ class SerialLink:
         self._fd = -1
         self._pending = bytearray()
         self._closing = False
+        self._closed = False
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
         os.set_blocking(self._wake_write, False)
@@ -85,6 +86,9 @@ class SerialLink:
 
     def close(self, reason: str, within_s: float = 8.0) -> None:
         """Bring the machine to rest with the stylus up, at most ``within_s``, then close the port."""
+        if self._closed:
+            return
+        self._closed = True
         with self._changed:
             restless = self._machine.needs_way_out
         if restless:

@@ -41,8 +41,8 @@ class SerialDriverNode(Node):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("serial_driver", **node_arguments)
-        self._parameters = LiveParameters(self, DriverConfig, self._on_config)
-        config = self._parameters.config
+        self._live = LiveParameters(self, DriverConfig, self._on_config)
+        config = self._live.config
         self._joint_states = self.create_publisher(JointState, "joint_states", RESULTS)
         self._state = self.create_publisher(String, "driver_state", LATCHED)
         self._results = self.create_publisher(DiagnosticArray, "trajectory_result", RESULTS)

@@ -1,0 +1,140 @@
+"""The program mock_grbl as a process, and a serial link on it without ROS; shared by the driver's tests."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from gantry_driver.adapters.serial_link import SerialLink
+from gantry_driver.core.machine import Answered, CloseRequested, Event, Machine, Note, Position, StateChanged
+from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.trajectory_gcode import Waypoint
+from icu_common.core.frames import JOINTS
+from icu_common.core.results import GoalResult
+
+SOURCES = Path(__file__).resolve().parents[2] / "src"
+
+
+def python_environment() -> dict[str, str]:
+    """Return an environment in which a child finds the packages of this tree."""
+    path = os.pathsep.join(str(package) for package in sorted(SOURCES.iterdir()))
+    return {**os.environ, "PYTHONPATH": path + os.pathsep + os.environ.get("PYTHONPATH", "")}
+
+
+class GrblBoard:
+    """One mock_grbl process; ``port`` is its link, :meth:`ask` its control socket."""
+
+    def __init__(self, folder: Path, *arguments: str, time_scale: float = 1.0) -> None:
+        self.port = folder / "grbl"
+        control = folder / "board"
+        command = [sys.executable, "-m", "gantry_driver.mock.main", "--link", str(self.port)]
+        command += ["--control-socket", str(control), "--time-scale", f"{time_scale:g}", "--set", "21=0", *arguments]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, env=python_environment())
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline(), "mock_grbl did not start"
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(5.0)
+        self._socket.connect(str(control))
+        self._answers = self._socket.makefile("rb")
+
+    def ask(self, do: str, **arguments: Any) -> dict[str, Any]:
+        self._socket.sendall(json.dumps({"do": do, **arguments}).encode() + b"\n")
+        answer: dict[str, Any] = json.loads(self._answers.readline())
+        assert answer["ok"], answer
+        return answer
+
+    def fault(self, kind: str, **arguments: Any) -> None:
+        self.ask("fault", kind=kind, **arguments)
+
+    def lines(self, since: int = 0) -> list[dict[str, Any]]:
+        """Return the lines that the board took, oldest first: text, answer, t."""
+        return [entry for entry in self.log(since) if entry["kind"] == "line"]
+
+    def log(self, since: int = 0) -> list[dict[str, Any]]:
+        entries: list[dict[str, Any]] = []
+        while batch := self.ask("log", since=since)["entries"]:
+            entries += batch
+            since = batch[-1]["n"] + 1
+        return entries
+
+    def mpos(self) -> tuple[float, float, float]:
+        x, y, z = self.ask("state")["mpos"]
+        return x, y, z
+
+    def counters(self) -> dict[str, int]:
+        return dict(self.ask("counters")["counters"])
+
+    def close(self) -> None:
+        self._answers.close()
+        self._socket.close()
+        self.process.terminate()
+        try:
+            self.process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait(5.0)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+class LinkRig:
+    """A machine on a serial link, without ROS; everything it says is kept with its time."""
+
+    def __init__(self, port: Path | str, config: DriverConfig | None = None) -> None:
+        self.machine = Machine(config or DriverConfig(enabled_at_start=True))
+        self.states: list[tuple[float, str]] = []
+        self.results: list[GoalResult] = []
+        self.positions: list[tuple[float, float, float]] = []
+        self.notes: list[str] = []
+        self.link = SerialLink(self.machine, str(port), 115200, self._collect)
+        self.link.start()
+
+    def _collect(self, events: list[Event]) -> None:
+        now = time.monotonic()
+        for event in events:
+            if isinstance(event, StateChanged):
+                self.states.append((now, event.text))
+            elif isinstance(event, Answered):
+                self.results.append(event.result)
+            elif isinstance(event, Position):
+                self.positions.append(event.reading_m)
+            elif isinstance(event, Note):
+                self.notes.append(event.text)
+            else:
+                assert isinstance(event, CloseRequested)
+
+    @property
+    def state(self) -> str:
+        return self.machine.phase.state
+
+    def until(self, condition: Callable[[], Any], within_s: float = 10.0) -> None:
+        held = self.link.wait_for(lambda machine: bool(condition()), within_s)
+        assert held, f"not within {within_s} s: {self.machine.state_text}, {self.results[-3:]}, {self.notes[-5:]}"
+
+    def beat_forever(self) -> None:
+        self.link.call(lambda machine, now: machine.heartbeat(math.inf))
+
+    def home(self, within_s: float = 20.0) -> LinkRig:
+        self.until(lambda: self.state == "unhomed")
+        self.beat_forever()
+        assert self.link.call(lambda machine, now: machine.home(now)) == ""
+        self.until(lambda: self.state == "idle", within_s)
+        return self
+
+    def go(self, *points: tuple[float, float, float], goal_id: str = "goal") -> GoalResult:
+        way = [Waypoint(positions_m=point) for point in points]
+        return self.link.call(lambda machine, now: machine.run(goal_id, JOINTS, way, age_s=0.0, now=now))
+
+    def outcomes(self) -> list[str]:
+        return [result.outcome.value for result in list(self.results)]
+
+    def close(self) -> None:
+        self.link.close("the test has ended")

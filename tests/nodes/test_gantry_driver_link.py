@@ -1,0 +1,191 @@
+"""The serial link against mock_grbl and a bare pseudo-terminal: goals, stop latency, unplugging, the exclusive port."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import statistics
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import serial
+from nodes.grbl_board import GrblBoard, LinkRig
+
+from gantry_driver.core.machine_config import DriverConfig
+
+HOMED = (-359.0, -219.0, -1.0)
+Start = Callable[..., tuple[GrblBoard, LinkRig]]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Start a board and a link; both are closed in the end."""
+    made: list[GrblBoard | LinkRig] = []
+
+    def make(*arguments: str, config: DriverConfig | None = None, time_scale: float = 1.0) -> tuple[GrblBoard, LinkRig]:
+        board = GrblBoard(tmp_path, *arguments, time_scale=time_scale)
+        made.append(board)
+        rig = LinkRig(board.port, config)
+        made.append(rig)
+        return board, rig
+
+    yield make
+    for thing in reversed(made):
+        thing.close()
+
+
+def test_a_path_is_executed_line_by_line_and_ends_where_it_should(start: Start) -> None:
+    board, rig = start(time_scale=4.0)
+    rig.home()
+    before = board.log()[-1]["n"]
+    assert rig.go((0.1, 0.05, 0.0), (0.1, 0.05, 0.01), (0.1, 0.05, 0.0)).outcome.value == "accepted"
+    rig.until(lambda: len(rig.results) == 2)
+    assert rig.outcomes() == ["accepted", "reached"], rig.results
+    assert rig.results[-1].error_m < 2e-5
+    texts = [line["text"] for line in board.lines(before)]
+    assert texts == ["G21G90G94", "G53G1X-259Y-169F9000", "G53G1Z-11F1800", "G53G1Z-1F1800", "G4P0"]
+    assert board.mpos() == pytest.approx((HOMED[0] + 100, HOMED[1] + 50, HOMED[2]), abs=0.02)
+    assert rig.machine.counts.sent == rig.machine.counts.acknowledged == rig.machine.counts.executed
+
+
+def test_a_long_path_fills_the_buffer_and_loses_no_byte(start: Start) -> None:
+    board, rig = start(time_scale=8.0)
+    rig.home()
+    before = board.log()[-1]["n"]
+    points = [(0.0005 * k, 0.0003 * (k % 50), 0.0) for k in range(1, 301)]
+    rig.go(*points)
+    rig.until(lambda: len(rig.results) == 2, 60.0)
+    assert rig.outcomes()[-1] == "reached"
+    entries = board.log(before)
+    moves = [e["text"] for e in entries if e["kind"] == "line" and "G53" in e["text"]]
+    assert len(moves) == 300 and moves[-1].startswith("G53G1X-209") and board.counters().get("bytes_lost", 0) == 0
+    assert board.mpos()[:2] == pytest.approx((HOMED[0] + 150, HOMED[1] + 0.0), abs=0.02)
+
+
+def test_stop_in_mid_path_keeps_the_position_and_lifts_the_stylus(start: Start) -> None:
+    board, rig = start()
+    rig.home()
+    rig.go((0.05, 0.0, 0.02), (0.35, 0.0, 0.02), (0.0, 0.2, 0.02))
+    rig.until(lambda: bool(rig.positions) and rig.positions[-1][0] > 0.08)
+    rig.link.stop("stop requested")
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    x, y, z = board.mpos()
+    assert z == pytest.approx(HOMED[2], abs=0.01) and -359 + 80 < x < -359 + 349 and y == pytest.approx(HOMED[1])
+    assert rig.machine.homed and board.counters().get("alarms", 0) == 0
+    assert rig.outcomes() == ["accepted", "aborted"]
+    rig.link.call(lambda machine, now: machine.reset(now))
+    rig.until(lambda: rig.state == "idle")
+    rig.go((0.3, 0.1, 0.0))
+    rig.until(lambda: len(rig.results) == 4)
+    assert rig.outcomes()[-1] == "reached"
+    assert board.mpos()[:2] == pytest.approx((HOMED[0] + 300, HOMED[1] + 100), abs=0.02)
+
+
+def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:
+    board, rig = start(time_scale=2.0)
+    rig.home()
+    rig.go((0.35, 0.2, 0.0))
+    rig.until(lambda: rig.state == "moving")
+    pulled = time.monotonic()
+    board.fault("unplug", seconds=1.0)
+    rig.until(lambda: rig.state == "disconnected", 2.0)
+    noticed = next(t for t, text in rig.states if t > pulled and text.startswith("disconnected")) - pulled
+    rig.until(lambda: rig.state == "unhomed", 5.0)
+    back = time.monotonic() - pulled - 0.5
+    print(f"noticed after {1000 * noticed:.1f} ms, back {back:.2f} s after the port's return")
+    assert noticed < 0.1 and back < 3.0
+    assert rig.outcomes() == ["accepted", "aborted"] and "link lost" in rig.results[-1].reason
+    since = board.log()[-1]["n"]
+    rig.link.wait_for(lambda machine: machine.phase.state == "moving", 0.5)
+    assert [line["text"] for line in board.lines(since)] == [], "nothing resumes by itself"
+
+
+@pytest.mark.parametrize(
+    ("fault", "arguments", "state", "reason"),
+    [
+        ("brown_out", {}, "unhomed", "reset by itself"),
+        ("soft_reset", {}, "alarm", "ALARM:3"),
+        ("alarm", {"number": 1}, "alarm", "ALARM:1"),
+        ("error", {"number": 22, "after": 2}, "stopped", "error:22"),
+        ("answers", {"how": "lost", "count": 1}, "stopped", "no answer to"),
+        ("hang", {"seconds": 8.0}, "disconnected", "no status report"),
+    ],
+)
+def test_faults_in_mid_path_end_in_a_state_that_says_why(
+    start: Start, fault: str, arguments: dict[str, object], state: str, reason: str
+) -> None:
+    board, rig = start(time_scale=2.0)
+    rig.home()
+    if fault in ("error", "answers"):
+        board.fault(fault, **arguments)
+    rig.go(*[(0.02 * k, 0.01 * k, 0.0) for k in range(1, 17)])
+    if fault not in ("error", "answers"):
+        rig.until(lambda: bool(rig.positions) and rig.positions[-1][0] > 0.03)
+        board.fault(fault, **arguments)
+    rig.until(lambda: len(rig.results) == 2, 20.0)
+    assert rig.outcomes() == ["accepted", "aborted"] and reason in rig.results[-1].reason
+    rig.until(lambda: any(text.startswith(state) for _, text in rig.states[-4:]), 10.0)
+    assert rig.machine.homed is (state == "stopped")
+
+
+def test_noise_between_the_answers_is_no_harm(start: Start) -> None:
+    board, rig = start(time_scale=4.0)
+    rig.home()
+    rig.go(*[(0.01 * k, 0.0, 0.0) for k in range(1, 20)])
+    for _ in range(5):
+        board.fault("answers", how="split", count=2)
+    rig.until(lambda: len(rig.results) == 2, 20.0)
+    assert rig.outcomes() == ["accepted", "reached"]
+
+
+def test_the_port_is_exclusive_while_open_and_free_after(start: Start) -> None:
+    board, rig = start()
+    rig.until(lambda: rig.state == "unhomed")
+    with pytest.raises(serial.SerialException, match="exclusively lock"):
+        serial.Serial(str(board.port), exclusive=True)
+    rig.close()
+    serial.Serial(str(board.port), exclusive=True).close()
+
+
+def test_a_missing_port_is_named_and_taken_when_it_appears(tmp_path: Path) -> None:
+    rig = LinkRig(tmp_path / "grbl")
+    try:
+        rig.until(lambda: any("No such file or directory" in text for _, text in rig.states), 2.0)
+        board = GrblBoard(tmp_path)
+        try:
+            rig.until(lambda: rig.state == "unhomed", 4.0)
+        finally:
+            board.close()
+    finally:
+        rig.close()
+
+
+def test_stop_byte_is_on_the_wire_within_ten_milliseconds() -> None:
+    """The other end of a pseudo-terminal sees ``!`` although nobody answers and lines are waiting."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    rig = LinkRig(os.ttyname(slave))
+    delays = []
+    try:
+        rig.until(lambda: rig.state == "connecting")
+        for _ in range(50):
+            while select.select([master], [], [], 0)[0]:
+                os.read(master, 4096)
+            began = time.monotonic()
+            rig.link.stop("stop requested")
+            seen = b""
+            while b"!" not in seen:
+                assert select.select([master], [], [], 1.0)[0], f"no hold within a second, only {seen!r}"
+                seen += os.read(master, 4096)
+            delays.append(time.monotonic() - began)
+    finally:
+        rig.close()
+        os.close(slave)
+        os.close(master)
+    delays.sort()
+    print(f"stop to byte: median {1e3 * statistics.median(delays):.2f} ms, worst {1e3 * delays[-1]:.2f} ms")
+    assert delays[-3] < 0.010

@@ -1,0 +1,276 @@
+"""The serial driver's node on mock_grbl: topics, services, refusals, the heartbeat, the way out on SIGTERM."""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from builtin_interfaces.msg import Duration as DurationMessage
+from diagnostic_msgs.msg import DiagnosticArray
+from nodes.grbl_board import GrblBoard, python_environment
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty, Header, String
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from gantry_driver.nodes.serial_driver_node import SerialDriverNode
+from icu_common.core.frames import JOINTS
+from icu_common.core.results import GoalResult
+from icu_common.nodes.conversions import result_of_message
+from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
+
+HOMED = (-359.0, -219.0, -1.0)
+
+
+class Operator:
+    """What stands on the other side of the driver's topics."""
+
+    def __init__(self, ros: Any, board: GrblBoard) -> None:
+        self.ros, self.board = ros, board
+        self.node = ros.plain("operator")
+        self.states: list[str] = []
+        self.results: list[GoalResult] = []
+        self.joints: list[JointState] = ros.collect(self.node, JointState, "joint_states", RESULTS)
+        self.diagnostics: list[DiagnosticArray] = ros.collect(self.node, DiagnosticArray, "/diagnostics", RESULTS)
+        self.node.create_subscription(String, "driver_state", lambda m: self.states.append(m.data), LATCHED)
+        self.node.create_subscription(
+            DiagnosticArray, "trajectory_result", lambda m: self.results.append(result_of_message(m)), RESULTS
+        )
+        self.heartbeat = self.node.create_publisher(Header, "heartbeat", SENSOR)
+        self.trajectory = self.node.create_publisher(JointTrajectory, "trajectory", COMMAND)
+        self.stop = self.node.create_publisher(Empty, "stop_request", RESULTS)
+        self.beating = True
+        self.node.create_timer(0.2, self._beat)
+
+    def _beat(self) -> None:
+        if self.beating:
+            self.heartbeat.publish(Header(stamp=self.node.get_clock().now().to_msg()))
+
+    def until(self, condition: Callable[[], Any], within_s: float = 15.0) -> Any:
+        return self.ros.spin_until(condition, within_s, lambda: (self.states[-4:], self.results[-2:]))
+
+    def state(self, text: str, within_s: float = 15.0) -> None:
+        self.until(lambda: self.states and self.states[-1].startswith(text), within_s)
+
+    def call(self, name: str, service: Any = Trigger, **fields: Any) -> Any:
+        client = self.node.create_client(service, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(service.Request(**fields))
+        self.until(future.done)
+        return future.result()
+
+    def go(self, *points: tuple[float, ...], names: tuple[str, ...] = JOINTS, **head: Any) -> None:
+        message = JointTrajectory(joint_names=list(names), header=Header(**head))
+        message.points = [JointTrajectoryPoint(positions=list(map(float, point))) for point in points]
+        self.until(lambda: self.trajectory.get_subscription_count() == 1)
+        self.trajectory.publish(message)
+
+    def ready(self) -> Operator:
+        """Connect, enable, wait for the heartbeat to arrive, home."""
+        self.state("unhomed")
+        self.until(lambda: self.heartbeat.get_subscription_count() == 1)
+        assert self.call("enable", SetBool, data=True).success
+        self.until(lambda: self.call("home").success)
+        self.state("idle")
+        return self
+
+
+@pytest.fixture
+def operator(ros: Any, tmp_path: Path) -> Iterator[Callable[..., Operator]]:
+    boards: list[GrblBoard] = []
+
+    def make(*arguments: str, time_scale: float = 4.0, **parameters: Any) -> Operator:
+        board = GrblBoard(tmp_path, *arguments, time_scale=time_scale)
+        boards.append(board)
+        ros.node(SerialDriverNode, {"port": str(board.port), **parameters})
+        return Operator(ros, board)
+
+    yield make
+    ros.close()
+    ros.nodes.clear()
+    for board in boards:
+        board.close()
+
+
+def test_home_and_two_points_with_joint_states_and_diagnostics(operator: Callable[..., Operator]) -> None:
+    op = operator()
+    op.state("unhomed")
+    assert op.joints == [], "no position is published before it is known"
+    op.ready()
+    op.until(lambda: op.joints)
+    assert list(op.joints[-1].name) == list(JOINTS)
+    assert list(op.joints[-1].position) == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    op.go((0.1, 0.05, 0.0), (0.1, 0.05, 0.01), frame_id="first")
+    op.until(lambda: len(op.results) == 2)
+    assert [(r.goal_id, r.outcome.value) for r in op.results] == [("first", "accepted"), ("first", "reached")]
+    assert op.results[-1].error_m < 2e-5 and op.results[-1].duration_s > 0.1
+    assert list(op.joints[-1].position) == pytest.approx([0.1, 0.05, 0.01], abs=2e-5)
+    age_s = op.node.get_clock().now().nanoseconds / 1e9 - (
+        op.joints[-1].header.stamp.sec + op.joints[-1].header.stamp.nanosec / 1e9
+    )
+    assert 0 <= age_s < 1.0
+    assert op.board.mpos() == pytest.approx((HOMED[0] + 100, HOMED[1] + 50, HOMED[2] - 10), abs=0.02)
+    op.diagnostics.clear()
+    op.until(lambda: op.diagnostics)
+    status = op.diagnostics[-1].status[0]
+    values = {pair.key: pair.value for pair in status.values}
+    assert status.name == "serial_driver: board" and status.message == "idle"
+    assert values["sent"] == values["acknowledged"] == values["executed"] and int(values["sent"]) >= 6
+    assert values["receive_buffer_bytes"] == "128" and values["dialect"] == "GRBL" and values["homed"] == "True"
+
+
+def test_bad_goals_are_refused_with_the_reason_and_nothing_moves(operator: Callable[..., Operator]) -> None:
+    op = operator().ready()
+    since = op.board.log()[-1]["n"]
+    now = op.node.get_clock().now()
+    old = (now - Duration(seconds=5.0)).to_msg()
+    cases: list[tuple[Callable[[], None], str]] = [
+        (lambda: op.go((math.nan, 0.0, 0.0)), "is not finite"),
+        (lambda: op.go((0.1, math.inf, 0.0)), "is not finite"),
+        (lambda: op.go((0.4, 0.1, 0.0)), "gantry_x_joint = 0.4 m is outside 0 to 0.359 m"),
+        (lambda: op.go((0.1, 0.1, -0.01)), "stylus_joint = -0.01 m is outside 0 to 0.059 m"),
+        (lambda: op.go((0.1, 0.1), names=("gantry_x_joint", "elbow")), "joint names"),
+        (lambda: op.go((0.1, 0.1), names=JOINTS), "2 positions for 3 joints"),
+        (lambda: op.go(), "0 points"),
+        (lambda: op.go((0.1, 0.1, 0.0), stamp=old), "stale"),
+    ]
+    for number, (send, reason) in enumerate(cases, 1):
+        send()
+        op.until(lambda n=number: len(op.results) == n)
+        assert op.results[-1].outcome.value == "rejected" and reason in op.results[-1].reason
+    op.go((0.01, 0.0, 0.0), stamp=op.node.get_clock().now().to_msg())
+    op.until(lambda: op.results[-1].outcome.value == "reached")
+    moves = [line["text"] for line in op.board.lines(since) if "G53" in line["text"]]
+    assert moves == ["G53G1X-349F9000"], "the sentinel alone moved"
+    assert op.results[-1].goal_id.isdigit() and len(op.results[-1].goal_id) > 15
+
+
+def test_not_enabled_or_without_heartbeat_nothing_moves(operator: Callable[..., Operator]) -> None:
+    op = operator()
+    op.state("unhomed")
+    op.beating = False
+    answer = op.call("home")
+    assert not answer.success and answer.message == "refused: not enabled"
+    op.call("enable", SetBool, data=True)
+    answer = op.call("home")
+    assert not answer.success and "no operator's heartbeat" in answer.message
+    old = Header(stamp=(op.node.get_clock().now() - Duration(seconds=3.0)).to_msg())
+    op.until(lambda: op.heartbeat.get_subscription_count() == 1)
+    op.heartbeat.publish(old)
+    end = time.monotonic() + 0.3
+    op.until(lambda: time.monotonic() > end)
+    assert "heartbeat lost" in op.call("home").message, "a heartbeat that was long under way does not count"
+    assert not any(line["text"] == "$H" for line in op.board.lines())
+
+
+def test_lost_heartbeat_stops_and_lifts(operator: Callable[..., Operator]) -> None:
+    op = operator(time_scale=1.0).ready()
+    op.go((0.0, 0.0, 0.02), (0.35, 0.2, 0.02))
+    op.until(lambda: op.joints and op.joints[-1].position[0] > 0.02)
+    op.beating = False
+    op.state("stopped: operator's heartbeat lost", 2.0)
+    op.until(lambda: op.results[-1].outcome.value == "aborted")
+    op.until(lambda: op.board.mpos()[2] > HOMED[2] - 0.05, 5.0)
+    x, y, _ = op.board.mpos()
+    assert -359 + 20 < x < -359 + 345
+    op.until(lambda: op.call("reset").success)
+    op.state("idle")
+    op.go((0.1, 0.1, 0.0))
+    op.until(lambda: op.results[-1].outcome.value == "rejected")
+    assert "heartbeat lost" in op.results[-1].reason
+    assert op.board.mpos()[:2] == pytest.approx((x, y))
+
+
+@pytest.mark.parametrize("way", ["topic", "service"])
+def test_stop_is_latched_until_reset(operator: Callable[..., Operator], way: str) -> None:
+    op = operator(time_scale=1.0).ready()
+    op.go((0.35, 0.0, 0.0))
+    op.until(lambda: op.joints and op.joints[-1].position[0] > 0.05)
+    if way == "topic":
+        op.until(lambda: op.stop.get_subscription_count() == 1)
+        op.stop.publish(Empty())
+    else:
+        assert op.call("stop").success
+    op.state("stopped: stop requested", 1.0)
+    op.until(lambda: op.results[-1].outcome.value == "aborted")
+    assert op.results[-1].reason == "stop requested"
+    op.go((0.1, 0.0, 0.0))
+    op.until(lambda: op.results[-1].outcome.value == "rejected")
+    assert "stopped" in op.results[-1].reason
+    op.until(lambda: op.call("reset").success)
+    op.state("idle")
+    op.go((0.1, 0.1, 0.0))
+    op.until(lambda: op.results[-1].outcome.value == "reached")
+    assert op.board.mpos()[:2] == pytest.approx((HOMED[0] + 100, HOMED[1] + 100), abs=0.02)
+
+
+def test_settings_that_differ_block_motion_until_accepted(operator: Callable[..., Operator]) -> None:
+    op = operator("--set", "110=500")
+    op.state("mismatch: $110 is 500.000, the configuration says 12000")
+    op.call("enable", SetBool, data=True)
+    assert "mismatch" in op.call("home").message
+    answer = op.call("accept_settings")
+    assert answer.success
+    op.state("unhomed")
+    assert not op.call("accept_settings").success
+
+
+def test_times_and_velocities_become_feeds(operator: Callable[..., Operator]) -> None:
+    op = operator().ready()
+    since = op.board.log()[-1]["n"]
+    message = JointTrajectory(joint_names=["gantry_x_joint"])
+    first = JointTrajectoryPoint(positions=[0.05], time_from_start=DurationMessage(sec=1))
+    second = JointTrajectoryPoint(positions=[0.06], velocities=[0.02])
+    message.points = [first, second]
+    op.until(lambda: op.trajectory.get_subscription_count() == 1)
+    op.trajectory.publish(message)
+    op.until(lambda: op.results and op.results[-1].outcome.value == "reached")
+    moves = [line["text"] for line in op.board.lines(since) if "G53" in line["text"]]
+    assert moves == ["G53G1X-309F3000", "G53G1X-299F1200"]
+
+
+def test_parameters_have_ranges_and_a_bad_one_is_refused(operator: Callable[..., Operator], ros: Any) -> None:
+    operator()
+    driver = next(node for node in ros.nodes if isinstance(node, SerialDriverNode))
+    descriptor = driver.describe_parameter("heartbeat_timeout_s")
+    assert descriptor.floating_point_range[0].from_value == 0.1 and "[s]" in descriptor.description
+    outcome = driver.set_parameters([Parameter("heartbeat_timeout_s", value=60.0)])[0]
+    assert not outcome.successful
+    assert driver.set_parameters([Parameter("feed_m_s", value=0.05)])[0].successful
+    assert driver.get_parameter("feed_m_s").value == 0.05
+
+
+def test_sigterm_holds_lifts_and_ends(ros: Any, tmp_path: Path) -> None:
+    board = GrblBoard(tmp_path)
+    command = [sys.executable, "-m", "gantry_driver.nodes.serial_driver_node", "--ros-args"]
+    command += ["-p", f"port:={board.port}"]
+    environment = {**python_environment(), "ROS_DOMAIN_ID": str(ros.context.get_domain_id())}
+    driver = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        op = Operator(ros, board).ready()
+        op.go((0.0, 0.0, 0.03), (0.35, 0.0, 0.03))
+        op.until(lambda: op.joints and op.joints[-1].position[0] > 0.05)
+        since = board.log()[-1]["n"]
+        driver.send_signal(signal.SIGTERM)
+        assert driver.wait(10.0) == 0
+        entries = board.log(since)
+        hold = next(e["n"] for e in entries if e["kind"] == "realtime" and e["byte"] == ord("!"))
+        reset = next(e["n"] for e in entries if e["kind"] == "realtime" and e["byte"] == 0x18)
+        lift = next(e["n"] for e in entries if e["kind"] == "line" and e["text"].startswith("G53G1Z-1F"))
+        assert hold < reset < lift
+        x, _, z = board.mpos()
+        assert z == pytest.approx(HOMED[2], abs=0.01) and x < HOMED[0] + 345
+        assert board.counters().get("alarms", 0) == 0
+    finally:
+        driver.kill()
+        driver.wait(5.0)
+        board.close()
