@@ -25,8 +25,8 @@ class BenchNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("bench", **kwargs)
-        self._parameters = LiveParameters(self, BenchConfig, self._changed)
-        self._simulation = _simulation(self._parameters.config)
+        self._settings = LiveParameters(self, BenchConfig, self._changed)
+        self._simulation = _simulation(self._settings.config)
         self._frames_before = 0
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RESULTS)
         self.create_timer(DIAGNOSTICS_S, self._report)
