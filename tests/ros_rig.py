@@ -1,0 +1,72 @@
+"""A private rclpy context for tests, and waiting on conditions instead of sleeping."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import pytest
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+T = TypeVar("T", bound=Node)
+Describe = Callable[[], Any]
+
+
+def domain_of_worker(base: int = 100) -> int:
+    """Return a ROS domain that no other worker of this test run uses (up to 232 are valid)."""
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+    return base + (os.getpid() * 7 + worker) % 100
+
+
+class Ros:
+    """Makes nodes in a private context and spins them until a condition holds."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self.executor = SingleThreadedExecutor(context=context)
+        self.nodes: list[Node] = []
+
+    def node(self, make: Callable[..., T], parameters: dict[str, Any] | None = None, **kwargs: Any) -> T:
+        """Make a node of a class whose constructor passes ``**kwargs`` on to ``rclpy.node.Node``."""
+        overrides = [Parameter(name, value=value) for name, value in (parameters or {}).items()]
+        node = make(context=self.context, parameter_overrides=overrides, **kwargs)
+        self.executor.add_node(node)
+        self.nodes.append(node)
+        return node
+
+    def plain(self, name: str = "probe") -> Node:
+        """Make a bare node for publishers and subscriptions of the test."""
+        node = Node(name, context=self.context)
+        self.executor.add_node(node)
+        self.nodes.append(node)
+        return node
+
+    def collect(self, node: Node, message_type: Any, topic: str, qos: Any = 10) -> list[Any]:
+        """Subscribe and return the list that the messages will be appended to."""
+        received: list[Any] = []
+        node.create_subscription(message_type, topic, received.append, qos)
+        return received
+
+    def spin_until(self, condition: Callable[[], Any], within_s: float, describe: Describe | None = None) -> Any:
+        """Spin until ``condition()`` is true and return its value; fail with what was seen after ``within_s``."""
+        deadline = time.monotonic() + within_s
+        while not (value := condition()):
+            if time.monotonic() > deadline:
+                seen = f": {describe()}" if describe else ""
+                pytest.fail(f"the condition did not hold within {within_s} s{seen}")
+            self.executor.spin_once(timeout_sec=0.02)
+        return value
+
+    def close(self) -> None:
+        for node in self.nodes:
+            self.executor.remove_node(node)
+            close = getattr(node, "close", None)
+            if close is not None:
+                close()
+            node.destroy_node()
+        self.executor.shutdown()
