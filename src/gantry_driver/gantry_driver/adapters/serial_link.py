@@ -52,6 +52,7 @@ class SerialLink:
         self._pending = bytearray()
         self._closing = False
         self._closed = False
+        self._retry_s, self._next_try = FIRST_RETRY_S, 0.0
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
         os.set_blocking(self._wake_write, False)
@@ -123,20 +124,28 @@ class SerialLink:
     # --- the thread ------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        retry_s, next_try = FIRST_RETRY_S, 0.0
         while not self._closing:
-            if self._fd >= 0:
-                self._turn()
-                if self._machine.connected:
-                    retry_s = FIRST_RETRY_S
-            elif time.monotonic() < next_try:
-                self._wait(next_try - time.monotonic())
-            else:
-                # A board that resets at every opening must not be opened in a tight loop.
-                next_try = time.monotonic() + retry_s
-                retry_s = min(2.0 * retry_s, LAST_RETRY_S)
-                self._open()
-            self._publish()
+            try:
+                self._step()
+            except Exception as error:
+                # Whatever it is, a thread that dies would leave a board that nobody stops.
+                self._write_hold()
+                self._lost(f"error in the driver: {error!r}")
+                self._publish()
+
+    def _step(self) -> None:
+        if self._fd >= 0:
+            self._turn()
+            if self._machine.connected:
+                self._retry_s = FIRST_RETRY_S
+        elif time.monotonic() < self._next_try:
+            self._wait(self._next_try - time.monotonic())
+        else:
+            # A board that resets at every opening must not be opened in a tight loop.
+            self._next_try = time.monotonic() + self._retry_s
+            self._retry_s = min(2.0 * self._retry_s, LAST_RETRY_S)
+            self._open()
+        self._publish()
 
     def _open(self) -> None:
         try:

@@ -184,6 +184,7 @@ class Machine:
         self._reset_not_before = 0.0
         self._hold_sent = 0.0
         self._probed = 0.0
+        self._probe_from = 0.0
         self._stylus_down = False
 
     # --- what the node sees -----------------------------------------------------------------------------------
@@ -243,6 +244,7 @@ class Machine:
         """The port is open; wait for a banner or ask a board that is already running."""
         self.connects += 1
         self._synchronise(now, "")
+        self._probe_from = now + self.config.banner_wait_s
 
     def closed(self, reason: str, now: float) -> None:
         """The port has gone; whatever was under way is aborted and the position is not trusted any more."""
@@ -264,7 +266,7 @@ class Machine:
             if age > self.config.connect_timeout_s:
                 self._close(f"no answer in {self.config.connect_timeout_s:g} s while {self._waiting_for()}", now)
                 return
-            if phase is Phase.SYNCHRONISE and age >= self.config.banner_wait_s:
+            if phase is Phase.SYNCHRONISE and now >= self._probe_from:
                 self.session.polling = not self.session.awaiting_banner
                 self._ask_for_marlin(age, now)
         elif phase is Phase.HOLDING:
@@ -443,6 +445,7 @@ class Machine:
         self.session.start(now)
         self.dialect, self.firmware, self._settings, self._probed = Dialect.UNKNOWN, "", {}, 0.0
         self._critical = False
+        self._probe_from = now
         self._enter(Phase.SYNCHRONISE, now, reason)
 
     def _halt(self, reason: str, now: float, *, hold_written: bool = False) -> None:
@@ -581,8 +584,9 @@ class Machine:
             self._finish(Outcome.ABORTED, reason, now)
             self._forget_position()
             self._events.append(Note(level="error", text=f"{reason}; {len(event.lost)} lines unanswered"))
-            self.dialect, self.firmware = banner.dialect, banner.version
-            self._identify(now, reason)
+            # Lines that were on the wire may reach the fresh board and be executed: hold, and reset once more.
+            self._synchronise(now, reason)
+            self.session.realtime(HOLD)
 
     def _identify(self, now: float, reason: str) -> None:
         self._settings = {}

@@ -1,0 +1,270 @@
+"""Bytes to messages and lines to bytes: chunking, noise, character counting, EEPROM lines, resets, stray answers."""
+
+from __future__ import annotations
+
+import itertools
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gantry_driver.core.grbl_messages import (
+    Alarm,
+    Banner,
+    BuildOptions,
+    Dialect,
+    ErrorAnswer,
+    Feedback,
+    Firmware,
+    Garbage,
+    LineReader,
+    Message,
+    OkAnswer,
+    Report,
+    SettingValue,
+    parse_line,
+)
+from gantry_driver.core.session import (
+    Acknowledged,
+    CountBroken,
+    GrblSession,
+    Refused,
+    StrayAnswer,
+    WasReset,
+)
+
+TRANSCRIPT = (
+    b"\r\nGrbl 1.1h ['$' for help]\r\n[MSG:'$H'|'$X' to unlock]\r\n[VER:1.1h.20190825:]\r\n[OPT:V,15,128]\r\nok\r\n"
+    b"$100=80.000\r\n$110=12000.000 (x max rate, mm/min)\r\nok\r\n"
+    b"<Idle|MPos:-359.000,-219.000,-1.000|Bf:15,128|FS:0,0|WCO:0.000,0.000,0.000>\r\n"
+    b"ok\r\nerror:22\r\n<Run|WPos:1.000,2.000,3.000|Bf:12,90|FS:500,0|Ov:100,100,100>\r\nALARM:1\r\n"
+    b"<Hold:1|MPos:1.000,2.000,3.000|FS:0,0|Pn:XYZ|A:SF>\nok\n"
+)
+
+
+def messages(reader: LineReader, chunks: list[bytes]) -> list[Message]:
+    return [parse_line(line) for chunk in chunks for line in reader.feed(chunk)]
+
+
+def cut(data: bytes, places: list[int]) -> list[bytes]:
+    marks = [0, *sorted(p % (len(data) + 1) for p in places), len(data)]
+    return [data[a:b] for a, b in itertools.pairwise(marks)]
+
+
+@given(st.lists(st.integers(0, 10_000), max_size=60))
+def test_any_chunking_gives_the_same_messages(places: list[int]) -> None:
+    whole = messages(LineReader(), [TRANSCRIPT])
+    assert messages(LineReader(), cut(TRANSCRIPT, places)) == whole
+    assert sum(isinstance(m, Garbage) for m in whole) == 0 and len(whole) == 15
+
+
+@given(st.binary(max_size=400), st.lists(st.integers(0, 10_000), max_size=10))
+def test_noise_never_raises_and_chunking_does_not_matter_there_either(noise: bytes, places: list[int]) -> None:
+    assert messages(LineReader(), cut(noise, places)) == messages(LineReader(), [noise])
+
+
+ALPHABET = st.sampled_from(
+    [b"ok\r\n", b"error:", b"9\r\n", b"ALARM:", b"<Idle|", b"MPos:", b"1,2,3", b"|Bf:", b">", b"\r\n", b"[OPT:", b"]"]
+    + [
+        b"Grbl 1.1h ['$' for help]\r\n",
+        b"$10",
+        b"=",
+        b"nan",
+        b"inf",
+        b"1e999",
+        b"-",
+        b"\x00\xff",
+        b"|",
+        b":",
+        b"<",
+        b",",
+    ]
+)
+
+
+@settings(max_examples=300)
+@given(st.lists(ALPHABET, max_size=40), st.integers(0, 5))
+def test_a_session_survives_every_mixture_of_almost_valid_pieces(pieces: list[bytes], lines: int) -> None:
+    session = GrblSession()
+    session.start(0.0)
+    for k in range(lines):
+        session.queue(f"G1X{k}")
+    session.output(0.0)
+    for k, piece in enumerate(pieces):
+        list(session.receive(piece, 0.01 * k))
+        assert session.in_flight_bytes >= 0
+        session.output(0.01 * k)
+    counts = session.counts
+    assert counts.acknowledged + counts.refused + counts.lost <= counts.sent <= lines
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        (b"ok", OkAnswer()),
+        (b"error:9", ErrorAnswer(code=9)),
+        (b"ALARM:11", Alarm(code=11)),
+        (b"Grbl 1.1h ['$' for help]", Banner(dialect=Dialect.GRBL, version="1.1h")),
+        (b"GrblHAL 1.1f ['$' or '$HELP' for help]", Banner(dialect=Dialect.GRBLHAL, version="1.1f")),
+        (b"Grbl 3.7 [FluidNC v3.7.8 (wifi) '$' for help]", Banner(dialect=Dialect.FLUIDNC, version="3.7")),
+        (b"echo:Marlin 2.1.2", Banner(dialect=Dialect.MARLIN, version="2.1.2")),
+        (b"\xfe\x80Grbl 1.1h ['$' for help]", Banner(dialect=Dialect.GRBL, version="1.1h")),
+        (b"<Run|MPos:1.0,2.Grbl 1.1h ['$' for help]", Banner(dialect=Dialect.GRBL, version="1.1h")),
+        (b"[OPT:VNM,35,1024,3,0]", BuildOptions(flags="VNM", planner_blocks=35, rx_bytes=1024)),
+        (b"[OPT:PHS]", BuildOptions(flags="PHS", planner_blocks=0, rx_bytes=0)),
+        (b"[MSG:Reset to continue]", Feedback(key="MSG", text="Reset to continue")),
+        (b"$132=60.000", SettingValue(number=132, text="60.000")),
+        (b"okok", Garbage(raw=b"okok")),
+        (b"ok<Idle|MPos:0,0,0|FS:0,0>", Garbage(raw=b"ok<Idle|MPos:0,0,0|FS:0,0>")),
+        (b"<Idle|MPos:0.000,0.0", Garbage(raw=b"<Idle|MPos:0.000,0.0")),
+        (b"<Idle|MPos:0,0>", Garbage(raw=b"<Idle|MPos:0,0>")),
+        (b"<Idle|MPos:nan,0,0>", Garbage(raw=b"<Idle|MPos:nan,0,0>")),
+        (b"<Fast|MPos:0,0,0>", Garbage(raw=b"<Fast|MPos:0,0,0>")),
+    ],
+)
+def test_lines_mean_what_the_documents_say(line: bytes, expected: Message) -> None:
+    assert parse_line(line) == expected
+
+
+def test_marlin_is_told_by_its_answer() -> None:
+    answer = parse_line(b"FIRMWARE_NAME:Marlin 2.1.2 SOURCE_CODE_URL:github.com PROTOCOL_VERSION:1.0")
+    assert isinstance(answer, Firmware) and answer.dialect is Dialect.MARLIN
+
+
+def started(rx: int = 128) -> GrblSession:
+    session = GrblSession()
+    session.start(0.0)
+    session.rx_bytes = rx
+    return session
+
+
+@given(
+    st.lists(st.integers(1, 60), min_size=1, max_size=80), st.integers(0, 2**31), st.sampled_from([80, 127, 128, 1024])
+)
+def test_the_buffer_is_never_overfilled_and_every_line_goes_once_in_order(
+    lengths: list[int], seed: int, rx: int
+) -> None:
+    session, rng = started(rx), random.Random(seed)
+    texts = [f"{k:03d}" + "X" * n for k, n in enumerate(lengths)]
+    for text in texts:
+        session.queue(text)
+    buffer, taken, now = b"", [], 0.0
+    while session.pending:
+        now += 0.001
+        buffer += session.output(now)
+        assert len(buffer) <= rx
+        if rng.random() < 0.7 and b"\n" in buffer:
+            line, _, buffer = buffer.partition(b"\n")
+            taken.append(line.decode())
+            assert isinstance(next(iter(session.receive(b"ok\r\n", now))), Acknowledged)
+    assert taken == texts and session.in_flight_bytes == 0
+    assert session.counts.sent == session.counts.acknowledged == len(texts)
+
+
+@pytest.mark.parametrize(
+    "text", ["$100=250.000", "$N0=G21", "$RST=$", "$I=mill", "G10L2P1X0", "G10 L20 P1 X0", "G28.1", "G30.1"]
+)
+def test_eeprom_lines_go_alone_and_the_board_gets_fifty_milliseconds_after_them(text: str) -> None:
+    session = started()
+    session.polling = True
+    for line in ("G1X1", text, "G1X2"):
+        session.queue(line)
+    assert session.output(0.0) == b"?G1X1\n"
+    assert session.output(0.2) == b"?"
+    list(session.receive(b"ok\r\n", 0.3))
+    assert session.output(0.32) == b"?" + text.encode() + b"\n"
+    assert session.output(0.5) == b"", "no byte at all while the EEPROM is written"
+    list(session.receive(b"ok\r\n", 1.0))
+    assert session.output(1.049) == b""
+    assert session.output(1.051) == b"?G1X2\n"
+
+
+@pytest.mark.parametrize("text", ["G1X10", "$J=G91X1F100", "G4P0", "G28", "G30", "G10.5"])
+def test_other_lines_are_not_taken_for_eeprom_lines(text: str) -> None:
+    session = started()
+    session.queue(text)
+    session.queue("G1X2")
+    assert session.output(0.0) == text.encode() + b"\nG1X2\n"
+
+
+@pytest.mark.parametrize("text", ["", "X" * 80, "G1X1\nG1X2", "G1?", "G1!", "G1~", "G1\x18", "G1\x85", "é"])
+def test_what_cannot_be_one_line_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="line"):
+        started().queue(text)
+
+
+def test_a_reset_loses_what_was_under_way_and_says_so() -> None:
+    session = started()
+    for k in range(60):
+        session.queue(f"G1X{k:03d}Y100F1000")
+    session.output(0.0)
+    under_way = session.counts.sent
+    event = next(iter(session.receive(b"\r\nGrbl 1.1h ['$' for help]\r\n", 0.1)))
+    assert isinstance(event, WasReset) and not event.expected
+    assert len(event.lost) == under_way == session.counts.lost and len(event.unsent) == 60 - under_way
+    assert session.pending == 0 and session.in_flight_bytes == 0
+
+
+def test_no_line_and_no_answer_counts_between_a_reset_and_its_banner() -> None:
+    session = started()
+    session.queue("G1X1")
+    session.output(0.0)
+    session.soft_reset(0.1)
+    session.queue("G1X2")
+    assert session.output(0.1) == b"\x18"
+    assert isinstance(next(iter(session.receive(b"ok\r\n", 0.11))), StrayAnswer)
+    assert session.output(0.5) == b"" and session.output(1.2) == b"\x18", "a swallowed reset is repeated"
+    event = next(iter(session.receive(b"Grbl 1.1h ['$' for help]\r\n", 1.3)))
+    assert isinstance(event, WasReset) and event.expected
+
+
+def test_a_stray_ok_is_caught_by_the_boards_own_count() -> None:
+    session = started()
+    session.queue("G1X1F100")
+    session.queue("G1X22F100")
+    session.output(0.0)
+    idle = b"<Idle|MPos:0,0,0|Bf:15,128|FS:0,0>\r\n"
+    assert [type(m) for m in session.receive(idle, 0.01)] == [Report]
+    stray = list(session.receive(b"ok\r\nok\r\n<Run|MPos:0,0,0|Bf:14,118|FS:0,0>\r\n", 0.02))
+    assert [type(m) for m in stray] == [Acknowledged, Acknowledged, Report, CountBroken]
+
+
+def test_a_missing_answer_is_noticed_only_while_the_board_is_idle() -> None:
+    session = started()
+    session.queue("G1X1F100", answer_within_s=3.0)
+    session.output(0.0)
+    hold, idle = b"<Hold:0|MPos:0,0,0|FS:0,0>\r\n", b"<Idle|MPos:0,0,0|FS:0,0>\r\n"
+    for k in range(1000):
+        assert [type(m) for m in session.receive(hold, 0.1 * k)] == [Report]
+    late = [type(m) for k in range(40) for m in session.receive(idle, 100.0 + 0.1 * k)]
+    assert CountBroken in late and late.index(CountBroken) > 30
+
+
+def test_work_positions_become_machine_positions_with_the_last_offset() -> None:
+    session = started()
+    list(session.receive(b"<Idle|MPos:1,2,3|WCO:10.000,20.000,30.000>\r\n", 0.0))
+    report = next(iter(session.receive(b"<Idle|WPos:1.000,2.000,3.000|FS:0,0>\r\n", 0.1)))
+    assert isinstance(report, Report) and report.mpos_mm == (11.0, 22.0, 33.0)
+
+
+def test_errors_belong_to_their_lines() -> None:
+    session = started()
+    first, second = session.queue("G1X1F1"), session.queue("G77")
+    session.output(0.0)
+    assert list(session.receive(b"ok\r\nerror:20\r\n", 0.1)) == [
+        Acknowledged(line=first),
+        Refused(line=second, code=20),
+    ]
+
+
+def test_executed_follows_the_planner_and_never_overtakes() -> None:
+    session = started()
+    for k in range(5):
+        session.queue(f"G1X{k}F100")
+    session.output(0.0)
+    list(session.receive(b"<Idle|MPos:0,0,0|Bf:15,128|FS:0,0>\r\n" + b"ok\r\n" * 5, 0.1))
+    list(session.receive(b"<Run|MPos:0,0,0|Bf:12,128|FS:0,0>\r\n", 0.2))
+    assert (session.counts.sent, session.counts.acknowledged, session.counts.executed) == (5, 5, 2)
+    session.executed_all()
+    assert session.counts.executed == 5
