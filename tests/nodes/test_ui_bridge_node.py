@@ -231,7 +231,7 @@ def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
 
 
 def shown(ros: Any, graph: Graph, browser: Browser) -> dict[str, Any]:
-    """Publish until the page has a picture with its overlay, and the bridge is ready; return the last picture's data."""
+    """Publish until the page has a picture with its overlay and may act; return the last picture's data."""
 
     def ready() -> bool:
         graph.show_all()
@@ -383,9 +383,9 @@ def test_a_new_token_voids_the_old_one(ros: Any, bridge: Any, capfd: pytest.Capt
     assert f"?token={token}" in capfd.readouterr().out
 
     async def status(value: str) -> int:
-        async with aiohttp.ClientSession(browser.origin) as session:
-            async with session.get("/", params={"token": value}) as answer:
-                return answer.status
+        query = {"token": value}
+        async with aiohttp.ClientSession(browser.origin) as session, session.get("/", params=query) as answer:
+            return answer.status
 
     assert browser.run(status(token)) == 200
 

@@ -1,8 +1,9 @@
 """A small stand-in for the rest of the graph, for tests of the page alone: pictures, pose, answers to commands.
 
 Run as a program. It draws the panel from its layout, answers gestures as the controller does (accepted, then reached
-with a measured error after a motion of one second), and obeys stop, reset, home and enable. Lines on standard input
-change the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``stall`` and ``resume`` (pictures).
+with a measured error after a motion of 1.5 s), and obeys stop, reset, home and enable. Lines on standard input
+change the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``heartbeat_timeout 9``, ``stall`` and
+``resume`` (pictures).
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ from icu_common.nodes.runtime import run
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
 PX_PER_MM = 4
 ERROR_M = 0.00042
-MOTION_S = 1.0
+MOTION_S = 1.5
 
 
 def camera() -> CameraModel:
@@ -106,6 +107,7 @@ class SyntheticScope(Node):
         self.goal: tuple[str, str, int] | None = None
         self.enabled = True
         self.heartbeat_ns = 0
+        self.heartbeat_timeout = 0.6
         self.controller, self.driver = "ready", "idle"
         self.images = {s: self.create_publisher(Image, f"{s}/image_raw", qos.IMAGES) for s in self.models}
         self.infos = {s: self.create_publisher(CameraInfo, f"{s}/camera_info", qos.IMAGES) for s in self.models}
@@ -186,7 +188,7 @@ class SyntheticScope(Node):
         if self.goal is None:
             return
         goal_id, text, started = self.goal
-        if self.now() - self.heartbeat_ns > 0.6e9:
+        if self.now() - self.heartbeat_ns > self.heartbeat_timeout * 1e9:
             self.stop("heartbeat lost")
         elif self.now() - started > MOTION_S * 1e9:
             self.goal = None

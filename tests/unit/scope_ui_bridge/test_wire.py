@@ -73,7 +73,7 @@ def test_a_message_of_more_than_4_kib_is_refused_with_the_bound() -> None:
     assert caught.value.message() == {"code": "oversized", "values": {"size": 4097, "limit": 4096}}
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(
     st.one_of(
         st.binary(max_size=200),

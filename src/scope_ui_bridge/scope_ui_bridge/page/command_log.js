@@ -58,8 +58,10 @@ export class CommandLog {
 
 export function actionText(entry) {
   const [name, argument] = entry.action.split(" ");
-  const unit = { hold: " s", turn: "°" }[name] ?? "";
-  return has(`action_${name}`) ? `${t(`action_${name}`)}${argument ? ` ${argument}${unit}` : ""}` : entry.action;
+  if (!has(`action_${name}`)) return entry.action;
+  const value = Number(argument);
+  const details = { hold: ` ${value} s`, turn: ` ${value > 0 ? "↺" : "↻"} ${Math.abs(value)}°` }[name] ?? "";
+  return t(`action_${name}`) + details;
 }
 
 export function targetText(entry) {

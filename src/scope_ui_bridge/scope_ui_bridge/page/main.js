@@ -210,6 +210,11 @@ document.addEventListener(
 
 // --- what is shown -------------------------------------------------------------------------------------------------
 
+/** Change a text only when it differs: screen readers speak of every change. */
+function put(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
 function press(button, on) {
   button.setAttribute("aria-pressed", String(on));
 }
@@ -260,10 +265,10 @@ function render() {
   );
   find("stage").classList.toggle("unsure", unsure || !seen);
   find("stage").classList.toggle("moving", state.moving);
-  find("you").textContent = t("you", { name: me.name, count: state.viewers });
+  put(find("you"), t("you", { name: me.name, count: state.viewers }));
   ["x", "y", "stylus"].forEach((axis, index) => {
     const value = state.position_mm?.[index];
-    find(`position-${axis}`).textContent = value === undefined ? "–" : t("mm", { value: value.toFixed(1) });
+    put(find(`position-${axis}`), value === undefined ? "–" : t("mm", { value: value.toFixed(1) }));
   });
   renderLease();
   renderSelection();
@@ -278,7 +283,7 @@ function renderLease() {
   let text = mine ? t("lease_mine") : holder ? t("lease_other", { name }) : t("lease_free");
   if (asked) text = t("lease_asked", { name: asking });
   if (requester === me.id && me.id) text = t("lease_waiting", { name });
-  find("lease-text").textContent = text;
+  put(find("lease-text"), text);
   find("lease-card").dataset.look = mine ? "mine" : "";
   find("lease-take").hidden = Boolean(holder);
   find("lease-request").hidden = !holder || mine || requester === me.id;
@@ -289,13 +294,13 @@ function renderLease() {
 function renderSelection() {
   const reason = whyNot();
   find("selection-card").dataset.look = selection ? "chosen" : "";
-  find("selection-name").textContent = selection
+  put(find("selection-name"), selection
     ? selection.label || t("selection_point")
-    : t("selection_none");
+    : t("selection_none"));
   const [x, y] = selection?.panel_mm ?? [];
-  find("selection-detail").textContent = selection
+  put(find("selection-detail"), selection
     ? t("selection_detail", { kind: t(`kind_${selection.kind}`), x: x?.toFixed(1), y: y?.toFixed(1) })
-    : t("selection_hint");
+    : t("selection_hint"));
   for (const button of document.querySelectorAll("[data-act]")) {
     const able = selection ? selection.gestures.includes(button.dataset.act) : button.dataset.act === "press";
     (button.closest("[data-for]") ?? button).hidden = !able;
@@ -305,7 +310,7 @@ function renderSelection() {
   find("clear").disabled = !isMine();
   const text = problem || (selection || !isMine() ? reason : "");
   const element = find("refusal");
-  if (element.textContent !== text) element.textContent = text;
+  put(element, text);
   element.dataset.look = problem ? "bad" : "";
 }
 
@@ -316,11 +321,11 @@ function renderMachine() {
     button.disabled = !mine || (button.dataset.call !== "disable" && state.moving);
     if (button.dataset.call === "reset") button.classList.toggle("primary", stopped);
   }
-  find("calibration-text").textContent = state.calibration.reason
+  put(find("calibration-text"), state.calibration.reason
     ? `${t("chip_calibration")}: ${t(`state_${state.calibration.state}`, state.calibration)}${
         state.calibration.state === "calibrating" ? "" : ` – ${state.calibration.reason}`
       }`
-    : "";
+    : "");
 }
 
 function renderAge() {
@@ -330,9 +335,9 @@ function renderAge() {
   stage.dataset.age = stale ? "stale" : age > limits.max_age_ms ? "old" : age > limits.amber_ms ? "late" : "live";
   const look = { stale: "bad", old: "bad", late: "waiting", live: "good" }[stage.dataset.age];
   chip("chip-video", look, Number.isFinite(age) ? t("live", { age: Math.round(age) }) : t("no_picture"));
-  find("age").textContent = Number.isFinite(age) && !stale ? t("live", { age: Math.round(age) }) : "";
+  put(find("age"), Number.isFinite(age) && !stale ? t("live", { age: Math.round(age) }) : "");
   find("stale").hidden = !stale;
-  find("stale").textContent = Number.isFinite(age) ? t("stale", { age: (age / 1000).toFixed(1) }) : t("no_picture");
+  if (stale) put(find("stale"), Number.isFinite(age) ? t("stale", { age: (age / 1000).toFixed(1) }) : t("no_picture"));
   const silent = link.silent;
   const rtt = link.rttMs === null ? "–" : Math.round(link.rttMs);
   chip("chip-link", silent ? "bad" : "good", silent ? t("link_lost") : t("link_ok", { rtt }));
@@ -363,8 +368,8 @@ function beat(now) {
   if (now - lastShown >= 100) {
     lastShown = now;
     link.watch();
-    renderAge();
-    if (state) renderSelection();
+    if (state) render();
+    else renderAge();
   }
   requestAnimationFrame(beat);
 }

@@ -1,0 +1,543 @@
+"""The operator page in a real browser: alone with a synthetic instrument, and with the whole graph on the bench.
+
+Without a browser these tests are skipped with the reason; where ``CI`` is set they fail instead. Screenshots go to the
+folder named by ``PAGE_SCREENSHOTS``, if set.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+OPTIONS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+PICTURE_MS = 20_000
+pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
+
+
+def _unavailable(reason: str) -> None:
+    if os.environ.get("CI"):
+        pytest.fail(f"{reason} (CI is set, so the page must be tested)")
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    program = shutil.which("chromium") or "/usr/bin/chromium"
+    if not Path(program).is_file():
+        _unavailable("no browser: chromium is not installed")
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        _unavailable("no browser: the python package playwright is not installed")
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=program, args=OPTIONS)
+        yield running
+        running.close()
+
+
+def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
+    deadline = time.monotonic() + within_s
+    while not (value := condition()):
+        if time.monotonic() > deadline:
+            pytest.fail(f"{what}: not within {within_s:g} s")
+        select.select([], [], [], 0.02)
+    return value
+
+
+class Operator:
+    """A person at the page: what they see and do, by the words on the screen."""
+
+    def __init__(self, browser: Any, address: str, **context: Any) -> None:
+        self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **context})
+        self.page = self.context.new_page()
+        self.complaints: list[str] = []
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("console", lambda m: self.complaints.append(m.text) if "Security" in m.text else None)
+        self.page.goto(address)
+
+    def sees(self, selector: str, text: str | re.Pattern[str], within_s: float = 10.0) -> str:
+        """Wait until the element's text contains ``text``, and return it."""
+        found = lambda: re.search(text, self.page.inner_text(selector))  # noqa: E731
+        self.until(found, within_s, lambda: f"{selector} shows {self.page.inner_text(selector)!r}, {text!r} is awaited")
+        return str(self.page.inner_text(selector))
+
+    def until(self, condition: Callable[[], Any], within_s: float, what: Callable[[], str]) -> Any:
+        deadline = time.monotonic() + within_s
+        while not (value := condition()):
+            if time.monotonic() > deadline:
+                pytest.fail(f"not within {within_s:g} s: {what()}")
+            self.page.wait_for_timeout(20)  # lets the browser's events through
+        return value
+
+    def sees_controls(self) -> None:
+        self.page.wait_for_selector("[data-control=RUN_STOP]", timeout=PICTURE_MS)
+
+    def takes_control(self) -> None:
+        self.sees_controls()
+        self.page.click("#lease-take")
+        self.sees("#lease-text", "You are in control")
+
+    def selects(self, control: str, label: str) -> None:
+        """Click the control; again when the picture happened to be late."""
+        for _ in range(5):
+            self.page.click(f"[data-control={control}]")
+            done = lambda: (  # noqa: E731
+                label in self.page.inner_text("#selection-name") or self.page.inner_text("#refusal")
+            )
+            self.until(done, 5.0, lambda: "an answer to the click")
+            if label in self.page.inner_text("#selection-name"):
+                return
+        pytest.fail(f"{control} could not be selected: {self.page.inner_text('#refusal')}")
+
+    def confirms(self, gesture: str = "press") -> None:
+        enabled = lambda: self.page.is_enabled(f"[data-act={gesture}]")  # noqa: E731
+        self.until(enabled, 10.0, lambda: f"{gesture} is off: {self.page.inner_text('#refusal')}")
+        self.page.click(f"[data-act={gesture}] >> nth=0")
+
+    def log(self, row: int = 0) -> str:
+        rows = self.page.locator("#log tr")
+        return str(rows.nth(row).inner_text()) if rows.count() > row else ""
+
+    def logs(self, text: str, within_s: float) -> str:
+        """Wait for a row of the log that matches, and return it."""
+
+        def row() -> str:
+            return next((r for r in self.page.locator("#log tr").all_inner_texts() if re.search(text, r)), "")
+
+        return str(self.until(row, within_s, lambda: f"log row {text!r}; there are {self.page.inner_text('#log')!r}"))
+
+    def colour_of(self, control: str) -> tuple[float, float, float]:
+        """Return mean red, green, blue of the control in the live picture."""
+        mean = self.page.evaluate(
+            """(name) => {
+                const canvas = document.getElementById('picture');
+                const button = document.querySelector(`[data-control=${name}]`);
+                const [x, y, w, h] = ['left', 'top', 'width', 'height'].map((k, i) =>
+                    parseFloat(button.style[k]) / 100 * (i % 2 ? canvas.height : canvas.width));
+                const data = canvas.getContext('2d').getImageData(x + w / 4, y + h / 4, w / 2, h / 2).data;
+                const sum = [0, 0, 0];
+                for (let i = 0; i < data.length; i += 1) if (i % 4 < 3) sum[i % 4] += data[i];
+                return sum.map((s) => s / (data.length / 4));
+            }""",
+            control,
+        )
+        return (mean[0], mean[1], mean[2])
+
+    def lit(self) -> bool:
+        """Tell whether RUN/STOP is green."""
+        red, green, blue = self.colour_of("RUN_STOP")
+        return green > 1.3 * max(red, blue)
+
+    def picture_sum(self) -> int:
+        """Return a checksum of the live picture's pixels."""
+        return int(
+            self.page.evaluate(
+                """() => { const c = document.getElementById('picture');
+                    const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+                    let s = 0; for (let i = 0; i < d.length; i += 1) s = (s * 31 + d[i]) | 0; return s; }"""
+            )
+        )
+
+    def shoots(self, name: str) -> None:
+        folder = os.environ.get("PAGE_SCREENSHOTS")
+        if folder:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            self.page.screenshot(path=str(Path(folder) / f"{name}.png"))
+
+    def leaves(self) -> None:
+        assert self.complaints == []
+        self.context.close()
+
+
+class Instrument:
+    """The bridge and a synthetic instrument as two processes."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(10 + os.getpid() % 35),
+            "ROS_LOG_DIR": str(folder / "ros_log"),
+            "PYTHONPATH": os.pathsep.join(str(path) for path in sorted((ROOT / "src").iterdir())),
+            "PYTHONUNBUFFERED": "1",
+        }
+        self.environment = environment
+        script = str(ROOT / "tests" / "system" / "synthetic_scope.py")
+        self.scope = subprocess.Popen([sys.executable, script], env=environment, stdin=subprocess.PIPE, text=True)
+        self.start_bridge(0)
+
+    def start_bridge(self, port: int) -> None:
+        arguments = {"port": port, "token_file": self.folder / "token", "audit_file": self.folder / "audit.jsonl"}
+        arguments["layout"] = ROOT / "config" / "scopes" / "dso_bench_4.yaml"
+        given = [text for name, value in arguments.items() for text in ("-p", f"{name}:={value}")]
+        self.output = self.folder / f"bridge_{time.monotonic_ns()}.log"
+        with self.output.open("wb") as out:
+            self.bridge = subprocess.Popen(
+                [sys.executable, "-m", "scope_ui_bridge.nodes.bridge_node", "--ros-args", *given],
+                env=self.environment,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+            )
+        self.address()
+
+    def address(self, number: int = 1) -> str:
+        """Return the page's address with the token that was printed as ``number``-th."""
+
+        def printed() -> str:
+            assert self.bridge.poll() is None, self.output.read_text()
+            found = re.findall(r"http://\S+\?token=\S+", self.output.read_text())
+            return found[number - 1] if len(found) >= number else ""
+
+        return str(wait_for(printed, 30.0, "the page's address"))
+
+    def new_address(self) -> str:
+        """Ask for another sign-in, as the README says."""
+        before = self.output.read_text().count("?token=")
+        self.bridge.send_signal(signal.SIGUSR1)
+        return self.address(before + 1)
+
+    def tell(self, line: str) -> None:
+        assert self.scope.stdin is not None
+        self.scope.stdin.write(line + "\n")
+        self.scope.stdin.flush()
+
+    def close(self) -> None:
+        for process in (self.bridge, self.scope):
+            process.send_signal(signal.SIGCONT)
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        if self.scope.stdin is not None:
+            self.scope.stdin.close()
+
+
+@pytest.fixture
+def instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
+    made = Instrument(tmp_path)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+# --- with the synthetic instrument ---
+
+
+def test_from_sign_in_to_the_measured_result(browser: Any, instrument: Instrument) -> None:
+    operator = Operator(browser, instrument.address())
+    page = operator.page
+    operator.sees_controls()
+    assert "token" not in page.url
+    first = operator.picture_sum()
+    operator.until(lambda: operator.picture_sum() != first, 5.0, lambda: "the picture changes")
+    assert operator.lit()
+    assert not page.is_enabled("[data-call=home]"), "viewers move nothing"
+    operator.takes_control()
+    operator.selects("RUN_STOP", "Run / Stop")
+    assert page.get_attribute("[data-control=RUN_STOP]", "aria-pressed") == "true"
+    operator.shoots("selected_light")
+    operator.confirms()
+    operator.sees("#chip-driver", "Moving")
+    operator.logs(r"Press Run / Stop.*in work", 5.0)
+    row = operator.logs(r"Press Run / Stop.*done", 10.0)
+    assert "0.42 mm" in row
+    assert "Operator 1" in row
+    operator.sees("#last", "measured error 0.42 mm")
+    operator.until(lambda: not operator.lit(), 5.0, lambda: "RUN/STOP goes dark in the picture")
+    assert operator.page.inner_text("#position-x") == "208.0 mm"
+    operator.leaves()
+
+
+def test_a_knob_a_point_and_the_touch_screen(browser: Any, instrument: Instrument) -> None:
+    operator = Operator(browser, instrument.address())
+    page = operator.page
+    operator.takes_control()
+    operator.selects("CH1_SCALE", "Channel 1 scale")
+    page.select_option("#turn-degrees", "30")
+    operator.confirms("turn")
+    operator.logs(r"Turn ↺ 30° Channel 1 scale.*done", 10.0)
+    area = page.locator("#controls [data-control=SCREEN]").bounding_box()
+    page.mouse.click(area["x"] + area["width"] / 4, area["y"] + area["height"] / 2)
+    operator.sees("#selection-name", "Point on the panel")
+    # a quarter of the screen (15 to 185 mm wide, centre at 82.5 mm up), seen in perspective
+    x, y = map(float, re.findall(r"([\d.]+)", operator.sees("#selection-detail", "Point"))[:2])
+    assert abs(x - 57.5) < 8
+    assert abs(y - 82.5) < 6
+    operator.confirms()
+    operator.logs(r"Press \([\d.]+, [\d.]+\) mm.*done", 10.0)
+    page.click("[data-control=CH1_IN]", force=True)  # aria-disabled, and still answered
+    operator.sees("#refusal", "connector and is never touched")
+    page.mouse.click(area["x"] - 60, area["y"] - 90)
+    operator.sees("#refusal", "beside the panel")
+    page.select_option("#chooser", "MENU")
+    operator.sees("#selection-name", "Menu")
+    operator.leaves()
+
+
+def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrument: Instrument) -> None:
+    operator = Operator(browser, instrument.address(), color_scheme="dark")
+    page = operator.page
+    operator.sees_controls()
+    page.keyboard.press("l")
+    operator.sees("#lease-text", "You are in control")
+    focused = lambda: page.evaluate("document.activeElement.dataset.control ?? ''")  # noqa: E731
+    for _ in range(30):
+        if focused():
+            break
+        page.keyboard.press("Tab")
+    page.focus("[data-control=SINGLE]")
+    page.keyboard.press("ArrowLeft")
+    assert focused() == "RUN_STOP"
+    page.keyboard.press("ArrowDown")
+    assert focused() == "CH1_SCALE"
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("Enter")
+    operator.sees("#selection-name", "Run / Stop")
+    operator.until(
+        lambda: page.evaluate("document.activeElement.dataset.act ?? ''") == "press", 5.0, lambda: "focus on Press"
+    )
+    page.keyboard.press("Enter")
+    operator.sees("#chip-driver", "Moving")
+    page.keyboard.press("Escape")
+    operator.sees("#banner", "STOPPED")
+    operator.logs("aborted stopped: operator", 5.0)
+    operator.logs("STOP", 5.0)
+    assert operator.lit(), "the motion did not end in a touch"
+    operator.shoots("stopped_dark")
+    assert not page.is_enabled("[data-act=press]")
+    operator.sees("#refusal", "not ready: Stopped")
+    page.click("[data-call=reset]")
+    operator.sees("#chip-driver", "Idle")
+    operator.until(lambda: page.is_hidden("#banner"), 5.0, lambda: "the banner goes")
+    operator.leaves()
+
+
+def test_the_stop_button_of_a_viewer_and_of_a_page_without_script(browser: Any, instrument: Instrument) -> None:
+    operator = Operator(browser, instrument.address())
+    operator.takes_control()
+    viewer = Operator(browser, instrument.new_address())
+    viewer.sees("#lease-text", "Operator 1 is in control")
+    operator.selects("MENU", "Menu")
+    operator.confirms()
+    viewer.sees("#chip-driver", "Moving")
+    viewer.page.click("#stop")
+    viewer.sees("#chip-driver", "Stopped")
+    operator.logs("STOP.*Operator 2", 5.0)
+    operator.page.click("[data-call=reset]")
+    operator.sees("#chip-driver", "Idle")
+    bare = Operator(browser, instrument.new_address(), java_script_enabled=False)
+    bare.page.click("#stop-form button")
+    operator.sees("#chip-driver", "Stopped")
+    operator.logs("STOP.*Operator 3", 5.0)
+    bare.context.close()
+    viewer.leaves()
+    operator.leaves()
+
+
+def test_control_is_handed_over(browser: Any, instrument: Instrument) -> None:
+    first = Operator(browser, instrument.address())
+    first.takes_control()
+    second = Operator(browser, instrument.new_address())
+    second.sees_controls()
+    second.page.click("#lease-request")
+    first.sees("#lease-text", "Operator 2 asks for control")
+    first.page.click("#lease-grant")
+    second.sees("#lease-text", "You are in control")
+    first.sees("#lease-text", "Operator 2 is in control")
+    assert not first.page.is_enabled("[data-call=home]")
+    second.page.click("[data-call=home]")
+    assert second.page.inner_text("[data-call=home]") == "Confirm: home"
+    second.page.click("[data-call=home]")
+    second.logs("Home.*done homing", 5.0)
+    first.leaves()
+    second.leaves()
+
+
+def test_a_frozen_page_stops_the_motion_and_gets_control_back_only_by_asking(
+    browser: Any, instrument: Instrument
+) -> None:
+    instrument.tell("heartbeat_timeout 9")  # so that it is the bridge that stops, not the driver
+    operator = Operator(browser, instrument.address())
+    witness = Operator(browser, instrument.new_address())
+    operator.takes_control()
+    operator.selects("MENU", "Menu")
+    operator.confirms()
+    witness.sees("#chip-driver", "Moving")
+    operator.page.evaluate("() => { const t = performance.now(); while (performance.now() - t < 1300); }")
+    row = witness.logs("STOP", 5.0)
+    assert "the operator’s page was silent" in row
+    assert "Watchdog" in row
+    witness.logs("aborted", 5.0)
+    operator.sees("#lease-text", "Nobody is in control")
+    operator.sees("#banner", "STOPPED")
+    assert not operator.page.is_enabled("[data-call=reset]")
+    operator.page.click("#lease-take")
+    operator.page.click("[data-call=reset]")
+    operator.sees("#chip-driver", "Idle")
+    operator.leaves()
+    witness.leaves()
+
+
+def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, instrument: Instrument) -> None:
+    operator = Operator(browser, instrument.address())
+    page = operator.page
+    operator.takes_control()
+    operator.selects("MENU", "Menu")
+    instrument.tell("stall")
+    operator.until(lambda: page.get_attribute("#stage", "data-age") == "stale", 5.0, lambda: "the picture is stale")
+    operator.sees("#stale", r"STALE · [1-9]")
+    operator.shoots("stale_light")
+    assert not page.is_enabled("[data-act=press]")
+    operator.sees("#refusal", r"The picture is \d+ ms old; at most 500 ms")
+    operator.sees("#banner", "picture is old")
+    instrument.tell("resume")
+    operator.until(lambda: page.is_hidden("#stale"), 5.0, lambda: "the picture is live again")
+    instrument.tell("confidence 0.2")
+    operator.sees("#refusal", "recognised with 0.2; at least 0.5")
+    assert not page.is_enabled("[data-act=press]")
+    instrument.tell("confidence 0.97")
+    instrument.tell("shift 0.01")
+    operator.until(lambda: page.is_enabled("[data-act=press]"), 5.0, lambda: "ready again")
+    page.click("[data-act=press]")
+    operator.sees("#refusal", "The panel has moved by 10 mm since the selection")
+    operator.leaves()
+
+
+def test_a_frozen_server_is_noticed_and_a_restarted_one_wants_a_new_sign_in(
+    browser: Any, instrument: Instrument
+) -> None:
+    operator = Operator(browser, instrument.address())
+    operator.takes_control()
+    operator.selects("MENU", "Menu")
+    operator.confirms()
+    operator.sees("#chip-driver", "Moving")
+    instrument.bridge.send_signal(signal.SIGSTOP)
+    operator.sees("#banner", "link to the bridge is lost", within_s=4.0)
+    operator.sees("#chip-link", "LOST")
+    assert not operator.page.is_enabled("[data-call=home]")
+    instrument.bridge.send_signal(signal.SIGCONT)
+    operator.sees("#chip-link", r"\d ms")
+    operator.logs("Press Menu.*aborted stopped: heartbeat lost", 5.0)
+    port = int(re.findall(r":(\d+)/", instrument.address())[0])
+    instrument.bridge.kill()
+    instrument.bridge.wait()
+    instrument.start_bridge(port)
+    operator.page.wait_for_selector("#token", timeout=20_000)
+    operator.page.fill("#token", (instrument.folder / "token").read_text())
+    operator.page.click("button[type=submit]")
+    operator.takes_control()
+    operator.leaves()
+
+
+def test_words_can_be_read_and_buttons_can_be_hit(browser: Any, instrument: Instrument) -> None:
+    """WCAG 2.2 AA: contrast of text at least 4.5 (3 for large text), targets of the desk at least 44 px."""
+    for number, (scheme, size) in enumerate([("light", (1280, 800)), ("dark", (820, 1180))]):
+        address = instrument.address() if number == 0 else instrument.new_address()
+        operator = Operator(browser, address, color_scheme=scheme, viewport=dict(zip(("width", "height"), size)))
+        operator.takes_control()
+        operator.selects("CH1_SCALE", "Channel 1 scale")
+        operator.page.click("#stop")
+        operator.sees("#banner", "STOPPED")
+        operator.page.click("[data-call=reset]")
+        operator.sees("#chip-driver", "Idle")
+        operator.shoots(f"page_{scheme}_{size[0]}")
+        poor = operator.page.evaluate(_CONTRAST)
+        assert poor == []
+        small = operator.page.evaluate(
+            """() => [...document.querySelectorAll('button, select')]
+                .filter((e) => e.offsetParent && !e.closest('#controls') && !e.classList.contains('link'))
+                .map((e) => [e.id || e.textContent, e.getBoundingClientRect()])
+                .filter(([, r]) => r.width < 44 || r.height < 44).map(([n, r]) => `${n} ${r.width} x ${r.height}`)"""
+        )
+        assert small == []
+        wide = operator.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        assert wide <= 0, "nothing to scroll sideways"
+        operator.leaves()
+
+
+_CONTRAST = """() => {
+  const parse = (c) => { const v = c.match(/[\\d.]+/g).map(Number); return v.length > 3 ? v : [...v, 1]; };
+  const light = (c) => c.slice(0, 3).map((v) => v / 255)
+    .map((v) => (v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4))
+    .reduce((s, v, i) => s + v * [.2126, .7152, .0722][i], 0);
+  const ground = (e) => {
+    for (let n = e; n; n = n.parentElement) {
+      const c = parse(getComputedStyle(n).backgroundColor);
+      if (c[3] > .7) return c;
+    }
+    return [255, 255, 255, 1];
+  };
+  const poor = [];
+  for (const e of document.querySelectorAll('body *')) {
+    const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
+    if (!own || !e.offsetParent || e.closest('.unseen, #stage, option') || e.disabled) continue;
+    const style = getComputedStyle(e), size = parseFloat(style.fontSize), bold = Number(style.fontWeight) >= 700;
+    const [a, b] = [light(parse(style.color)), light(ground(e))].sort((x, y) => y - x);
+    const ratio = (a + .05) / (b + .05), needed = size >= 24 || (bold && size >= 18.7) ? 3 : 4.5;
+    if (ratio < needed) poor.push(`${e.textContent.trim().slice(0, 30)}: ${ratio.toFixed(2)}`);
+  }
+  return poor;
+}"""
+
+
+# --- with the whole graph on the simulated bench ---
+
+
+def test_the_whole_graph_from_the_page(browser: Any, running_graph: Any) -> None:
+    operator = Operator(browser, running_graph.page_address())
+    page = operator.page
+    operator.sees_controls()
+    first = operator.picture_sum()
+    operator.until(lambda: operator.picture_sum() != first, 10.0, lambda: "the picture changes")
+    operator.takes_control()
+    operator.sees("#chip-controller", "Ready", within_s=20.0)
+    lit = operator.lit()
+    operator.selects("RUN_STOP", "Run")
+    operator.confirms()
+    row = operator.logs("Press Run.*(done|aborted|refused|no answer)", 40.0)
+    assert "done" in row, row
+    error_mm = float(re.findall(r"([\d.]+) mm", row)[-1])
+    print(f"measured error of the touch: {error_mm} mm")
+    assert error_mm < 1.0
+    operator.until(lambda: operator.lit() != lit, 5.0, lambda: "RUN/STOP changes in the live picture")
+    operator.shoots("bench_done")
+
+    operator.selects("MENU", "Menu")
+    operator.confirms()
+    operator.sees("#chip-driver", "Moving", within_s=10.0)
+    page.click("#stop")
+    operator.sees("#chip-driver", "Stopped")
+    operator.sees("#banner", "STOPPED")
+    assert "aborted" in operator.logs("Press Menu.*(done|aborted)", 10.0)
+    operator.shoots("bench_stopped")
+    page.click("[data-call=reset]")
+    operator.sees("#chip-driver", "Idle", within_s=20.0)
+    operator.sees("#chip-controller", "Ready", within_s=20.0)
+    operator.selects("RUN_STOP", "Run")
+    operator.confirms()
+    operator.logs("Press Run.*done[^\n]*", 40.0)
+    operator.until(lambda: operator.lit() == lit, 5.0, lambda: "RUN/STOP changes back")
+    operator.leaves()
