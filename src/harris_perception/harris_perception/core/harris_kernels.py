@@ -121,8 +121,8 @@ def _collect(
 ) -> tuple[Any, int, Any]:
     """Append the marked pixels that also exceed their diagonal neighbours to ``found`` (x, y, response).
 
-    ``words`` are the marks, eight to a word, ``columns`` is scratch for a row. The floor rises with the strongest peak so
-    far. Returns ``found`` (a larger one when it was full), the count and the floor.
+    ``words`` are the marks, eight to a word, ``columns`` is scratch for a row. The floor rises with the strongest peak
+    so far. Returns ``found`` (a larger one when it was full), the count and the floor.
     """
     marks = words.view(np.uint8)
     marked = 0
