@@ -57,6 +57,18 @@ class ControllerConfig(Config):
     )
     settle_s: float = setting(0.15, "Standstill before a picture counts", minimum=0.0, maximum=5.0, unit="s")
     look_timeout_s: float = setting(3.0, "Time for one look", minimum=0.1, maximum=30.0, unit="s")
+    press_s: float = setting(0.3, "Time in contact of a press", minimum=0.0, maximum=5.0, unit="s")
+    press_max_s: float = setting(
+        0.6,
+        "The same while fewer pictures than needed have come; instruments take longer for another gesture",
+        minimum=0.0,
+        maximum=5.0,
+        unit="s",
+    )
+    picture_wait_s: float = setting(
+        1.0, "Time for the pictures of the contact to arrive after the lift", minimum=0.0, maximum=10.0, unit="s"
+    )
+    contact_tip_count: int = setting(2, "Tip observations needed from the time in contact", minimum=1, maximum=50)
     motion_timeout_s: float = setting(
         6.0, "Time beyond the nominal duration for a trajectory's result", minimum=0.5, maximum=120.0, unit="s"
     )
@@ -94,11 +106,13 @@ class Phase(str, Enum):
     CONTACT = "touching: looking at the contact"
     TURN = "touching: turning"
     LIFT = "moving up"
+    MEASURE = "waiting for the pictures of the contact"
     BREAK_OFF = "moving up after a fault"
 
 
 MOVING = (Phase.MOVE, Phase.APPROACH, Phase.CORRECT, Phase.TOUCH, Phase.TURN, Phase.LIFT, Phase.BREAK_OFF)
-LOOKING = (Phase.LOOK, Phase.CONTACT)
+LOOKING = (Phase.LOOK, Phase.CONTACT, Phase.MEASURE)
+MAX_TIPS = 50
 PUSHING = (Phase.TOUCH, Phase.TURN)
 """Here a moved panel stops the machine at once; elsewhere the stylus is in the air and goes up."""
 # What /gantry/state shows; every other phase is "moving".
@@ -107,6 +121,7 @@ STATES = {
     Phase.TOUCH: "touching",
     Phase.CONTACT: "touching",
     Phase.TURN: "touching",
+    Phase.MEASURE: "looking",
 }
 
 
@@ -164,6 +179,7 @@ class _Job:
     hover_error_m: float = math.nan
     error_m: float = math.nan
     down_ns: int = 0
+    complaint: str = ""
     fault: _Fault | None = None
 
     def tip_goal(self) -> Array:
@@ -202,21 +218,24 @@ class Controller:
         self._phase_ns = 0
         self._end: Array | None = None
         self._arrived_ns: int | None = None
-        self._look_after_ns = 0
+        self._look_after_ns = self._look_until_ns = 0
         self._tips: deque[Array] = deque()
+        self._tips_needed = 1
 
     # Every transition of a goal. A method either enters another phase or finishes the goal.
     _NEXT: ClassVar[dict[tuple[Phase, Step], Callable[[Controller, _Job], None]]] = {
         (Phase.MOVE, Step.ARRIVED): lambda self, job: self._finish_move(job),
-        (Phase.APPROACH, Step.ARRIVED): lambda self, job: self._look(Phase.LOOK, self.config.look_timeout_s),
+        (Phase.APPROACH, Step.ARRIVED): lambda self, job: self._look_at_hover(job),
         (Phase.LOOK, Step.SEEN): lambda self, job: self._judge_hover(job),
         (Phase.LOOK, Step.UNSEEN): lambda self, job: self._unseen_hover(job),
-        (Phase.CORRECT, Step.ARRIVED): lambda self, job: self._look(Phase.LOOK, self.config.look_timeout_s),
+        (Phase.CORRECT, Step.ARRIVED): lambda self, job: self._look_at_hover(job),
         (Phase.TOUCH, Step.ARRIVED): lambda self, job: self._look_at_contact(job),
-        (Phase.CONTACT, Step.SEEN): lambda self, job: self._after_contact(job),
-        (Phase.CONTACT, Step.UNSEEN): lambda self, job: self._after_contact(job),
+        (Phase.CONTACT, Step.SEEN): lambda self, job: self._leave_contact(job),
+        (Phase.CONTACT, Step.UNSEEN): lambda self, job: self._leave_contact(job),
         (Phase.TURN, Step.ARRIVED): lambda self, job: self._lift(job),
-        (Phase.LIFT, Step.ARRIVED): lambda self, job: self._finish(job, Outcome.REACHED),
+        (Phase.LIFT, Step.ARRIVED): lambda self, job: self._wait_for_pictures(job),
+        (Phase.MEASURE, Step.SEEN): lambda self, job: self._judge_contact(job),
+        (Phase.MEASURE, Step.UNSEEN): lambda self, job: self._judge_contact(job),
         (Phase.BREAK_OFF, Step.ARRIVED): lambda self, job: self._finish_broken_off(job),
     }
 
@@ -284,7 +303,8 @@ class Controller:
             case msg.Axes():
                 world.base_from_reading = event.base_from_reading
             case msg.TipSeen():
-                if self.phase in LOOKING and event.stamp_ns > self._look_after_ns:
+                # Pictures come late: those of the contact still count when the stylus is on its way up.
+                if self._look_after_ns < event.stamp_ns <= self._look_until_ns:
                     self._tips.append(event.in_camera)
             case msg.CameraSeen():
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
@@ -487,7 +507,7 @@ class Controller:
             scene=scene,
             touch=touch,
             goal_base=touch.in_base,
-            hold_s=gesture.argument if gesture.kind == "hold" else 0.0,
+            hold_s={"hold": gesture.argument, "press": config.press_s}.get(gesture.kind, 0.0),
         )
         heights = np.array([[*touch.in_base[:2], z] for z in (touch.hover_z, touch.touch_z)])
         motion_plan.check_reach(job.readings_at(np.vstack([heights, touch.arc])), config.motion)
@@ -519,10 +539,21 @@ class Controller:
             # The machine stands there already; joint_states younger than this moment confirm it.
             self._end, self._arrived_ns = self._readings(), self._now_ns
 
-    def _look(self, phase: Phase, timeout_s: float) -> None:
+    def _look_at_hover(self, job: _Job) -> None:
+        config = self.config
+        self._look(Phase.LOOK, config.settle_s, config.look_timeout_s, needed=config.tip_count, kept=config.tip_count)
+
+    def _look_at_contact(self, job: _Job) -> None:
+        config = self.config
+        job.down_ns = self._now_ns
+        most_s = {"turn": config.look_timeout_s, "hold": job.hold_s}.get(job.kind, config.press_max_s)
+        # The machine came down slowly, stood for as long as its report took, and did not move sideways.
+        self._look(Phase.CONTACT, 0.0, most_s, needed=config.contact_tip_count, kept=MAX_TIPS)
+
+    def _look(self, phase: Phase, settle_s: float, timeout_s: float, *, needed: int, kept: int) -> None:
         self.phase = phase
-        self._tips = deque(maxlen=self.config.tip_count)
-        self._look_after_ns = self._now_ns + _nanoseconds(self.config.settle_s)
+        self._tips, self._tips_needed = deque(maxlen=kept), needed
+        self._look_after_ns, self._look_until_ns = self._now_ns + _nanoseconds(settle_s), _FAR_NS
         self._deadline_ns = self._look_after_ns + _nanoseconds(timeout_s)
 
     def _advance(self) -> None:
@@ -536,7 +567,7 @@ class Controller:
     def _ended(self, job: _Job) -> Step | None:
         if self.phase in LOOKING:
             if self.phase is Phase.CONTACT and self._now_ns < job.down_ns + _nanoseconds(job.hold_s):
-                return None
+                return None  # also when enough has been seen
             if self._seen_in_base(job) is not None:
                 return Step.SEEN
             return Step.UNSEEN if self._now_ns > self._deadline_ns else None
@@ -573,7 +604,7 @@ class Controller:
     # Look, judge, correct, touch
 
     def _seen_in_base(self, job: _Job) -> Array | None:
-        if len(self._tips) < self.config.tip_count:
+        if len(self._tips) < self._tips_needed:
             return None
         assert job.scene is not None
         tips = job.scene.camera_from_base.inverse().apply(np.array(self._tips))
@@ -633,35 +664,47 @@ class Controller:
             self._touch_down(job)
 
     def _unseen_text(self) -> str:
-        return (
-            f"the tip was seen {len(self._tips)} times in {self.config.look_timeout_s:g} s, {self.config.tip_count} "
-            f"times within {1000 * self.config.tip_spread_m:g} mm are needed"
-        )
+        spread_mm = 1000 * self.config.tip_spread_m
+        return f"the tip was seen {len(self._tips)} times, {self._tips_needed} times within {spread_mm:g} mm are needed"
 
     def _touch_down(self, job: _Job) -> None:
         assert job.touch is not None
         depth = -job.touch.touch_z
         self._try(job, Phase.TOUCH, lambda: motion_plan.plunge(self._readings(), depth, self.config.motion))
 
-    def _look_at_contact(self, job: _Job) -> None:
-        job.down_ns = self._now_ns
-        self._look(Phase.CONTACT, self.config.look_timeout_s)
+    def _leave_contact(self, job: _Job) -> None:
+        self._look_until_ns = self._now_ns
+        if job.kind != "turn":
+            self._lift(job)
+        elif not self._measure_contact(job):
+            # A knob is turned only from a place that is known to be right.
+            self._break_off(job, _Fault(cause=job.complaint))
+        else:
+            assert job.touch is not None
+            arc = job.readings_at(job.touch.arc)
+            self._try(job, Phase.TURN, lambda: motion_plan.follow(self._readings(), arc, self.config.motion))
 
-    def _after_contact(self, job: _Job) -> None:
+    def _measure_contact(self, job: _Job) -> bool:
+        """Measure the error at contact; return whether it is good, else leave the reason in ``job.complaint``."""
         assert job.touch is not None
         if self._seen_in_base(job) is not None:
             job.error_m = float(np.linalg.norm(self._seen_error(job, job.touch.touch_z)[:2]))
         if math.isnan(job.error_m) and self.config.require_servo:
-            self._break_off(job, _Fault(cause=f"touched, but not measured: {self._unseen_text()}"))
+            job.complaint = f"touched, but not measured: {self._unseen_text()}"
         elif job.error_m > self.config.max_error_m:
             bound = 1000 * self.config.max_error_m
-            cause = f"touched {1000 * job.error_m:.2f} mm beside the target, {bound:g} mm are allowed"
-            self._break_off(job, _Fault(cause=cause))
-        elif job.kind == "turn":
-            arc = job.readings_at(job.touch.arc)
-            self._try(job, Phase.TURN, lambda: motion_plan.follow(self._readings(), arc, self.config.motion))
+            job.complaint = f"touched {1000 * job.error_m:.2f} mm beside the target, {bound:g} mm are allowed"
+        return not job.complaint
+
+    def _wait_for_pictures(self, job: _Job) -> None:
+        self.phase = Phase.MEASURE
+        self._deadline_ns = self._now_ns + _nanoseconds(self.config.picture_wait_s)
+
+    def _judge_contact(self, job: _Job) -> None:
+        if self._measure_contact(job):
+            self._finish(job, Outcome.REACHED)
         else:
-            self._lift(job)
+            self._finish(job, Outcome.ABORTED, f"{job.complaint}; the stylus is up")
 
     def _lift(self, job: _Job) -> None:
         self._go(Phase.LIFT, motion_plan.lift(self._readings(), self.config.motion))
@@ -699,7 +742,7 @@ class Controller:
         if self._age_s(world.heartbeat_ns) > config.heartbeat_timeout_s:
             age = _since(self._age_s(world.heartbeat_ns))
             return _Fault(cause=f"lost the operator: no heartbeat {age}")
-        if job.touch is None or self.phase is Phase.LIFT:
+        if job.touch is None or self.phase in (Phase.LIFT, Phase.MEASURE):
             return None
         if self._age_s(world.camera_stamp_ns) > config.camera_timeout_s:
             age = _since(self._age_s(world.camera_stamp_ns))
@@ -782,6 +825,9 @@ _DRIVER_TEXT = {
     "moving": "the driver is moving",
     "mismatch": "settings mismatch",
 }
+
+
+_FAR_NS = 2**63
 
 
 def _nanoseconds(seconds: float) -> int:
