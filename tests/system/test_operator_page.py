@@ -331,7 +331,7 @@ def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrume
     operator.sees("#refusal", "not ready: Stopped")
     page.click("[data-call=reset]")
     operator.sees("#chip-driver", "Idle")
-    operator.until(lambda: page.is_hidden("#banner"), 5.0, lambda: "the banner goes")
+    operator.sees("#banner", "Ready")
     operator.leaves()
 
 

@@ -353,6 +353,11 @@ function renderAge() {
     { when: age > limits.max_age_ms, look: "waiting", text: t("banner_stale") },
     { when: restarted, look: "waiting", text: t("banner_restarted") },
     { when: lostControl, look: "waiting", text: t("banner_lost_control") },
+    { when: !state, look: "none", text: t("banner_connecting") },
+    { when: state?.moving, look: "busy", text: t("banner_moving") },
+    { when: !isMine(), look: "none", text: t("banner_viewing") },
+    { when: state?.refusal, look: "waiting", text: t("banner_waiting", { reason: whyNot() }) },
+    { when: true, look: "good", text: t("banner_ready") },
   ]);
 }
 

@@ -32,15 +32,14 @@ export function stateChip(id, { state, reason }) {
   chip(id, LOOK_OF[state] ?? "none", text, full);
 }
 
-/** Show the most urgent of the banners that apply, or none. */
+/** Show the most urgent of the sentences that apply; the line is always there, so that nothing jumps. */
 export function banner(element, candidates) {
   const found = candidates.find((candidate) => candidate.when);
-  const key = found ? `${found.look} ${found.text}` : "";
+  const key = `${found.look} ${found.text}`;
   if (element.dataset.key === key) return;
   element.dataset.key = key;
-  element.hidden = !found;
-  if (!found) return;
   element.dataset.look = found.look;
+  element.setAttribute("role", found.look === "bad" ? "alert" : "status");
   element.querySelector(".icon").textContent = LOOKS[found.look];
   element.querySelector("p").textContent = found.text;
 }

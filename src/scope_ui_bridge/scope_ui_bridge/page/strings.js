@@ -128,6 +128,11 @@ const EN = {
   link_lost: "LOST",
   link_connecting: "Connecting",
 
+  banner_connecting: "Connecting …",
+  banner_ready: "Ready. Select a control in the picture, then confirm.",
+  banner_viewing: "Viewing. Take control to operate.",
+  banner_moving: "Moving. STOP or Esc stops it.",
+  banner_waiting: "Not ready: {reason}",
   banner_link: "The link to the bridge is lost. The machine stops by itself. Trying again …",
   banner_stale: "The live picture is old. Nothing can be selected or moved.",
   banner_stopped: "STOPPED – {reason}. Nothing moves until the operator presses “Reset after stop”.",
@@ -176,7 +181,8 @@ const TABLE = LANGUAGES[document.documentElement.lang] ?? EN;
 /** Return the sentence of a key with its values put in; an unknown key comes back as it is (text from the graph). */
 export function t(key, values = {}) {
   const sentence = TABLE[key] ?? EN[key] ?? String(key);
-  return sentence.replace(/\{(\w+)\}/g, (whole, name) => values[name] ?? "").trim();
+  const filled = sentence.replace(/\{(\w+)\}/g, (whole, name) => values[name] ?? "");
+  return filled.replace(/\s+(?=[:.](\s|$))/g, "").trim();
 }
 
 export function has(key) {
