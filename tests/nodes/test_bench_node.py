@@ -158,9 +158,9 @@ def test_the_ball_is_where_it_was_at_the_stamp(start: Any) -> None:
     bench = start(**IDEAL)
     board, camera = bench.board(), bench.camera()
     camera.read(20.0)
-    # A way at 60 mm/s, told ahead of time so that a loaded machine cannot delay it: 22 px per second and more.
-    begin, speed, count = time.monotonic() - 0.05, 60.0, 399
-    board.say(*((begin + 0.005 * i, (-309 + speed * 0.005 * i, -109.0, -11.0)) for i in range(count)))
+    # Six seconds at 40 mm/s, told ahead of time so that a loaded machine cannot delay it.
+    begin, speed, count, step = time.monotonic() - 0.05, 40.0, 399, 0.015
+    board.say(*((begin + step * i, (-309 + speed * step * i, -109.0, -11.0)) for i in range(count)))
     rig = stereo_rig(bench.config.camera)
     seen = 0
     deadline = time.monotonic() + 20.0
@@ -168,13 +168,13 @@ def test_the_ball_is_where_it_was_at_the_stamp(start: Any) -> None:
         assert time.monotonic() < deadline, f"only {seen} pairs within the way"
         pictures, stamp_ns = camera.read(20.0)
         at = (stamp_ns - time.time_ns()) * 1e-9 + time.monotonic() - begin
-        if not 0.1 < at < 0.005 * count - 0.1:
-            assert at < 0.005 * count, "the way ended before enough pairs had come"
+        if not 0.1 < at < step * count - 0.1:
+            assert at < step * count, "the way ended before enough pairs had come"
             continue
         tip = np.array([0.050 + speed * at / 1000, 0.110, -0.010])
         for picture, view in zip(pictures, (rig.left, rig.right)):
             off = magenta(picture) - view.project(tip)[0]
-            # The shading is not quite even and the stem hides a little: half a pixel of 0.74 mm; 10 ms are 0.8 px.
+            # The shading is not quite even and the stem hides a little: half a pixel of 0.74 mm; 15 ms are 0.8 px.
             assert np.abs(off).max() < 0.6, f"{off} px off at {at:.3f} s"
         seen += 1
 
@@ -198,6 +198,7 @@ def test_without_readers_nothing_is_rendered(start: Any) -> None:
     assert bench.simulation.health().frames_sent == 0
     camera = bench.camera()
     camera.read(20.0)
+    camera.read(20.0)  # the second pair is sent after the first was counted
     assert bench.simulation.health().frames_sent > 0
 
 
@@ -257,10 +258,11 @@ def test_faults_of_camera_and_light(start: Any) -> None:
     assert bench.ask("camera", state="frozen")["ok"]
     with pytest.raises(TimeoutError):
         for _ in range(10):
-            camera.read(0.7)
+            camera.read(2.0)
     assert bench.ask("camera", state="unplugged")["ok"]
     with pytest.raises(ConnectionError):
-        camera.read(20.0)
+        for _ in range(10):
+            camera.read(20.0)
     with pytest.raises(OSError):
         FrameClient(bench.folder / "frames")
     assert bench.ask("camera", state="ok")["ok"]

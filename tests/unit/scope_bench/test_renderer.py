@@ -97,6 +97,19 @@ def test_light_and_hand(renderer: Renderer) -> None:
     assert np.array_equal(after[v - 5 : v + 5, u - 5 : u + 5], dark[v - 5 : v + 5, u - 5 : u + 5])
 
 
+def test_the_stylus_throws_a_shadow_to_the_right_and_down(renderer: Renderer) -> None:
+    stopped = press(InstrumentState(), "RUN_STOP", 1.0)
+    without = renderer.render(dataclasses.replace(moment(stopped), tip=(0.33, 0.21, 0.0)))[0].astype(float)
+    # Above the bare face left of the inputs; the shaft stands 75 mm higher at its arm.
+    panel_point = np.array([0.100, 0.018, 0.030])
+    tip = base_from_panel(QUIET.panel).apply(panel_point)
+    above = renderer.render(dataclasses.replace(moment(stopped), tip=tuple(tip)))[0].astype(float)
+    fall = 46 * 0.45  # where the stem becomes the shaft
+    u, v = np.round(renderer.views[0].pixel_of_panel((100 + fall * 0.5, 18 - fall * 0.866 + 3, 0))[0]).astype(int)
+    lit, shaded = (picture[v - 1 : v + 2, u - 1 : u + 2].mean() for picture in (without, above))
+    assert 0.6 * lit < shaded < 0.93 * lit
+
+
 def test_a_moved_panel_is_seen_where_it_is(renderer: Renderer) -> None:
     before = renderer.render(moment())[0]
     was = renderer.views[0].pixel_of_panel((208, 127, 3))[0]

@@ -214,6 +214,8 @@ class _Side:
     def draw(self, states: dict[str, ControlState], emission: Picture | None, moment: Moment) -> Picture:
         self.view.show(states)
         picture = self.view.picture.copy()
+        tip = np.asarray(moment.tip)
+        self._stylus.cast_shadow(picture, tip)
         if emission is not None and self._screen is not None:
             seen = cv2.remap(emission, self._maps[0], self._maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
             seen = cv2.multiply(seen, self._screen_gain, scale=1 / 255)
@@ -222,7 +224,7 @@ class _Side:
             window, share, light = self._hand
             mixed = picture[window] * (1 - share) + light * share
             picture[window] = np.rint(mixed).astype(np.uint8)
-        self._stylus.draw(picture, np.asarray(moment.tip))
+        self._stylus.draw(picture, tip)
         return picture
 
 

@@ -17,6 +17,8 @@ from scope_bench.core.panel_texture import bgr
 
 LAMP_DIRECTION = np.array([-0.5, 0.866])
 """Where the light comes from, in the panel's plane: above and a little left."""
+SHADOW_REACH = 0.45
+"""How far a shadow falls per height."""
 Mask = npt.NDArray[np.bool_]
 
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from icu_common.core.geometry import Array
 from scope_bench.core.configuration import StylusConfig
 from scope_bench.core.panel_texture import Picture
+from scope_bench.core.solids import LAMP_DIRECTION, SHADOW_REACH
 from scope_bench.core.view import View, Window, window_around
 
 BALL = np.array([176.0, 22.0, 226.0])
@@ -21,6 +22,7 @@ BALL = np.array([176.0, 22.0, 226.0])
 SHAFT = np.array([46.0, 44.0, 42.0])
 ARM = np.array([52.0, 50.0, 48.0])
 LIGHT = np.array([-0.35, 0.45, 0.82])
+_SHADOW_DEPTH, _SHADOW_BLUR_PX = 90, 5
 _COUNT, _BALL_COUNT = 3, 6
 """Samples per pixel and direction; the ball is measured, the rest only seen."""
 
@@ -54,6 +56,38 @@ class StylusPainter:
         self._over(picture, [ball, thin, self._rod(tip, tip[2] + stem, config.arm_height_m, rod)])
         self._arm(picture, tip)
         self._over(picture, [self._rod(tip, config.arm_height_m + 0.008, top, rod)])
+
+    def cast_shadow(self, picture: Picture, tip: Array) -> None:
+        """Darken the panel where ball, shaft and arm keep the lamp's light away; done before the screen shines."""
+        config = self._config
+        arm, half = config.arm_height_m, config.arm_width_mm / 2000
+        rod = config.shaft_diameter_mm / 2000
+        # Outlines in base_link; what is high throws its shadow far to the right and down.
+        start = tip[2] + config.stem_mm / 1000
+        shaft = [(tip[0] + dx, tip[1], z) for dx, z in ((-rod, start), (-rod, arm), (rod, arm), (rod, start))]
+        beam = [
+            (tip[0] + dx, tip[1] + dy, arm) for dx, dy in ((-half, -0.006), (-half, 0.4), (half, 0.4), (half, -0.006))
+        ]
+        ball = config.ball_diameter_mm / 2000
+        turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+        disc = [(tip[0] + ball * np.cos(t), tip[1] + ball * np.sin(t), tip[2]) for t in turn]
+        outlines = [self._view.camera.project(self._shadow_of(np.array(part))) for part in (shaft, beam, disc)]
+        window = window_around(np.vstack(outlines), 4 * _SHADOW_BLUR_PX, self._view.camera)
+        rows, columns = window
+        mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
+        for outline in outlines:
+            points = np.round((np.clip(outline, -2000, 4000) - (columns.start, rows.start)) * 16).astype(np.int32)
+            cv2.fillConvexPoly(mask, points, (_SHADOW_DEPTH,), cv2.LINE_AA, 4)
+        left = cv2.cvtColor(255 - cv2.GaussianBlur(mask, (0, 0), _SHADOW_BLUR_PX), cv2.COLOR_GRAY2BGR)
+        picture[window] = cv2.multiply(picture[window], left, scale=1 / 255)
+
+    def _shadow_of(self, points: Array) -> Array:
+        """Slide points along the light onto the panel's face; (N, 3) metres in base_link."""
+        stands = self._view.base_from_panel
+        in_panel = stands.inverse().apply(points)
+        height = np.maximum(in_panel[:, 2:], 0)
+        slid = in_panel[:, :2] - SHADOW_REACH * height * LAMP_DIRECTION
+        return stands.apply(np.column_stack([slid, np.minimum(in_panel[:, 2], 0)]))
 
     def _over(self, picture: Picture, parts: list[_Part | None]) -> None:
         gain = self._view.light.level

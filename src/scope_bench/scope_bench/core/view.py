@@ -19,7 +19,7 @@ from icu_common.core.panel_layout import Control, PanelLayout
 from scope_bench.core.configuration import LightConfig
 from scope_bench.core.optics import Camera
 from scope_bench.core.panel_texture import Canvas, Picture, draw_face
-from scope_bench.core.solids import LAMP_DIRECTION, ControlState, cast, paint
+from scope_bench.core.solids import LAMP_DIRECTION, SHADOW_REACH, ControlState, cast, paint
 
 FACE_PER_MM = 12.0
 SAMPLES = 4
@@ -340,7 +340,7 @@ def _face_shadow(layout: PanelLayout) -> npt.NDArray[np.float32]:
     shadow = _empty_shadow(layout)
     for control in layout.controls:
         for step in np.linspace(0, 1, 6) if control.height_mm > 0 else ():
-            reach = 0.45 * control.height_mm * step
+            reach = SHADOW_REACH * control.height_mm * step
             x = control.position_mm[0] - LAMP_DIRECTION[0] * reach + _SHADOW_BORDER
             y = layout.size_mm[1] - control.position_mm[1] + LAMP_DIRECTION[1] * reach + _SHADOW_BORDER
             half_x, half_y = (side / 2 for side in control.size_mm)
