@@ -363,7 +363,15 @@ def test_a_stop_voids_an_order_that_has_not_gone_out() -> None:
     assert not rig.desk.still_wanted(command)
 
 
-def test_one_press_of_stop_on_two_ways_is_one_stop() -> None:
+def test_one_press_of_stop_is_one_stop_however_late_its_second_way_is() -> None:
+    rig = Rig()
+    assert of_type(rig.ask(rig.a, type="stop", press="p1"), StopNow)
+    rig.seconds += 3.0
+    assert rig.desk.stop("Operator 1", rig.now, press="p1") == []
+    assert of_type(rig.desk.stop("Operator 1", rig.now, press="p2"), StopNow)
+
+
+def test_stops_that_follow_each_other_quickly_are_one_stop() -> None:
     rig = Rig()
     assert len(of_type(rig.desk.stop("Operator 1", rig.now), StopNow)) == 1
     assert rig.desk.stop("Operator 1", rig.now) == [], "a second one would end the lifting of the stylus"

@@ -293,7 +293,8 @@ class WebServer:
         session = self._session(request)
         if session is None:
             return web.json_response({"ok": False, "code": "signed_out"}, status=401)
-        self._carry_out(self._desk.stop(session.name, self._now()))
+        press = request.query.get("press", "")[:64]
+        self._carry_out(self._desk.stop(session.name, self._now(), press=press))
         if "text/html" in request.headers.get("Accept", ""):  # the form without its script
             return web.Response(status=303, headers={"Location": "/"})
         return web.json_response({"ok": True})

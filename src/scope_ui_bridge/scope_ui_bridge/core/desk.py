@@ -154,6 +154,7 @@ class Desk:
         self._selection_count = 0
         self._last_goal_ns = 0
         self._last_stop = (-math.inf, "", 0)
+        self._presses: deque[str] = deque(maxlen=64)
         self._last_heartbeat_s = -math.inf
         self._last_active_s = -math.inf
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
@@ -201,7 +202,8 @@ class Desk:
             message = wire.decode(text)
             seq = message.seq
             if isinstance(message, wire.Stop):  # before every other check: a stop is always good
-                return [*self.stop(self._viewers[viewer].name, now), self._answer(viewer, seq)]
+                effects = self.stop(self._viewers[viewer].name, now, press=message.press)
+                return [*effects, self._answer(viewer, seq)]
             self._admit(viewer, message, now)
             return self._dispatch(viewer, message, now)
         except Refusal as refusal:
@@ -249,14 +251,18 @@ class Desk:
 
     # --- stop, lease, keep-alive -----------------------------------------------------------------------------------
 
-    def stop(self, who: str, now: Now, code: str = "") -> list[Effect]:
-        """Stop, for whoever asks; ``code`` says why when it was not a person."""
+    def stop(self, who: str, now: Now, code: str = "", press: str = "") -> list[Effect]:
+        """Stop, for whoever asks; ``code`` says why when it was not a person.
+
+        One press of the button arrives on two ways, which ``press`` (or half a second) tells. The stop has gone out
+        then; a second one would end the driver's lifting of the stylus (docs/decisions/stopping.md).
+        """
         self.stops += 1
         last_s, last_who, last_entry = self._last_stop
-        if who == last_who and now.mono_s - last_s < _SAME_STOP_S and last_entry == self._entry_count:
-            # One press arrives on two ways, and nothing was ordered in between. The stop has gone out; a second one
-            # would end the driver's lifting of the stylus (docs/decisions/stopping.md).
+        quick = who == last_who and now.mono_s - last_s < _SAME_STOP_S and last_entry == self._entry_count
+        if quick or (press and press in self._presses):
             return []
+        self._presses.append(press)
         entry = self._new_entry(who, "stop", code, now, status="done")
         self._last_stop = (now.mono_s, who, entry.entry)
         return [StopNow(record=self._record(who, "stop", code, now)), self._shown(entry)]

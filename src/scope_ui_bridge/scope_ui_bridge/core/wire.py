@@ -38,7 +38,9 @@ class Alive(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stop(Message):
-    """Stop everything."""
+    """Stop everything; ``press`` names one press of the button, which comes on two ways."""
+
+    press: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,7 +158,7 @@ def _typed(raw: dict[str, Any]) -> Message:
     if kind == "alive":
         message = Alive(**head, client_ms=read.number("client_ms"))
     elif kind == "stop":
-        message = Stop(**head)
+        message = Stop(**head, press=read.text("press") if "press" in raw else "")
     elif kind == "lease":
         message = Lease(**head, step=read.choice("step", LEASE_STEPS))
     elif kind == "select":

@@ -117,8 +117,10 @@ async function act(gesture, argument) {
 
 function stop() {
   // Two ways at once: the open connection, and a plain request that needs nothing but the sign-in.
-  const way = link.ask("stop");
-  const other = fetch("/stop", { method: "POST", keepalive: true }).then((answer) => answer.ok, () => false);
+  // The bridge knows by the press that it is one stop.
+  const press = Math.random().toString(36).slice(2);
+  const way = link.ask("stop", { press });
+  const other = fetch(`/stop?press=${press}`, { method: "POST", keepalive: true }).then((answer) => answer.ok, () => false);
   Promise.all([way, other]).then(([first, second]) => {
     if (!first.ok && !second) say(t("link_down"), true);
   });
