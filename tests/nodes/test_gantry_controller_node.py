@@ -122,7 +122,7 @@ def test_driver_stopped_in_the_middle(ros: Any) -> None:
 
 
 def test_operator_lost_and_back(ros: Any) -> None:
-    bench = GantryBench(ros)
+    bench = GantryBench(ros, {"heartbeat_timeout_s": 2.0})
     bench.see()
     bench.spin_until_state("ready")
     bench.heartbeat = False

@@ -654,6 +654,7 @@ def test_shutdown_stops_a_goal_in_work() -> None:
     actions = bench.controller.close(bench.now_ns)
     assert [type(a) for a in actions] == [msg.CallStop, msg.PublishResult, msg.SetState]
     assert isinstance(actions[1], msg.PublishResult) and "shutting down" in actions[1].result.reason
+    assert bench.controller.handle(msg.Command(text="press:RUN_STOP"), bench.now_ns) == []
     idle = Bench().start()
     assert [type(a) for a in idle.controller.close(idle.now_ns)] == [msg.SetState]
 

@@ -212,6 +212,7 @@ class Controller:
         self._job: _Job | None = None
         self._actions: list[msg.Action] = []
         self._state = ""
+        self._closed = False
         self._now_ns = 0
         self._deadline_ns = 0
         self._stamp_ns = 0
@@ -251,6 +252,8 @@ class Controller:
 
     def handle(self, event: msg.Event, now_ns: int) -> list[msg.Action]:
         """Take one event at ROS time ``now_ns`` and return what is to be done, in order."""
+        if self._closed:
+            return []
         jumped_back_s = (self._now_ns - now_ns) / NANO
         self._now_ns = now_ns
         self._actions = []
@@ -269,12 +272,13 @@ class Controller:
         return self._actions
 
     def close(self, now_ns: int) -> list[msg.Action]:
-        """End the goal in work because the controller goes away: the machine is held."""
+        """End the goal in work because the controller goes away: the machine is held, and nothing is heard any more."""
         self._now_ns = now_ns
         self._actions = []
         if self._job is not None:
             self._break_off(self._job, _Fault(cause="the controller is shutting down", stop=True))
         self._set_state("waiting: the controller has ended")
+        self._closed = True
         return self._actions
 
     # What is heard

@@ -38,7 +38,7 @@ from icu_common.nodes.conversions import (
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
-TICK_S = 0.02
+TICK_S = 0.05
 DIAGNOSTICS_S = 1.0
 
 
