@@ -101,7 +101,7 @@ def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:
     assert rig.outcomes() == ["accepted", "aborted"] and "link lost" in rig.results[-1].reason
     since = board.log()[-1]["n"]
     rig.link.wait_for(lambda machine: machine.phase.state == "moving", 0.5)
-    assert [line["text"] for line in board.lines(since)] == [], "nothing resumes by itself"
+    assert not any(line["text"].startswith("G") for line in board.lines(since)), "nothing resumes by itself"
 
 
 @pytest.mark.parametrize(

@@ -725,7 +725,9 @@ class Machine:
             return
         if report.state == "Alarm":
             self._to_alarm("the board is locked by an alarm whose number was not received", now)
-        elif report.state in ("Hold", "Door") and self.phase is Phase.STOPPED:
+        elif self.phase is Phase.STOPPED and report.state == "Door" and report.substate != 0:
+            return
+        elif self.phase is Phase.STOPPED and report.state in ("Hold", "Door"):
             self._halt(self.reason, now)
         else:
             self._halt(f"the board is in {report.state_text} without a command from here", now)
@@ -757,14 +759,18 @@ class Machine:
             # Older than the hold, or a firmware that does not hold while idle: give the hold time to show.
             if now - self._since > 1.5 * HOLD_REPEAT_S:
                 self._reset_after_hold(now)
-        elif report.state in ("Alarm", "Sleep", "Tool") or report.substate == 0:
+        elif report.state in ("Alarm", "Sleep", "Tool") or report.substate == 0 or report.state_text == "Door:1":
             self._reset_after_hold(now)
 
     def _report_resetting(self, report: Report, now: float) -> None:
         if self.session.awaiting_banner:
             return
-        if report.state in ("Hold", "Door"):
+        if report.state == "Hold" or report.state_text == "Door:0":
             self._reset_after_hold(now)
+        elif report.state == "Door":
+            # Still open: a reset does not leave this state, and nothing may move, not even when it is closed later.
+            self._lift = False
+            self._enter(Phase.STOPPED, now, self.reason)
         elif report.state == "Alarm" and self.homed:
             self._to_alarm("the reset left the board locked, its position is lost", now)
         elif report.state in ("Idle", "Alarm"):
