@@ -160,19 +160,34 @@ class HarrisDetector:
         ValueError
             For another shape or dtype.
         """
-        source = _checked(gray).astype(np.float32)
-        result = np.zeros(source.shape, np.float32)
+        picture = _checked(gray)
+        result = np.zeros(picture.shape, np.float32)
         margin = self.margin_px
-        if min(source.shape) <= 2 * margin:
-            return result
+        if min(picture.shape) > 2 * margin:
+            a, b, c = self.structure(picture)
+            kind = _RESPONSES.index(self.config.response)
+            kernels.response_of(a, b, c, kind, self.config.k, result[margin:-margin, margin:-margin])
+        return result
+
+    def structure(self, gray: npt.NDArray[Any]) -> tuple[F32, F32, F32]:
+        """Return the sums of gx^2, gy^2 and gx gy over the window, where kernels and window lie inside the picture.
+
+        Parameters
+        ----------
+        gray
+            (H, W), both larger than twice ``margin_px``.
+
+        Returns
+        -------
+        tuple
+            Three of (H - 2 margin_px, W - 2 margin_px) float32, without the frame of ``margin_px``.
+        """
+        source, margin, taps = gray.astype(np.float32), self.margin_px, self._window
         gx = cv2.sepFilter2D(source, cv2.CV_32F, self._derivative, self._smooth)
         gy = cv2.sepFilter2D(source, cv2.CV_32F, self._smooth, self._derivative)
-        taps, inside = self._window, np.s_[margin:-margin, margin:-margin]
-        sums = [cv2.sepFilter2D(p, cv2.CV_32F, taps, taps)[inside] for p in (gx * gx, gy * gy, gx * gy)]
-        kernels.response_of(
-            sums[0], sums[1], sums[2], _RESPONSES.index(self.config.response), self.config.k, result[inside]
-        )
-        return result
+        inside = np.s_[margin:-margin, margin:-margin]
+        a, b, c = (cv2.sepFilter2D(p, cv2.CV_32F, taps, taps)[inside] for p in (gx * gx, gy * gy, gx * gy))
+        return a, b, c
 
     @overload
     def detect(self, gray: npt.NDArray[Any]) -> Corners: ...

@@ -1,0 +1,174 @@
+"""Edges on drawings whose edges are known exactly: where they lie, how they are linked, where they end."""
+
+from __future__ import annotations
+
+import doctest
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harris_perception.core import edge_kernels as kernels
+from harris_perception.core import edges as edges_module
+from harris_perception.core.edges import CORNER, EDGE, FLAT, EdgeConfig, EdgeDetector
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+
+
+def halves(angle_deg: float, offset: float, size: int = 90) -> tuple[np.ndarray, np.ndarray]:
+    """Return a soft step edge through the picture and each pixel's distance to it, for a line at this angle."""
+    y, x = np.indices((size, size)).astype(np.float64)
+    t = np.deg2rad(angle_deg)
+    distance = (x - size / 2) * np.cos(t) + (y - size / 2) * np.sin(t) - offset
+    return (100 + 80 * np.clip(distance, -0.5, 0.5)).astype(np.float32), distance
+
+
+@settings(max_examples=25, deadline=None)
+@given(angle=st.floats(0, 180), offset=st.floats(-8, 8))
+def test_straight_edge_is_one_chain_within_a_pixel(angle: float, offset: float) -> None:
+    picture, distance = halves(angle, offset)
+    found = EdgeDetector().detect(picture)
+    inside = [c for c in found.chains if len(c) > 5]
+    assert len(inside) == 1
+    x, y = inside[0].T
+    assert np.abs(distance[y, x]).max() < 1.0
+    length = max(np.ptp(x), np.ptp(y)) + 1
+    assert length >= 85 or length >= 0.9 * (np.abs(distance) < 0.5).any(axis=int(np.ptp(x) > np.ptp(y)) ^ 1).sum()
+
+
+def test_strength_is_the_gradient_in_grey_levels_per_pixel() -> None:
+    x = np.indices((60, 60))[1].astype(np.float32)
+    soft = 100 + 40 * np.tanh((x - 30) / 8)  # slope 5 at x = 30, hardly changed by a blur of 2 px
+    thinned = EdgeDetector().thinned(soft.astype(np.float32))
+    assert set(np.nonzero(thinned.max(axis=0) > 1)[0].tolist()) <= {29, 30, 31}
+    assert thinned[30].max() == pytest.approx(5.0, rel=0.1)
+
+
+def square() -> np.ndarray:
+    picture = np.full((100, 110), 60, np.uint8)
+    picture[25:75, 30:80] = 180
+    return picture
+
+
+def test_square_becomes_sides_that_end_at_its_corners() -> None:
+    picture = square()
+    corners = HarrisDetector(HarrisConfig(gradient="gaussian", window="gaussian")).detect(picture)
+    assert len(corners) == 4
+    with_corners = EdgeDetector(EdgeConfig(max_gap_px=8.0)).detect(picture, corners.xy)
+    rounded = {(int(x), int(y)) for x, y in np.rint(corners.xy)}
+    assert {(int(x), int(y)) for y, x in np.argwhere(with_corners.labels == CORNER)} == rounded
+    on_edge = {(int(x), int(y)) for c in with_corners.chains for x, y in c}
+    assert rounded <= on_edge, "every corner lies on a chain"
+    sides = np.zeros(picture.shape, np.uint8)
+    cv2.rectangle(sides, (30, 25), (79, 74), 1)
+    far = cv2.distanceTransform(1 - sides, cv2.DIST_L2, 5)
+    assert max(far[y, x] for x, y in on_edge) <= 2.0
+    reached = cv2.distanceTransform(np.where(with_corners.labels == FLAT, 1, 0).astype(np.uint8), cv2.DIST_L2, 5)
+    assert (reached[sides > 0] <= 2.5).mean() > 0.97
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_precision_and_recall_on_exact_drawings(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    factor, size = 8, 160
+    big, truth = np.full((size * factor, size * factor), 90, np.uint8), np.zeros((size, size), np.uint8)
+    for _ in range(4):
+        centre, radius = rng.uniform(35, 125, 2), rng.uniform(14, 32)
+        angles = np.sort(rng.uniform(0, 2 * np.pi, 5))
+        points = centre + radius * np.column_stack((np.cos(angles), np.sin(angles)))
+        cv2.fillPoly(big, [np.rint((points + 0.5) * factor).astype(np.int32)], int(rng.choice([20, 160, 230])))
+    labels = big[factor // 2 :: factor, factor // 2 :: factor].astype(int)
+    truth[:, 1:] |= (np.diff(labels, axis=1) != 0).astype(np.uint8)
+    truth[1:, :] |= (np.diff(labels, axis=0) != 0).astype(np.uint8)
+    picture = big.reshape(size, factor, size, factor).mean(axis=(1, 3)) + rng.normal(0, 3, (size, size))
+    found = EdgeDetector().detect(np.clip(picture, 0, 255).astype(np.uint8))
+    edge = found.labels == EDGE
+    to_truth = cv2.distanceTransform(1 - truth, cv2.DIST_L2, 5)
+    to_found = cv2.distanceTransform(1 - edge.astype(np.uint8), cv2.DIST_L2, 5)
+    print(f"seed {seed}")
+    assert (to_truth[edge] <= 2.5).mean() > 0.95
+    assert (to_found[truth > 0] <= 3.0).mean() > 0.8
+
+
+def test_hysteresis_keeps_weak_pixels_only_with_a_strong_one_and_drops_small_pieces() -> None:
+    thinned = np.zeros((20, 60), np.float32)
+    thinned[5, 5:35] = 3.0
+    thinned[5, 20] = 9.0  # strong seed: the whole weak line stays
+    thinned[10, 5:35] = 3.0  # weak line without a seed
+    thinned[15, 5:12] = 9.0  # strong, but short
+    thinned[5, 40:58] = 1.0  # below the low threshold
+    expected = np.zeros(thinned.shape, bool)
+    expected[5, 5:35] = True
+    np.testing.assert_array_equal(kernels.hysteresis(thinned, 8.0, 2.0, 20), expected)
+
+
+def test_spur_is_removed_and_the_branch_of_a_t_stays() -> None:
+    mask = np.zeros((50, 60), np.float32)
+    mask[20, 5:55] = 10.0
+    mask[21:24, 15] = 9.0  # spur of three
+    mask[21:45, 40] = 9.0  # branch of 24
+    found = EdgeDetector(EdgeConfig(max_spur_px=5)).edges_of(mask)
+    assert not found.labels[22:24, 15].any() and found.labels[22:45, 40].all()
+    assert found.labels[20:22, 5:55].any(axis=0).all()  # the line, which may dip by a pixel where branches leave it
+    long = sorted(len(c) for c in found.chains if len(c) > 3)
+    assert len(long) == 3 and sum(long) >= 49 + 23
+
+
+def test_closed_line_is_one_chain_that_ends_where_it_starts() -> None:
+    mask = np.zeros((60, 60), np.uint8)
+    cv2.circle(mask, (30, 30), 18, 1)
+    found = EdgeDetector().edges_of(mask.astype(np.float32) * 10)
+    assert len(found.chains) == 1
+    np.testing.assert_array_equal(found.chains[0][0], found.chains[0][-1])
+    assert len(found.chains[0]) - 1 == (found.labels == EDGE).sum()
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 100_000), density=st.floats(0.02, 0.6), height=st.integers(1, 25), width=st.integers(1, 25))
+def test_chains_hold_every_edge_pixel_in_steps_of_one(seed: int, density: float, height: int, width: int) -> None:
+    rng = np.random.default_rng(seed)
+    thinned = np.where(rng.random((height, width)) < density, rng.uniform(1, 9, (height, width)), 0.0).astype(
+        np.float32
+    )
+    corners = np.column_stack((rng.integers(0, width, 3), rng.integers(0, height, 3)))
+    config = EdgeConfig(high=2.0, min_length_px=1, max_spur_px=int(rng.integers(0, 4)))
+    found = EdgeDetector(config).edges_of(thinned, corners)
+    covered = np.zeros((height, width), bool)
+    for chain in found.chains:
+        assert len(chain) == 1 or (np.abs(np.diff(chain, axis=0)).max(axis=1) == 1).all()
+        covered[chain[:, 1], chain[:, 0]] = True
+    assert (covered[found.labels == EDGE]).all()
+    assert (found.labels[covered] != FLAT).all()
+    assert {(int(x), int(y)) for x, y in corners} == {(int(x), int(y)) for y, x in np.argwhere(found.labels == CORNER)}
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 100_000), density=st.floats(0.1, 0.8))
+def test_skeleton_keeps_the_pieces_together(seed: int, density: float) -> None:
+    rng = np.random.default_rng(seed)
+    mask = rng.random((20, 22)) < density
+    before = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[0]
+    thin = mask.copy()
+    kernels.skeletonise(thin, rng.random(mask.shape).astype(np.float32))
+    assert (thin <= mask).all()
+    assert cv2.connectedComponents(thin.astype(np.uint8), connectivity=8)[0] == before
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (2, 40), (30, 30)])
+@pytest.mark.parametrize("value", [0.0, 77.0, np.nan, np.inf])
+def test_pictures_without_edges(shape: tuple[int, int], value: float) -> None:
+    found = EdgeDetector().detect(np.full(shape, value, np.float32))
+    assert found.labels.shape == shape and not found.labels.any() and found.chains == []
+
+
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"\(5, 5, 3\)"):
+        EdgeDetector().detect(np.zeros((5, 5, 3), np.uint8))
+    with pytest.raises(ValueError, match="outside the picture of 30 x 20"):
+        EdgeDetector().detect(np.zeros((20, 30), np.uint8), [(30.0, 4.0)])
+
+
+def test_examples_in_docstrings_run() -> None:
+    result = doctest.testmod(edges_module)
+    assert result.attempted > 0 and result.failed == 0
