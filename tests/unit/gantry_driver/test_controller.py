@@ -141,6 +141,19 @@ def test_turn_follows_the_arc_at_depth() -> None:
     assert last == pytest.approx(-90 + 15, abs=0.2)
 
 
+def test_stylus_with_two_positions_looks_from_above() -> None:
+    motion = {"motion.stylus_two_positions": True, "motion.stylus_max_m": 0.032}
+    bench = Bench(config(motion=from_mapping(ControllerConfig, motion).motion)).start()
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+    assert {float(p[2]) for path in bench.paths for p in path} == {0.0, 0.032}
+    assert bench.do("turn:CH1_SCALE:30").outcome is Outcome.REACHED
+    assert {float(p[2]) for path in bench.paths for p in path} == {0.0, 0.032}
+    sent = len(bench.paths)
+    assert "z = -0.01 m: this stylus can only be up" in bench.go(0.1, 0.1, -0.01).reason
+    assert "needs an extension of 0.033" in bench.do("press:SCREEN").reason
+    assert len(bench.paths) == sent
+
+
 def test_a_command_without_id_is_answered_by_its_text() -> None:
     bench = Bench().start()
     assert bench.do("press:RUN_STOP").goal_id == "press:RUN_STOP"

@@ -465,6 +465,8 @@ class Controller:
     def _move_job(self, goal: msg.PointGoal) -> _Job:
         if goal.xyz[2] > 0:
             raise Refused(f"z = {goal.xyz[2]:g} m is above 0, where the stylus is retracted")
+        if goal.xyz[2] < 0 and self.config.motion.stylus_two_positions:
+            raise Refused(f"z = {goal.xyz[2]:g} m: this stylus can only be up, 0, or touch")
         for obstacle in self._obstacles():
             if obstacle.every_goal:
                 raise Refused(obstacle.reason)
@@ -502,6 +504,8 @@ class Controller:
         scene, config = self._scene(), self.config
         wander = config.max_correction_m + config.motion.approach_m * math.sqrt(2)
         touch = targets.resolve(gesture, scene, config.touch, wander_m=wander)
+        if config.motion.stylus_two_positions:
+            touch = targets.with_two_positions(touch, config.motion.stylus_max_m)
         job = _Job(
             goal_id=goal_id,
             text=text,

@@ -31,6 +31,9 @@ class MotionConfig(Config):
     y_min_m: float = setting(0.0, "Smallest reading of gantry_y_joint", minimum=-2.0, maximum=2.0, unit="m")
     y_max_m: float = setting(0.219, "Largest reading of gantry_y_joint", minimum=-2.0, maximum=2.0, unit="m")
     stylus_max_m: float = setting(0.059, "Largest extension of the stylus", minimum=0.0, maximum=0.5, unit="m")
+    stylus_two_positions: bool = setting(
+        False, "The stylus (servo, solenoid) knows only up and down, which is stylus_max_m"
+    )
     travel_speed_m_s: float = setting(0.12, "Speed across the panel", minimum=0.001, maximum=1.0, unit="m/s")
     stylus_speed_m_s: float = setting(0.04, "Speed of the stylus in the air", minimum=0.001, maximum=0.5, unit="m/s")
     touch_speed_m_s: float = setting(0.01, "Speed of the stylus into contact", minimum=0.0005, maximum=0.1, unit="m/s")

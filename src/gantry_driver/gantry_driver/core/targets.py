@@ -6,6 +6,7 @@ radius below along base z.
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import math
 from collections.abc import Sequence
@@ -271,6 +272,21 @@ def resolve(gesture: Gesture, scene: Scene, config: TouchConfig, *, wander_m: fl
         touch_z=float((surface[0] + above)[2]),
         arc=surface[1:] + above,
     )
+
+
+def with_two_positions(touch: Touch, down_m: float) -> Touch:
+    """Return the same touch for a stylus that is either retracted or extended by ``down_m`` (m).
+
+    Raises
+    ------
+    Refused
+        If the touch needs a longer stylus.
+    """
+    if -touch.touch_z > down_m:
+        raise Refused(f"the touch needs an extension of {-touch.touch_z:.4f} m, the stylus reaches {down_m:.4f} m")
+    arc = touch.arc.copy()
+    arc[:, 2] = -down_m
+    return dataclasses.replace(touch, hover_z=0.0, touch_z=-down_m, arc=arc)
 
 
 def turn_points(control: PanelControl, angle_deg: float, config: TouchConfig) -> Array:
