@@ -4,6 +4,7 @@ a changing screen, an arm in front, uneven light, blur and noise."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +14,23 @@ import numpy as np
 from harris_perception.core.panel_template import draw_panel
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
-from icu_common.core.panel_layout import PanelLayout, load_layout, rgb
+from icu_common.core.panel_layout import Control, PanelLayout, load_layout, rgb
 
 LAYOUT = Path(__file__).parents[3] / "config" / "scopes" / "dso_bench_4.yaml"
 _TEXTURE_PX_PER_MM = 8.0
 
 
+@cache
 def bench_layout() -> PanelLayout:
     return load_layout(LAYOUT)
 
 
 def camera(width: int = 1280, height: int = 720, focal: float = 1700.0, k1: float = -0.08) -> CameraModel:
+    distortion = np.array([k1, 0.05, 0.001, -0.001, 0.0])
     k = np.array([[focal, 0.0, width / 2 + 4.0], [0.0, focal, height / 2 - 3.0], [0.0, 0.0, 1.0]])
     turn = np.asarray(cv2.Rodrigues(np.array([0.002, -0.004, 0.003]))[0])
     p = np.column_stack([k, np.zeros(3)])
-    return CameraModel(name="left", width=width, height=height, k=k, d=np.array([k1, 0.05, 0.001, -0.001, 0.0]), r=turn, p=p)
+    return CameraModel(name="left", width=width, height=height, k=k, d=distortion, r=turn, p=p)
 
 
 def pose(
@@ -65,58 +68,89 @@ class Look:
     lit: bool = True
 
 
+@cache
+def _rays(model: CameraModel) -> Array:
+    """(H, W, 3) directions of all pixels in the rectified frame."""
+    columns, rows = np.meshgrid(np.arange(model.width), np.arange(model.height))
+    return model.rays(np.column_stack([columns.ravel(), rows.ravel()])).reshape(model.height, model.width, 3)
+
+
+class _View:
+    """Where the rays of a part of the picture meet planes parallel to the face."""
+
+    def __init__(self, model: CameraModel, camera_from_panel: Transform) -> None:
+        back = camera_from_panel.inverse()
+        self.directions = (_rays(model) @ back.rotation.T).astype(np.float32)
+        self.origin = back.translation
+        self.model, self.pose = model, camera_from_panel
+
+    def meet(self, height_mm: float, window: Any = np.s_[:, :]) -> tuple[Any, Any]:
+        rays = self.directions[window].astype(np.float64)
+        along = (height_mm * 1e-3 - self.origin[2]) / rays[..., 2]
+        return ((self.origin[i] + along * rays[..., i]) * 1e3 for i in (0, 1))  # type: ignore[return-value]
+
+    def window(self, control: Control) -> Any:
+        """The part of the picture that a control can cover."""
+        (x, y), (w, h) = control.position_mm, control.size_mm
+        box = [(x + i * w / 2, y + j * h / 2, z) for i in (-1, 1) for j in (-1, 1) for z in (0, control.height_mm)]
+        pixels = self.model.project(self.pose.apply(np.array(box) * 1e-3))
+        low = np.clip(np.floor(pixels.min(axis=0)).astype(int) - 3, 0, None)
+        high = np.ceil(pixels.max(axis=0)).astype(int) + 3
+        return np.s_[low[1] : high[1], low[0] : high[0]]
+
+
 def picture(layout: PanelLayout, model: CameraModel, camera_from_panel: Transform, look: Look, seed: int) -> Any:
     """Return the raw grey picture, (H, W) uint8."""
     rng = np.random.default_rng(seed)
-    columns, rows = np.meshgrid(np.arange(model.width), np.arange(model.height))
-    pixels = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
-    back = camera_from_panel.inverse()
-    directions = model.rays(pixels) @ back.rotation.T
-    origin = back.translation
-    texture, scale = _texture(layout, look), _TEXTURE_PX_PER_MM
-
-    def meet(height_mm: float) -> tuple[Array, Array]:
-        along = (height_mm * 1e-3 - origin[2]) / directions[:, 2]
-        at = (origin[:2] + along[:, None] * directions[:, :2]) * 1e3
-        return at[:, 0].reshape(columns.shape), at[:, 1].reshape(columns.shape)
-
-    x, y = meet(0.0)
-    u = (x * scale - 0.5).astype(np.float32)
-    v = ((layout.size_mm[1] - y) * scale - 0.5).astype(np.float32)
+    size, scale = (model.width, model.height), _TEXTURE_PX_PER_MM
+    view = _View(model, camera_from_panel)
+    x, y = view.meet(0.0)
     footprint = 0.5 * scale / (model.k[0, 0] * 1e-3 / camera_from_panel.translation[2])
-    smooth = cv2.GaussianBlur(texture, (0, 0), max(0.5, footprint))
-    background = cv2.resize(rng.integers(30, 120, (24, 40)).astype(np.float32), (model.width, model.height))
-    inside = (x >= 0) & (x <= layout.size_mm[0]) & (y >= 0) & (y <= layout.size_mm[1])
-    result = np.where(inside, cv2.remap(smooth, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), background)
-    for height in range(1, 16):
-        x, y = meet(float(height))
-        for control in layout.controls:
-            if control.height_mm >= height:
-                dx, dy = (x - control.position_mm[0]) / control.size_mm[0], (y - control.position_mm[1]) / control.size_mm[1]
-                on = dx**2 + dy**2 <= 0.25 if control.shape == "circle" else (abs(dx) <= 0.5) & (abs(dy) <= 0.5)
-                tone = _tone(control.colour) * (1.0 if height == control.height_mm else 0.6)
-                if height == control.height_mm and control.kind == "knob":
-                    tone = np.where(abs(dx + dy) < 0.06, 230.0, tone)
-                result = np.where(on, tone, result)
+    texture = cv2.GaussianBlur(_texture(layout, look), (0, 0), max(0.5, footprint))
+    u, v = (x * scale - 0.5).astype(np.float32), ((layout.size_mm[1] - y) * scale - 0.5).astype(np.float32)
+    face = cv2.remap(texture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    table = cv2.resize(rng.integers(30, 120, (24, 40)).astype(np.float32), size)
+    result = np.where((x >= 0) & (x <= layout.size_mm[0]) & (y >= 0) & (y <= layout.size_mm[1]), face, table)
+    for control in sorted(layout.controls, key=lambda c: -c.position_mm[1]):
+        window = view.window(control)
+        for height in range(1, round(control.height_mm) + 1):
+            a, b = view.meet(float(height), window)
+            dx, dy = (
+                (a - control.position_mm[0]) / control.size_mm[0],
+                (b - control.position_mm[1]) / control.size_mm[1],
+            )
+            on = dx**2 + dy**2 <= 0.25 if control.shape == "circle" else (abs(dx) <= 0.5) & (abs(dy) <= 0.5)
+            top = height == round(control.height_mm)
+            tone = np.full(on.shape, _tone(control.colour) * (1.0 if top else 0.6))
+            if top and control.kind == "knob":
+                tone[abs(dx + dy) < 0.06] = 230.0
+            result[window] = np.where(on, tone, result[window])
     if look.arm_x_mm is not None:
-        x, y = meet(35.0)
-        result = np.where((abs(x - look.arm_x_mm) < look.arm_width_mm / 2) & (y > 60.0), 28.0, result)
+        a, b = view.meet(35.0)
+        result[(abs(a - look.arm_x_mm) < look.arm_width_mm / 2) & (b > 60.0)] = 28.0
     if look.hidden > 0:
-        x, _ = meet(0.0)
-        hand = cv2.resize(rng.integers(60, 200, (12, 20)).astype(np.float32), (model.width, model.height))
-        left = rng.random() < 0.5
-        part = x < look.hidden * layout.size_mm[0] if left else x > (1 - look.hidden) * layout.size_mm[0]
+        hand = cv2.resize(rng.integers(60, 200, (12, 20)).astype(np.float32), size)
+        edge = look.hidden * layout.size_mm[0]
+        part = x < edge if rng.random() < 0.5 else x > layout.size_mm[0] - edge
         result = np.where(part, hand, result)
-    result = result * (look.gain * (1.0 + look.gradient * (columns / model.width - 0.5)))
+    columns = np.arange(model.width, dtype=np.float32)
+    rows = np.arange(model.height, dtype=np.float32)[:, None]
+    result = result.astype(np.float32) * (look.gain * (1.0 + look.gradient * (columns / model.width - 0.5)))
     if look.glare:
-        spot = np.exp(-((columns - 0.6 * model.width) ** 2 + (rows - 0.4 * model.height) ** 2) / (2 * 90.0**2))
-        result = result + 255 * look.glare * spot
+        away = (columns - 0.6 * model.width) ** 2 + (rows - 0.4 * model.height) ** 2
+        result = result + 255 * look.glare * np.exp(-away / (2 * 90.0**2))
     result = cv2.GaussianBlur(result.astype(np.float32), (0, 0), look.blur_px)
-    return np.clip(np.rint(result + rng.normal(0, look.noise, result.shape)), 0, 255).astype(np.uint8)
+    noise = rng.standard_normal(result.shape, dtype=np.float32) * look.noise
+    return np.clip(np.rint(result + noise), 0, 255).astype(np.uint8)
+
+
+@cache
+def _face(layout: PanelLayout) -> Any:
+    return cv2.cvtColor(draw_panel(layout, _TEXTURE_PX_PER_MM), cv2.COLOR_BGR2GRAY).astype(np.float32)
 
 
 def _texture(layout: PanelLayout, look: Look) -> Any:
-    texture = cv2.cvtColor(draw_panel(layout, _TEXTURE_PX_PER_MM), cv2.COLOR_BGR2GRAY).astype(np.float32)
+    texture = _face(layout).copy()
     rng = np.random.default_rng(look.screen_seed)
     for control in layout.controls:
         x, y = control.position_mm

@@ -44,8 +44,8 @@ class EdgePoints:
     def __len__(self) -> int:
         return len(self.px)
 
-    def chosen(self, which: npt.NDArray[np.bool_]) -> EdgePoints:
-        """Return some of the points."""
+    def chosen(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> EdgePoints:
+        """Return some of the points, by mask or index."""
         return EdgePoints(self.px[which], self.across[which], self.profiles[which])
 
 
@@ -115,9 +115,9 @@ def _profiles(gray: npt.NDArray[np.uint8], px: Array, across: Array, half_px: fl
         + steps[None, :, None, None] * across[:, None, None]
         + np.array(_BESIDE_PX)[None, None, :, None] * along[:, None, None]
     ).astype(np.float32)
-    flat = at.reshape(len(px), -1, 2)
     if not len(px):
         return np.empty((0, len(steps)))
+    flat = at.reshape(len(px), -1, 2)
     smooth = cv2.GaussianBlur(gray, (0, 0), 0.7)
     values = cv2.remap(smooth, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(values.reshape(len(px), len(steps), -1).mean(axis=2), dtype=np.float64)

@@ -183,8 +183,7 @@ class _Canvas:
         if isinstance(item, Rectangle):
             x, y, width, height = item.rectangle_mm
             self.rectangle(x, y, width, height, item.fill)
-            corners = np.array([(x, y), (x + width, y), (x + width, y + height), (x, y + height), (x, y)])
-            self.lines([corners], item.outline, item.line_mm, square=True)
+            self.frame(x, y, width, height, item.outline, item.line_mm)
         elif isinstance(item, Circle):
             x, y, radius = item.circle_mm
             self.ring(x, y, -1.0, radius, item.fill)
@@ -208,12 +207,21 @@ class _Canvas:
         up = self._share(np.abs(ys - y - height / 2) - height / 2)
         self._blend(window, up * across, colour)
 
+    def frame(self, x: float, y: float, width: float, height: float, colour: str, line_mm: float) -> None:
+        """Draw an outline with square corners, the middle of its line on the rectangle."""
+        half = line_mm / 2
+        window, xs, ys = self._window(x - half, y - half, x + width + half, y + height + half)
+        across, up = np.abs(xs - x - width / 2) - width / 2, np.abs(ys - y - height / 2) - height / 2
+        inside = self._share(across + half) * self._share(up + half)
+        self._blend(window, self._share(across - half) * self._share(up - half) - inside, colour)
+
     def ring(self, x: float, y: float, inner: float, outer: float, colour: str) -> None:
         window, xs, ys = self._window(x - outer, y - outer, x + outer, y + outer)
         radius = np.hypot(xs - x, ys - y)
         self._blend(window, self._share(radius - outer) * (1 - self._share(radius - inner)), colour)
 
-    def lines(self, polylines_mm: list[Array], colour: str, line_mm: float, *, square: bool = False) -> None:
+    def lines(self, polylines_mm: list[Array], colour: str, line_mm: float) -> None:
+        """Draw polylines with round ends."""
         half = line_mm / 2
         for line in polylines_mm:
             low, high = line.min(axis=0) - half, line.max(axis=0) + half
@@ -227,9 +235,7 @@ class _Canvas:
                 along = (xs - start[0]) * ux + (ys - start[1]) * uy
                 beyond = np.abs(along - length / 2) - length / 2
                 beside = np.abs((ys - start[1]) * ux - (xs - start[0]) * uy)
-                # Square corners of outlines, round ends of everything else.
-                far = np.maximum(beyond, beside) if square else np.hypot(np.maximum(beyond, 0), beside)
-                np.minimum(distance, far, out=distance)
+                np.minimum(distance, np.hypot(np.maximum(beyond, 0), beside), out=distance)
             self._blend(window, self._share(distance - half), colour)
 
     def _window(self, x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[slice, slice], Array, Array]:

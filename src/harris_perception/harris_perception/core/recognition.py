@@ -71,7 +71,11 @@ class RefineConfig(Config):
     min_points: int = setting(20, "Points that fit", minimum=6, maximum=5000)
     min_spread: float = setting(0.05, "Part of the face that the points span", minimum=0.0, maximum=1.0)
     edge_points: int = setting(30, "Edge points that fit", minimum=8, maximum=5000)
+    max_edge_points: int = setting(1000, "Edge points that are measured", minimum=50, maximum=20000)
     edge_reach_px: float = setting(5.0, "Greatest distance of an edge", minimum=1.0, maximum=30.0, unit="px")
+    max_rms_px: float = setting(
+        0.6, "Greatest misfit of the edges; more means a wrong camera calibration or layout", minimum=0.05, maximum=10.0
+    )
     edge_correlation: float = setting(0.75, "Likeness of the profiles across an edge", minimum=0.1, maximum=1.0)
     patch_mm: float = setting(6.0, "Side of a patch of the correlation", minimum=1.0, maximum=100.0, unit="mm")
     patch_correlation: float = setting(0.6, "A patch agrees from here on", minimum=0.1, maximum=1.0)
@@ -187,7 +191,9 @@ class PanelRecogniser:
             for scale in scales
             if min(layout.size_mm) * scale >= 48
         ]
-        if not self._levels or len(self._levels[0].corners_px) < self.config.refine.min_points:
+        refine = self.config.refine
+        best = self._levels[0] if self._levels else None
+        if best is None or len(best.corners_px) < refine.min_points or len(best.edges) < refine.edge_points:
             raise ValueError(f"the face of {layout.model} has too little print to be recognised")
         self._describe = _Describer(search)
         described = [
@@ -198,7 +204,7 @@ class PanelRecogniser:
             [level.corners_mm[: search.corners_per_level][kept] for level, (_, kept) in zip(self._levels, described)]
         )
         self._maps: tuple[CameraModel, tuple[Any, Any]] | None = None
-        self._last: Array | None = None
+        self._last: Sighting | None = None
 
     def forget(self) -> None:
         """Search the next picture from nothing."""
@@ -224,13 +230,24 @@ class PanelRecogniser:
         if gray.shape[::-1] != camera.size:
             raise ValueError(f"the picture has {gray.shape[::-1]} px, the camera's calibration {camera.size}")
         rectified = self._rectify(gray, camera)
-        sighting = self._refine(rectified, self._last, camera, tracked=True) if self._last is not None else None
+        sighting = self._track(rectified, camera) if self._last is not None else None
         if sighting is None:
             raw = np.asarray(corners_px, dtype=np.float64).reshape(-1, 2)[: self.config.search.max_corners]
-            found = self._search(rectified, camera.rectify(raw).astype(np.float32))
-            sighting = self._refine(rectified, found, camera, tracked=False) if found is not None else None
-        self._last = None if sighting is None else sighting.rectified_from_mm
+            found = self.search(rectified, camera.rectify(raw).astype(np.float32))
+            start = None if found is None else self._by_corners(rectified, found, camera)
+            sighting = None if start is None else self._measure(rectified, start, camera, tracked=False)
+        self._last = sighting
         return sighting
+
+    def _track(self, rectified: Gray, camera: CameraModel) -> Sighting | None:
+        """Look near the last sighting: by the edges alone; by the corners first where those find less than before."""
+        assert self._last is not None
+        last = self._last.rectified_from_mm
+        sighting = self._measure(rectified, last, camera, tracked=True)
+        if sighting is not None and sighting.agreement > 0.9 * self._last.agreement:
+            return sighting
+        start = self._by_corners(rectified, last, camera)
+        return sighting if start is None else self._measure(rectified, start, camera, tracked=True) or sighting
 
     def _rectify(self, gray: Gray, camera: CameraModel) -> Gray:
         if self._maps is None or self._maps[0] is not camera:
@@ -239,7 +256,16 @@ class PanelRecogniser:
         first, second = self._maps[1]
         return np.asarray(cv2.remap(gray, first, second, cv2.INTER_LINEAR), dtype=np.uint8)
 
-    def _search(self, rectified: Gray, corners_px: Floats) -> Array | None:
+    def search(self, rectified: Gray, corners_px: Floats) -> Array | None:
+        """Find the face by descriptors alone: return rectified_from_mm (3, 3), unrefined and unjudged, or None.
+
+        Parameters
+        ----------
+        rectified
+            (H, W) uint8, without distortion.
+        corners_px
+            (N, 2) float32 its corners by falling response.
+        """
         search = self.config.search
         if len(corners_px) < search.min_matches:
             return None
@@ -254,12 +280,9 @@ class PanelRecogniser:
         )
         return None if fitted is None else fitted[0]
 
-    def _refine(self, rectified: Gray, start: Array, camera: CameraModel, *, tracked: bool) -> Sighting | None:
-        """Measure the panel near ``start`` (rectified_from_mm); None when it is not there."""
-        by_corners = self._by_corners(rectified, start, camera)
-        if by_corners is None:
-            return None
-        measured = self._by_edges(rectified, by_corners, camera)
+    def _measure(self, rectified: Gray, start: Array, camera: CameraModel, *, tracked: bool) -> Sighting | None:
+        """Measure the panel near ``start`` (rectified_from_mm) and judge it; None when it is not there."""
+        measured = self._by_edges(rectified, start, camera)
         if measured is None:
             return None
         pose, points, rms = measured
@@ -312,7 +335,9 @@ class PanelRecogniser:
                 return None
             nearest = level.edges.px.astype(int)
             seen = self._visible(level, pose, margin_px=5)[nearest[:, 1], nearest[:, 0]]
-            edges = level.edges.chosen(seen)
+            usable = np.flatnonzero(seen)
+            count = min(len(usable), config.max_edge_points)
+            edges = level.edges.chosen(usable[np.linspace(0, len(usable) - 1, count).astype(int)])
             moved, good = shifts(edges, self._warp(rectified, homography, level), reach, config.edge_correlation)
             if int(good.sum()) < config.edge_points:
                 return None
@@ -327,9 +352,10 @@ class PanelRecogniser:
             points_m = map_points(inverse(level.template.px_from_mm), edges.px) * 1e-3
             pose, error = fit_pose(pose, points_m, pixels, camera, across)
         near = error[np.abs(error) < max(3 * 1.4826 * float(np.median(np.abs(error))), 0.3)]
-        if pose is None or len(near) < config.edge_points:
+        rms = float(np.sqrt(np.mean(near**2)))
+        if pose is None or len(near) < max(config.edge_points, 0.5 * len(error)) or rms > config.max_rms_px:
             return None
-        return pose, len(near), float(np.sqrt(np.mean(near**2)))
+        return pose, len(near), rms
 
     def _level_for(self, homography: Array) -> _Level | None:
         """Return the level whose scale is nearest to the picture's; None for a homography that no camera makes."""

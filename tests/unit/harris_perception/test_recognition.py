@@ -1,0 +1,344 @@
+"""Recognition on pictures with known truth, on real photographs, and on what is not the panel."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from unit.harris_perception import panel_scene as scene
+
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.planar_pose import fit_pose, homography_of_pose, map_points, planar_pose
+from harris_perception.core.recognition import (
+    AgreementConfig,
+    PanelRecogniser,
+    PoseAgreement,
+    RecognitionConfig,
+    RefineConfig,
+    SearchConfig,
+    mean_pose,
+)
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.config import ConfigError
+from icu_common.core.geometry import Transform
+from icu_common.core.panel_layout import Control, PanelLayout, Text
+
+LAYOUT = scene.bench_layout()
+CAMERA = scene.camera()
+DETECTOR = HarrisDetector(HarrisConfig())
+DATA = os.environ.get("ICU_TEST_DATA", "")
+
+
+@cache
+def recogniser() -> PanelRecogniser:
+    return PanelRecogniser(LAYOUT)
+
+
+def error_mm_px(found: Transform, truth: Transform) -> tuple[float, float]:
+    points = scene.control_points_m(LAYOUT)
+    a, b = found.apply(points), truth.apply(points)
+    pixels = np.linalg.norm(CAMERA.project(a) - CAMERA.project(b), axis=1)
+    return float(np.linalg.norm(a - b, axis=1).max() * 1e3), float(pixels.max())
+
+
+VIEWS: list[tuple[dict[str, Any], dict[str, Any], float]] = [
+    ({}, {}, 0.15),
+    ({"roll_deg": 40.0, "distance_m": 0.8}, {}, 0.15),
+    ({"roll_deg": 180.0}, {"arm_x_mm": 60.0}, 0.15),
+    ({"below_deg": 45.0}, {"noise": 5.0}, 0.15),
+    ({"side_deg": 35.0}, {"gradient": 0.8}, 0.15),
+    ({"distance_m": 0.45}, {}, 0.15),
+    ({"distance_m": 1.0}, {}, 0.25),
+    ({"shift_m": (0.02, 0.01)}, {"gain": 0.35, "noise": 4.0}, 0.15),
+    ({}, {"glare": 0.8}, 0.15),
+    ({}, {"blur_px": 1.5}, 0.35),
+    ({}, {"hidden": 0.3}, 0.35),
+    ({"side_deg": -15.0}, {"arm_x_mm": 240.0, "arm_width_mm": 25.0}, 0.15),
+]
+
+
+@pytest.mark.parametrize(("view", "look", "limit_mm"), VIEWS)
+def test_found_with_all_controls_in_place(view: dict[str, Any], look: dict[str, Any], limit_mm: float) -> None:
+    truth = scene.pose(LAYOUT, **view)
+    picture = scene.picture(LAYOUT, CAMERA, truth, scene.Look(**look), seed=5)
+    recogniser().forget()
+    sighting = recogniser().locate(picture, DETECTOR.detect(picture).xy, CAMERA)
+    assert sighting is not None and not sighting.tracked
+    error_mm, error_px = error_mm_px(sighting.camera_from_panel, truth)
+    print(f"{view} {look}: {error_mm:.3f} mm, {error_px:.3f} px, agreement {sighting.agreement:.2f}")
+    assert error_mm < limit_mm
+    assert error_px < 0.4
+    assert sighting.agreement > (0.5 if "hidden" in look else 0.85)
+
+
+def test_followed_while_it_moves_and_found_again_after_a_jump() -> None:
+    recogniser().forget()
+    tracked = []
+    for step, shift in enumerate((0.0, 0.002, 0.004, 0.006, 0.05)):
+        truth = scene.pose(LAYOUT, shift_m=(shift, 0.0))
+        picture = scene.picture(LAYOUT, CAMERA, truth, scene.Look(screen_seed=step), seed=step)
+        sighting = recogniser().locate(picture, DETECTOR.detect(picture).xy, CAMERA)
+        assert sighting is not None
+        assert error_mm_px(sighting.camera_from_panel, truth)[0] < 0.15
+        tracked.append(sighting.tracked)
+    assert tracked == [False, True, True, True, False]
+
+
+def test_repeated_poses_of_a_resting_panel_hardly_differ() -> None:
+    """Noise, the screen and the arm change from frame to frame; the pose stays within 0.05 mm, unaveraged."""
+    recogniser().forget()
+    truth = scene.pose(LAYOUT)
+    corners = np.array([(0, 0, 0), (0.32, 0, 0), (0.32, 0.15, 0), (0, 0.15, 0)])
+    seen = []
+    for seed in range(5):
+        look = scene.Look(screen_seed=seed, arm_x_mm=30.0 + 60 * seed, lit=bool(seed % 2))
+        picture = scene.picture(LAYOUT, CAMERA, truth, look, seed)
+        sighting = recogniser().locate(picture, DETECTOR.detect(picture).xy, CAMERA)
+        assert sighting is not None
+        seen.append(sighting.camera_from_panel.apply(corners))
+    spread = np.linalg.norm(np.array(seen) - np.mean(seen, axis=0), axis=2).max() * 1e3
+    print(f"jitter {spread:.4f} mm")
+    assert spread < 0.05
+
+
+def rearranged(layout: PanelLayout) -> PanelLayout:
+    """Another make: the same words and shapes, mirrored and shuffled."""
+    width, _ = layout.size_mm
+    artwork = []
+    for item in layout.artwork:
+        for field in ("rectangle_mm", "circle_mm", "line_from_to_mm", "at_mm"):
+            if hasattr(item, field):
+                value = list(getattr(item, field))
+                value[0] = width - value[0] - (value[2] if field == "rectangle_mm" else 0)
+                if field == "line_from_to_mm":
+                    value[2] = width - value[2]
+                item = dataclasses.replace(item, **{field: tuple(value)})
+        artwork.append(item)
+    controls = [
+        dataclasses.replace(c, position_mm=(width - c.position_mm[0], c.position_mm[1])) for c in layout.controls
+    ]
+    return dataclasses.replace(layout, artwork=tuple(artwork), controls=tuple(controls))
+
+
+def test_another_panel_with_the_same_words_and_shapes_is_not_taken_for_it() -> None:
+    lenient = RecognitionConfig(refine=RefineConfig(min_agreement=0.05))
+    other = PanelRecogniser(rearranged(LAYOUT), lenient)
+    for seed in range(4):
+        truth = scene.pose(LAYOUT, side_deg=10.0 * seed)
+        picture = scene.picture(LAYOUT, CAMERA, truth, scene.Look(), seed)
+        other.forget()
+        assert other.locate(picture, DETECTOR.detect(picture).xy, CAMERA) is None, seed
+
+
+@pytest.mark.parametrize("kind", ["empty", "noise", "turned away"])
+def test_nothing_is_found_where_nothing_is(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    if kind == "empty":
+        picture = np.full((720, 1280), 90, np.uint8)
+    elif kind == "noise":
+        picture = cv2.GaussianBlur(rng.integers(0, 255, (720, 1280)).astype(np.uint8), (0, 0), 2.0)
+    else:  # seen in a mirror
+        truth = scene.pose(LAYOUT)
+        picture = np.ascontiguousarray(scene.picture(LAYOUT, CAMERA, truth, scene.Look(), 3)[:, ::-1])
+    recogniser().forget()
+    assert recogniser().locate(picture, DETECTOR.detect(picture).xy, CAMERA) is None
+
+
+def test_panel_that_disappears_is_lost_at_once() -> None:
+    recogniser().forget()
+    picture = scene.picture(LAYOUT, CAMERA, scene.pose(LAYOUT), scene.Look(), 3)
+    assert recogniser().locate(picture, DETECTOR.detect(picture).xy, CAMERA) is not None
+    blank = np.full_like(picture, 100)
+    assert recogniser().locate(blank, DETECTOR.detect(blank).xy, CAMERA) is None
+
+
+def test_picture_of_another_size_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"the picture has \(640, 480\) px, the camera's calibration \(1280, 720\)"):
+        recogniser().locate(np.zeros((480, 640), np.uint8), np.empty((0, 2)), CAMERA)
+
+
+def test_face_without_print_is_refused() -> None:
+    control = Control(name="A", kind="button", position_mm=(50.0, 50.0), size_mm=(9.0, 9.0), height_mm=2.0)
+    bare = PanelLayout(
+        model="bare", title="", size_mm=(100.0, 100.0), colour="#808080", controls=(control,), artwork=()
+    )
+    with pytest.raises(ValueError, match="the face of bare has too little print"):
+        PanelRecogniser(bare)
+    worded = dataclasses.replace(bare, artwork=(Text(text="ONLY WORDS", at_mm=(50.0, 20.0), height_mm=9.0),))
+    with pytest.raises(ValueError, match="the face of bare has too little print"):
+        PanelRecogniser(worded)
+
+
+# Real photographs.
+
+photographs = pytest.mark.skipif(not DATA, reason="ICU_TEST_DATA does not name the folder of test photographs")
+
+
+def photograph(name: str) -> np.ndarray:
+    picture = cv2.imread(str(Path(DATA) / name), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        pytest.skip(f"{name} is missing below ICU_TEST_DATA")
+    return picture
+
+
+def flat_layout(picture: np.ndarray) -> PanelLayout:
+    """A layout whose face is the picture, one millimetre per pixel."""
+    height, width = picture.shape
+    control = Control(name="C", kind="connector", position_mm=(width / 2, height / 2), size_mm=(9.0, 9.0))
+    size = (float(width), float(height))
+    return PanelLayout(model="photo", title="", size_mm=size, colour="#000000", controls=(control,), artwork=())
+
+
+def guessed_camera(picture: np.ndarray) -> CameraModel:
+    height, width = picture.shape
+    k = np.array([[width, 0.0, (width - 1) / 2], [0.0, width, (height - 1) / 2], [0.0, 0.0, 1.0]])
+    p = np.column_stack([k, np.zeros(3)])
+    return CameraModel(name="photo", width=width, height=height, k=k, d=np.zeros(5), r=np.eye(3), p=p)
+
+
+def corner_errors_px(found: np.ndarray, truth_of_pixels: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    height, width = shape
+    outline = np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
+    pixels = outline * (1.0, -1.0) + (-0.5, height - 0.5)
+    return np.linalg.norm(map_points(found, outline) - map_points(truth_of_pixels, pixels), axis=1)
+
+
+@photographs
+def test_box_is_found_in_a_photograph_of_a_cluttered_table() -> None:
+    """Against the homography that OpenCV's own SIFT detector and RANSAC find."""
+    box, table = photograph("object/box.png"), photograph("object/box_in_scene.png")
+    sift = cv2.SIFT.create()
+    (points_a, a), (points_b, b) = sift.detectAndCompute(box, None), sift.detectAndCompute(table, None)
+    pairs = [m for m, n in cv2.BFMatcher().knnMatch(a, b, k=2) if m.distance < 0.75 * n.distance]
+    reference, _ = cv2.findHomography(
+        np.array([points_a[m.queryIdx].pt for m in pairs]),
+        np.array([points_b[m.trainIdx].pt for m in pairs]),
+        method=cv2.RANSAC,
+        ransacReprojThreshold=2.0,
+    )
+    config = RecognitionConfig(search=SearchConfig(px_per_mm=1.26), refine=RefineConfig(min_agreement=0.2))
+    finder = PanelRecogniser(flat_layout(box), config, picture=box, picture_px_per_mm=1.0)
+    corners = HarrisDetector(HarrisConfig(relative_threshold=0.001)).detect(table)
+    sighting = finder.locate(table, corners.xy, guessed_camera(table))
+    assert sighting is not None
+    errors = corner_errors_px(sighting.rectified_from_mm, reference, box.shape)
+    print("corner errors px", errors, "agreement", sighting.agreement)
+    assert sighting.agreement > 0.6
+    assert errors.max() < 4.0
+
+
+@photographs
+def test_wall_painting_is_found_from_another_viewpoint() -> None:
+    """Against the homography that comes with the pictures."""
+    first, third = photograph("sequences/graf/img1.png"), photograph("planar/graf3.png")
+    storage = cv2.FileStorage(str(Path(DATA) / "planar" / "H1to3p.xml"), cv2.FILE_STORAGE_READ)
+    truth = storage.getFirstTopLevelNode().mat()
+    harris = HarrisConfig(gradient="gaussian", window="gaussian", relative_threshold=0.0001, max_corners=3000)
+    search = SearchConfig(px_per_mm=1.26, corners_per_level=1500, max_corners=3000, same_place_mm=8.0)
+    finder = PanelRecogniser(flat_layout(first), RecognitionConfig(search=search), harris, first, 1.0)
+    found = finder.search(third, HarrisDetector(harris).detect(third).xy)
+    assert found is not None
+    errors = corner_errors_px(found, truth, first.shape)
+    print("corner errors px", errors)
+    assert errors.max() < 6.0
+
+
+@photographs
+def test_photographs_without_the_panel_show_no_panel() -> None:
+    for name in ("object/box_in_scene.png", "planar/graf3.png", "planar/leuvenA.jpg", "stereo/aloe/aloeL.jpg"):
+        path = Path(DATA) / name
+        if not path.exists():
+            continue
+        picture = cv2.resize(photograph(name), (1280, 720))
+        recogniser().forget()
+        assert recogniser().locate(picture, DETECTOR.detect(picture).xy, CAMERA) is None, name
+
+
+# Poses and their agreement.
+
+
+def test_pose_from_exact_points_and_from_distances_across_edges() -> None:
+    rng = np.random.default_rng(2)
+    truth = scene.pose(LAYOUT, side_deg=12.0, roll_deg=7.0)
+    points = rng.uniform((0, 0), (0.32, 0.15), (60, 2))
+    pixels = map_points(homography_of_pose(truth, CAMERA), points * 1e3)
+    start = planar_pose(points, pixels, CAMERA)
+    assert start is not None
+    np.testing.assert_allclose(start.translation, truth.translation, atol=1e-5)
+    off = Transform(
+        np.asarray(cv2.Rodrigues(np.array([0.01, -0.02, 0.01]))[0]) @ truth.rotation, truth.translation + 0.004
+    )
+    angle = rng.uniform(0, np.pi, 60)
+    across = np.column_stack([np.cos(angle), np.sin(angle)])
+    # What lies along an edge is unknown, and a few measurements are wrong.
+    slid = pixels + rng.normal(0, 30, (60, 1)) * across[:, ::-1] * (1.0, -1.0)
+    slid[:8] += 9.0 * across[:8]
+    pose, error = fit_pose(off, points, slid, CAMERA, across)
+    np.testing.assert_allclose(pose.rotation, truth.rotation, atol=1e-9)
+    np.testing.assert_allclose(pose.translation, truth.translation, atol=1e-9)
+    np.testing.assert_allclose(error[:8], 9.0, atol=1e-6)
+
+
+def poses(rng: np.random.Generator, count: int, shift: float = 0.0, noise: float = 2e-5) -> list[Transform]:
+    base = scene.pose(LAYOUT)
+    return [Transform(base.rotation, base.translation + (shift, 0, 0) + rng.normal(0, noise, 3)) for _ in range(count)]
+
+
+def test_three_frames_must_agree_and_are_averaged() -> None:
+    rng = np.random.default_rng(3)
+    agreement = PoseAgreement(AgreementConfig(frames=3, window=20), LAYOUT.size_mm)
+    series = poses(rng, 30)
+    results = [agreement.add(p) for p in series]
+    assert results[:2] == [None, None]
+    assert all(r is not None for r in results[2:])
+    late = [r.translation for r in results[20:] if r is not None]
+    assert np.ptp(late, axis=0).max() < 2e-5
+    assert np.abs(late[-1] - scene.pose(LAYOUT).translation).max() < 1.5e-5
+
+
+def test_a_single_wrong_pose_silences_but_does_not_replace() -> None:
+    rng = np.random.default_rng(4)
+    agreement = PoseAgreement(AgreementConfig(frames=3), LAYOUT.size_mm)
+    for p in poses(rng, 6):
+        agreement.add(p)
+    assert agreement.add(poses(rng, 1, shift=0.05)[0]) is None
+    again = agreement.add(poses(rng, 1)[0])
+    assert again is not None
+    assert abs(again.translation[0] - scene.pose(LAYOUT).translation[0]) < 1e-4
+
+
+def test_a_move_is_followed_after_three_frames_and_a_loss_forgets() -> None:
+    rng = np.random.default_rng(5)
+    agreement = PoseAgreement(AgreementConfig(frames=3), LAYOUT.size_mm)
+    for p in poses(rng, 10):
+        agreement.add(p)
+    moved = [agreement.add(p) for p in poses(rng, 3, shift=0.004)]
+    assert moved[:2] == [None, None]
+    assert moved[2] is not None
+    assert moved[2].translation[0] == pytest.approx(scene.pose(LAYOUT).translation[0] + 0.004, abs=1e-4)
+    assert agreement.add(None) is None
+    assert [agreement.add(p) is None for p in poses(rng, 3)] == [True, True, False]
+
+
+def test_wandering_poses_never_agree() -> None:
+    rng = np.random.default_rng(6)
+    agreement = PoseAgreement(AgreementConfig(frames=3), LAYOUT.size_mm)
+    assert all(agreement.add(poses(rng, 1, shift=0.002 * step)[0]) is None for step in range(20))
+
+
+def test_mean_pose_of_small_turns() -> None:
+    a, b = (Transform(np.asarray(cv2.Rodrigues(np.array([0, 0, s * 0.01]))[0]), np.array([s, 0, 1.0])) for s in (-1, 1))
+    middle = mean_pose([a, b])
+    np.testing.assert_allclose(middle.rotation, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(middle.translation, (0, 0, 1))
+
+
+def test_window_below_frames_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"agreement\.window = 2 is below agreement\.frames = 3"):
+        RecognitionConfig(agreement=AgreementConfig(frames=3, window=2))
