@@ -2,8 +2,8 @@
 
 Run as a program. It draws the panel from its layout, answers gestures as the controller does (accepted, then reached
 with a measured error after a motion of 1.5 s), and obeys stop, reset, home and enable. Lines on standard input
-change the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``heartbeat_timeout 9``, ``stall`` and
-``resume`` (pictures).
+change the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``heartbeat_timeout 9`` and
+``motion 6`` (s), ``stall`` and ``resume`` (pictures).
 """
 
 from __future__ import annotations
@@ -49,7 +49,6 @@ from icu_common.nodes.runtime import run
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
 PX_PER_MM = 4
 ERROR_M = 0.00042
-MOTION_S = 1.5
 
 
 def camera() -> CameraModel:
@@ -108,6 +107,7 @@ class SyntheticScope(Node):
         self.enabled = True
         self.heartbeat_ns = 0
         self.heartbeat_timeout = 0.6
+        self.motion = 1.5
         self.controller, self.driver = "ready", "idle"
         self.images = {s: self.create_publisher(Image, f"{s}/image_raw", qos.IMAGES) for s in self.models}
         self.infos = {s: self.create_publisher(CameraInfo, f"{s}/camera_info", qos.IMAGES) for s in self.models}
@@ -190,11 +190,11 @@ class SyntheticScope(Node):
         goal_id, text, started = self.goal
         if self.now() - self.heartbeat_ns > self.heartbeat_timeout * 1e9:
             self.stop("heartbeat lost")
-        elif self.now() - started > MOTION_S * 1e9:
+        elif self.now() - started > self.motion * 1e9:
             self.goal = None
             self.controller, self.driver = "ready", "idle"
             self.running = self.running != ("RUN_STOP" in text)
-            self.answer(goal_id, text, Outcome.REACHED, error_m=ERROR_M, duration_s=MOTION_S)
+            self.answer(goal_id, text, Outcome.REACHED, error_m=ERROR_M, duration_s=self.motion)
             self.say()
 
     def answer(self, goal_id: str, text: str, outcome: Outcome, **more: Any) -> None:

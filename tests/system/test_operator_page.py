@@ -31,6 +31,14 @@ OPTIONS = [
     "--disable-sync",
 ]
 PICTURE_MS = 20_000
+# A loaded machine shows its pictures late and keeps its pages waiting; tests of other things allow for that.
+PATIENT = {
+    "frame_max_age_s": 4.0,
+    "frame_stale_s": 5.0,
+    "keepalive_fresh_s": 4.0,
+    "silence_stop_s": 4.0,
+    "lease_timeout_s": 60.0,
+}
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
 
 
@@ -110,13 +118,21 @@ class Operator:
         pytest.fail(f"{control} could not be selected: {self.page.inner_text('#refusal')}")
 
     def confirms(self, gesture: str = "press") -> None:
-        enabled = lambda: self.page.is_enabled(f"[data-act={gesture}]")  # noqa: E731
-        self.until(enabled, 10.0, lambda: f"{gesture} is off: {self.page.inner_text('#refusal')}")
-        self.page.click(f"[data-act={gesture}] >> nth=0")
+        """Press the button; again when the picture happened to be late."""
+        rows = self.page.locator("#log tr:not(.nothing)")
+        before = rows.count()
+        button = f"[data-act={gesture}] >> nth=0"
+        for _ in range(5):
+            self.until(lambda: self.page.is_enabled(button), 10.0, lambda: f"off: {self.page.inner_text('#refusal')}")
+            self.page.click(button)
+            self.until(lambda: rows.count() > before or self.refused(), 5.0, lambda: "an answer to the confirmation")
+            if rows.count() > before:
+                return
+        pytest.fail(f"{gesture} was refused: {self.page.inner_text('#refusal')}")
 
-    def log(self, row: int = 0) -> str:
-        rows = self.page.locator("#log tr")
-        return str(rows.nth(row).inner_text()) if rows.count() > row else ""
+    def refused(self) -> bool:
+        """Tell whether the last thing done was refused; the page shows why."""
+        return bool(self.page.get_attribute("#refusal", "data-look") == "bad")
 
     def logs(self, text: str, within_s: float) -> str:
         """Wait for a row of the log that matches, and return it."""
@@ -172,8 +188,9 @@ class Operator:
 class Instrument:
     """The bridge and a synthetic instrument as two processes."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, limits: dict[str, float]) -> None:
         self.folder = folder
+        self.limits = limits
         environment = {
             **os.environ,
             "ROS_DOMAIN_ID": str(10 + os.getpid() % 35),
@@ -187,7 +204,8 @@ class Instrument:
         self.start_bridge(0)
 
     def start_bridge(self, port: int) -> None:
-        arguments = {"port": port, "token_file": self.folder / "token", "audit_file": self.folder / "audit.jsonl"}
+        arguments: dict[str, Any] = {"port": port, "token_file": self.folder / "token", **self.limits}
+        arguments["audit_file"] = self.folder / "audit.jsonl"
         arguments["layout"] = ROOT / "config" / "scopes" / "dso_bench_4.yaml"
         given = [text for name, value in arguments.items() for text in ("-p", f"{name}:={value}")]
         self.output = self.folder / f"bridge_{time.monotonic_ns()}.log"
@@ -236,7 +254,18 @@ class Instrument:
 
 @pytest.fixture
 def instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
-    made = Instrument(tmp_path)
+    made = Instrument(tmp_path, PATIENT)
+    made.tell("heartbeat_timeout 9")
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+@pytest.fixture
+def strict_instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
+    """With the product's own limits."""
+    made = Instrument(tmp_path, {})
     try:
         yield made
     finally:
@@ -300,14 +329,17 @@ def test_a_knob_a_point_and_the_touch_screen(browser: Any, instrument: Instrumen
 def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrument: Instrument) -> None:
     operator = Operator(browser, instrument.address(), color_scheme="dark")
     page = operator.page
+    instrument.tell("motion 6")
     operator.sees_controls()
+    operator.sees("#lease-text", "Nobody is in control")
     page.keyboard.press("l")
     operator.sees("#lease-text", "You are in control")
     focused = lambda: page.evaluate("document.activeElement.dataset.control ?? ''")  # noqa: E731
     for _ in range(30):
+        page.keyboard.press("Tab")
         if focused():
             break
-        page.keyboard.press("Tab")
+    assert focused(), "Tab reaches the controls"
     page.focus("[data-control=SINGLE]")
     page.keyboard.press("ArrowLeft")
     assert focused() == "RUN_STOP"
@@ -336,6 +368,7 @@ def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrume
 
 
 def test_the_stop_button_of_a_viewer_and_of_a_page_without_script(browser: Any, instrument: Instrument) -> None:
+    instrument.tell("motion 6")
     operator = Operator(browser, instrument.address())
     operator.takes_control()
     viewer = Operator(browser, instrument.new_address())
@@ -377,9 +410,11 @@ def test_control_is_handed_over(browser: Any, instrument: Instrument) -> None:
 
 
 def test_a_frozen_page_stops_the_motion_and_gets_control_back_only_by_asking(
-    browser: Any, instrument: Instrument
+    browser: Any, strict_instrument: Instrument
 ) -> None:
+    instrument = strict_instrument
     instrument.tell("heartbeat_timeout 9")  # so that it is the bridge that stops, not the driver
+    instrument.tell("motion 6")
     operator = Operator(browser, instrument.address())
     witness = Operator(browser, instrument.new_address())
     operator.takes_control()
@@ -401,7 +436,8 @@ def test_a_frozen_page_stops_the_motion_and_gets_control_back_only_by_asking(
     witness.leaves()
 
 
-def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, instrument: Instrument) -> None:
+def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_instrument: Instrument) -> None:
+    instrument = strict_instrument
     operator = Operator(browser, instrument.address())
     page = operator.page
     operator.takes_control()
@@ -412,6 +448,8 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, instrum
     operator.shoots("stale_light")
     assert not page.is_enabled("[data-act=press]")
     operator.sees("#refusal", r"The picture is \d+ ms old; at most 500 ms")
+    page.keyboard.press("Enter")
+    assert "Press" not in page.inner_text("#log")
     operator.sees("#banner", "picture is old")
     instrument.tell("resume")
     operator.until(lambda: page.is_hidden("#stale"), 5.0, lambda: "the picture is live again")
@@ -420,9 +458,14 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, instrum
     assert not page.is_enabled("[data-act=press]")
     instrument.tell("confidence 0.97")
     instrument.tell("shift 0.01")
-    operator.until(lambda: page.is_enabled("[data-act=press]"), 5.0, lambda: "ready again")
-    page.click("[data-act=press]")
-    operator.sees("#refusal", "The panel has moved by 10 mm since the selection")
+    moved = re.compile("The panel has moved by 10 mm since the selection")
+    for _ in range(5):
+        operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "ready again")
+        page.click("[data-act=press]")
+        operator.until(operator.refused, 5.0, lambda: "a refusal")
+        if moved.search(page.inner_text("#refusal")):
+            break
+    operator.sees("#refusal", moved)
     operator.leaves()
 
 
@@ -430,10 +473,12 @@ def test_a_frozen_server_is_noticed_and_a_restarted_one_wants_a_new_sign_in(
     browser: Any, instrument: Instrument
 ) -> None:
     operator = Operator(browser, instrument.address())
+    instrument.tell("motion 6")
+    instrument.tell("heartbeat_timeout 0.6")
     operator.takes_control()
     operator.selects("MENU", "Menu")
     operator.confirms()
-    operator.sees("#chip-driver", "Moving")
+    operator.sees("#chip-driver", "Moving|Stopped")
     instrument.bridge.send_signal(signal.SIGSTOP)
     operator.sees("#banner", "link to the bridge is lost", within_s=4.0)
     operator.sees("#chip-link", "LOST")
