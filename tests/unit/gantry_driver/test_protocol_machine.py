@@ -388,3 +388,16 @@ def test_homed_somewhere_else_than_configured_is_a_mismatch() -> None:
 def test_settings_of_the_test_board_are_those_of_the_configuration() -> None:
     expected = MachineConfig().expected_settings()
     assert {n: float(v) for n, v in SETTINGS.items()} == pytest.approx(expected)
+
+
+def test_a_program_is_checked_as_a_whole_and_then_streamed() -> None:
+    rig = Rig().homed()
+    refused = rig.machine.run_program("p", ["G53 G1 X-300 F6000", "G53 G1 X-10 Y5"], rig.now)
+    assert refused.outcome.value == "rejected" and "line 2, column 13: Y = 5.000 mm" in refused.reason
+    assert rig.machine.session.pending == 0
+    source = [f"G53 G1 X{-300 - k} F6000 ; step {k}" for k in range(50)]
+    accepted = rig.machine.run_program("p", source, rig.now)
+    assert accepted.outcome.value == "accepted" and accepted.goal.startswith("program of 50 lines")
+    rig.until(lambda: "reached" in rig.outcomes(), 60.0)
+    assert [t for t in rig.board.executed if "X" in t] == [f"G53G1X{-300 - k}F6000" for k in range(50)]
+    assert rig.board.mpos[0] == -349.0

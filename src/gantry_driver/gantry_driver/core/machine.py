@@ -7,10 +7,11 @@ why, a goal gets exactly one final answer, and nothing that was buffered runs af
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+from gantry_driver.core.gcode_check import Bounds, GcodeError, ProgramChecker
 from gantry_driver.core.grbl_messages import (
     Alarm,
     Dialect,
@@ -33,6 +34,7 @@ from gantry_driver.core.session import (
     WasReset,
 )
 from gantry_driver.core.trajectory_gcode import (
+    SYNCHRONISE,
     TrajectoryError,
     Waypoint,
     lift_lines,
@@ -50,6 +52,10 @@ CRITICAL_ALARM_PAUSE_S = 0.6
 STYLUS_DOWN_M = 0.0005
 """Extension above which the stylus may touch something and is lifted after a stop."""
 TICK_S = 0.05
+PROGRAM_MODES = "G0G17G21G40G49G54G90G94"
+"""What a program may rely on at its first line."""
+
+Reading = tuple[float, float, float]
 
 
 class Phase(Enum):
@@ -394,13 +400,41 @@ class Machine:
             motion = write_motion(names, points, start, self.config)
         except TrajectoryError as error:
             return self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=str(error)))
-        for line in motion.lines:
-            marker = self.session.queue(line, answer_within_s=self._answer_time()).number
-        self._goal = _Goal(goal_id=goal_id, text=text, end_m=motion.end_m, started=now, marker=marker)
         self._stylus_down = motion.end_m[2] > 0
+        timed = [(line, 0.0) for line in motion.lines]
+        return self._start(goal_id, text, timed, motion.end_m, now)
+
+    def run_program(self, goal_id: str, source: Iterable[str], now: float) -> GoalResult:
+        """Check a whole G-code program and start it; or refuse it, with line and column, before a byte is sent."""
+        try:
+            if refusal := self._goal_refusal(0.0, now):
+                raise TrajectoryError(refusal)
+            checker = ProgramChecker(self._bounds(), mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config))
+            lines = [(line.text, line.seconds) for line in checker.check_all(source)]
+        except (TrajectoryError, GcodeError) as error:
+            return self._answer(
+                GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error))
+            )
+        text = f"program of {len(lines)} lines, about {sum(seconds for _, seconds in lines):.1f} s"
+        end = reading_m(checker.position_mm, self._stylus_down, self.config)
+        # The checker begins with these modes; the board may have been left with others.
+        return self._start(goal_id, text, [(PROGRAM_MODES, 0.0), *lines, (SYNCHRONISE, 0.0)], end, now)
+
+    def _start(
+        self, goal_id: str, text: str, lines: Sequence[tuple[str, float]], end_m: Reading, now: float
+    ) -> GoalResult:
+        """Queue lines, each with the seconds that its dwell may take, and wait for the last one."""
+        for line, seconds in lines:
+            marker = self.session.queue(line, answer_within_s=self._answer_time() + seconds).number
+        self._goal = _Goal(goal_id=goal_id, text=text, end_m=end_m, started=now, marker=marker)
         accepted = self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.ACCEPTED))
         self._enter(Phase.MOVING, now)
         return accepted
+
+    def _bounds(self) -> Bounds:
+        ends = mpos_mm((0.0, 0.0, 0.0), self.config), mpos_mm(self.config.limits_m(), self.config)
+        low, high = (_three([pick(pair) for pair in zip(*ends)]) for pick in (min, max))
+        return Bounds(low_mm=low, high_mm=high, rapid_mm_min=_three(self.config.machine.max_rate_mm_min))
 
     def _goal_refusal(self, age_s: float, now: float) -> str:
         if not abs(age_s) <= self.config.goal_max_age_s:
@@ -807,6 +841,11 @@ def _equal(text: str, value: float) -> bool:
         return close_enough(float(text), value)
     except ValueError:
         return False
+
+
+def _three(values: Sequence[float]) -> Reading:
+    x, y, z = values
+    return x, y, z
 
 
 def _metres(reading: tuple[float, float, float]) -> str:

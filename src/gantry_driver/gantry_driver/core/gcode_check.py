@@ -1,0 +1,380 @@
+"""G-code programs checked line by line before the first byte is sent: syntax, modal groups, length, arcs, travel.
+
+The rules are those of GRBL 1.1's parser (its error numbers are named), and one of this machine's: every target, also
+relative ones and those behind a work offset, lies inside the travel, and an arc as a whole. Words whose target cannot
+be known here (G28, G30, probing, offsets written to the board) are refused rather than trusted.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from gantry_driver.core.session import MAX_LINE_BYTES
+
+Vector = tuple[float, float, float]
+
+_GROUPS: dict[str, tuple[str, ...]] = {
+    "motion": ("G0", "G1", "G2", "G3", "G80"),
+    "plane": ("G17", "G18", "G19"),
+    "distance": ("G90", "G91"),
+    "arc distance": ("G91.1",),
+    "feed mode": ("G93", "G94"),
+    "units": ("G20", "G21"),
+    "cutter compensation": ("G40",),
+    "tool length": ("G49",),
+    "coordinate system": ("G54", "G55", "G56", "G57", "G58", "G59"),
+    "control": ("G61",),
+    "non-modal": ("G4", "G53", "G92", "G92.1"),
+    "program": ("M2", "M30"),
+    "spindle": ("M3", "M4", "M5"),
+    "coolant": ("M7", "M8", "M9"),
+}
+_GROUP_OF = {word: group for group, words in _GROUPS.items() for word in words}
+_REFUSED = {
+    "G28": "goes to a stored place that is not known here",
+    "G30": "goes to a stored place that is not known here",
+    "G28.1": "writes to the board's memory",
+    "G30.1": "writes to the board's memory",
+    "G10": "writes to the board's memory",
+    "G43.1": "moves all targets by a tool length that is not known here",
+    "G38.2": "ends where the probe touches",
+    "G38.3": "ends where the probe touches",
+    "G38.4": "ends where the probe releases",
+    "G38.5": "ends where the probe releases",
+    "M0": "waits for a person at the board",
+    "M1": "waits for a person at the board",
+}
+_VALUES = "FIJKLNPRSTXYZ"
+_WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))?")
+_PLANES = {"G17": (0, 1, 2), "G18": (2, 0, 1), "G19": (1, 2, 0)}
+_REALTIME = frozenset("?!~\x18")
+_ROUNDING_MM = 1e-3
+
+
+class GcodeError(ValueError):
+    """A program's line that cannot be sent: ``line`` and ``column`` count from 1."""
+
+    def __init__(self, line: int, column: int, reason: str) -> None:
+        super().__init__(f"line {line}, column {column}: {reason}")
+        self.line, self.column, self.reason = line, column, reason
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckedLine:
+    """A line as it will be sent, where it came from, and about how long its motion takes at its feed."""
+
+    number: int
+    text: str
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """The travel in machine coordinates, mm, and the rates of rapid moves, mm/min; each for x, y, z."""
+
+    low_mm: Vector
+    high_mm: Vector
+    rapid_mm_min: Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Word:
+    letter: str
+    value: float
+    column: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.letter}{self.value:g}"
+
+
+@dataclass(slots=True)
+class _Modes:
+    motion: str = "G0"
+    plane: str = "G17"
+    distance: str = "G90"
+    feed_mode: str = "G94"
+    scale: float = 1.0
+    system: str = "G54"
+    feed: float = 0.0
+    shift: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+
+class ProgramChecker:
+    """Follows the modes and the position of a program as the board will.
+
+    Parameters
+    ----------
+    bounds
+        The machine.
+    start_mm
+        Machine position at which the program starts.
+    offsets_mm
+        Work offsets by coordinate system, as ``$#`` prints them; a system that is not here may not be chosen.
+    """
+
+    def __init__(
+        self, bounds: Bounds, start_mm: Sequence[float], offsets_mm: Mapping[str, Vector] | None = None
+    ) -> None:
+        self._bounds = bounds
+        self._at = [float(v) for v in start_mm[:3]]
+        self._offsets = dict(offsets_mm or {"G54": (0.0, 0.0, 0.0)})
+        self._modes = _Modes()
+        self._number = 0
+
+    @property
+    def position_mm(self) -> Vector:
+        """Machine position after the lines checked so far."""
+        x, y, z = self._at
+        return x, y, z
+
+    def check_all(self, lines: Iterable[str]) -> Iterator[CheckedLine]:
+        """Check a program; yields the lines that have something to send.
+
+        Raises
+        ------
+        GcodeError
+            At the first line that cannot be sent.
+        """
+        for raw in lines:
+            checked = self.check(raw)
+            if checked is not None:
+                yield checked
+
+    def check(self, raw: str) -> CheckedLine | None:
+        """Check the next line; None if nothing of it is for the board."""
+        self._number += 1
+        words = self._words(raw)
+        if not words:
+            return None
+        text = "".join(f"{w.letter}{_plain(w.value)}" for w in words)
+        if len(text) + 1 > MAX_LINE_BYTES:
+            raise self._error(MAX_LINE_BYTES, f"{len(text) + 1} bytes with the newline, {MAX_LINE_BYTES} can be sent")
+        commands = self._commands(words)
+        values = self._values(words)
+        seconds = self._follow(commands, values, words)
+        return CheckedLine(number=self._number, text=text, seconds=seconds)
+
+    def _error(self, column: int, reason: str) -> GcodeError:
+        return GcodeError(self._number, column, reason)
+
+    # --- syntax --------------------------------------------------------------------------------------------------
+
+    def _words(self, raw: str) -> list[_Word]:
+        clean = self._without_comments(raw.rstrip("\r\n"))
+        letters = [(char.upper(), column) for column, char in enumerate(clean, 1) if not char.isspace()]
+        packed = "".join(char for char, _ in letters)
+        if not packed or packed == "%":
+            return []
+        if packed[0] == "$":
+            raise self._error(letters[0][1], "settings and system commands are not part of a program")
+        words, place = [], 0
+        while place < len(packed):
+            column = letters[place][1]
+            match = _WORD.match(packed, place)
+            if match is None:
+                raise self._error(column, f"{packed[place]!r}: a letter is expected (error:1)")
+            if match[2] is None:
+                raise self._error(column, f"{match[1]} has no number (error:2)")
+            words.append(_Word(letter=match[1], value=float(match[2]), column=column))
+            place = match.end()
+        return words
+
+    def _without_comments(self, raw: str) -> str:
+        """Blank out comments, block delete and real-time bytes; columns stay."""
+        out, depth, opened = [], 0, 0
+        for column, char in enumerate(raw, 1):
+            if depth:
+                depth = 0 if char == ")" else 1
+                out.append(" ")
+            elif char == "(":
+                depth, opened = 1, column
+                out.append(" ")
+            elif char == ";":
+                return "".join(out)
+            elif char in _REALTIME or ord(char) >= 0x80 or char == "/":
+                out.append(" ")
+            else:
+                out.append(char)
+        if depth:
+            raise self._error(opened, "the comment has no end")
+        return "".join(out)
+
+    def _commands(self, words: list[_Word]) -> dict[str, str]:
+        """Return modal group -> command; at most one command of each group."""
+        found: dict[str, str] = {}
+        for word in words:
+            if word.letter not in "GM":
+                continue
+            if word.name in _REFUSED:
+                raise self._error(word.column, f"{word.name} {_REFUSED[word.name]}")
+            group = _GROUP_OF.get(word.name)
+            if group is None:
+                raise self._error(word.column, f"{word.name} is not supported (error:20)")
+            if group in found:
+                raise self._error(word.column, f"{found[group]} and {word.name} are both {group} (error:21)")
+            found[group] = word.name
+        return found
+
+    def _values(self, words: list[_Word]) -> dict[str, _Word]:
+        found: dict[str, _Word] = {}
+        for word in words:
+            if word.letter in "GM":
+                continue
+            if word.letter not in _VALUES:
+                raise self._error(word.column, f"{word.letter} is not supported (error:20)")
+            if word.letter in found:
+                raise self._error(word.column, f"{word.letter} is given twice (error:25)")
+            if word.letter in "FPST" and word.value < 0:
+                raise self._error(word.column, f"{word.letter}{word.value:g} is negative (error:4)")
+            found[word.letter] = word
+        return found
+
+    # --- meaning -------------------------------------------------------------------------------------------------
+
+    def _follow(self, commands: dict[str, str], values: dict[str, _Word], words: list[_Word]) -> float:
+        modes = self._modes
+        modes.scale = {"G20": 25.4, "G21": 1.0}.get(commands.get("units", ""), modes.scale)
+        modes.plane = commands.get("plane", modes.plane)
+        modes.distance = commands.get("distance", modes.distance)
+        modes.feed_mode = commands.get("feed mode", modes.feed_mode)
+        system = commands.get("coordinate system", modes.system)
+        if system not in self._offsets:
+            raise self._error(words[0].column, f"the offset of {system} is not known here")
+        modes.system = system
+        if "F" in values:
+            modes.feed = values["F"].value * (modes.scale if modes.feed_mode == "G94" else 1.0)
+        special = commands.get("non-modal", "")
+        axes = [values[letter] for letter in "XYZ" if letter in values]
+        if special == "G4":
+            if "P" not in values:
+                raise self._error(words[0].column, "G4 needs P (error:28)")
+            return values["P"].value
+        if special.startswith("G92"):
+            self._shift(special, values, axes, words)
+            return 0.0
+        modes.motion = commands.get("motion", modes.motion)
+        if special == "G53" and modes.motion not in ("G0", "G1"):
+            raise self._error(words[0].column, "G53 needs G0 or G1 (error:30)")
+        if modes.motion == "G80":
+            if axes:
+                raise self._error(axes[0].column, "axis words without a motion (error:31)")
+            return 0.0
+        if not axes:
+            if "motion" in commands and modes.motion in ("G2", "G3"):
+                raise self._error(words[0].column, "an arc needs an axis word of its plane (error:26)")
+            return 0.0
+        if modes.motion != "G0" and (modes.feed <= 0 or (modes.feed_mode == "G93" and "F" not in values)):
+            raise self._error(axes[0].column, "no feed rate (error:22)")
+        return self._move(special == "G53", values, axes)
+
+    def _shift(self, special: str, values: dict[str, _Word], axes: list[_Word], words: list[_Word]) -> None:
+        modes = self._modes
+        if special == "G92.1":
+            modes.shift = [0.0, 0.0, 0.0]
+            return
+        if not axes:
+            raise self._error(words[0].column, "G92 needs axis words (error:26)")
+        for axis, letter in enumerate("XYZ"):
+            if letter in values:
+                value = values[letter].value * modes.scale
+                modes.shift[axis] = self._at[axis] - self._offsets[modes.system][axis] - value
+
+    def _move(self, machine: bool, values: dict[str, _Word], axes: list[_Word]) -> float:
+        modes, target = self._modes, list(self._at)
+        for axis, letter in enumerate("XYZ"):
+            if letter not in values:
+                continue
+            value = values[letter].value * modes.scale
+            if machine:
+                target[axis] = value
+            elif modes.distance == "G91":
+                target[axis] += value
+            else:
+                target[axis] = value + self._offsets[modes.system][axis] + modes.shift[axis]
+        if modes.motion in ("G2", "G3"):
+            length, extremes = self._arc(target, values, axes)
+        else:
+            length, extremes = math.dist(self._at, target), [target]
+        for point in extremes:
+            self._inside(point, values, axes)
+        seconds = self._seconds(length, target)
+        self._at = target
+        return seconds
+
+    def _inside(self, point: Sequence[float], values: dict[str, _Word], axes: list[_Word]) -> None:
+        for axis, letter in enumerate("XYZ"):
+            low, high = self._bounds.low_mm[axis], self._bounds.high_mm[axis]
+            if not low - _ROUNDING_MM <= point[axis] <= high + _ROUNDING_MM:
+                column = values[letter].column if letter in values else axes[0].column
+                raise self._error(
+                    column, f"{letter} = {point[axis]:.3f} mm (machine) is outside {low:g} to {high:g} mm (ALARM:2)"
+                )
+
+    def _seconds(self, length: float, target: Sequence[float]) -> float:
+        modes = self._modes
+        if modes.motion == "G0":
+            return max(60.0 * abs(t - a) / r for t, a, r in zip(target, self._at, self._bounds.rapid_mm_min))
+        return 60.0 / modes.feed if modes.feed_mode == "G93" else 60.0 * length / modes.feed
+
+    def _arc(self, target: list[float], values: dict[str, _Word], axes: list[_Word]) -> tuple[float, list[list[float]]]:
+        """Return the arc's length and the points where it reaches furthest along its plane's axes."""
+        modes = self._modes
+        a, b, normal = _PLANES[modes.plane]
+        if "XYZ"[a] not in values and "XYZ"[b] not in values:
+            raise self._error(axes[0].column, "an arc needs an axis word of its plane (error:26)")
+        clockwise = modes.motion == "G2"
+        start, end = (self._at[a], self._at[b]), (target[a], target[b])
+        centre = self._centre(start, end, clockwise, a, b, values, axes)
+        radius = math.dist(start, centre)
+        begin = math.atan2(start[1] - centre[1], start[0] - centre[0])
+        sweep = math.atan2(end[1] - centre[1], end[0] - centre[0]) - begin
+        sweep = -(-sweep % math.tau or math.tau) if clockwise else (sweep % math.tau or math.tau)
+        extremes = [target]
+        for quarter in range(-8, 9):
+            angle = quarter * math.pi / 2
+            if min(begin, begin + sweep) < angle < max(begin, begin + sweep):
+                point = list(target)
+                point[a], point[b] = centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)
+                extremes.append(point)
+        return math.hypot(radius * sweep, target[normal] - self._at[normal]), extremes
+
+    def _centre(
+        self,
+        start: tuple[float, float],
+        end: tuple[float, float],
+        clockwise: bool,
+        a: int,
+        b: int,
+        values: dict[str, _Word],
+        axes: list[_Word],
+    ) -> tuple[float, float]:
+        modes = self._modes
+        if "R" in values:
+            radius = values["R"].value * modes.scale
+            chord = math.dist(start, end)
+            if chord == 0 or chord > 2 * abs(radius) * (1 + 1e-9):
+                raise self._error(values["R"].column, f"radius {radius:g} mm does not span {chord:g} mm (error:34)")
+            height = math.sqrt(max(radius * radius - chord * chord / 4, 0.0))
+            side = height if clockwise == (radius < 0) else -height
+            along = ((end[0] - start[0]) / chord, (end[1] - start[1]) / chord)
+            middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
+            return middle[0] - side * along[1], middle[1] + side * along[0]
+        offsets = ["IJK"[a], "IJK"[b]]
+        if not any(letter in values for letter in offsets):
+            raise self._error(axes[0].column, f"an arc needs {offsets[0]}, {offsets[1]} or R (error:35)")
+        di, dj = (values[letter].value * modes.scale if letter in values else 0.0 for letter in offsets)
+        centre = (start[0] + di, start[1] + dj)
+        error = abs(math.dist(start, centre) - math.dist(end, centre))
+        # GRBL refuses a difference above 0.5 mm, and one above 0.005 mm that is more than 0.1 % of the radius.
+        if error > 0.5 or (error > 0.005 and error > 0.001 * math.dist(start, centre)):
+            raise self._error(axes[0].column, f"the arc's radii differ by {error:.3f} mm (error:33)")
+        return centre
+
+
+def _plain(value: float) -> str:
+    text = f"{value:.4f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text

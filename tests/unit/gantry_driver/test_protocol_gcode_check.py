@@ -1,0 +1,119 @@
+"""Programs are checked before they are sent: each refusal names line, column and reason; arcs are followed."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gantry_driver.core.gcode_check import Bounds, GcodeError, ProgramChecker
+
+BOUNDS = Bounds(low_mm=(-360.0, -220.0, -60.0), high_mm=(0.0, 0.0, 0.0), rapid_mm_min=(12000.0, 12000.0, 3000.0))
+START = (-100.0, -100.0, -1.0)
+
+
+def checked(*lines: str, **kwargs: object) -> list[str]:
+    checker = ProgramChecker(BOUNDS, START, **kwargs)  # type: ignore[arg-type]
+    return [line.text for line in checker.check_all(lines)]
+
+
+@pytest.mark.parametrize(
+    ("lines", "line", "column", "reason"),
+    [
+        (["G1 X-10 F"], 1, 9, "F has no number (error:2)"),
+        (["G21", "G1 X-10.5.2 F100"], 2, 10, "'.': a letter is expected (error:1)"),
+        (["G0 G1 X-10"], 1, 4, "G0 and G1 are both motion (error:21)"),
+        (["G20 G21"], 1, 5, "both units"),
+        (["G1 X-10 X-20 F100"], 1, 9, "X is given twice (error:25)"),
+        (["G5 X-1"], 1, 1, "G5 is not supported (error:20)"),
+        (["M6 T1"], 1, 1, "M6 is not supported"),
+        (["G1 X-10"], 1, 4, "no feed rate (error:22)"),
+        (["G93 G1 X-10 F10", "X-20"], 2, 1, "no feed rate"),
+        (["(a comment", "G0"], 1, 1, "the comment has no end"),
+        (["", "$100=5"], 2, 1, "system commands are not part of a program"),
+        (["G0 X1"], 1, 4, "X = 1.000 mm (machine) is outside -360 to 0 mm (ALARM:2)"),
+        (["G91", "G0 X-200", "G0 X-70"], 3, 4, "X = -370.000 mm"),
+        (["G20", "G0 Y-9"], 2, 4, "Y = -228.600 mm"),
+        (["G92 X0", "G0 X101"], 2, 4, "X = 1.000 mm"),
+        (["G53 G2 X-1 I1 F10"], 1, 1, "G53 needs G0 or G1"),
+        (["G80", "X-1"], 2, 1, "axis words without a motion (error:31)"),
+        (["G4"], 1, 1, "G4 needs P"),
+        (["G28"], 1, 1, "G28 goes to a stored place"),
+        (["G10 L2 P1 X0"], 1, 1, "writes to the board's memory"),
+        (["G38.2 Z-5 F10"], 1, 1, "where the probe touches"),
+        (["G55"], 1, 1, "the offset of G55 is not known here"),
+        (["G2 X-90 F100"], 1, 4, "an arc needs I, J or R (error:35)"),
+        (["G2 X-90 R2 F100"], 1, 9, "radius 2 mm does not span 10 mm (error:34)"),
+        (["G2 X-90 Y-100 I4 F100"], 1, 4, "radii differ by 2.000 mm (error:33)"),
+        (["G2 Z-5 I1 F100"], 1, 4, "axis word of its plane (error:26)"),
+        (["G1 X-10 F-5"], 1, 9, "negative"),
+        (["G0 " + "X-1.23456 " * 1 + "N" + "1" * 80], 1, 80, "80 can be sent"),
+    ],
+)
+def test_refusals_name_line_column_and_reason(lines: list[str], line: int, column: int, reason: str) -> None:
+    with pytest.raises(GcodeError) as caught:
+        checked(*lines)
+    assert (caught.value.line, caught.value.column) == (line, column)
+    assert reason in str(caught.value)
+
+
+def test_spaces_comments_and_realtime_bytes_do_not_reach_the_board() -> None:
+    lines = ["%", "; all of it", "g21 (mm) g90", "/G1 x-50.0000 ?y-60 ! F1200 ; go", "~", "M3S0200\x18\x85", "m30"]
+    assert checked(*lines) == ["G21G90", "G1X-50Y-60F1200", "M3S200", "M30"]
+
+
+def test_modes_stay_and_offsets_are_followed() -> None:
+    checker = ProgramChecker(BOUNDS, START, {"G54": (-200.0, -200.0, 0.0)})
+    for text in ("G0 X10 Y20", "G91 G1 X5 F100", "Y-1", "G90 G92 X0", "X7"):
+        checker.check(text)
+    assert checker.position_mm == pytest.approx((-178.0, -181.0, -1.0))
+
+
+def test_times_are_those_of_feed_and_rapid() -> None:
+    checker = ProgramChecker(BOUNDS, START)
+    times = [checker.check(text).seconds for text in ("G0 X-200", "G1 X-190 F600", "G4 P0.5", "G93 G1 X-180 F30")]  # type: ignore[union-attr]
+    assert times == pytest.approx([0.5, 1.0, 0.5, 2.0])
+
+
+@given(
+    st.floats(-math.pi, math.pi), st.floats(0.1, 2 * math.pi - 0.1), st.floats(5.0, 60.0), st.booleans(), st.booleans()
+)
+def test_arcs_are_refused_exactly_when_a_point_of_them_is_outside(
+    begin: float, sweep: float, radius: float, clockwise: bool, by_radius: bool
+) -> None:
+    centre = (-50.0, -100.0)
+    sign = -1.0 if clockwise else 1.0
+    angles = [begin + sign * k * sweep / 2000 for k in range(2001)]
+    points = [(centre[0] + radius * math.cos(a), centre[1] + radius * math.sin(a)) for a in angles]
+    furthest = max(x for x, _ in points)
+    start, end = points[0], points[-1]
+    if abs(furthest) < 0.02 or max(start[0], end[0]) > 0:
+        return
+    checker = ProgramChecker(BOUNDS, (*start, -1.0))
+    if by_radius:
+        how = f"R{radius if sweep <= math.pi else -radius:.4f}"
+        if abs(sweep - math.pi) < 0.2:
+            return
+    else:
+        how = f"I{centre[0] - start[0]:.4f} J{centre[1] - start[1]:.4f}"
+    line = f"G{2 if clockwise else 3} X{end[0]:.4f} Y{end[1]:.4f} {how} F600"
+    try:
+        result = checker.check(line)
+    except GcodeError as error:
+        assert furthest > 0 and "outside" in error.reason, line
+    else:
+        assert furthest < 0 and result is not None, line
+        assert result.seconds == pytest.approx(radius * sweep / 10.0, rel=0.02, abs=0.02)
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_checked_or_refused_with_a_place(text: str) -> None:
+    checker = ProgramChecker(BOUNDS, START)
+    try:
+        line = checker.check(text)
+    except GcodeError as error:
+        assert error.line == 1 and 1 <= error.column <= max(len(text), 80)
+    else:
+        assert line is None or (line.text.isascii() and line.text.isprintable() and not set(line.text) & set("?!~$"))
