@@ -1,0 +1,132 @@
+"""Fits the panel's plane to points of a stereo pair: RANSAC, then least squares.
+
+A stereo pair measures inverse depth with the same uncertainty everywhere, and a plane is linear in it: with
+``a = x / z``, ``b = y / z`` a plane ``n . p = o`` is ``1 / z = (n / o) . (a, b, 1)``. So both steps are linear
+regressions (M. A. Fischler, R. C. Bolles, "Random Sample Consensus", CACM 24(6), 1981).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.core.config import Config, setting
+from icu_common.core.geometry import Array, Plane, Transform
+
+_TURNS = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaneConfig(Config):
+    """Settings of the plane fit."""
+
+    tolerance_m: float = setting(
+        0.001, "Points of the plane lie within this depth of it.", minimum=1e-5, maximum=0.1, unit="m"
+    )
+    hypotheses: int = setting(400, "Planes through three points that are tried.", minimum=10, maximum=100_000)
+    min_points: int = setting(20, "Fewer points on the plane are no plane.", minimum=4, maximum=100_000)
+    min_share: float = setting(0.3, "A smaller share of all points is no plane.", minimum=0.0, maximum=1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PlaneFit:
+    """A fitted plane.
+
+    Attributes
+    ----------
+    plane
+        In the frame of the points; the normal points to the frame's origin, the camera.
+    centre
+        (3,) the point of the plane on the ray through the middle of its points.
+    inlier
+        (N,) which points lie on it.
+    rms_m
+        Root mean square of the inliers' distance from it.
+    share
+        Inliers over all points.
+    """
+
+    plane: Plane
+    centre: Array
+    inlier: npt.NDArray[np.bool_]
+    rms_m: float
+    share: float
+
+    def pose(self) -> Transform:
+        """Return frame_from_plane: z is the normal, x the frame's own x as far as it lies in the plane."""
+        z = self.plane.normal
+        x = np.array([1.0, 0.0, 0.0]) - z[0] * z
+        x /= np.linalg.norm(x)
+        return Transform(np.column_stack([x, np.cross(z, x), z]), self.centre)
+
+
+def fit_plane(
+    points: npt.ArrayLike, sigma_m: npt.ArrayLike, config: PlaneConfig, rng: np.random.Generator
+) -> PlaneFit | None:
+    """Fit one plane to points seen from the frame's origin.
+
+    Parameters
+    ----------
+    points
+        (N, 3) metres, z > 0.
+    sigma_m
+        (N,) standard deviation of each depth, above zero.
+    config
+        Tolerance and least support.
+    rng
+        Chooses the hypotheses; a fixed seed makes the result repeatable.
+
+    Returns
+    -------
+    fit
+        None when too few points agree.
+    """
+    xyz = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    z = xyz[:, 2]
+    if len(z) < config.min_points:
+        return None
+    design = np.column_stack([xyz[:, :2] / z[:, None], np.ones(len(z))])
+    inverse = 1 / z
+    inlier = _consensus(design, inverse, z, config, rng)
+    if inlier is None:
+        return None
+    weight = 1 / np.maximum(np.asarray(sigma_m, dtype=np.float64) * inverse**2, 1e-9)
+    coefficients: Array = np.zeros(3)
+    for _ in range(_TURNS):
+        if inlier.sum() < config.min_points:
+            return None
+        w = weight[inlier]
+        coefficients = np.asarray(np.linalg.lstsq(design[inlier] * w[:, None], inverse[inlier] * w, rcond=None)[0])
+        now = _near(design @ coefficients, inverse, z, config.tolerance_m)
+        if np.array_equal(now, inlier):
+            break
+        inlier = now
+    share = float(inlier.mean())
+    if inlier.sum() < config.min_points or share < config.min_share:
+        return None
+    length = float(np.linalg.norm(coefficients))
+    plane = Plane(-coefficients / length, -1 / length)
+    middle = design[inlier].mean(axis=0)
+    rms = float(np.sqrt(np.mean(plane.distance(xyz[inlier]) ** 2)))
+    return PlaneFit(plane=plane, centre=middle / (middle @ coefficients), inlier=inlier, rms_m=rms, share=share)
+
+
+def _consensus(
+    design: Array, inverse: Array, z: Array, config: PlaneConfig, rng: np.random.Generator
+) -> npt.NDArray[np.bool_] | None:
+    """Return which points agree with the best of many planes through three points."""
+    triples = rng.integers(0, len(z), (config.hypotheses, 3))
+    corners = design[triples]
+    usable = np.abs(np.linalg.det(corners)) > 1e-6
+    if not usable.any():
+        return None
+    planes = np.linalg.solve(corners[usable], inverse[triples[usable]][:, :, None])[:, :, 0]
+    near = _near(planes @ design.T, inverse, z, config.tolerance_m)
+    return np.asarray(near[int(np.argmax(near.sum(axis=1)))])
+
+
+def _near(predicted: Array, inverse: Array, z: Array, tolerance_m: float) -> npt.NDArray[np.bool_]:
+    # A small change of inverse depth is a change of depth by z^2 times it.
+    return np.asarray(np.abs(predicted - inverse) * z**2 <= tolerance_m)

@@ -1,0 +1,517 @@
+"""Matches Harris corners of a rectified pair and measures their disparity to a fraction of a pixel.
+
+A corner of the left picture is compared with the corners near its row in the right one by zero-mean normalised
+cross-correlation; the best of both directions stays when it is clearly better than the next other place and agrees with
+its neighbours. The disparity is then refined by Gauss-Newton along the row (B. Lucas, T. Kanade, IJCAI 1981), with the
+window's slant as unknowns, since an instrument's panel is seldom parallel to the cameras.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.compiled import compiled
+from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.core.config import Config, ConfigError, setting
+from icu_common.core.geometry import Array
+
+Gray = npt.NDArray[np.uint8]
+F32 = npt.NDArray[np.float32]
+
+_NOISE = 0.02
+"""What noise takes from a perfect correlation; without it chance decides between equal places."""
+_FLOOR_PX = 0.06
+"""What rectification and interpolation leave beside noise (rendered panels: 0.07 px measured, 0.025 from noise)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchConfig(Config):
+    """Settings of the matcher."""
+
+    min_depth_m: float = setting(0.2, "Nothing is nearer.", minimum=0.01, maximum=100.0, unit="m")
+    max_depth_m: float = setting(1.5, "Nothing is farther.", minimum=0.02, maximum=1000.0, unit="m")
+    row_tolerance_px: float = setting(
+        1.5, "Rectified rows of a match differ by at most this.", minimum=0.1, maximum=10.0, unit="px"
+    )
+    window_px: int = setting(11, "Side of the compared windows, odd.", minimum=5, maximum=31, unit="px")
+    min_correlation: float = setting(0.8, "Least correlation of a match.", minimum=0.0, maximum=1.0)
+    max_ratio: float = setting(
+        0.7,
+        "Largest (1 - best) / (1 - next) of the correlations; the next is at another place. 1 accepts all.",
+        minimum=0.05,
+        maximum=1.0,
+    )
+    min_agreeing: int = setting(
+        3, "So many of the eight nearest matches must have a disparity that fits.", minimum=0, maximum=8
+    )
+    max_slope: float = setting(
+        0.3,
+        "Disparity fits a neighbour's when it differs by at most this per pixel, plus 1 px.",
+        minimum=0.0,
+        maximum=5.0,
+    )
+    guided: bool = setting(
+        True, "Look also for corners that the detector found in the left picture only, where their neighbours lead."
+    )
+
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        if self.max_depth_m <= self.min_depth_m:
+            raise ConfigError(f"max_depth_m = {self.max_depth_m} is not above min_depth_m = {self.min_depth_m}")
+        if self.window_px % 2 == 0:
+            raise ConfigError(f"window_px = {self.window_px}: an odd number is needed")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Matches:
+    """Matched corners.
+
+    Attributes
+    ----------
+    left_px
+        (N, 2) rectified pixels in the left picture.
+    disparity_px
+        (N,) left column minus right column.
+    sigma_px
+        (N,) standard deviation of the disparity, from the windows' difference and texture.
+    correlation
+        (N,) of the windows.
+    index
+        (N, 2) row numbers of the left and right corners; -1 where the right picture has no corner of its own.
+    """
+
+    left_px: Array
+    disparity_px: Array
+    sigma_px: Array
+    correlation: Array
+    index: npt.NDArray[np.intp]
+
+    def __len__(self) -> int:
+        return len(self.disparity_px)
+
+
+class Rectifier:
+    """Makes rectified grey pictures of raw ones and keeps the maps for it."""
+
+    def __init__(self, model: CameraModel) -> None:
+        self._model = model
+        self._maps = model.rectification_maps()
+
+    def __call__(self, gray: Gray) -> Gray:
+        """Rectify (H, W) uint8.
+
+        Raises
+        ------
+        ValueError
+            If the picture's size is not the calibrated one.
+        """
+        if gray.shape != (self._model.height, self._model.width):
+            raise ValueError(f"picture {gray.shape}: {(self._model.height, self._model.width)} is calibrated")
+        return np.asarray(cv2.remap(gray, self._maps[0], self._maps[1], cv2.INTER_LINEAR), np.uint8)
+
+
+def disparity_range(stereo: StereoModel, config: MatchConfig) -> tuple[float, float]:
+    """Return the least and largest difference of columns, in rectified pixels, for the depth limits."""
+    shift = float(stereo.left.p[0, 2] - stereo.right.p[0, 2])
+    product = stereo.focal_px * stereo.baseline
+    return product / config.max_depth_m + shift, product / config.min_depth_m + shift
+
+
+def match_corners(
+    left: Gray,
+    right: Gray,
+    left_px: npt.ArrayLike,
+    right_px: npt.ArrayLike,
+    disparity_limits_px: tuple[float, float],
+    config: MatchConfig,
+) -> Matches:
+    """Match corners of a rectified pair.
+
+    Parameters
+    ----------
+    left, right
+        (H, W) uint8 rectified grey pictures.
+    left_px, right_px
+        (N, 2) and (M, 2) corners in rectified pixels.
+    disparity_limits_px
+        Least and largest disparity.
+    config
+        Limits of what is a match.
+    """
+    half = config.window_px // 2
+    left_fine, right_fine = left.astype(np.float32), right.astype(np.float32)
+    left_place, left_at = _inside(left_px, left, half + 2)
+    right_place, right_at = _inside(right_px, right, half + 2)
+    order = np.argsort(right_at[:, 1], kind="stable")
+    right_place, right_at = right_place[order], right_at[order]
+    low, high = disparity_limits_px
+    best, score, after = _best_partners(
+        _normalised(_windows(left_fine, left_at, half)),
+        _normalised(_windows(right_fine, right_at, half)),
+        left_at,
+        right_at,
+        config.row_tolerance_px,
+        low,
+        high,
+    )
+    distinct = (1 - score + _NOISE) <= config.max_ratio * (1 - after + _NOISE)
+    chosen = np.flatnonzero((best >= 0) & (score >= config.min_correlation) & distinct)
+    rough = left_at[chosen, 0] - right_at[best[chosen], 0]
+    if config.min_agreeing:
+        at = left_at[chosen]
+        agree = _agreeing(at, rough, at, rough, config.max_slope) >= config.min_agreeing
+        chosen, rough = chosen[agree], rough[agree]
+    if config.guided:
+        # A corner with several equal partners stays undecided: its neighbours may have been misled by the same pattern.
+        rest = np.setdiff1d(np.flatnonzero(distinct | (score < config.min_correlation)), chosen)
+        which, more, correlation = _guided(left_fine, right_fine, left_at[rest], left_at[chosen], rough, half, config)
+        best[rest[which]], score[rest[which]] = -1, correlation
+        chosen, rough = np.r_[chosen, rest[which]], np.r_[rough, more]
+    disparity, sigma = _refined(left_fine, right_fine, left_at[chosen], rough.astype(np.float64), half)
+    # A window that slides away by more than its corner's own uncertainty follows something else; NaN fails too.
+    steady = (np.abs(disparity - rough) < 1.5) & (disparity >= low) & (disparity <= high)
+    chosen = chosen[steady]
+    partner = np.where(best[chosen] < 0, -1, right_place[best[chosen]]) if len(right_place) else best[chosen]
+    return Matches(
+        left_px=left_at[chosen].astype(np.float64),
+        disparity_px=disparity[steady],
+        sigma_px=np.hypot(sigma[steady], _FLOOR_PX),
+        correlation=score[chosen].astype(np.float64),
+        index=np.column_stack([left_place[chosen], partner]),
+    )
+
+
+def triangulated(stereo: StereoModel, matches: Matches) -> Array:
+    """Return (N, 4): x, y, z and the depth's standard deviation in metres, in the left rectified frame."""
+    right = matches.left_px - np.column_stack([matches.disparity_px, np.zeros(len(matches))])
+    xyz = stereo.triangulate(matches.left_px, right)
+    sigma = xyz[:, 2] ** 2 / (stereo.focal_px * stereo.baseline) * matches.sigma_px
+    return np.column_stack([xyz, sigma])
+
+
+def _inside(points: npt.ArrayLike, picture: Gray, margin: int) -> tuple[npt.NDArray[np.intp], F32]:
+    """Return the numbers and the places, (N, 2), of the points that keep a margin to the picture's edge."""
+    at = np.asarray(points, np.float32).reshape(-1, 2)
+    x, y = at.T
+    height, width = picture.shape
+    place = np.flatnonzero((x >= margin) & (y >= margin) & (x < width - margin) & (y < height - margin))
+    return place, at[place]
+
+
+def _windows(picture: F32, at: npt.NDArray[Any], half: int, wider: int = 0) -> F32:
+    """Return windows around (N, 2) places, each flat, (2 half + 1) rows and 2 ``wider`` more columns than rows."""
+    if not len(at):
+        return np.empty((0, (2 * half + 1) * (2 * (half + wider) + 1)), np.float32)
+    dy, dx = np.mgrid[-half : half + 1, -half - wider : half + wider + 1].reshape(2, -1).astype(np.float32)
+    x = (at[:, :1] + dx).astype(np.float32)
+    y = (at[:, 1:] + dy).astype(np.float32)
+    return _sample(picture, x, y)
+
+
+def _sample(picture: F32, x: F32, y: F32) -> F32:
+    taken = cv2.remap(picture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(taken, np.float32)
+
+
+def _normalised(windows: F32) -> F32:
+    """Subtract each window's mean and divide by its length; windows without texture become zero."""
+    centred = windows - windows.mean(axis=1, keepdims=True)
+    length = np.sqrt(np.einsum("ij,ij->i", centred, centred))[:, None]
+    flat = length < 2.0 * np.sqrt(windows.shape[1])
+    return np.asarray(np.where(flat, 0.0, centred / np.where(flat, 1.0, length)), np.float32)
+
+
+@compiled
+def _best_partners(
+    left_windows: F32,
+    right_windows: F32,
+    left_px: F32,
+    right_px: F32,
+    tolerance_px: float,
+    least_px: float,
+    largest_px: float,
+) -> tuple[npt.NDArray[np.int64], F32, F32]:
+    """Return for each left corner its mutual best right corner (else -1), its score and the next other place's.
+
+    The right corners are sorted by row.
+    """
+    n, m, size = len(left_px), len(right_px), left_windows.shape[1]
+    best = np.full(n, -1, np.int64)
+    score = np.full(n, -1.0, np.float32)
+    after = np.full(n, -1.0, np.float32)
+    right_score = np.full(m, -1.0, np.float32)
+    right_best = np.full(m, -1, np.int64)
+    scores = np.empty(m, np.float32)
+    rows = right_px[:, 1]
+    for i in range(n):
+        first = np.searchsorted(rows, np.float32(left_px[i, 1] - tolerance_px))
+        last = np.searchsorted(rows, np.float32(left_px[i, 1] + tolerance_px), side="right")
+        for j in range(first, last):
+            disparity = left_px[i, 0] - right_px[j, 0]
+            scores[j] = -1.0
+            if disparity < least_px or disparity > largest_px:
+                continue
+            total = np.float32(0.0)
+            for k in range(size):
+                total += left_windows[i, k] * right_windows[j, k]
+            scores[j] = total
+            if total > score[i]:
+                score[i] = total
+                best[i] = j
+            if total > right_score[j]:
+                right_score[j] = total
+                right_best[j] = i
+        if best[i] < 0:
+            continue
+        for j in range(first, last):
+            if abs(right_px[j, 0] - right_px[best[i], 0]) > 2.0 and scores[j] > after[i]:
+                after[i] = scores[j]
+    for i in range(n):
+        if best[i] >= 0 and right_best[best[i]] != i:
+            best[i] = -1
+    return best, score, after
+
+
+@compiled
+def _nearest(query: F32, at: F32) -> npt.NDArray[np.int64]:
+    """Return for each query (N, 2) the numbers of the eight nearest other places, nearest first; -1 for none."""
+    near = np.full((len(query), 8), -1, np.int64)
+    nearest = np.empty(8, np.float32)
+    for i in range(len(query)):
+        nearest[:] = np.inf
+        for j in range(len(at)):
+            dx = query[i, 0] - at[j, 0]
+            dy = query[i, 1] - at[j, 1]
+            distance = dx * dx + dy * dy
+            if distance == 0.0 or distance >= nearest[7]:
+                continue
+            k = 7
+            while k > 0 and nearest[k - 1] > distance:
+                nearest[k] = nearest[k - 1]
+                near[i, k] = near[i, k - 1]
+                k -= 1
+            nearest[k] = distance
+            near[i, k] = j
+    return near
+
+
+def _agreeing(query: F32, disparity: F32, at: F32, theirs: F32, max_slope: float) -> npt.NDArray[np.intp]:
+    """Count for each query how many of the eight nearest matches have a disparity that fits."""
+    if not len(at):
+        return np.zeros(len(query), np.intp)
+    near = _nearest(query, at)
+    distance = np.hypot(*np.moveaxis(query[:, None] - at[near], 2, 0))
+    fits = np.abs(disparity[:, None] - theirs[near]) <= 1.0 + max_slope * distance
+    return np.asarray((fits & (near >= 0)).sum(axis=1), np.intp)
+
+
+def _guided(
+    left: F32, right: F32, at: F32, matched: F32, disparity: F32, half: int, config: MatchConfig
+) -> tuple[npt.NDArray[np.intp], F32, F32]:
+    """Look in the right picture for corners that were found in the left one only, near where their neighbours lead.
+
+    Returns
+    -------
+    which, disparity_px, correlation
+        Row numbers of ``at`` that were found, and their values.
+    """
+    nothing = np.empty(0, np.intp), np.empty(0, np.float32), np.empty(0, np.float32)
+    if len(matched) < 8 or not len(at):
+        return nothing
+    expected = np.median(disparity[_nearest(at, matched)[:, :5]], axis=1)
+    which = np.flatnonzero(at[:, 0] - expected > half + _SEARCH + 2)
+    at, column = at[which], np.round(at[which, 0] - expected[which]).astype(np.float32)
+    there = np.column_stack([column, at[:, 1]])
+    score = _slid(_normalised(_windows(left, at, half)), _windows(right, there, half, _SEARCH), half)
+    best = np.argmax(score, axis=1)
+    rows = np.arange(len(at))
+    top = score[rows, best]
+    places = np.arange(2 * _SEARCH + 1)
+    other = np.where(np.abs(places - best[:, None]) > 2, score, -1.0).max(axis=1)
+    found = column + best - _SEARCH
+    # The way back has to lead to the corner again.
+    seen = _normalised(_windows(right, np.column_stack([found, at[:, 1]]), half))
+    back = _slid(seen, _windows(left, at, half, _SEARCH), half)
+    good = (np.abs(np.argmax(back, axis=1) - _SEARCH) <= 1) & (top >= config.min_correlation)
+    good &= ((1 - top + _NOISE) <= config.max_ratio * (1 - other + _NOISE)) & (best > 0) & (best < 2 * _SEARCH)
+    offset = at[:, 0] - found
+    if config.min_agreeing:
+        good &= _agreeing(at, offset, matched, disparity, config.max_slope) >= config.min_agreeing
+    return which[good], offset[good], top[good].astype(np.float32)
+
+
+@compiled
+def _slid(windows: F32, strips: F32, half: int) -> F32:
+    """Correlate (N, side^2) windows, normalised, with every place of (N, side (side + 2 search)) strips."""
+    side = 2 * half + 1
+    width = strips.shape[1] // side
+    count = width - side + 1
+    score = np.empty((len(windows), count), np.float32)
+    least = 4.0 * side * side
+    for i in range(len(windows)):
+        for p in range(count):
+            total = squares = product = np.float32(0.0)
+            for r in range(side):
+                for c in range(side):
+                    value = strips[i, r * width + p + c]
+                    total += value
+                    squares += value * value
+                    product += value * windows[i, r * side + c]
+            spread = squares - total * total / (side * side)
+            score[i, p] = product / np.sqrt(spread) if spread > least else np.float32(-1.0)
+    return score
+
+
+_SEARCH = 8
+"""Columns around the expected place in which a corner without partner is looked for."""
+
+_MARGIN = 5
+"""Columns that a strip of the right picture has on both sides of its window."""
+
+
+def _refined(left: F32, right: F32, at: F32, rough_px: npt.NDArray[Any], half: int) -> tuple[Array, Array]:
+    """Refine disparities by Gauss-Newton over shift, slant along x and y, gain and offset of the window.
+
+    Returns
+    -------
+    disparity_px, sigma_px
+        (N,) each; NaN where the windows determine nothing.
+    """
+    if not len(at):
+        return np.empty(0), np.empty(0)
+    partner = at[:, 0].astype(np.float64) - rough_px
+    column = np.floor(partner)
+    strips = _windows(right, np.column_stack([column, at[:, 1]]), half, _MARGIN)
+    moved, sigma = _gauss_newton(_windows(left, at, half), strips, partner - column, half, 6).T
+    return rough_px - moved, sigma
+
+
+@compiled
+def _gauss_newton(wanted: F32, strips: F32, fraction: Array, half: int, turns: int) -> Array:
+    """Fit each strip of the right picture to its window of the left one.
+
+    Parameters
+    ----------
+    wanted
+        (N, side^2) windows of the left picture.
+    strips
+        (N, side (side + 2 margin)) of the right one, whose columns are its pixels' columns.
+    fraction
+        (N,) where the fit starts: columns right of the strip's middle one.
+
+    Returns
+    -------
+    result
+        (N, 2): columns to the right from the start, and their standard deviation; NaN where there is no solution.
+    """
+    side = 2 * half + 1
+    width = side + 2 * _MARGIN
+    result = np.full((len(wanted), 2), np.nan)
+    normal = np.empty((5, 5))
+    known = np.empty(5)
+    row = np.empty(5)
+    for i in range(len(wanted)):
+        slant_x = slant_y = 0.0
+        first = half + _MARGIN + fraction[i]
+        place = first
+        for turn in range(turns):
+            normal[:] = 0.0
+            known[:] = 0.0
+            square = 0.0
+            inside = True
+            for r in range(side):
+                for c in range(side):
+                    x = place + (c - half) * (1.0 - slant_x) - (r - half) * slant_y
+                    j = int(np.floor(x))
+                    if j < 1 or j + 2 >= width:
+                        inside = False
+                        break
+                    t = x - j
+                    o = r * width + j
+                    p0, p1, p2, p3 = strips[i, o - 1], strips[i, o], strips[i, o + 1], strips[i, o + 2]
+                    # Catmull-Rom's cubic and its derivative.
+                    a = 0.5 * (p3 - p0) + 1.5 * (p1 - p2)
+                    b = p0 - 2.5 * p1 + 2.0 * p2 - 0.5 * p3
+                    d = 0.5 * (p2 - p0)
+                    value = ((a * t + b) * t + d) * t + p1
+                    slope = (3.0 * a * t + 2.0 * b) * t + d
+                    row[0] = -slope
+                    row[1] = -slope * (c - half)
+                    row[2] = -slope * (r - half)
+                    row[3] = value
+                    row[4] = 1.0
+                    target = wanted[i, r * side + c]
+                    square += target * target
+                    for k in range(5):
+                        known[k] += row[k] * target
+                        for m in range(k + 1):
+                            normal[k, m] += row[k] * row[m]
+                if not inside:
+                    break
+            if not inside:
+                break
+            # A window with little texture says nothing about its slant; this holds it near what it was.
+            texture = normal[0, 0]
+            normal[1, 1] += 0.02 * texture * half * half
+            normal[2, 2] += 0.02 * texture * half * half
+            for k in range(5):
+                normal[k, k] += 1e-4
+            if not _factorised(normal):
+                break
+            solved = known.copy()
+            _back(normal, solved)
+            if abs(solved[3]) < 0.1:
+                break
+            gain = solved[3]
+            step = solved[0] / gain
+            place -= min(max(step, -0.7), 0.7)
+            slant_x += min(max(solved[1] / gain, -0.1), 0.1)
+            slant_y += min(max(solved[2] / gain, -0.1), 0.1)
+            if turn == turns - 1 or abs(step) < 0.005:
+                residual = square
+                for k in range(5):
+                    residual -= solved[k] * known[k]
+                unit = np.zeros(5)
+                unit[0] = 1.0
+                _back(normal, unit)
+                variance = max(residual, 0.0) / (side * side - 5) + 0.5
+                result[i, 0] = place - first
+                result[i, 1] = np.sqrt(variance * unit[0]) / abs(gain)
+                break
+    return result
+
+
+@compiled
+def _factorised(matrix: Array) -> bool:
+    """Replace the lower triangle by its Cholesky factor (numba's own needs SciPy); False if there is none."""
+    n = len(matrix)
+    for j in range(n):
+        for k in range(j):
+            matrix[j, j] -= matrix[j, k] * matrix[j, k]
+        if matrix[j, j] <= 1e-9:
+            return False
+        matrix[j, j] = np.sqrt(matrix[j, j])
+        for i in range(j + 1, n):
+            for k in range(j):
+                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] /= matrix[j, j]
+    return True
+
+
+@compiled
+def _back(factor: Array, known: Array) -> None:
+    """Solve with a Cholesky factor in place."""
+    n = len(factor)
+    for i in range(n):
+        for k in range(i):
+            known[i] -= factor[i, k] * known[k]
+        known[i] /= factor[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            known[i] -= factor[k, i] * known[k]
+        known[i] /= factor[i, i]

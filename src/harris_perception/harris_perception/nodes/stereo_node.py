@@ -1,0 +1,165 @@
+"""Stereo node: points in metres from the Harris corners of both pictures, and the panel's plane through them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from sensor_msgs.msg import Image, PointCloud2
+
+from harris_perception.core.gray import gray_of
+from harris_perception.core.pairing import Pairing
+from harris_perception.core.plane_fit import PlaneConfig, PlaneFit, fit_plane
+from harris_perception.core.stereo_matching import (
+    MatchConfig,
+    Rectifier,
+    disparity_range,
+    match_corners,
+    triangulated,
+)
+from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
+from icu_common.core import frames
+from icu_common.core.camera_model import StereoModel
+from icu_common.core.config import Config, nested, setting
+from icu_common.core.geometry import Array
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    cloud_array,
+    cloud_message,
+    diagnostic_status,
+    header,
+    image_array,
+    pose_message,
+    stamp_ns,
+)
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import run
+
+COLUMNS = ("x", "y", "z", "sigma")
+_SEED = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StereoConfig(Config):
+    """Settings of the stereo node."""
+
+    rate_hz: float = setting(5.0, "Pairs are matched at most this often.", minimum=0.1, maximum=120.0, unit="Hz")
+    pair_tolerance_s: float = setting(
+        0.004, "Left and right stamps of a pair differ by at most this.", minimum=0.0, maximum=0.1, unit="s"
+    )
+    matching: MatchConfig = nested(MatchConfig)
+    plane: PlaneConfig = nested(PlaneConfig)
+
+
+class Matcher:
+    """Everything that is prepared once for a calibration and a configuration."""
+
+    def __init__(self, stereo: StereoModel, config: StereoConfig) -> None:
+        self._stereo, self._config = stereo, config
+        self._rectify = Rectifier(stereo.left), Rectifier(stereo.right)
+        self._limits = disparity_range(stereo, config.matching)
+
+    def points(self, images: tuple[Image, Image], corners: tuple[PointCloud2, PointCloud2]) -> Array:
+        """Return (N, 4): x, y, z and the depth's standard deviation, metres, left rectified frame."""
+        models = (self._stereo.left, self._stereo.right)
+        left, right = (rectify(gray_of(image_array(i), i.encoding)) for rectify, i in zip(self._rectify, images))
+        left_px, right_px = (m.rectify(cloud_array(cloud, ("u", "v"))) for m, cloud in zip(models, corners))
+        matches = match_corners(left, right, left_px, right_px, self._limits, self._config.matching)
+        return triangulated(self._stereo, matches)
+
+    def plane(self, points: Array) -> PlaneFit | None:
+        return fit_plane(points[:, :3], points[:, 3], self._config.plane, np.random.default_rng(_SEED))
+
+
+class StereoNode(Node):
+    """Subscribes to ``image_raw``, ``camera_info`` and ``corners`` of both sides; publishes ``points2`` and
+    ``panel_plane``.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("stereo", **options)
+        self._parameters = LiveParameters(self, StereoConfig, lambda config: self._configure())
+        self._calibration = StereoCalibration(self, self._configure)
+        self._sets = Pairing(4, depth=6)
+        self._matcher: Matcher | None = None
+        self._configure()
+        self._last_ns = self._matched = 0
+        self._values: list[tuple[str, Any]] = []
+        self._complaint = "no pictures with corners yet"
+        self._points = self.create_publisher(PointCloud2, "points2", qos.RESULTS)
+        self._plane = self.create_publisher(PoseStamped, "panel_plane", qos.RESULTS)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        for i, side in enumerate(SIDES):
+            self._listen(i, Image, f"{side}/image_raw", qos.IMAGES)
+            self._listen(i + 2, PointCloud2, f"{side}/corners", qos.RESULTS)
+        self.create_timer(1.0, self._report)
+
+    def _listen(self, stream: int, kind: Any, topic: str, profile: Any) -> None:
+        self.create_subscription(kind, topic, lambda message: self._on_message(stream, message), profile)
+
+    def _configure(self) -> None:
+        config, stereo = self._parameters.config, self._calibration.stereo
+        self._sets.tolerance_ns = round(config.pair_tolerance_s * 1e9)
+        self._matcher = Matcher(stereo, config) if stereo is not None else None
+
+    def _on_message(self, stream: int, message: Any) -> None:
+        complete = self._sets.add(stream, stamp_ns(message.header.stamp), message)
+        if complete is not None and self._matcher is not None and self._due(complete[0]):
+            try:
+                self._match(self._matcher, complete)
+            except ValueError as error:
+                self._complaint = str(error)
+
+    def _due(self, image: Image) -> bool:
+        # By the pictures' own clock, so that a replayed recording is thinned in the same way; a millisecond is jitter.
+        stamp = stamp_ns(image.header.stamp)
+        period_ns = 1e9 / self._parameters.config.rate_hz - 1e6
+        due = not self._last_ns <= stamp < self._last_ns + period_ns
+        wanted = self._points.get_subscription_count() + self._plane.get_subscription_count() > 0
+        if due and wanted:
+            self._last_ns = stamp
+        return due and wanted
+
+    def _match(self, matcher: Matcher, complete: tuple[Any, ...]) -> None:
+        start = time.perf_counter()
+        points = matcher.points(complete[:2], complete[2:])
+        fit = matcher.plane(points)
+        head = header(stamp_ns(complete[0].header.stamp), frames.CAMERA_LEFT)
+        self._points.publish(cloud_message(COLUMNS, points, head))
+        if fit is not None:
+            self._plane.publish(pose_message(fit.pose(), head))
+        self._note(points, fit, time.perf_counter() - start)
+
+    def _note(self, points: Array, fit: PlaneFit | None, took_s: float) -> None:
+        self._matched += 1
+        self._complaint = "" if fit is not None else f"no plane through {len(points)} points"
+        self._values = [("points", len(points)), ("took_ms", f"{took_s * 1e3:.1f}")]
+        if fit is not None:
+            self._values += [
+                ("plane_share", f"{fit.share:.3f}"),
+                ("plane_rms_mm", f"{fit.rms_m * 1e3:.3f}"),
+                ("plane_depth_m", f"{fit.centre[2]:.4f}"),
+            ]
+
+    def _report(self) -> None:
+        complaint = self._calibration.complaint or self._complaint
+        values = [("pairs", self._matched), ("unpaired", self._sets.unpaired), *self._values]
+        level, text = ("warn", complaint) if complaint else ("ok", "matching")
+        head = header(self.get_clock().now().nanoseconds, "")
+        self._diagnostics.publish(
+            DiagnosticArray(header=head, status=[diagnostic_status("stereo", level, text, values)])
+        )
+
+
+def main() -> int:
+    """Run the stereo node."""
+    return run(StereoNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
