@@ -189,3 +189,22 @@ def test_stop_byte_is_on_the_wire_within_ten_milliseconds() -> None:
     delays.sort()
     print(f"stop to byte: median {1e3 * statistics.median(delays):.2f} ms, worst {1e3 * delays[-1]:.2f} ms")
     assert delays[-3] < 0.010
+
+
+def test_a_program_with_arcs_runs_on_the_board_as_it_was_checked(start: Start) -> None:
+    board, rig = start(time_scale=8.0)
+    rig.home()
+    source = [
+        "(a square with a round corner)",
+        "G90 G53 G0 X-200 Y-150",
+        "G91 G1 X20 F6000",
+        "G3 X10 Y10 J10",
+        "G1 Y20",
+    ]
+    source += ["G2 X-10 Y10 R10", "G90 G1 X-190 Y-100 ; back", "M30"]
+    answer = rig.link.call(lambda machine, now: machine.run_program("square", source, now))
+    assert answer.outcome.value == "accepted", answer.reason
+    rig.until(lambda: len(rig.results) == 2, 30.0)
+    assert rig.outcomes()[-1] == "reached", rig.results[-1]
+    assert board.mpos() == pytest.approx((-190.0, -100.0, HOMED[2]), abs=0.02)
+    assert board.counters().get("errors", 0) == 0

@@ -26,6 +26,7 @@ def checked(*lines: str, **kwargs: object) -> list[str]:
         (["G21", "G1 X-10.5.2 F100"], 2, 10, "'.': a letter is expected (error:1)"),
         (["G0 G1 X-10"], 1, 4, "G0 and G1 are both motion (error:21)"),
         (["G20 G21"], 1, 5, "both units"),
+        (["G0 G49"], 1, 4, "G0 and G49 both use the axis words (error:24)"),
         (["G1 X-10 X-20 F100"], 1, 9, "X is given twice (error:25)"),
         (["G5 X-1"], 1, 1, "G5 is not supported (error:20)"),
         (["M6 T1"], 1, 1, "M6 is not supported"),

@@ -33,6 +33,8 @@ _GROUPS: dict[str, tuple[str, ...]] = {
     "coolant": ("M7", "M8", "M9"),
 }
 _GROUP_OF = {word: group for group, words in _GROUPS.items() for word in words}
+_AXIS_USERS = frozenset({"G0", "G1", "G2", "G3", "G49", "G92"})
+"""GRBL takes one of these in a line, even where no axis word follows."""
 _REFUSED = {
     "G28": "goes to a stored place that is not known here",
     "G30": "goes to a stored place that is not known here",
@@ -217,6 +219,9 @@ class ProgramChecker:
             if group in found:
                 raise self._error(word.column, f"{found[group]} and {word.name} are both {group} (error:21)")
             found[group] = word.name
+            users = [name for name in found.values() if name in _AXIS_USERS]
+            if len(users) > 1:
+                raise self._error(word.column, f"{' and '.join(users)} both use the axis words (error:24)")
         return found
 
     def _values(self, words: list[_Word]) -> dict[str, _Word]:

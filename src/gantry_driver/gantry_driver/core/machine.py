@@ -52,7 +52,7 @@ CRITICAL_ALARM_PAUSE_S = 0.6
 STYLUS_DOWN_M = 0.0005
 """Extension above which the stylus may touch something and is lifted after a stop."""
 TICK_S = 0.05
-PROGRAM_MODES = "G0G17G21G40G49G54G90G94"
+PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """What a program may rely on at its first line."""
 
 Reading = tuple[float, float, float]
@@ -418,7 +418,8 @@ class Machine:
         text = f"program of {len(lines)} lines, about {sum(seconds for _, seconds in lines):.1f} s"
         end = reading_m(checker.position_mm, self._stylus_down, self.config)
         # The checker begins with these modes; the board may have been left with others.
-        return self._start(goal_id, text, [(PROGRAM_MODES, 0.0), *lines, (SYNCHRONISE, 0.0)], end, now)
+        modes = [(mode, 0.0) for mode in PROGRAM_MODES]
+        return self._start(goal_id, text, [*modes, *lines, (SYNCHRONISE, 0.0)], end, now)
 
     def _start(
         self, goal_id: str, text: str, lines: Sequence[tuple[str, float]], end_m: Reading, now: float
