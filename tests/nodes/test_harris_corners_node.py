@@ -12,8 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image, PointCloud2
 
-from harris_perception.core.harris import HarrisConfig
-from harris_perception.nodes.corners_node import CornersNode
+from harris_perception.nodes.corners_node import CornersNode, CornersNodeConfig
 from icu_common.core.config import from_mapping, to_mapping
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import cloud_array, header, image_array, image_message, stamp_ns
@@ -179,8 +178,26 @@ def test_only_the_newest_picture_is_worked_on_and_the_others_are_counted(ros: An
     assert values["corners"] == "4" and float(values["ms_per_frame"]) >= 0.0
 
 
+def test_edges_are_labelled_only_while_somebody_looks(ros: Any) -> None:
+    rig = Rig(ros, {"edges.max_gap_px": 8.0, "edges.high": 10.0})
+    rig.corners_of(image_message(square(), "mono8", header(1, "c")))
+    labels: list[Image] = ros.collect(rig.probe, Image, "edges", qos.IMAGES)
+    ros.spin_until(lambda: rig.node.count_subscribers("edges") == 1, 10.0)
+    ros.spin_until(lambda: rig.probe.count_publishers("edges") == 1, 10.0)
+    rig.corners_of(image_message(square(), "mono8", header(2, "c")))
+    message = ros.spin_until(lambda: labels and labels[-1], 10.0)
+    assert [stamp_ns(m.header.stamp) for m in labels] == [2] and message.encoding == "mono8"
+    picture = image_array(message)
+    assert sorted(map(tuple, np.argwhere(picture == 255)[:, ::-1].astype(float).tolist())) == SQUARE
+    assert set(np.unique(picture).tolist()) == {0, 128, 255}
+    assert (picture[11:14, 14:46] == 128).any(axis=0).all()  # the upper side
+    assert not picture[18:26, 16:44].any()  # inside
+    assert not rig.node.set_parameters([Parameter("edges.high", value=-1.0)])[0].successful
+
+
 def test_parameter_file_names_every_setting_and_holds_the_defaults() -> None:
     path = Path(__file__).parents[2] / "config" / "params" / "corners.yaml"
     values = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
-    assert values == to_mapping(HarrisConfig())
-    assert from_mapping(HarrisConfig, values) == HarrisConfig()
+    edges = {f"edges.{name}": value for name, value in values.pop("edges").items()}
+    assert values | edges == to_mapping(CornersNodeConfig())
+    assert from_mapping(CornersNodeConfig, values | edges) == CornersNodeConfig()

@@ -27,7 +27,9 @@ class EdgeConfig(Config):
 
     sigma_d_px: float = setting(2.0, "Scale of the derivatives", minimum=0.5, maximum=10.0, unit="px")
     sigma_i_px: float = setting(1.0, "Scale of the window over their products", minimum=0.5, maximum=10.0, unit="px")
-    k: float = setting(0.04, "Weight of trace^2 in the response", minimum=0.001, maximum=0.24)
+    k: float = setting(
+        0.08, "Weight of trace^2 in the response; more keeps bent edges whole", minimum=0.001, maximum=0.24
+    )
     high: float = setting(6.0, "Strength that starts an edge", minimum=0.0, maximum=1e5, unit="grey levels per px")
     low_of_high: float = setting(0.4, "Strength that continues an edge, as a fraction", minimum=0.0, maximum=1.0)
     min_length_px: int = setting(20, "Smaller connected pieces are removed", minimum=1, maximum=10_000, unit="px")

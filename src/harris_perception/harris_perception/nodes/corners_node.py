@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
+from harris_perception.core.edges import EdgeConfig, EdgeDetector
 from harris_perception.core.gray import bgr_of_gray, gray_of
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
 from harris_perception.core.overlay import draw_corners
+from icu_common.core.config import nested
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     cloud_message,
@@ -29,24 +32,33 @@ from icu_common.nodes.runtime import run
 COLUMNS = ("u", "v", "response")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CornersNodeConfig(HarrisConfig):
+    """The detector's settings, and those of the edges that are found while somebody looks."""
+
+    edges: EdgeConfig = nested(EdgeConfig)
+
+
 class CornersNode(Node):
-    """Publishes ``corners`` and, while somebody looks, ``corners_image`` for each picture of ``image_raw``."""
+    """Publishes the ``corners`` of each ``image_raw`` and, while somebody looks, ``corners_image`` and ``edges``."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("corners", **options)
-        self._live = LiveParameters(self, HarrisConfig, self._use)
+        self._live = LiveParameters(self, CornersNodeConfig, self._use)
         self._use(self._live.config)
         self._frames = self._refused = self._found = self._reported = self._dropped = 0
         self._busy_s = 0.0
         self._corners = self.create_publisher(PointCloud2, "corners", qos.RESULTS)
         self._picture = self.create_publisher(Image, "corners_image", qos.IMAGES)
+        self._labels = self.create_publisher(Image, "edges", qos.IMAGES)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         self.create_timer(1.0, self._report)
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
 
-    def _use(self, config: HarrisConfig) -> None:
+    def _use(self, config: CornersNodeConfig) -> None:
         self._detector = HarrisDetector(config)
         self._detector.warm()
+        self._edges = EdgeDetector(config.edges)
 
     def _on_image(self, message: Image) -> None:
         start = time.perf_counter()
@@ -69,6 +81,9 @@ class CornersNode(Node):
             drawn = bgr_of_gray(gray)
             draw_corners(drawn, corners.xy)
             self._picture.publish(image_message(drawn, "bgr8", message.header))
+        if self._labels.get_subscription_count() > 0:
+            edges = self._edges.detect(gray, corners.xy)
+            self._labels.publish(image_message(edges.labels, "mono8", message.header))
 
     def _report(self) -> None:
         new, dropped = self._frames - self._reported, self._images.dropped - self._dropped

@@ -1,0 +1,167 @@
+"""Edges against human drawings (BSDS500 form): best F-measure of one threshold for all (ODS) and of the best for each
+picture (OIS), beside OpenCV's and scikit-image's Canny at their best sigma; and the cost of edges beside corners.
+
+Needs a folder of <name>.jpg and <name>.mat, by default edges/ in the data folder. Found and drawn pixels are matched
+one to one, nearest first, within 0.0075 of the diagonal; precision counts what any person drew, recall sums over the
+persons. Ours has its default settings; the peers' sigma is the best one on the pictures measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numba
+import numpy as np
+from bench_harris import picture
+from rows import Row, bound, data_folder, interleaved_ms, row, tune_malloc, write
+
+from harris_perception.core.edges import EDGE, EdgeConfig, EdgeDetector
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+
+Maps = Callable[[np.ndarray], Iterator[np.ndarray]]
+LEVELS = np.geomspace(1.5, 40.0, 14)
+
+
+@numba.njit(cache=True)
+def matched(found: np.ndarray, drawn: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Return which found pixels got a drawn one, nearest pairs first."""
+    free, taken = drawn.copy(), np.zeros(found.shape, np.bool_)
+    ys, xs = np.nonzero(found)
+    for o in range(len(offsets)):
+        for i in range(len(ys)):
+            y, x = ys[i] + offsets[o, 0], xs[i] + offsets[o, 1]
+            if not taken[ys[i], xs[i]] and 0 <= y < found.shape[0] and 0 <= x < found.shape[1] and free[y, x]:
+                taken[ys[i], xs[i]] = True
+                free[y, x] = False
+    return taken
+
+
+def harris(gray: np.ndarray) -> Iterator[np.ndarray]:
+    thinned = EdgeDetector().thinned(gray)
+    for level in LEVELS:
+        yield EdgeDetector(EdgeConfig(high=float(level))).edges_of(thinned).labels == EDGE
+
+
+def opencv_canny(sigma: float) -> Maps:
+    def maps(gray: np.ndarray) -> Iterator[np.ndarray]:
+        soft = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), sigma)
+        dx, dy = (cv2.Sobel(soft, cv2.CV_32F, *d).clip(-32768, 32767).astype(np.int16) for d in ((1, 0), (0, 1)))
+        for level in LEVELS:
+            yield cv2.Canny(dx, dy, 0.4 * 8 * level, 8 * level, L2gradient=True) > 0
+
+    return maps
+
+
+def skimage_canny(sigma: float) -> Maps | None:
+    try:
+        from skimage.feature import canny
+    except ImportError:
+        return None
+
+    def maps(gray: np.ndarray) -> Iterator[np.ndarray]:
+        for level in LEVELS:
+            yield canny(gray.astype(np.float32), sigma, 0.4 * 8 * level / 2, 8 * level / 2)
+
+    return maps
+
+
+def score(maps: Maps, pictures: list[tuple[np.ndarray, list[np.ndarray]]]) -> tuple[float, float]:
+    """Return ODS and OIS."""
+    counts = np.zeros((len(pictures), len(LEVELS), 4))  # found, right, drawn, met
+    for p, (gray, drawings) in enumerate(pictures):
+        radius = 0.0075 * np.hypot(*gray.shape)
+        span = np.arange(-int(radius), int(radius) + 1)
+        offsets = np.array([(y, x) for y in span for x in span if y * y + x * x <= radius * radius])
+        offsets = offsets[np.argsort((offsets**2).sum(axis=1), kind="stable")]
+        for level, found in enumerate(maps(gray)):
+            right = np.zeros(found.shape, bool)
+            met = 0
+            for drawn in drawings:
+                hit = matched(found, drawn, offsets)
+                right |= hit
+                met += int(hit.sum())
+            counts[p, level] = found.sum(), right.sum(), sum(int(d.sum()) for d in drawings), met
+
+    def f(c: np.ndarray) -> np.ndarray:
+        precision, recall = c[..., 1] / np.maximum(c[..., 0], 1), c[..., 3] / np.maximum(c[..., 2], 1)
+        return 2 * precision * recall / np.maximum(precision + recall, 1e-9)
+
+    best = counts[np.arange(len(pictures)), f(counts).argmax(axis=1)]
+    return float(f(counts.sum(axis=0)).max()), float(f(best.sum(axis=0)))
+
+
+def load(folder: Path, limit: int) -> list[tuple[np.ndarray, list[np.ndarray]]]:
+    from scipy.io import loadmat
+
+    result = []
+    for path in sorted(folder.glob("*.mat"))[:limit]:
+        truth = loadmat(str(path))["groundTruth"].ravel()
+        drawings = [np.ascontiguousarray(t["Boundaries"][0, 0].astype(bool)) for t in truth]
+        result.append((cv2.imread(str(path.with_suffix(".jpg")), cv2.IMREAD_GRAYSCALE), drawings))
+    return result
+
+
+def quality(folder: Path, limit: int) -> list[Row]:
+    pictures = load(folder, limit)
+    ods, ois = score(harris, pictures)
+    peers: dict[str, tuple[float, float]] = {}
+    for library, make in (("cv2.Canny", opencv_canny), ("skimage canny", skimage_canny)):
+        tried = {s: score(m, pictures) for s in (1.0, 1.5, 2.0, 2.5, 3.0) if (m := make(s)) is not None}
+        for sigma, (a, b) in tried.items():
+            print(f"  {library}, sigma {sigma}: ODS {a:.3f}, OIS {b:.3f}")
+        if tried:
+            best = max(tried, key=lambda s: tried[s][0])
+            peers[f"{library}, best sigma {best}"] = tried[best]
+    rows = []
+    for name, (a, b) in peers.items():
+        rows.append(row(f"{len(pictures)} pictures, ODS", ods, a, name, higher_is_better=True))
+        rows.append(row(f"{len(pictures)} pictures, OIS", ois, b, name, higher_is_better=True))
+        rows.append(bound(f"ODS ahead of {name} [points]", 100 * (ods - a), 3.0, at_least=True))
+    return rows
+
+
+def speed() -> list[Row]:
+    cv2.setNumThreads(1)
+    gray = picture(1280, 720)
+    corners, fast, edges = (
+        HarrisDetector(HarrisConfig(gradient="gaussian", window="gaussian")),
+        HarrisDetector(),
+        EdgeDetector(),
+    )
+    xy = corners.detect(gray).xy
+    ms = interleaved_ms(
+        {
+            "edges": lambda: edges.detect(gray, xy),
+            "gaussian corners": lambda: corners.detect(gray),
+            "corners": lambda: fast.detect(gray),
+            "canny": lambda: cv2.Canny(cv2.GaussianBlur(gray, (0, 0), 2.0), 10, 30, L2gradient=True),
+        },
+        repeats=20,
+    )
+    return [
+        row("1280x720: edges as chains [ms]", ms["edges"], ms["canny"], "cv2.GaussianBlur + Canny, pixels only"),
+        bound(
+            "1280x720: (edges + corners) / corners, 1988 kernels", (ms["edges"] + ms["corners"]) / ms["corners"], 2.0
+        ),
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--limit", type=int, default=1000, help="only so many pictures")
+    arguments = parser.parse_args()
+    tune_malloc()
+    data = data_folder()
+    folder = arguments.folder or (data / "edges" if data else None)
+    if folder is None:
+        print("no pictures with drawings: give a folder, or set ICU_TEST_DATA; only the cost is measured")
+    write("edges", [*(quality(folder, arguments.limit) if folder else []), *speed()], title="edges")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
