@@ -1,0 +1,264 @@
+"""The hand-eye node: runs against a machine with hidden errors, saves, loads, and refuses with reasons."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, TransformStamped
+from sensor_msgs.msg import CameraInfo, JointState
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import Trigger
+
+from harris_perception.core.calibration_file import StoredCalibration, load, save
+from harris_perception.nodes.hand_eye_node import HandEyeNode
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
+from icu_common.core.geometry import Transform
+from icu_common.core.results import GoalResult, Outcome
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    camera_info_message,
+    header,
+    joint_message,
+    point_message,
+    result_message,
+    stamp_ns,
+    transform_of_message,
+)
+
+AXES = np.array([[1.003, -0.002], [0.0, 0.998]])
+TURN = np.asarray(cv2.Rodrigues(np.array([2.71, 0.05, -0.08]))[0], dtype=float)
+POSE = Transform(TURN, np.array([-0.17, 0.09, 0.66]))
+QUICK = {
+    "run.columns": 3,
+    "run.rows": 2,
+    "run.held_out": 2,
+    "still.tips": 3,
+    "still.settle_s": 0.0,
+    "run.look_timeout_s": 2.0,
+    "run.accept_timeout_s": 2.0,
+}
+
+
+def camera(focal: float = 1700.0, baseline: float = 0.0) -> CameraModel:
+    k = np.array([[focal, 0.0, 640.0], [0.0, focal, 360.0], [0.0, 0.0, 1.0]])
+    p = np.column_stack([k, [-focal * baseline, 0.0, 0.0]])
+    return CameraModel(name="c", width=1280, height=720, k=k, d=np.zeros(5), r=np.eye(3), p=p)
+
+
+class Rig:
+    """The node, a machine that obeys its goals at once, and eyes that see the tip."""
+
+    def __init__(self, ros: Any, focal: float = 1700.0, **parameters: Any) -> None:
+        self.ros = ros
+        self.reading = np.zeros(3)
+        self.rng = np.random.default_rng(1)
+        self.outcome, self.reason = Outcome.REACHED, ""
+        self.goals: list[PointStamped] = []
+        self.node = ros.node(HandEyeNode, {**QUICK, **parameters})
+        self.probe = probe = ros.plain()
+        self.states: list[String] = ros.collect(probe, String, "state", qos.LATCHED)
+        self.transforms: list[TransformStamped] = ros.collect(probe, TransformStamped, "camera_from_base", qos.LATCHED)
+        self.axes: list[Float64MultiArray] = ros.collect(probe, Float64MultiArray, "axes", qos.LATCHED)
+        probe.create_subscription(PointStamped, "goal", self._obey, qos.COMMAND)
+        self.tips = probe.create_publisher(PointStamped, "tip", qos.RESULTS)
+        self.joints = probe.create_publisher(JointState, "joint_states", qos.RESULTS)
+        self.driver = probe.create_publisher(String, "driver_state", qos.LATCHED)
+        self.results = probe.create_publisher(DiagnosticArray, "result", qos.RESULTS)
+        self.infos = [probe.create_publisher(CameraInfo, f"{s}/camera_info", qos.IMAGES) for s in ("left", "right")]
+        self.clients = {n: probe.create_client(Trigger, n) for n in ("run", "add_sample", "solve", "save")}
+        for publisher in (self.tips, self.joints, self.driver, self.results, *self.infos):
+            ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 10.0)
+        for client in self.clients.values():
+            ros.spin_until(client.service_is_ready, 10.0)
+        ros.spin_until(lambda: self.node._goal.get_subscription_count() == 1 and self.states, 10.0)
+        self.focal = focal
+
+    def cameras(self) -> None:
+        for publisher, baseline in zip(self.infos, (0.0, 0.12)):
+            publisher.publish(camera_info_message(camera(self.focal, baseline), header(1, CAMERA_LEFT)))
+        self.ros.spin_until(lambda: len(self.node._cameras) == 2, 10.0)
+
+    def now(self) -> int:
+        return int(self.probe.get_clock().now().nanoseconds)
+
+    def say_driver(self, text: str) -> None:
+        self.driver.publish(String(data=text))
+        self.ros.spin_until(lambda: self.node._driver == text, 10.0)
+
+    def _obey(self, goal: PointStamped) -> None:
+        assert goal.header.frame_id == BASE
+        self.goals.append(goal)
+        self.reading = np.round(np.array([goal.point.x, goal.point.y, -goal.point.z]) * 80e3) / 80e3
+        self.look()
+        for outcome in (Outcome.ACCEPTED, self.outcome):
+            reason = self.reason if outcome is self.outcome else ""
+            answer = GoalResult(goal_id=str(stamp_ns(goal.header.stamp)), goal="", outcome=outcome, reason=reason)
+            self.results.publish(result_message(answer, self.now()))
+
+    def look(self) -> None:
+        self.joints.publish(joint_message(JOINTS, self.reading, header(self.now(), BASE)))
+        base = np.array([*(AXES @ self.reading[:2]), -self.reading[2]])
+        tip = POSE.apply(base) + self.rng.normal(0, (0.00003, 0.00003, 0.00012))
+        self.tips.publish(point_message(tip, header(self.now(), CAMERA_LEFT)))
+
+    def watch(self, condition: Any, within_s: float) -> None:
+        def looked() -> Any:
+            self.look()
+            return condition()
+
+        self.ros.spin_until(looked, within_s, lambda: self.state)
+
+    @property
+    def state(self) -> str:
+        return str(self.states[-1].data) if self.states else ""
+
+    def call(self, name: str) -> tuple[bool, str]:
+        future = self.clients[name].call_async(Trigger.Request())
+        self.ros.spin_until(future.done, 10.0)
+        return future.result().success, future.result().message
+
+
+def test_run_calibrates_publishes_and_saves(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "hand_eye.yaml"
+    rig = Rig(ros, calibration_file=str(path), machine="bench")
+    assert rig.state == "uncalibrated"
+    rig.cameras()
+    rig.say_driver("idle")
+    assert rig.call("run") == (True, "calibrating; watch the state")
+    rig.watch(lambda: rig.state.startswith(("calibrated", "failed")), 60.0)
+    assert rig.state.startswith("calibrated: 12 samples, rms 0."), rig.state
+    rig.ros.spin_until(lambda: rig.transforms and rig.axes, 10.0)
+    message = rig.transforms[-1]
+    assert (message.header.frame_id, message.child_frame_id) == (CAMERA_LEFT, BASE)
+    query = np.array([(0.05, 0.05, -0.03), (0.3, 0.15, -0.03)])
+    error = np.linalg.norm(transform_of_message(message).apply(query) - POSE.apply(query), axis=1)
+    print("pose error mm", error * 1e3)
+    assert error.max() < 0.0005
+    np.testing.assert_allclose(np.array(rig.axes[-1].data).reshape(2, 2), AXES, atol=0.001)
+    kept = load(path)
+    assert (kept.machine, kept.samples, kept.right is not None) == ("bench", 12, True)
+    assert 0 < kept.held_out_m < 0.001
+    heights = {round(g.point.z, 4) for g in rig.goals}
+    assert heights == {0.0, -0.012, -0.006}
+    assert all(g.point.x >= 0.02 and g.point.y >= 0.02 for g in rig.goals)
+
+
+def test_stop_of_the_driver_fails_the_run(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.cameras()
+    rig.say_driver("idle")
+    rig.call("run")
+    rig.watch(lambda: len(rig.goals) >= 3, 20.0)
+    rig.say_driver("stopped: by the operator")
+    rig.ros.spin_until(lambda: rig.state.startswith("failed"), 10.0)
+    assert rig.state == "failed: the driver says 'stopped: by the operator'"
+    goals = len(rig.goals)
+    rig.say_driver("idle")
+    assert rig.call("save") == (False, "calibration_file is not set")
+    assert len(rig.goals) == goals
+
+
+def test_refused_goal_gives_its_reason(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.cameras()
+    rig.say_driver("idle")
+    rig.outcome, rig.reason = Outcome.REJECTED, "no heartbeat"
+    rig.call("run")
+    rig.watch(lambda: rig.state.startswith("failed"), 10.0)
+    assert "was rejected: no heartbeat" in rig.state
+
+
+def test_run_is_refused_with_what_is_missing(ros: Any) -> None:
+    rig = Rig(ros)
+    assert rig.call("run") == (False, "the driver says 'unknown': connected, homed and idle is needed")
+    rig.say_driver("unhomed")
+    assert rig.call("run") == (False, "the driver says 'unhomed': connected, homed and idle is needed")
+    rig.say_driver("idle")
+    assert rig.call("run") == (False, "no camera_info of the left camera has arrived")
+    assert rig.goals == []
+
+
+def test_samples_by_hand(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.cameras()
+    assert rig.call("add_sample") == (False, "no joint_states arrive")
+    assert rig.call("solve") == (False, "0 samples, 6 are needed: move to another place and add one")
+    assert rig.call("save") == (False, "calibration_file is not set")
+    for number, place in enumerate([(0.05, 0.05), (0.3, 0.05), (0.3, 0.15), (0.05, 0.15), (0.1, 0.1), (0.2, 0.1)], 1):
+        rig.reading = np.array([*place, 0.0])
+        rig.watch(lambda: not isinstance(rig.node._watch.sample(rig.now()), str), 10.0)
+        rig.watch(lambda p=place: np.allclose(rig.node._watch.sample(rig.now()).reading[:2], p), 10.0)
+        done, text = rig.call("add_sample")
+        assert done, text
+        assert (
+            text == f"sample {number} at readings x = {place[0] * 1e3:.1f}, y = {place[1] * 1e3:.1f}, stylus = 0.0 mm"
+        )
+    done, text = rig.call("solve")
+    assert done, text
+    assert math.isnan(rig.node._stored.held_out_m)
+    axes = rig.ros.spin_until(lambda: rig.axes, 10.0)[-1]
+    np.testing.assert_allclose(np.array(axes.data).reshape(2, 2), AXES, atol=0.002)
+
+
+def stored(path: Path) -> StoredCalibration:
+    calibration = StoredCalibration(
+        camera_from_base=POSE,
+        base_from_reading=AXES,
+        stylus_direction=np.array([0.0, 0.0, -1.0]),
+        left=camera(),
+        right=camera(baseline=0.12),
+        machine="bench",
+        rms_m=0.00004,
+        sigma_m=0.00002,
+        held_out_m=0.0001,
+        samples=24,
+        made_at="2026-03-04T05:06:07+00:00",
+    )
+    save(calibration, path)
+    return calibration
+
+
+def test_file_is_used_once_the_cameras_are_known(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    calibration = stored(path)
+    rig = Rig(ros, calibration_file=str(path), machine="bench")
+    assert rig.state == "uncalibrated: waiting for camera_info to check the calibration file"
+    assert rig.transforms == []
+    rig.cameras()
+    ros.spin_until(lambda: rig.state.startswith("calibrated") and rig.transforms and rig.axes, 10.0)
+    assert rig.state == f"calibrated: {calibration.summary()}"
+    loaded = transform_of_message(rig.transforms[-1])
+    np.testing.assert_allclose(loaded.rotation, POSE.rotation, atol=1e-12)
+    np.testing.assert_allclose(loaded.translation, POSE.translation, atol=1e-12)
+    assert list(rig.axes[-1].data) == AXES.ravel().tolist()
+
+
+@pytest.mark.parametrize(
+    ("focal", "machine", "reason"),
+    [
+        (1710.0, "bench", "the left camera's calibration has changed by 10.00 px since it was made"),
+        (1700.0, "other", "it was made for machine 'bench', this one is 'other'"),
+    ],
+)
+def test_file_of_another_bench_is_refused(ros: Any, tmp_path: Path, focal: float, machine: str, reason: str) -> None:
+    path = tmp_path / "c.yaml"
+    stored(path)
+    rig = Rig(ros, focal=focal, calibration_file=str(path), machine=machine)
+    rig.cameras()
+    ros.spin_until(lambda: rig.state.startswith("failed"), 10.0)
+    assert rig.state == f"failed: the stored calibration is refused: {reason}"
+    assert rig.transforms == [] and rig.axes == []
+
+
+def test_broken_file_is_named(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text("nonsense")
+    rig = Rig(ros, calibration_file=str(path))
+    assert rig.state == f"failed: {path}: not a hand-eye calibration: format 1 is needed"

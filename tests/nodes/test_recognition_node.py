@@ -1,0 +1,197 @@
+"""The recognition node: the panel's true pose and controls come out, and nothing where nothing is sure."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from std_msgs.msg import Float32
+from unit.harris_perception import panel_scene as scene
+from visualization_msgs.msg import Marker, MarkerArray
+
+from harris_perception.core.harris import HarrisDetector
+from harris_perception.nodes.recognition_node import RecognitionNode
+from icu_common.core.config import ConfigError
+from icu_common.core.frames import CAMERA_LEFT, PANEL
+from icu_common.core.geometry import Transform
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    camera_info_message,
+    cloud_message,
+    controls_of_message,
+    header,
+    image_message,
+    stamp_ns,
+    transform_of_pose,
+)
+
+LAYOUT = scene.bench_layout()
+CAMERA = scene.camera()
+START = 1_700_000_000_000_000_000
+PERIOD = 250_000_000
+
+
+def picture(shift_m: float = 0.0, seed: int = 1) -> np.ndarray:
+    truth = scene.pose(LAYOUT, shift_m=(shift_m, 0.0))
+    return np.asarray(scene.picture(LAYOUT, CAMERA, truth, scene.Look(screen_seed=seed), seed))
+
+
+class Rig:
+    """The node, publishers for what it hears, and lists of what it says."""
+
+    def __init__(self, ros: Any, **parameters: Any) -> None:
+        self.ros = ros
+        self.node = ros.node(RecognitionNode, {"layout": str(scene.LAYOUT), **parameters})
+        self.probe = ros.plain()
+        self.poses: list[PoseStamped] = ros.collect(self.probe, PoseStamped, "pose", qos.LATCHED)
+        self.confidences: list[Float32] = ros.collect(self.probe, Float32, "confidence", qos.RESULTS)
+        self.controls: list[MarkerArray] = ros.collect(self.probe, MarkerArray, "controls", qos.LATCHED)
+        self.images = self.probe.create_publisher(Image, "image_raw", qos.IMAGES)
+        self.infos = self.probe.create_publisher(CameraInfo, "camera_info", qos.IMAGES)
+        self.corners = self.probe.create_publisher(PointCloud2, "corners", qos.RESULTS)
+        for publisher in (self.images, self.infos, self.corners):
+            ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 10.0)
+        for topic in ("pose", "confidence", "controls"):
+            ros.spin_until(lambda t=topic: self.probe.count_publishers(t) == 1, 10.0)
+        self.infos.publish(camera_info_message(CAMERA, header(START, CAMERA_LEFT)))
+        ros.spin_until(lambda: self.node._camera is not None, 10.0)
+
+    def show(self, shown: np.ndarray, number: int, with_corners: bool = True) -> float:
+        """Publish one picture and return the confidence that answers it."""
+        before = len(self.confidences)
+        head = header(START + number * PERIOD, CAMERA_LEFT)
+        if with_corners:
+            corners = HarrisDetector().detect(shown)
+            self.corners.publish(cloud_message(("u", "v", "response"), np.c_[corners.xy, corners.response], head))
+        self.images.publish(image_message(np.repeat(shown[..., None], 3, axis=2), "bgr8", head))
+        self.ros.spin_until(lambda: len(self.confidences) > before, 30.0)
+        return float(self.confidences[-1].data)
+
+
+def error_mm(pose: PoseStamped, shift_m: float = 0.0) -> float:
+    truth = scene.pose(LAYOUT, shift_m=(shift_m, 0.0))
+    points = scene.control_points_m(LAYOUT)
+    return float(np.linalg.norm(transform_of_pose(pose.pose).apply(points) - truth.apply(points), axis=1).max() * 1e3)
+
+
+def test_pose_after_three_agreeing_pictures_then_lost_then_moved(ros: Any) -> None:
+    rig = Rig(ros)
+    assert [rig.show(picture(seed=n), n) for n in (1, 2)] == [0.0, 0.0]
+    assert rig.poses == []
+    assert rig.show(picture(seed=3), 3) > 0.85
+    ros.spin_until(lambda: rig.poses, 10.0)
+    assert rig.poses[-1].header.frame_id == CAMERA_LEFT
+    assert stamp_ns(rig.poses[-1].header.stamp) == START + 3 * PERIOD
+    assert error_mm(rig.poses[-1]) < 0.15
+    assert rig.node._with_corners == 3
+
+    blank = np.full((720, 1280), 100, np.uint8)
+    assert rig.show(blank, 4) == 0.0
+    assert len(rig.poses) == 1
+
+    confidences = [rig.show(picture(shift_m=0.03, seed=n), n) for n in (5, 6, 7)]
+    assert confidences[:2] == [0.0, 0.0] and confidences[2] > 0.85
+    ros.spin_until(lambda: len(rig.poses) == 2, 10.0)
+    assert error_mm(rig.poses[-1], shift_m=0.03) < 0.15
+
+
+def test_controls_and_outline_are_those_of_the_layout(ros: Any) -> None:
+    rig = Rig(ros)
+    message = ros.spin_until(lambda: rig.controls, 10.0)[-1]
+    controls, outline = controls_of_message(message)
+    assert {m.header.frame_id for m in message.markers} == {PANEL}
+    assert [c.name for c in controls] == [c.name for c in LAYOUT.controls]
+    for found, wanted in zip(controls, LAYOUT.controls):
+        assert (found.kind, found.shape) == (wanted.kind, wanted.shape)
+        assert found.position_mm == pytest.approx(wanted.position_mm)
+        assert found.size_mm == pytest.approx(wanted.size_mm)
+        assert found.height_mm == pytest.approx(wanted.height_mm)
+    np.testing.assert_allclose(outline.max(axis=0), (0.32, 0.15))
+    run_stop = next(m for m in message.markers if m.text == "RUN_STOP")
+    top = run_stop.pose.position
+    assert (top.x, top.y, top.z) == pytest.approx((0.208, 0.127, 0.003))
+    assert message.markers[-1].type == Marker.LINE_STRIP
+
+
+def test_without_published_corners_it_finds_its_own(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1, "corners_wait_s": 0.02})
+    assert rig.show(picture(), 1, with_corners=False) > 0.85
+    assert rig.node._with_corners == 0
+    ros.spin_until(lambda: rig.poses, 10.0)
+    assert error_mm(rig.poses[-1]) < 0.15
+
+
+def test_silence_of_the_camera_counts_as_loss(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1, "silence_s": 0.5})
+    assert rig.show(picture(), 1) > 0.85
+    before = len(rig.confidences)
+    ros.spin_until(lambda: len(rig.confidences) > before, 10.0)
+    assert rig.confidences[-1].data == 0.0
+
+
+def test_pictures_between_the_rate_are_left_out_and_others_refused(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1, "rate_hz": 4.0})
+    assert rig.show(picture(), 1) > 0.85
+    frames = rig.node._frames
+    head = header(START + PERIOD + PERIOD // 3, CAMERA_LEFT)
+    rig.images.publish(image_message(picture(), "mono8", head))
+    # A picture of another size is looked at, refused, and counts as a lost panel.
+    assert rig.show(np.zeros((480, 640), np.uint8), 2) == 0.0
+    assert rig.node._frames == frames + 1
+
+
+def test_template_picture_instead_of_the_drawing(ros: Any, tmp_path: Path) -> None:
+    straight = Transform(np.diag([1.0, -1.0, -1.0]), np.array([-0.16, 0.075, 0.6]))
+    lens = dataclasses.replace(CAMERA, d=np.zeros(5))
+    seen = scene.picture(LAYOUT, lens, straight, scene.Look(arm_x_mm=None, noise=0.5), 1)
+    corners = np.array([(0, 0.15, 0), (0.32, 0.15, 0), (0.32, 0, 0), (0, 0, 0)])
+    pixels = lens.project(straight.apply(corners)).astype(np.float32)
+    face = np.array([(-0.5, -0.5), (959.5, -0.5), (959.5, 449.5), (-0.5, 449.5)], np.float32)
+    rectified = cv2.warpPerspective(seen, cv2.getPerspectiveTransform(pixels, face), (960, 450))
+    path = tmp_path / "face.png"
+    cv2.imwrite(str(path), rectified)
+    rig = Rig(ros, template=str(path), template_px_per_mm=3.0, **{"recognition.agreement.frames": 1})
+    assert rig.show(picture(), 1) > 0.6
+    ros.spin_until(lambda: rig.poses, 10.0)
+    assert error_mm(rig.poses[-1]) < 0.4
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({}, "layout: the path of the designated panel's layout file is needed"),
+        ({"layout": "missing.yaml"}, "layout: .*missing.yaml"),
+        ({"layout": str(scene.LAYOUT), "template": "missing.png"}, "template: missing.png is not a picture"),
+        ({"layout": str(scene.LAYOUT), "rate_hz": 0.0}, "rate_hz"),
+    ],
+)
+def test_wrong_parameters_stop_the_node_with_a_reason(ros: Any, parameters: dict[str, Any], message: str) -> None:
+    with pytest.raises(Exception, match=message) as refusal:
+        ros.node(RecognitionNode, parameters)
+    assert isinstance(refusal.value, ConfigError) or "rate_hz" in str(refusal.value)
+
+
+def test_layout_that_is_wrong_is_named_with_its_line(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "panel.yaml"
+    path.write_text("model: m\nsize_mm: [10, 10]\ncontrols:\n  - {name: A, kind: lever}\n")
+    with pytest.raises(ConfigError, match=r"panel\.yaml:4"):
+        ros.node(RecognitionNode, {"layout": str(path)})
+
+
+def test_a_change_that_cannot_be_used_keeps_the_old_search(ros: Any) -> None:
+    rig = Rig(ros)
+    old = rig.node._recogniser
+    config = dataclasses.replace(rig.node._live.config)
+    rig.node._on_config(config)
+    assert rig.node._recogniser is not old
+    kept = rig.node._recogniser
+    search = dataclasses.replace(config.recognition.search, px_per_mm=0.2)
+    recognition = dataclasses.replace(config.recognition, search=search)
+    rig.node._on_config(dataclasses.replace(config, recognition=recognition))
+    assert rig.node._recogniser is kept
