@@ -22,12 +22,15 @@ class Pairing:
     ----------
     unpaired
         Items given up so far because partners never came.
+    newest_ns
+        The stamp, in the first stream, of the newest complete moment.
     """
 
     def __init__(self, streams: int, *, tolerance_ns: int = 0, depth: int = 8) -> None:
         self._waiting: list[OrderedDict[int, Any]] = [OrderedDict() for _ in range(streams)]
         self.tolerance_ns, self._depth = tolerance_ns, depth
         self.unpaired = 0
+        self.newest_ns = 0
 
     def add(self, stream: int, stamp_ns: int, item: Any) -> tuple[Any, ...] | None:
         """Take one item; return the items of one moment, in the order of the streams, once they are complete.
@@ -43,6 +46,7 @@ class Pairing:
                 waiting.popitem(last=False)
                 self.unpaired += 1
             return None
+        self.newest_ns = stamps[0]
         items = tuple(other[stamp] for other, stamp in zip(self._waiting, stamps))
         for other, stamp in zip(self._waiting, stamps):
             for old in [s for s in other if s <= stamp]:
