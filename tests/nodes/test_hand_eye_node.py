@@ -16,6 +16,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from harris_perception.core.calibration_file import StoredCalibration, load, save
+from harris_perception.core.hand_eye import Sample
 from harris_perception.nodes.hand_eye_node import HandEyeNode
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
@@ -193,13 +194,16 @@ def test_samples_by_hand(ros: Any) -> None:
     assert rig.call("save") == (False, "calibration_file is not set")
     for number, place in enumerate([(0.05, 0.05), (0.3, 0.05), (0.3, 0.15), (0.05, 0.15), (0.1, 0.1), (0.2, 0.1)], 1):
         rig.reading = np.array([*place, 0.0])
-        rig.watch(lambda: not isinstance(rig.node._watch.sample(rig.now()), str), 10.0)
-        rig.watch(lambda p=place: np.allclose(rig.node._watch.sample(rig.now()).reading[:2], p), 10.0)
+
+        def rests_there(wanted: tuple[float, float] = place) -> bool:
+            sample = rig.node._watch.sample(rig.now())
+            return isinstance(sample, Sample) and np.allclose(sample.reading[:2], wanted)
+
+        rig.watch(rests_there, 10.0)
         done, text = rig.call("add_sample")
         assert done, text
-        assert (
-            text == f"sample {number} at readings x = {place[0] * 1e3:.1f}, y = {place[1] * 1e3:.1f}, stylus = 0.0 mm"
-        )
+        x, y = place[0] * 1e3, place[1] * 1e3
+        assert text == f"sample {number} at readings x = {x:.1f}, y = {y:.1f}, stylus = 0.0 mm"
     done, text = rig.call("solve")
     assert done, text
     assert math.isnan(rig.node._stored.held_out_m)
