@@ -1,0 +1,179 @@
+"""Descriptors at Harris corners, and matches of two pictures that stand up to mutual, ratio and geometric checks.
+
+Sources: E. Rublee et al., "ORB", ICCV 2011 (orientation by the intensity centroid); D. Lowe, IJCV 60(2), 2004 (SIFT,
+ratio test); R. Arandjelovic, A. Zisserman, CVPR 2012 (RootSIFT).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.core.config import Config, ConfigError, setting
+
+F32 = npt.NDArray[np.float32]
+
+_EMPTY_PAIRS = np.empty((0, 2), np.int64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchConfig(Config):
+    """How corners are described and which matches are believed."""
+
+    descriptor: str = setting(
+        "sift", "Square of normalised grey values, ORB or RootSIFT", choices=("patch", "orb", "sift")
+    )
+    patch_px: int = setting(15, "Side of the patch, odd", minimum=5, maximum=63, unit="px")
+    size_px: float = setting(12.0, "Size of ORB's and SIFT's keypoints", minimum=2.0, maximum=100.0, unit="px")
+    oriented: bool = setting(True, "Turn ORB and SIFT to the direction of the intensity centroid")
+    mutual: bool = setting(True, "Each must be the other's best match")
+    ratio: float = setting(
+        0.85, "Largest distance to the best match, as a fraction of that to another place", minimum=0.1, maximum=1.0
+    )
+    elsewhere_px: float = setting(8.0, "Nearer than this is the same place for the ratio", minimum=0.0, unit="px")
+    geometry: str = setting("homography", "What all matches must agree on", choices=("none", "epipolar", "homography"))
+    tolerance_px: float = setting(3.0, "Largest deviation from it", minimum=0.1, maximum=50.0, unit="px")
+
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        if self.patch_px % 2 == 0:
+            raise ConfigError(f"patch_px = {self.patch_px}: an odd number is needed")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Described:
+    """Corners with descriptors.
+
+    Attributes
+    ----------
+    xy
+        (N, 2) px; corners too near to the edge for a descriptor are left out.
+    index
+        (N,) their places among the corners given.
+    vectors
+        (N, D) float32 of unit length (patch, sift) or uint8 bits (orb).
+    """
+
+    xy: F32
+    index: npt.NDArray[np.int64]
+    vectors: npt.NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Matches of two sets of corners.
+
+    Attributes
+    ----------
+    pairs
+        (M, 2) indices into the corners given for the first and the second picture.
+    model
+        (3, 3) homography second_from_first or fundamental matrix; None without geometry, or where none was found.
+    tentative
+        Number of matches before the geometric check.
+    """
+
+    pairs: npt.NDArray[np.int64]
+    model: npt.NDArray[np.float64] | None
+    tentative: int
+
+
+def orientations_deg(gray: npt.NDArray[np.uint8], xy: npt.ArrayLike, radius_px: int = 15) -> F32:
+    """Return the direction from each corner to the intensity centroid of a disc, (N,) degrees in 0 to 360, y down."""
+    y, x = np.mgrid[-radius_px : radius_px + 1, -radius_px : radius_px + 1]
+    disc = (x * x + y * y <= radius_px * radius_px).astype(np.float32)
+    moments = [
+        cv2.filter2D(gray.astype(np.float32), cv2.CV_32F, disc * weight, borderType=cv2.BORDER_REPLICATE)
+        for weight in (x.astype(np.float32), y.astype(np.float32))
+    ]
+    points = np.asarray(xy, np.float32).reshape(1, -1, 2)
+    if points.size == 0:
+        return np.empty(0, np.float32)
+    at = points[..., 0], points[..., 1]
+    mx, my = (cv2.remap(m, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0] for m in moments)
+    return np.asarray(np.rad2deg(np.arctan2(my, mx)) % 360.0, np.float32)
+
+
+def describe(gray: npt.NDArray[np.uint8], xy: npt.ArrayLike, config: MatchConfig) -> Described:
+    """Describe the corners ``xy`` (N, 2) px of a grey picture (H, W) uint8."""
+    points = np.asarray(xy, np.float32).reshape(-1, 2)
+    if config.descriptor == "patch":
+        return _patches(gray, points, config.patch_px)
+    angles = orientations_deg(gray, points) if config.oriented else np.zeros(len(points), np.float32)
+    # OpenCV drops and reorders keypoints; class_id carries the place.
+    keypoints = [
+        cv2.KeyPoint(float(x), float(y), config.size_px, float(angle), 1.0, 0, i)
+        for i, ((x, y), angle) in enumerate(zip(points, angles))
+    ]
+    extractor: Any = cv2.ORB_create() if config.descriptor == "orb" else cv2.SIFT_create()  # type: ignore[attr-defined]
+    kept, vectors = extractor.compute(gray, keypoints) if keypoints else ((), None)
+    index = np.array([k.class_id for k in kept], np.int64)
+    if vectors is None or len(index) == 0:
+        return Described(points[:0], index[:0], np.empty((0, 1), np.float32))
+    if config.descriptor == "sift":
+        vectors = np.sqrt(vectors / np.maximum(vectors.sum(axis=1, keepdims=True), 1e-9))
+    return Described(points[index], index, vectors)
+
+
+def _patches(gray: npt.NDArray[np.uint8], points: F32, side: int) -> Described:
+    half = side // 2
+    limit = np.array(gray.shape[::-1], np.float32) - 1 - half
+    index = np.nonzero(((points >= half) & (points <= limit)).all(axis=1))[0]
+    if len(index) == 0:
+        return Described(points[:0], index, np.empty((0, side * side), np.float32))
+    dy, dx = np.mgrid[-half : half + 1, -half : half + 1].reshape(2, 1, -1).astype(np.float32)
+    at = points[index]
+    values = cv2.remap(gray.astype(np.float32), at[:, :1] + dx, at[:, 1:] + dy, cv2.INTER_LINEAR)
+    values = values - values.mean(axis=1, keepdims=True)
+    length = np.linalg.norm(values, axis=1)
+    good = length > 1e-3
+    return Described(at[good], index[good], values[good] / length[good, None])
+
+
+def match(first: Described, second: Described, config: MatchConfig, *, seed: int = 0) -> Matches:
+    """Return the matches that pass the checks; ``seed`` is for the random samples of the geometric one."""
+    if len(first.xy) == 0 or len(second.xy) == 0:
+        return Matches(_EMPTY_PAIRS, None, 0)
+    distance = _distances(first.vectors, second.vectors)
+    best = distance.argmin(axis=1)
+    rows = np.arange(len(best))
+    good = np.ones(len(best), bool)
+    if config.mutual:
+        good &= distance.argmin(axis=0)[best] == rows
+    if config.ratio < 1.0:
+        elsewhere = np.linalg.norm(second.xy[best][:, None] - second.xy[None], axis=2) > config.elsewhere_px
+        other = np.where(elsewhere, distance, np.inf).min(axis=1)
+        good &= distance[rows, best] < config.ratio * other
+    pairs = np.column_stack((rows, best))[good]
+    inliers, model = _agreeing(first.xy[pairs[:, 0]], second.xy[pairs[:, 1]], config, seed)
+    kept = pairs[inliers]
+    return Matches(np.column_stack((first.index[kept[:, 0]], second.index[kept[:, 1]])), model, len(pairs))
+
+
+def _distances(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> F32:
+    if a.dtype == np.uint8:  # Hamming: differing bits = bits set in one and not in the other, both ways
+        bits_a, bits_b = (np.unpackbits(v, axis=1).astype(np.float32) for v in (a, b))
+        return np.asarray(bits_a @ (1.0 - bits_b).T + (1.0 - bits_a) @ bits_b.T, np.float32)
+    return np.asarray(np.sqrt(np.maximum(2.0 - 2.0 * (a @ b.T), 0.0)), np.float32)
+
+
+def _agreeing(
+    a: F32, b: F32, config: MatchConfig, seed: int
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.float64] | None]:
+    least = {"none": 0, "homography": 4, "epipolar": 8}[config.geometry]
+    if config.geometry == "none":
+        return np.ones(len(a), bool), None
+    if len(a) < least:
+        return np.zeros(len(a), bool), None
+    cv2.setRNGSeed(seed)
+    if config.geometry == "homography":
+        model, mask = cv2.findHomography(a, b, cv2.USAC_MAGSAC, config.tolerance_px, maxIters=5000, confidence=0.999)
+    else:
+        model, mask = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, config.tolerance_px, 0.999, 5000)
+    if model is None or mask is None or model.shape != (3, 3):
+        return np.zeros(len(a), bool), None
+    return mask.ravel().astype(bool), np.asarray(model, np.float64)
