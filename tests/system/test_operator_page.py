@@ -583,6 +583,7 @@ def test_the_whole_graph_from_the_page(browser: Any, running_graph: Any) -> None
     operator.sees("#chip-controller", "Ready", within_s=20.0)
     operator.selects("RUN_STOP", "Run")
     operator.confirms()
-    operator.logs("Press Run.*done[^\n]*", 40.0)
+    operator.sees("#last", "Press Run.*done, measured error", within_s=40.0)
     operator.until(lambda: operator.lit() == lit, 5.0, lambda: "RUN/STOP changes back")
+    operator.sees("#chip-controller", "Ready", within_s=20.0)
     operator.leaves()
