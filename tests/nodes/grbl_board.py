@@ -36,7 +36,7 @@ class GrblBoard:
         self.port = folder / "grbl"
         control = folder / "board"
         command = [sys.executable, "-m", "gantry_driver.mock.main", "--link", str(self.port)]
-        command += ["--control-socket", str(control), "--time-scale", f"{time_scale:g}", "--set", "21=0", *arguments]
+        command += ["--control-socket", str(control), "--time-scale", f"{time_scale:g}", *arguments]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, env=python_environment())
         assert self.process.stdout is not None
         assert self.process.stdout.readline(), "mock_grbl did not start"
