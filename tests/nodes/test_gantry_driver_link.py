@@ -168,7 +168,7 @@ def test_stop_byte_is_on_the_wire_within_ten_milliseconds() -> None:
     """The other end of a pseudo-terminal sees ``!`` although nobody answers and lines are waiting."""
     master, slave = pty.openpty()
     tty.setraw(slave)
-    rig = LinkRig(os.ttyname(slave))
+    rig = LinkRig(os.ttyname(slave), DriverConfig(connect_timeout_s=60.0))
     delays = []
     try:
         rig.until(lambda: rig.state == "connecting")

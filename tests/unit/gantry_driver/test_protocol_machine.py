@@ -167,8 +167,9 @@ def test_a_stop_without_a_link_is_remembered() -> None:
     rig = Rig().connect()
     rig.machine.closed("unplugged", rig.now)
     rig.machine.stop("stop requested", rig.now)
+    rig.trace.clear()
     rig.connect()
-    assert rig.states[-1] == "stopped: stop requested"
+    assert rig.states[-1] == "stopped: stop requested" and rig.trace[0][1].startswith(b"!")
     rig.machine.reset(rig.now)
     assert rig.state == "unhomed"
 

@@ -251,6 +251,9 @@ class Machine:
         self.connects += 1
         self._synchronise(now, "")
         self._probe_from = now + self.config.banner_wait_s
+        if self._latched:
+            # Asked for while there was no port: a board that still runs what it had buffered is held at once.
+            self.session.realtime(HOLD)
 
     def closed(self, reason: str, now: float) -> None:
         """The port has gone; whatever was under way is aborted and the position is not trusted any more."""
@@ -360,6 +363,8 @@ class Machine:
         self._latched = self._latched or reason
         if self.phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS):
             self._synchronise(now, "")
+            if not hold_written:
+                self.session.realtime(HOLD)
         if self.phase in (Phase.CLOSED, Phase.SYNCHRONISE):
             return
         self._halt(reason, now, hold_written=hold_written)
