@@ -25,6 +25,7 @@ setup(
             "stylus_tracker = harris_perception.nodes.stylus_node:main",
             "recognition = harris_perception.nodes.recognition_node:main",
             "hand_eye = harris_perception.nodes.hand_eye_node:main",
+            "harris = harris_perception.cli.harris:main",
         ],
     },
 )

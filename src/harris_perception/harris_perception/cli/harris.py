@@ -1,0 +1,235 @@
+"""Harris corners and edges of pictures, matches of two, and the evaluation of detectors, from the command line."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import cv2
+import numpy as np
+import yaml
+
+from harris_perception.adapters.picture_files import SUFFIXES, pairs_of_sequence, read_gray, sequences
+from harris_perception.core.edges import EDGE, EdgeConfig, EdgeDetector
+from harris_perception.core.gray import bgr_of_gray
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.matching import MatchConfig, describe, match
+from harris_perception.core.overlay import draw_corners, matches_picture
+from harris_perception.core.repeatability import (
+    EPSILONS_PX,
+    Detect,
+    Pair,
+    our_detectors,
+    peer_detectors,
+    repeatability,
+    warps,
+)
+from icu_common.core.config import from_mapping, settings_of
+
+T = TypeVar("T")
+EDGE_COLOR = (255, 160, 0)
+
+
+def _settings(config_class: type[T], pairs: Sequence[str]) -> T:
+    """Build a configuration from KEY=VALUE texts."""
+    values = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not equals:
+            raise ValueError(f"{pair!r}: KEY=VALUE is needed")
+        values[name] = yaml.safe_load(value)
+    return from_mapping(config_class, values)
+
+
+def _progress(items: Sequence[T], what: str) -> Iterator[T]:
+    """Yield the items while a bar on standard error tells how far it is; silent where nobody sees it."""
+    shown = sys.stderr.isatty()
+    for i, item in enumerate(items):
+        if shown:
+            done = 30 * i // len(items)
+            print(f"\r{what} [{'#' * done}{'.' * (30 - done)}] {i}/{len(items)}", end="", file=sys.stderr, flush=True)
+        yield item
+    if shown:
+        print(f"\r{what} [{'#' * 30}] {len(items)}/{len(items)}", file=sys.stderr)
+
+
+def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write rows as JSON or CSV, as the name's ending says."""
+    if path.suffix == ".json":
+        path.write_text(json.dumps(rows, indent=1) + "\n")
+    elif path.suffix == ".csv":
+        with path.open("w", newline="") as stream:
+            writer = csv.DictWriter(stream, fieldnames=list(rows[0]) if rows else ["empty"])
+            writer.writeheader()
+            writer.writerows(rows)
+    else:
+        raise ValueError(f"{path}: the name must end in .csv or .json")
+
+
+def _write_picture(path: Path, picture: Any) -> None:
+    try:
+        written = cv2.imwrite(str(path), picture)
+    except cv2.error as error:
+        raise ValueError(f"{path} cannot be written: {error.err}") from error
+    if not written:
+        raise ValueError(f"{path} cannot be written")
+
+
+def detect(options: argparse.Namespace) -> int:
+    gray = read_gray(options.picture)
+    corners = HarrisDetector(_settings(HarrisConfig, options.set)).detect(gray)
+    rows = [
+        {"x_px": float(x), "y_px": float(y), "response": float(r)} for (x, y), r in zip(corners.xy, corners.response)
+    ]
+    drawn = bgr_of_gray(gray)
+    said = f"{len(corners)} corners"
+    if options.edges:
+        edges = EdgeDetector(_settings(EdgeConfig, options.set_edges)).detect(gray, corners.xy)
+        drawn[edges.labels == EDGE] = EDGE_COLOR
+        said += f", {len(edges.chains)} chains of edges"
+    draw_corners(drawn, corners.xy)
+    if options.output:
+        _write_picture(options.output, drawn)
+    if options.table:
+        _write_table(options.table, rows)
+    print(said)
+    return 0
+
+
+def match_pictures(options: argparse.Namespace) -> int:
+    first, second = read_gray(options.first), read_gray(options.second)
+    detector = HarrisDetector(_settings(HarrisConfig, options.set))
+    config = _settings(MatchConfig, options.set_match)
+    a, b = detector.detect(first).xy, detector.detect(second).xy
+    found = match(describe(first, a, config), describe(second, b, config), config)
+    pairs = found.pairs
+    if options.output:
+        _write_picture(options.output, matches_picture(first, second, a[pairs[:, 0]], b[pairs[:, 1]]))
+    if options.table:
+        ends = np.hstack((a[pairs[:, 0]], b[pairs[:, 1]])).tolist()
+        _write_table(options.table, [dict(zip(("x1_px", "y1_px", "x2_px", "y2_px"), row)) for row in ends])
+    print(f"{len(a)} and {len(b)} corners, {found.tentative} tentative matches, {len(pairs)} agree ({config.geometry})")
+    return 0
+
+
+def _pairs(sources: Iterable[Path], seed: int) -> Iterator[Pair]:
+    """Yield pairs of sequences below folders, and of warps of single photographs."""
+    for source in sources:
+        if source.is_dir():
+            known = list(sequences(source))
+            for sequence in known:
+                yield from pairs_of_sequence(*sequence)
+            photographs = [p for p in sorted(source.glob("*")) if p.suffix.lower() in SUFFIXES] if not known else []
+            if not known and not photographs:
+                raise ValueError(f"{source} has neither sequences (img1, H1to2p) nor pictures")
+        else:
+            photographs = [source]
+        for photograph in photographs:
+            yield from warps(read_gray(photograph), np.random.default_rng(seed))
+
+
+def evaluate(options: argparse.Namespace) -> int:
+    detectors: dict[str, Detect] = our_detectors() | peer_detectors()
+    options.output.mkdir(parents=True, exist_ok=True)
+    rows: list[dict[str, Any]] = []
+    for pair in _progress(list(_pairs(options.sources, options.seed)), "evaluate"):
+        for name, find in detectors.items():
+            rate = repeatability(pair, find(pair.first, options.count), find(pair.second, options.count))
+            for epsilon, value, chance in zip(EPSILONS_PX, rate.rates, rate.chance):
+                rows.append(
+                    {"change": pair.change, "amount": pair.amount, "detector": name, "epsilon_px": epsilon}
+                    | {"repeatability": value, "chance": chance, "points": rate.count}
+                )
+    _write_table(options.output / "repeatability.csv", rows)
+    _write_table(options.output / "repeatability.json", rows)
+    _plot(rows, list(detectors), options.output)
+    changes = list(dict.fromkeys(r["change"] for r in rows))
+    print(f"repeatability (chance) in %, epsilon {options.epsilon} px, strongest {options.count}")
+    print(f"{'':<24}" + "".join(f"{c:>16}" for c in changes))
+    for name in detectors:
+        cells = []
+        for change in changes:
+            mine = [r for r in rows if (r["detector"], r["change"], r["epsilon_px"]) == (name, change, options.epsilon)]
+            share, by_chance = (100 * float(np.mean([r[key] for r in mine])) for key in ("repeatability", "chance"))
+            cells.append(f"{share:9.1f} ({by_chance:4.1f})")
+        print(f"{name:<24}" + "".join(f"{c:>16}" for c in cells))
+    return 0
+
+
+def _plot(rows: Sequence[dict[str, Any]], names: Sequence[str], folder: Path) -> None:
+    """Draw, for each change, the rate over its amount at 1.5 px and over epsilon."""
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise ValueError(
+            "the curves need matplotlib (apt install python3-matplotlib); the tables are written"
+        ) from error
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    for change in dict.fromkeys(r["change"] for r in rows):
+        figure, axes = pyplot.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
+        for name in names:
+            mine = [r for r in rows if r["change"] == change and r["detector"] == name]
+            for axis, key in zip(axes, ("amount", "epsilon_px")):
+                kept = [r for r in mine if key != "amount" or r["epsilon_px"] == 1.5]
+                xs = sorted({r[key] for r in kept})
+                ys = [np.mean([r["repeatability"] for r in kept if r[key] == x]) for x in xs]
+                axis.plot(xs, ys, marker="o", markersize=3, label=name)
+        axes[0].set(title=f"{change}, 1.5 px", xlabel="amount", ylabel="repeatability", ylim=(0, 1))
+        axes[1].set(title=f"{change}, all amounts", xlabel="epsilon [px]", ylim=(0, 1))
+        axes[1].legend(fontsize=7)
+        figure.savefig(folder / f"{change}.png", dpi=100)
+        pyplot.close(figure)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="harris", description=__doc__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    known = ", ".join(item.name for item in settings_of(HarrisConfig))
+
+    one = commands.add_parser("detect", help="corners, and edges, of a picture")
+    one.add_argument("picture", type=Path)
+    one.add_argument("-o", "--output", type=Path, help="picture with the corners drawn")
+    one.add_argument("--table", type=Path, help="corners as .csv or .json")
+    one.add_argument("--edges", action="store_true", help="edges too")
+    one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one of {known}")
+    one.add_argument("--set-edges", action="append", default=[], metavar="KEY=VALUE", help="settings of the edges")
+    one.set_defaults(run=detect)
+
+    two = commands.add_parser("match", help="matching corners of two pictures")
+    two.add_argument("first", type=Path)
+    two.add_argument("second", type=Path)
+    two.add_argument("-o", "--output", type=Path, help="both pictures with the matches drawn")
+    two.add_argument("--table", type=Path, help="matches as .csv or .json")
+    two.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="settings of the detector")
+    two.add_argument("--set-match", action="append", default=[], metavar="KEY=VALUE", help="settings of the matching")
+    two.set_defaults(run=match_pictures)
+
+    many = commands.add_parser("evaluate", help="repeatability of this detector and of others")
+    many.add_argument("sources", type=Path, nargs="+", help="folders of sequences (img1.., H1to2p..), or photographs")
+    many.add_argument("-o", "--output", type=Path, required=True, help="folder for tables and curves")
+    many.add_argument("--count", type=int, default=1000, help="strongest so many points of each picture")
+    many.add_argument("--epsilon", type=float, default=1.5, choices=EPSILONS_PX, help="for the printed table, px")
+    many.add_argument("--seed", type=int, default=1, help="of the noise in the warps")
+    many.set_defaults(run=evaluate)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; errors in what the user gave end with code 2 and one line."""
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

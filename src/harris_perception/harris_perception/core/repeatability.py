@@ -1,0 +1,211 @@
+"""Repeatability of interest points between pictures that a known homography relates, and warps to measure it on.
+
+Source: C. Schmid, R. Mohr, C. Bauckhage, "Evaluation of Interest Point Detectors", IJCV 37(2), 2000. Pairs are one to
+one, nearest first; the rate is divided by the smaller count in the common part. The rate of the same points shifted
+tells what chance alone gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+
+Gray = npt.NDArray[np.uint8]
+Points = npt.NDArray[Any]
+Detect = Callable[[Gray, int], Points]
+"""From a grey picture and a count to (N, 2) px, the strongest first, at most that many."""
+
+EPSILONS_PX = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
+_EDGE_PX = (
+    5.0  # points nearer to either picture's edge may be cut off by the kernels of one detector and not of another
+)
+_SHIFT_PX = np.array([23.0, 17.0])
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """Repeatability for each epsilon asked for, what chance gives, and the smaller count in the common part."""
+
+    rates: tuple[float, ...]
+    chance: tuple[float, ...]
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two pictures, second_from_first (3, 3), and what changed between them by how much."""
+
+    change: str
+    amount: float
+    first: Gray
+    second: Gray
+    homography: npt.NDArray[np.float64]
+
+
+def mapped(points: Points, homography: npt.NDArray[Any]) -> Points:
+    """Map (N, 2) px by a homography."""
+    if len(points) == 0:
+        return np.empty((0, 2))
+    return np.asarray(cv2.perspectiveTransform(np.asarray(points, np.float64)[None], homography)[0])
+
+
+def repeatability(pair: Pair, first: Points, second: Points, epsilons_px: Sequence[float] = EPSILONS_PX) -> Rate:
+    """Return the rate at which the points (N, 2), (M, 2) of a pair's pictures repeat."""
+    ahead = mapped(first, pair.homography)
+    back = mapped(second, np.linalg.inv(pair.homography))
+    a = ahead[_inside(ahead, pair.second) & _inside(first, pair.first)]
+    b = np.asarray(second, np.float64)[_inside(back, pair.first) & _inside(second, pair.second)]
+    count = min(len(a), len(b))
+    if count == 0:
+        return Rate((0.0,) * len(epsilons_px), (0.0,) * len(epsilons_px), 0)
+    found, by_chance = (_paired_distances(p, b, max(epsilons_px)) for p in (a, a + _SHIFT_PX))
+    return Rate(
+        tuple(float((found <= e).sum() / count) for e in epsilons_px),
+        tuple(float((by_chance <= e).sum() / count) for e in epsilons_px),
+        count,
+    )
+
+
+def _inside(points: Points, picture: Gray) -> npt.NDArray[np.bool_]:
+    limit = np.array(picture.shape[::-1]) - 1 - _EDGE_PX
+    return np.asarray(((points >= _EDGE_PX) & (points <= limit)).all(axis=1))
+
+
+def _paired_distances(a: Points, b: Points, farthest: float) -> npt.NDArray[np.float64]:
+    """Pair nearest first, one to one. The order does not depend on epsilon, so smaller ones are a prefix."""
+    distance = np.linalg.norm(a[:, None] - b[None], axis=2)
+    rows, columns = np.nonzero(distance <= farthest)
+    values = distance[rows, columns]
+    free_a, free_b = np.ones(len(a), bool), np.ones(len(b), bool)
+    taken = []
+    for k in np.argsort(values, kind="stable"):
+        i, j = rows[k], columns[k]
+        if free_a[i] and free_b[j]:
+            free_a[i] = free_b[j] = False
+            taken.append(values[k])
+    return np.array(taken)
+
+
+def warps(photograph: Gray, rng: np.random.Generator, *, noise: float = 2.0) -> Iterator[Pair]:
+    """Yield pairs of a photograph (H, W) with itself turned, scaled, relit, tilted and under noise.
+
+    Each picture gets noise of its own (grey levels), so that nothing repeats by being the same bytes.
+    """
+    height, width = photograph.shape
+    centre = ((width - 1) / 2, (height - 1) / 2)
+
+    def pair(change: str, amount: float, h: npt.NDArray[Any], relight: Callable[[Any], Any], sigma: float) -> Pair:
+        seen = cv2.warpPerspective(
+            photograph, h, (width, height), flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE
+        )
+        noisy = [
+            np.clip(p + rng.normal(0, s, p.shape), 0, 255).astype(np.uint8)
+            for p, s in ((photograph.astype(np.float64), noise), (relight(seen.astype(np.float64)), sigma))
+        ]
+        return Pair(change, amount, noisy[0], noisy[1], h)
+
+    def same(p: Any) -> Any:
+        return p
+
+    for angle in (15.0, 30.0, 45.0, 60.0, 90.0, 135.0, 180.0):
+        yield pair("rotation", angle, _similar(centre, angle, 1.0), same, noise)
+    for scale in (1.2, 1.5, 2.0, 2.5, 3.0):
+        # Shrinking needs a blur first, or the small picture aliases.
+        soft = cv2.GaussianBlur(photograph, (0, 0), 0.5 * np.sqrt(scale * scale - 1.0))
+        h = _similar(centre, 0.0, 1.0 / scale)
+        small = cv2.warpPerspective(soft, h, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        noisy = [np.clip(p + rng.normal(0, noise, p.shape), 0, 255).astype(np.uint8) for p in (photograph, small)]
+        yield Pair("scale", scale, noisy[0], noisy[1], h)
+    for gain in (0.3, 0.5, 0.7, 1.4):
+        yield pair("light", gain, np.eye(3), partial(np.multiply, gain), noise)
+    ramp = np.linspace(0.4, 1.3, width)[None]
+    yield pair("light", 0.0, np.eye(3), partial(np.multiply, ramp), noise)
+    for tilt in (15.0, 30.0, 45.0, 55.0):
+        yield pair("viewpoint", tilt, _tilted(width, height, tilt), same, noise)
+    for sigma in (2.0, 5.0, 10.0, 20.0):
+        yield pair("noise", sigma, np.eye(3), same, sigma)
+
+
+def _similar(centre: tuple[float, float], angle_deg: float, scale: float) -> npt.NDArray[np.float64]:
+    return np.vstack((cv2.getRotationMatrix2D(centre, angle_deg, scale), (0.0, 0.0, 1.0)))
+
+
+def _tilted(width: int, height: int, angle_deg: float) -> npt.NDArray[np.float64]:
+    """Return the view of a plane turned about its vertical axis, from a distance of 1.5 widths."""
+    f, t = 1.5 * width, np.deg2rad(angle_deg)
+    k = np.array([[f, 0.0, (width - 1) / 2], [0.0, f, (height - 1) / 2], [0.0, 0.0, 1.0]])
+    plane = np.array([[np.cos(t), 0.0, 0.0], [0.0, 1.0, 0.0], [np.sin(t), 0.0, 1.0]])
+    return np.asarray(k @ plane @ np.linalg.inv(k))
+
+
+def our_detectors() -> dict[str, Detect]:
+    """Return variants of this detector by name."""
+    variants: dict[str, dict[str, Any]] = {
+        "harris 1988 (default)": {},
+        "impharris 1 / 2": {"gradient": "gaussian", "window": "gaussian", "k": 0.06},
+        "impharris 0.7 / 1.5": {
+            "gradient": "gaussian",
+            "window": "gaussian",
+            "sigma_d_px": 0.7,
+            "sigma_i_px": 1.5,
+            "k": 0.06,
+        },
+        "shi-tomasi 1 / 2": {"gradient": "gaussian", "window": "gaussian", "response": "shi_tomasi"},
+    }
+
+    def make(settings: dict[str, Any]) -> Detect:
+        def detect(gray: Gray, count: int) -> Points:
+            config = HarrisConfig(max_corners=count, relative_threshold=0.0, **settings)
+            return HarrisDetector(config).detect(gray).xy
+
+        return detect
+
+    return {name: make(settings) for name, settings in variants.items()}
+
+
+def peer_detectors() -> dict[str, Detect]:
+    """Return OpenCV's detectors, and scikit-image's where it is installed."""
+
+    def good_features(harris: bool) -> Detect:
+        def detect(gray: Gray, count: int) -> Points:
+            found = cv2.goodFeaturesToTrack(gray, count, 1e-9, 0, blockSize=3, useHarrisDetector=harris, k=0.04)
+            return np.empty((0, 2)) if found is None else found.reshape(-1, 2)
+
+        return detect
+
+    def keypoints(make: Callable[[int], Any]) -> Detect:
+        def detect(gray: Gray, count: int) -> Points:
+            found = sorted(make(count).detect(gray), key=lambda k: -k.response)
+            places = dict.fromkeys((round(k.pt[0], 2), round(k.pt[1], 2)) for k in found)  # one place, several scales
+            return np.array(list(places)[:count], np.float64).reshape(-1, 2)
+
+        return detect
+
+    api: Any = cv2
+    peers: dict[str, Detect] = {
+        "cv2 Harris": good_features(True),
+        "cv2 Shi-Tomasi": good_features(False),
+        "cv2 FAST": keypoints(lambda count: api.FastFeatureDetector_create(5)),
+        "cv2 ORB": keypoints(lambda count: api.ORB_create(count)),
+        "cv2 SIFT": keypoints(lambda count: api.SIFT_create(count)),
+    }
+    if hasattr(api, "AKAZE_create"):
+        peers["cv2 AKAZE"] = keypoints(lambda count: api.AKAZE_create(threshold=1e-4))
+    try:
+        from skimage.feature import corner_harris, corner_peaks
+    except ImportError:
+        return peers
+
+    def skimage(gray: Gray, count: int) -> Points:
+        peaks = corner_peaks(corner_harris(gray, sigma=1), min_distance=1, threshold_rel=0.0, num_peaks=count)
+        return np.asarray(peaks[:, ::-1], np.float64)
+
+    return peers | {"skimage Harris": skimage}

@@ -1,0 +1,158 @@
+"""Repeatability on points whose rate is known by construction, and the command line on small pictures."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from harris_perception.cli.harris import main
+from harris_perception.core.repeatability import Pair, mapped, our_detectors, peer_detectors, repeatability, warps
+
+
+def pair(homography: np.ndarray, size: tuple[int, int] = (200, 300)) -> Pair:
+    return Pair("test", 1.0, np.zeros(size, np.uint8), np.zeros(size, np.uint8), homography)
+
+
+def test_rate_counts_pairs_within_epsilon_one_to_one() -> None:
+    h = np.array([[1.0, 0.0, 30.0], [0.0, 1.0, 10.0], [0.0, 0.0, 1.0]])
+    first = np.array([(50.0, 50.0), (120.0, 60.0), (60.0, 150.0), (200.0, 100.0)])
+    second = mapped(first, h) + [(0.4, 0.0), (0.0, 1.2), (2.5, 0.0), (40.0, 40.0)]
+    rate = repeatability(pair(h), first, second, (0.5, 1.5, 3.0))
+    assert (rate.rates, rate.count) == ((0.25, 0.5, 0.75), 4)
+    doubled = np.vstack((second, second + 0.1))  # duplicates must not repeat twice
+    assert repeatability(pair(h), np.vstack((first, first[:1])), doubled, (0.3,)).rates[0] < 0.5
+
+
+def test_only_the_common_part_counts() -> None:
+    h = np.array([[1.0, 0.0, 150.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    first = np.array([(50.0, 50.0), (100.0, 90.0), (200.0, 100.0), (280.0, 20.0)])  # the last two leave the picture
+    second = np.vstack((mapped(first[:2], h), [(20.0, 20.0)]))  # the last one is not in the first picture
+    rate = repeatability(pair(h), first, second, (1.0,))
+    assert rate.rates == (1.0,) and rate.count == 2
+    assert repeatability(pair(h), first[2:], second, (1.0,)).count == 0
+
+
+def test_chance_is_that_of_points_which_have_nothing_to_do_with_each_other() -> None:
+    rng = np.random.default_rng(3)
+    a, b = (rng.uniform((0, 0), (300, 200), (800, 2)) for _ in range(2))
+    rate = repeatability(pair(np.eye(3)), a, b, (1.5, 5.0))
+    assert abs(rate.chance[0] - rate.rates[0]) < 0.06 and rate.rates[0] > 0.03
+    assert repeatability(pair(np.eye(3)), a, a, (0.5,)).rates == (1.0,)
+
+
+def photograph() -> np.ndarray:
+    rng = np.random.default_rng(7)
+    blocks = np.kron(rng.integers(0, 256, (16, 20)), np.ones((10, 10))).astype(np.uint8)
+    return cv2.GaussianBlur(blocks, (0, 0), 0.8)
+
+
+def test_warps_show_what_their_homography_says() -> None:
+    picture = photograph()
+    seen: dict[str, int] = {}
+    for made in warps(picture, np.random.default_rng(0), noise=0.0):
+        seen[made.change] = seen.get(made.change, 0) + 1
+        if made.change in ("light", "noise"):
+            np.testing.assert_array_equal(made.homography, np.eye(3))
+            continue
+        expected = cv2.warpPerspective(picture, made.homography, picture.shape[::-1], flags=cv2.INTER_LINEAR)
+        visible = cv2.warpPerspective(np.full_like(picture, 255), made.homography, picture.shape[::-1]) == 255
+        visible = cv2.erode(visible.astype(np.uint8), np.ones((5, 5))) > 0
+        assert visible.mean() > 0.05
+        difference = np.abs(made.second.astype(float) - expected)[visible]
+        assert difference.mean() < 14.0, (made.change, made.amount)
+    assert seen == {"rotation": 7, "scale": 5, "light": 5, "viewpoint": 4, "noise": 4}
+
+
+@pytest.mark.parametrize("name", [*our_detectors(), *peer_detectors()])
+def test_each_detector_repeats_far_above_chance_under_rotation(name: str) -> None:
+    find = (our_detectors() | peer_detectors())[name]
+    turned = next(iter(warps(photograph(), np.random.default_rng(1))))
+    a, b = find(turned.first, 100), find(turned.second, 100)
+    assert 20 < len(a) <= 100 and a.shape[1] == 2
+    rate = repeatability(turned, a, b, (3.0,))
+    assert rate.rates[0] > 0.3 > rate.chance[0]
+
+
+def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = np.full((80, 90), 50, np.uint8)
+    picture[20:60, 20:70] = 220
+    source, drawn, table = tmp_path / "in.png", tmp_path / "out.png", tmp_path / "corners.csv"
+    cv2.imwrite(str(source), picture)
+    assert main(["detect", str(source), "-o", str(drawn), "--table", str(table), "--edges"]) == 0
+    assert capsys.readouterr().out.startswith("4 corners, ")
+    rows = list(csv.DictReader(table.open()))
+    assert {(round(float(r["x_px"])), round(float(r["y_px"]))) for r in rows} == {
+        (20, 20),
+        (69, 20),
+        (20, 59),
+        (69, 59),
+    }
+    colored = cv2.imread(str(drawn))
+    assert colored.shape == (80, 90, 3) and colored[20, 20, 1] > colored[20, 20, 0] + 50
+    assert (colored[17:23, 45] == (255, 160, 0)).all(axis=1).any()  # the upper side
+
+
+def test_match_finds_a_shifted_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = photograph()
+    first, second, table = tmp_path / "a.png", tmp_path / "b.png", tmp_path / "m.json"
+    cv2.imwrite(str(first), picture)
+    cv2.imwrite(str(second), np.roll(picture, (6, 9), axis=(0, 1)))
+    drawn = tmp_path / "m.png"
+    settings = ["--set", "gradient=gaussian", "--set", "window=gaussian", "--set-match", "oriented=false"]
+    assert main(["match", str(first), str(second), "--table", str(table), "-o", str(drawn), *settings]) == 0
+    rows = json.loads(table.read_text())
+    assert len(rows) > 40 and f"{len(rows)} agree (homography)" in capsys.readouterr().out
+    shift = np.array([(r["x2_px"] - r["x1_px"], r["y2_px"] - r["y1_px"]) for r in rows])
+    np.testing.assert_allclose(np.median(shift, axis=0), (9.0, 6.0), atol=0.05)
+    assert cv2.imread(str(drawn)).shape == (160, 400, 3)
+
+
+def test_evaluate_reads_sequences_and_writes_tables_and_curves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "seq" / "turned"
+    folder.mkdir(parents=True)
+    for number, made in enumerate(warps(photograph(), np.random.default_rng(0)), start=2):
+        cv2.imwrite(str(folder / "img1.png"), made.first)
+        cv2.imwrite(str(folder / f"img{number}.png"), made.second)
+        np.savetxt(folder / f"H1to{number}p", made.homography)
+        if number == 3:
+            break
+    out = tmp_path / "out"
+    assert main(["evaluate", str(tmp_path / "seq"), "-o", str(out), "--count", "80"]) == 0
+    printed = capsys.readouterr().out
+    rows = json.loads((out / "repeatability.json").read_text())
+    names = {r["detector"] for r in rows}
+    assert {"harris 1988 (default)", "impharris 1 / 2", "cv2 Harris", "cv2 SIFT"} <= names
+    assert all(name in printed for name in names)
+    assert {r["change"] for r in rows} == {"turned"} and {r["amount"] for r in rows} == {2.0, 3.0}
+    assert len(rows) == len(names) * 2 * 6 == len(list(csv.DictReader((out / "repeatability.csv").open())))
+    assert cv2.imread(str(out / "turned.png")) is not None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["detect", "missing.png"], "missing.png is no picture"),
+        (["detect", "PICTURE", "--set", "k=7"], "k = 7"),
+        (["detect", "PICTURE", "--set", "kk=0.04"], "kk"),
+        (["detect", "PICTURE", "--set", "k"], "KEY=VALUE"),
+        (["detect", "PICTURE", "--table", "corners.txt"], ".csv or .json"),
+        (["detect", "PICTURE", "-o", "corners.nothing"], "cannot be written"),
+        (["evaluate", "EMPTY", "-o", "OUT"], "neither sequences"),
+    ],
+)
+def test_mistakes_end_with_one_line(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cv2.imwrite(str(tmp_path / "p.png"), photograph())
+    (tmp_path / "empty").mkdir()
+    names = {"PICTURE": tmp_path / "p.png", "EMPTY": tmp_path / "empty", "OUT": tmp_path / "out"}
+    assert main([str(names.get(a, a)) for a in arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and words in error and error.count("\n") == 1
