@@ -29,7 +29,7 @@ from gantry_driver.cli.operator_session import (
 
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
 _BROKEN = ("disconnected", "stopped", "alarm", "mismatch")
-CONNECT_S = 15.0
+CONNECT_S = 60.0
 CAMERA_S = 120.0
 RETRY_S = 1.0
 

@@ -1,0 +1,293 @@
+"""The main job in a closed loop, as a user does it: a goal goes out, the stylus touches, the instrument reacts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.context import Context
+from ros_rig import Ros
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header, String
+from std_srvs.srv import Trigger
+
+from icu_common.core.panel_layout import load_layout
+from icu_common.core.results import GoalResult, Outcome
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    camera_model,
+    header,
+    image_array,
+    point_message,
+    result_of_message,
+    transform_of_pose,
+)
+from icu_common.nodes.runtime import prepare_transport
+
+ROOT = Path(__file__).resolve().parents[2]
+LAYOUT = load_layout(ROOT / "config" / "scopes" / "dso_bench_4.yaml")
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+
+
+class Operator:
+    """Somebody at a terminal: a heartbeat, goals, and the answers to them."""
+
+    def __init__(self, ros: Ros) -> None:
+        self.ros = ros
+        self.node = ros.plain("operator")
+        self.heartbeat = self.node.create_publisher(Header, "/operator/heartbeat", qos.COMMAND)
+        self.command = self.node.create_publisher(String, "/gantry/command", qos.COMMAND)
+        self.goal = self.node.create_publisher(PointStamped, "/gantry/goal", qos.COMMAND)
+        self.results: list[GoalResult] = []
+        self.node.create_subscription(
+            DiagnosticArray, "/gantry/result", lambda m: self.results.append(result_of_message(m)), qos.RESULTS
+        )
+        self.states = ros.collect(self.node, String, "/gantry/state", qos.LATCHED)
+        self.driver_states = ros.collect(self.node, String, "/gantry/driver_state", qos.LATCHED)
+        self.beating = True
+        self.node.create_timer(0.1, self._beat)
+        ros.spin_until(
+            lambda: self.state == "ready" and self.goal.get_subscription_count() and self.heartbeat_heard(),
+            20.0,
+            lambda: f"state {self.state!r}",
+        )
+
+    @property
+    def state(self) -> str:
+        return self.states[-1].data if self.states else ""
+
+    @property
+    def driver_state(self) -> str:
+        return self.driver_states[-1].data if self.driver_states else ""
+
+    def heartbeat_heard(self) -> bool:
+        return self.heartbeat.get_subscription_count() >= 2  # driver and controller
+
+    def _beat(self) -> None:
+        if self.beating:
+            self.heartbeat.publish(Header(stamp=self.node.get_clock().now().to_msg(), frame_id="operator"))
+
+    def answer(self, goal_id: str, within_s: float = 60.0) -> GoalResult:
+        """Wait for the final answer to a goal."""
+
+        def final() -> GoalResult | None:
+            mine = [r for r in self.results if r.goal_id == goal_id and r.outcome.final]
+            return mine[0] if mine else None
+
+        result = self.ros.spin_until(final, within_s, lambda: f"{self.results[-3:]}, state {self.state!r}")
+        assert isinstance(result, GoalResult)
+        return result
+
+    def accepted(self, goal_id: str) -> None:
+        self.ros.spin_until(lambda: [r for r in self.results if r.goal_id == goal_id], 10.0)
+
+    def touch_panel(self, x_m: float, y_m: float) -> GoalResult:
+        stamp = self.node.get_clock().now().nanoseconds
+        self.goal.publish(point_message((x_m, y_m, 0.0), header(stamp, "panel_link")))
+        return self.answer(str(stamp))
+
+    def move(self, x_m: float, y_m: float) -> str:
+        stamp = self.node.get_clock().now().nanoseconds
+        self.goal.publish(point_message((x_m, y_m, 0.0), header(stamp, "base_link")))
+        return str(stamp)
+
+    def go(self, x_m: float, y_m: float) -> None:
+        result = self.answer(self.move(x_m, y_m))
+        assert result.outcome is Outcome.REACHED, result
+
+    def start_long_move(self) -> str:
+        """Start a move of about two seconds, and return its id once the machine moves."""
+        self.go(0.01, 0.01)
+        goal = self.move(0.34, 0.2)
+        self.ros.spin_until(lambda: self.driver_state == "moving", 10.0, lambda: (self.driver_state, self.results[-2:]))
+        return goal
+
+    def reset(self) -> None:
+        """Reset after a stop; it is refused while the hold and the lift are not complete."""
+        self.ros.spin_until(lambda: self.call("/gantry/reset").success, 10.0, lambda: self.driver_state)
+        self.ros.spin_until(lambda: self.state == "ready", 10.0, lambda: self.state)
+
+    def call(self, name: str) -> Any:
+        client = self.node.create_client(Trigger, name)
+        self.ros.spin_until(client.service_is_ready, 10.0)
+        future = client.call_async(Trigger.Request())
+        self.ros.spin_until(future.done, 10.0)
+        return future.result()
+
+
+@pytest.fixture
+def operator(running_graph: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Operator]:
+    monkeypatch.setenv("ROS_LOG_DIR", running_graph.environment["ROS_LOG_DIR"])
+    prepare_transport()
+    context = Context()
+    rclpy.init(context=context, domain_id=int(running_graph.environment["ROS_DOMAIN_ID"]))
+    ros = Ros(context)
+    try:
+        yield Operator(ros)
+    finally:
+        ros.close()
+        rclpy.shutdown(context=context)
+
+
+def screen_pixels(operator: Operator) -> np.ndarray:
+    """Return the picture of the RUN/STOP sign on the screen, found through the published pose and not by the truth."""
+    ros, node = operator.ros, operator.node
+    poses = ros.collect(node, PoseStamped, "/panel/pose", qos.LATCHED)
+    infos = ros.collect(node, CameraInfo, "/stereo/left/camera_info", qos.SENSOR)
+    images = ros.collect(node, Image, "/stereo/left/image_raw", qos.SENSOR)
+    ros.spin_until(lambda: poses and infos and len(images) > 2, 15.0, lambda: (len(poses), len(infos), len(images)))
+    screen = LAYOUT.control("SCREEN")
+    left, top = (screen.position_mm[0] - screen.size_mm[0] / 2, screen.position_mm[1] + screen.size_mm[1] / 2)
+    corners_mm = np.array([(left, top, 0), (left + 40, top, 0), (left + 40, top - 12, 0), (left, top - 12, 0)])
+    camera_from_panel = transform_of_pose(poses[-1].pose)
+    pixels = camera_model(infos[-1]).project(camera_from_panel.apply(corners_mm / 1000))
+    (u0, v0), (u1, v1) = pixels.min(axis=0).astype(int), pixels.max(axis=0).astype(int)
+    picture = image_array(images[-1])[v0:v1, u0:u1].astype(np.int16)
+    assert picture.size
+    return picture
+
+
+def motion_lines(graph: Any, since: int) -> list[str]:
+    return [e["text"] for e in graph.board_log()[since:] if e["kind"] == "line" and "G1" in e["text"]]
+
+
+def test_press_of_a_named_control_stops_the_scope(running_graph: Any, operator: Operator) -> None:
+    operator.go(0.01, 0.01)
+    bench = running_graph.bench()
+    before = bench.ask(do="truth")["instrument"]["running"]
+    seen_before = screen_pixels(operator)
+    log_start, truth_start = len(running_graph.board_log()), len(running_graph.truth_log())
+
+    operator.command.publish(String(data="press:RUN_STOP id=first"))
+    result = operator.answer("first")
+
+    assert result.outcome is Outcome.REACHED, result
+    assert result.error_m < 0.0005
+    events = running_graph.truth_log()[truth_start:]
+    assert [e["control"] for e in events if e["event"] == "press"] == ["RUN_STOP"]
+    assert bench.ask(do="truth")["instrument"]["running"] is (not before)
+    lines = motion_lines(running_graph, log_start)
+    assert all(line.replace(" ", "").startswith("G53G1") for line in lines), lines
+    deepest = min(float(line.split("Z")[1].split("F")[0]) for line in lines if "Z" in line)
+    assert -40.0 < deepest < -25.0, "the stylus went down to the button, 3 mm above the panel's face at z = -35 mm"
+
+    operator.go(0.01, 0.01)
+    changed = np.abs(screen_pixels(operator) - seen_before).mean()
+    assert changed > 5.0, f"the picture of the screen's RUN/STOP sign changed by {changed:.1f} of 255"
+
+
+def clear_of_tall_controls(x: float, y: float) -> bool:
+    """Tell whether a point is neither on a connector nor so near to a tall control's edge that it is refused."""
+    for control in LAYOUT.controls:
+        distance = float(np.hypot(x - control.position_mm[0], y - control.position_mm[1]))
+        radius = max(control.size_mm) / 2
+        inside = control.kind == "knob" and distance < radius - 3
+        if control.height_mm > 5 and not inside and distance < radius + 5:
+            return False
+    return True
+
+
+def targets_mm() -> list[tuple[float, float]]:
+    """Return targets spread over the whole panel, moved a little to the right where a tall control is in the way."""
+    width, height = LAYOUT.size_mm
+    places = [
+        next((xx, y) for xx in np.arange(x, width, 1.5) if clear_of_tall_controls(xx, y))
+        for y in np.linspace(12, height - 12, 4)
+        for x in np.linspace(14, width - 14, 6)
+    ]
+    return [(float(x), float(y)) for x, y in dict.fromkeys(places)]
+
+
+def test_touch_error_over_the_whole_panel(running_graph: Any, operator: Operator) -> None:
+    errors_mm, reported_mm, durations_s, missed = [], [], [], []
+    targets = targets_mm()
+    assert len(targets) >= 20
+    for x, y in targets:
+        start = len(running_graph.truth_log())
+        result = operator.touch_panel(x / 1000, y / 1000)
+        contacts = [e for e in running_graph.truth_log()[start:] if e["event"] == "contact"]
+        if result.outcome is not Outcome.REACHED or not contacts:
+            missed.append((x, y, result, contacts))
+            continue
+        touched = np.array(contacts[0]["tip_panel_mm"][:2])
+        errors_mm.append(float(np.hypot(*(touched - (x, y)))))
+        reported_mm.append(result.error_m * 1000)
+        durations_s.append(result.duration_s)
+    assert not missed, missed
+    errors = np.array(errors_mm)
+    p95 = float(np.percentile(errors, 95))
+    print(
+        f"\ntouch error over {len(errors)} targets: mean {errors.mean():.3f} mm, p95 {p95:.3f} mm, "
+        f"max {errors.max():.3f} mm; reported mean {np.mean(reported_mm):.3f} mm; {np.mean(durations_s):.1f} s a touch"
+    )
+    assert p95 < 1.0
+    assert errors.mean() < 0.5
+
+
+def test_command_line_presses_and_refuses(running_graph: Any, operator: Operator) -> None:
+    start = len(running_graph.truth_log())
+    done = running_graph.command("gantry_driver", "gantry_goal", "--control", "SINGLE")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "reached" in done.stdout and "mm" in done.stdout
+    assert [e["control"] for e in running_graph.truth_log()[start:] if e["event"] == "press"] == ["SINGLE"]
+
+    log_start = len(running_graph.board_log())
+    refused = running_graph.command("gantry_driver", "gantry_goal", "--control", "CH1_IN")
+    outside = running_graph.command("gantry_driver", "gantry_goal", "0.9", "0.1")
+    assert (refused.returncode, outside.returncode) == (1, 1)
+    assert "connector" in refused.stdout + refused.stderr
+    assert "outside 0.0000 to 0.3590" in outside.stdout + outside.stderr
+    assert motion_lines(running_graph, log_start) == []
+
+
+def test_a_knob_turns(running_graph: Any, operator: Operator) -> None:
+    start = len(running_graph.truth_log())
+    operator.command.publish(String(data="turn:TIME_SCALE:60 id=turn"))
+    result = operator.answer("turn")
+    assert result.outcome is Outcome.REACHED, result
+    turned = [e["turned_deg"] for e in running_graph.truth_log()[start:] if e.get("turned_deg")]
+    assert len(turned) == 1 and turned[0] == pytest.approx(60, abs=6)
+
+
+def test_stop_in_the_middle_of_a_move_keeps_the_position(running_graph: Any, operator: Operator) -> None:
+    goal = operator.start_long_move()
+    assert operator.call("/gantry/stop").success
+    result = operator.answer(goal, 10.0)
+    assert result.outcome is Outcome.ABORTED and "stop" in result.reason
+    operator.ros.spin_until(lambda: operator.driver_state.startswith("stopped"), 10.0)
+    operator.ros.spin_until(lambda: operator.state.startswith("stopped"), 5.0)
+    refused = operator.answer(operator.move(0.02, 0.02), 10.0)
+    assert refused.outcome is Outcome.REJECTED and "stopped" in refused.reason
+
+    operator.reset()
+    assert operator.answer(operator.move(0.05, 0.05)).outcome is Outcome.REACHED  # without homing again
+    bench = running_graph.bench().ask(do="truth")
+    assert np.allclose(bench["tip_base_m"][:2], (0.05, 0.05), atol=0.002), bench["tip_base_m"]
+
+
+def test_a_lost_heartbeat_stops_the_motion(running_graph: Any, operator: Operator) -> None:
+    goal = operator.start_long_move()
+    operator.beating = False
+    result = operator.answer(goal, 10.0)
+    assert result.outcome is Outcome.ABORTED and "heartbeat" in result.reason, result
+    operator.ros.spin_until(lambda: operator.driver_state.startswith("stopped"), 10.0)
+    operator.beating = True
+    assert "heartbeat" in operator.driver_state
+    operator.reset()
+
+
+def test_nothing_listens_beyond_this_host(running_graph: Any) -> None:
+    listening = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    port = f"{running_graph.port:04X}"
+    addresses = {
+        fields[1].split(":")[0] for fields in listening if fields[1].endswith(":" + port) and fields[3] == "0A"
+    }
+    assert addresses == {"0100007F"}, "the page is served on 127.0.0.1 alone"
+    assert (running_graph.folder / "state" / "sign_in").stat().st_mode & 0o077 == 0
