@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
 
 Gray = npt.NDArray[np.uint8]
 Points = npt.NDArray[Any]
@@ -168,7 +169,11 @@ def our_detectors() -> dict[str, Detect]:
 
         return detect
 
-    return {name: make(settings) for name, settings in variants.items()}
+    def over_scales(gray: Gray, count: int) -> Points:
+        detector = HarrisConfig(max_corners=count, relative_threshold=0.0, **variants["impharris 1 / 2"])
+        return HarrisLaplaceDetector(HarrisLaplaceConfig(detector=detector)).detect(gray).xy[:count]
+
+    return {name: make(settings) for name, settings in variants.items()} | {"harris-laplace 1 / 2": over_scales}
 
 
 def peer_detectors() -> dict[str, Detect]:

@@ -1,0 +1,134 @@
+"""Harris corners over a pyramid, with the scale at which the Laplacian answers most: the detector under scale change.
+
+Source: K. Mikolajczyk, C. Schmid, "Scale & Affine Invariant Interest Point Detectors", IJCV 60(1), 2004. The scales are
+levels of a pyramid instead of wider kernels: derivatives in px of a level are the normalised derivatives of its scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from icu_common.core.config import Config, nested, setting
+
+F32 = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HarrisLaplaceConfig(Config):
+    """The pyramid, and the detector on each of its levels (its ``max_corners`` is for all levels together)."""
+
+    detector: HarrisConfig = nested(HarrisConfig)
+    levels: int = setting(8, "Levels of the pyramid", minimum=1, maximum=30)
+    factor: float = setting(1.26, "Ratio of two neighbouring scales", minimum=1.05, maximum=2.0)
+    laplacian_px: float = setting(1.5, "Scale of the Laplacian on each level", minimum=0.5, maximum=10.0, unit="px")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScaledCorners:
+    """Corners with their scales, by falling response.
+
+    Attributes
+    ----------
+    xy
+        (N, 2) float32 px of the picture.
+    scale
+        (N,) float32, 1 for the picture's own resolution, larger for coarser levels.
+    response
+        (N,) float32 of the level.
+    """
+
+    xy: F32
+    scale: F32
+    response: F32
+
+    def __len__(self) -> int:
+        return len(self.response)
+
+
+class HarrisLaplaceDetector:
+    """Detector of corners with their scale.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> y, x = np.indices((120, 120))
+    >>> picture = np.where((abs(x - 60) < 12) & (abs(y - 60) < 12), 200, 20).astype(np.uint8)
+    >>> corners = HarrisLaplaceDetector().detect(picture)
+    >>> len(corners) > 0, bool((np.abs(np.abs(corners.xy - 60).max(axis=1) - 12) < 6).all())
+    (True, True)
+    """
+
+    def __init__(self, config: HarrisLaplaceConfig | None = None) -> None:
+        self.config = config if config is not None else HarrisLaplaceConfig()
+        self._detector = HarrisDetector(self.config.detector)
+
+    def detect(self, gray: npt.NDArray[Any]) -> ScaledCorners:
+        """Return the corners of (H, W) uint8, uint16 or float32 where the Laplacian is largest at their level.
+
+        Raises
+        ------
+        ValueError
+            For another shape or dtype.
+        """
+        found = [self._detector.detect(gray)]  # checks the picture
+        pictures = self._pyramid(gray)
+        found += [self._detector.detect(picture) for picture in pictures[1:]]
+        laplacians = [self._laplacian(picture) for picture in pictures]
+        xys, scales, responses = [], [], []
+        for level, corners in enumerate(found[: len(pictures)]):
+            ratio = _ratio(gray, pictures[level])
+            xy = np.asarray((corners.xy + 0.5) * ratio - 0.5, np.float32)
+            here = _values(laplacians[level], xy, gray)
+            kept = np.ones(len(xy), bool)
+            for beside in (level - 1, level + 1):
+                if 0 <= beside < len(pictures):
+                    kept &= here > _values(laplacians[beside], xy, gray)
+            kept &= np.cumsum(kept) <= self._quota(level)
+            xys.append(xy[kept])
+            scales.append(np.full(int(kept.sum()), self.config.factor**level))
+            responses.append(corners.response[kept])
+        response = np.concatenate(responses)
+        order = np.argsort(-response, kind="stable")
+        parts = (np.concatenate(xys)[order], np.concatenate(scales)[order], response[order])
+        return ScaledCorners(*(np.asarray(p, np.float32) for p in parts))
+
+    def _pyramid(self, gray: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
+        pictures = [gray]
+        for level in range(1, self.config.levels):
+            scale = self.config.factor**level
+            width, height = round(gray.shape[1] / scale), round(gray.shape[0] / scale)
+            if min(width, height) <= 2 * self._detector.margin_px + 2:
+                break
+            pictures.append(cv2.resize(gray, (width, height), interpolation=cv2.INTER_AREA))
+        return pictures
+
+    def _laplacian(self, picture: npt.NDArray[Any]) -> F32:
+        if picture.size == 0:
+            return np.zeros(picture.shape, np.float32)
+        soft = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), self.config.laplacian_px)
+        return np.abs(cv2.Laplacian(soft, cv2.CV_32F, ksize=1))
+
+    def _quota(self, level: int) -> float:
+        """Return how many corners a level may give: their number falls with its area, as that of places does."""
+        count = self.config.detector.max_corners
+        shares = self.config.factor ** (-2.0 * np.arange(self.config.levels))
+        return float(np.ceil(count * shares[level] / shares.sum())) if count else np.inf
+
+
+def _ratio(gray: npt.NDArray[Any], picture: npt.NDArray[Any]) -> F32:
+    return np.array([gray.shape[1] / max(picture.shape[1], 1), gray.shape[0] / max(picture.shape[0], 1)], np.float32)
+
+
+def _values(picture: F32, xy: F32, gray: npt.NDArray[Any]) -> F32:
+    """Return the level's values at the positions ``xy`` of the full picture, interpolated."""
+    if len(xy) == 0:
+        return np.empty(0, np.float32)
+    at = np.asarray((xy + 0.5) / _ratio(gray, picture) - 0.5, np.float32)
+    values = cv2.remap(picture, at[None, :, 0], at[None, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(values[0], np.float32)

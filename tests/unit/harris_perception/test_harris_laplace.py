@@ -1,0 +1,87 @@
+"""Corners over scales: their scale follows the picture's, and they repeat when it changes."""
+
+from __future__ import annotations
+
+import doctest
+
+import cv2
+import numpy as np
+import pytest
+
+from harris_perception.core import harris_laplace
+from harris_perception.core.harris import HarrisConfig
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.repeatability import Pair, repeatability
+
+GAUSSIAN = HarrisConfig(gradient="gaussian", window="gaussian", relative_threshold=0.001, max_corners=300)
+DETECTOR = HarrisLaplaceDetector(HarrisLaplaceConfig(detector=GAUSSIAN))
+
+
+def blobs(radius: float) -> np.ndarray:
+    """Return a grid of soft bright spots whose Laplacian answers most at a scale in proportion to their radius."""
+    y, x = np.indices((240, 240))
+    spots = [((x - cx) ** 2 + (y - cy) ** 2) / (2 * radius**2) for cx in (60, 120, 180) for cy in (60, 120, 180)]
+    return (30 + 180 * np.exp(-np.array(spots)).sum(axis=0)).clip(0, 255).astype(np.uint8)
+
+
+def test_scale_grows_with_the_structure() -> None:
+    scales = []
+    for radius in (2.5, 4.0, 6.4):
+        corners = DETECTOR.detect(blobs(radius))
+        centres = np.array([(cx, cy) for cx in (60, 120, 180) for cy in (60, 120, 180)], float)
+        near = np.linalg.norm(corners.xy[:, None] - centres[None], axis=2).min(axis=1) < 2.5
+        assert near.sum() >= 7
+        scales.append(float(np.median(corners.scale[near])))
+    print(scales)
+    assert 1.3 < scales[1] / scales[0] < 2.0 and 1.3 < scales[2] / scales[1] < 2.0
+
+
+def scene(seed: int, size: int = 500) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    picture = np.full((size, size), 120, np.uint8)
+    for _ in range(160):
+        points = rng.uniform(0, size, 2) + rng.uniform(8, 70) * rng.uniform(-1, 1, (5, 2))
+        cv2.fillConvexPoly(picture, cv2.convexHull(points.astype(np.int32)), int(rng.integers(0, 256)), cv2.LINE_AA)
+    return cv2.GaussianBlur(picture, (0, 0), 0.8)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_corners_of_a_halved_picture_have_half_the_scale_and_repeat(seed: int) -> None:
+    first = scene(seed)
+    second = cv2.resize(first, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    h = np.array([[0.5, 0.0, -0.25], [0.0, 0.5, -0.25], [0.0, 0.0, 1.0]])
+    pair = Pair("scale", 2.0, first, second, h)
+    a, b = DETECTOR.detect(first), DETECTOR.detect(second)
+    ours = repeatability(pair, a.xy, b.xy, (1.5,))
+    print(ours)
+    assert ours.rates[0] > 0.5 > 5 * ours.chance[0]
+    distance = np.linalg.norm((0.5 * a.xy - 0.25)[:, None] - b.xy[None], axis=2)
+    i = distance.argmin(axis=1)
+    close = (distance.min(axis=1) < 1.0) & (a.scale > 2.0) & (a.scale < 4.0)
+    assert close.sum() >= 5
+    assert 1.4 < np.median(a.scale[close] / b.scale[i[close]]) < 2.8
+
+
+def test_count_order_and_dtype() -> None:
+    corners = DETECTOR.detect(scene(3))
+    assert 50 < len(corners) <= 300 + 8
+    assert (np.diff(corners.response) <= 0).all() and (corners.scale >= 1.0).all() and corners.scale.max() > 1.5
+    assert corners.xy.dtype == corners.scale.dtype == corners.response.dtype == np.float32
+    assert (corners.xy > 0).all() and (corners.xy < 500).all()
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (1, 1), (30, 7), (60, 60)])
+def test_pictures_without_corners(shape: tuple[int, int]) -> None:
+    for value in (9.0, np.nan):
+        corners = DETECTOR.detect(np.full(shape, value, np.float32))
+        assert corners.xy.shape == (0, 2) and len(corners.scale) == len(corners) == 0
+
+
+def test_colour_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"\(9, 9, 3\)"):
+        DETECTOR.detect(np.zeros((9, 9, 3), np.uint8))
+
+
+def test_examples_in_docstrings_run() -> None:
+    result = doctest.testmod(harris_laplace)
+    assert result.attempted > 0 and result.failed == 0
