@@ -14,12 +14,20 @@ from scope_bench.core.graph_description import load_graph
 
 
 def start(context: LaunchContext) -> list:
-    values = {name: LaunchConfiguration(name).perform(context) for name in ("profile", "config", "state", "namespace")}
+    values = {
+        name: LaunchConfiguration(name).perform(context)
+        for name in ("profile", "config", "state", "namespace", "scope")
+    }
     state = Path(values["state"]).expanduser()
     state.mkdir(parents=True, exist_ok=True, mode=0o700)
     run = Path(mkdtemp(prefix="icu_gantry_"))
     programs, _ = load_graph(
-        Path(values["config"]), values["profile"], run=run, state=state, robot_namespace=values["namespace"]
+        Path(values["config"]),
+        values["profile"],
+        run=run,
+        state=state,
+        robot_namespace=values["namespace"],
+        scope=values["scope"],
     )
     actions = []
     for program in programs:
@@ -50,6 +58,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("config", default_value=config, description="folder with graph.yaml"),
             DeclareLaunchArgument("state", default_value="~/.local/state/icu_gantry", description="kept files"),
             DeclareLaunchArgument("namespace", default_value="", description="the robot's namespace"),
+            DeclareLaunchArgument("scope", default_value="", description="model in config/scopes"),
             OpaqueFunction(function=start),
         ]
     )

@@ -10,6 +10,7 @@ import yaml
 from scope_bench.core.graph_description import GraphError, load_graph
 
 TABLE = """\
+scope: dial
 profiles:
   bench: {about: simulated}
   test: {about: with truth, extends: bench}
@@ -23,7 +24,7 @@ programs:
     executable: eye
     namespace: stereo
     parameters: [params/eye.yaml]
-    set: {a: 1, part.gain: 2.5, path: $(config)/x}
+    set: {a: 1, part.gain: 2.5, path: $(config)/x, layout: $(scope)}
     remap: {image: stereo/left/image, local: /abs}
     when:
       bench: {set: {a: 2}}
@@ -35,6 +36,8 @@ programs:
 def config(tmp_path: Path) -> Path:
     (tmp_path / "params").mkdir()
     (tmp_path / "params" / "eye.yaml").write_text("{}")
+    (tmp_path / "scopes").mkdir()
+    (tmp_path / "scopes" / "dial.yaml").write_text("{}")
     (tmp_path / "graph.yaml").write_text(TABLE)
     return tmp_path
 
@@ -60,7 +63,7 @@ def test_command_line_of_a_node(config: Path) -> None:
         *("--params-file", f"{config}/params/eye.yaml", "--params-file", "/v.yaml"),
     ]
     values = yaml.safe_load(eye.values_document())["/**"]["ros__parameters"]
-    assert values == {"a": 2, "part": {"gain": 2.5}, "path": f"{config}/x"}
+    assert values == {"a": 2, "part": {"gain": 2.5}, "path": f"{config}/x", "layout": f"{config}/scopes/dial.yaml"}
 
 
 @pytest.mark.parametrize(
@@ -80,6 +83,8 @@ def test_errors(config: Path, old: str, new: str, message: str) -> None:
         load(config, "bench")
 
 
-def test_unknown_profile(config: Path) -> None:
+def test_unknown_scope_and_profile(config: Path) -> None:
+    with pytest.raises(GraphError, match=r"no layout .*/gauge\.yaml; known scopes: dial"):
+        load_graph(config, "bench", run=Path("/r"), state=Path("/s"), scope="gauge")
     with pytest.raises(GraphError, match="'moon' is none of bench, test, hardware"):
         load(config, "moon")

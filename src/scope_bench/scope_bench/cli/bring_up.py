@@ -48,6 +48,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--config", type=Path, help="folder with graph.yaml")
     result.add_argument("--state", type=Path, help="folder that keeps calibration and sign-in")
     result.add_argument("--run-dir", type=Path, help="folder for sockets (default: a new temporary one)")
+    result.add_argument("--scope", default="", help="model in config/scopes (default: graph.yaml's)")
     result.add_argument("--namespace", default="", help="put every name of the graph under this namespace")
     result.add_argument("--without", action="append", default=[], metavar="PROGRAM", help="leave a program out")
     result.add_argument("--set", action="append", default=[], metavar="PROGRAM.PARAMETER=VALUE", help="one value more")
@@ -85,7 +86,12 @@ class BringUp:
             run = (self.options.run_dir or Path(temporary)).resolve()
             run.mkdir(parents=True, exist_ok=True)
             programs, _ = load_graph(
-                config, self.options.profile, run=run, state=state, robot_namespace=self.options.namespace
+                config,
+                self.options.profile,
+                run=run,
+                state=state,
+                robot_namespace=self.options.namespace,
+                scope=self.options.scope,
             )
             self._check_names(programs)
             return self._run_programs(programs, Path(temporary))

@@ -66,7 +66,7 @@ class Program:
 
 
 def load_graph(
-    config: Path, profile: str, *, run: Path, state: Path, robot_namespace: str = ""
+    config: Path, profile: str, *, run: Path, state: Path, robot_namespace: str = "", scope: str = ""
 ) -> tuple[list[Program], list[str]]:
     """Read ``graph.yaml`` in the folder ``config`` for one profile.
 
@@ -78,6 +78,8 @@ def load_graph(
         One of the file's profiles.
     robot_namespace
         Put before every name, for several robots in one ROS domain.
+    scope
+        Model of the designated instrument; empty for the file's default.
 
     Returns
     -------
@@ -87,12 +89,16 @@ def load_graph(
     Raises
     ------
     GraphError
-        For unknown keys and profiles, and parameter files that do not exist.
+        For unknown keys, profiles and scopes, and parameter files that do not exist.
     """
     document = yaml.safe_load((config / "graph.yaml").read_text(encoding="utf-8"))
     profiles = list(document["profiles"])
     chain = _chain(document["profiles"], profile)
-    words = {"$(config)": str(config), "$(run)": str(run), "$(state)": str(state)}
+    layout = config / "scopes" / f"{scope or document['scope']}.yaml"
+    if not layout.is_file():
+        known = ", ".join(sorted(p.stem for p in layout.parent.glob("*.yaml")))
+        raise GraphError(f"there is no layout {layout}; known scopes: {known}")
+    words = {"$(config)": str(config), "$(run)": str(run), "$(state)": str(state), "$(scope)": str(layout)}
     root = PurePosixPath("/") / robot_namespace.strip("/")
     programs = []
     for name, entry in document["programs"].items():

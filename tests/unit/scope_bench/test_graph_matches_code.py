@@ -1,0 +1,78 @@
+"""config/graph.yaml and config/params against the code: executables, parameter keys, values."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from icu_common.core.config import from_mapping, settings_of
+from scope_bench.core.graph_description import Program, load_graph
+
+ROOT = Path(__file__).resolve().parents[3]
+PROFILES = ("bench", "test", "hardware")
+
+
+def programs(profile: str) -> list[Program]:
+    return load_graph(ROOT / "config", profile, run=Path("/run"), state=Path("/state"))[0]
+
+
+def entry_points(package: str) -> dict[str, str]:
+    """Return executable -> module, read from the package's setup.py."""
+    tree = ast.parse((ROOT / "src" / package / "setup.py").read_text())
+    texts = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    pairs = (t.split("=", 1) for t in texts if ":main" in t)
+    return {name.strip(): place.partition(":")[0].strip() for name, place in pairs}
+
+
+def config_class(program: Program) -> Any:
+    """Return the dataclass that the node's parameters come from: the second argument of LiveParameters."""
+    module = importlib.import_module(entry_points(program.package)[program.executable])
+    assert module.__file__ is not None
+    for call in ast.walk(ast.parse(Path(module.__file__).read_text())):
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "LiveParameters":
+            return getattr(module, ast.unparse(call.args[1]))
+    raise AssertionError(f"{module.__name__} has no LiveParameters")
+
+
+def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for key, value in values.items():
+        result |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return result
+
+
+def file_values(path: Path) -> dict[str, dict[str, Any]]:
+    document = yaml.safe_load(path.read_text())
+    return {node: flat(entry["ros__parameters"]) for node, entry in document.items()}
+
+
+CASES = [pytest.param(profile, p, id=f"{profile}-{p.name}") for profile in PROFILES for p in programs(profile)]
+
+
+@pytest.mark.parametrize(("profile", "program"), CASES)
+def test_executable_exists_and_every_value_is_accepted(profile: str, program: Program) -> None:
+    assert program.executable in entry_points(program.package)
+    if not program.is_node:
+        return
+    values: dict[str, Any] = {}
+    for path in program.parameter_files:
+        for node, entry in file_values(path).items():
+            if node in ("/**", f"/**/{program.name}", program.name):
+                values |= entry
+    from_mapping(config_class(program), {**values, **program.parameters})
+
+
+@pytest.mark.parametrize("program", [p for p in programs("test") if p.is_node], ids=lambda p: p.name)
+def test_parameter_file_names_every_setting(program: Program) -> None:
+    named = {key for path in program.parameter_files for entry in file_values(path).values() for key in entry}
+    declared = {item.name for item in settings_of(config_class(program))}
+    assert declared - named - set(program.parameters) == set()
+
+
+def test_every_parameter_file_is_used() -> None:
+    used = {path for profile in PROFILES for p in programs(profile) for path in p.parameter_files}
+    assert set((ROOT / "config" / "params").glob("*.yaml")) == used
