@@ -172,6 +172,17 @@ def test_not_enabled_or_without_heartbeat_nothing_moves(operator: Callable[..., 
     assert not any(line["text"] == "$H" for line in op.board.lines())
 
 
+def test_disabling_and_enabling_are_seen_in_the_state(operator: Callable[..., Operator]) -> None:
+    op = operator().ready()
+    assert op.call("enable", SetBool, data=False).message == "disabled"
+    op.state("disabled")
+    op.go((0.1, 0.1, 0.0))
+    op.until(lambda: op.results)
+    assert (op.results[-1].outcome.value, op.results[-1].reason) == ("rejected", "not enabled")
+    assert op.call("enable", SetBool, data=True).message == "enabled"
+    op.state("idle")
+
+
 def test_lost_heartbeat_stops_and_lifts(operator: Callable[..., Operator]) -> None:
     op = operator(time_scale=1.0).ready()
     op.go((0.0, 0.0, 0.02), (0.35, 0.2, 0.02))

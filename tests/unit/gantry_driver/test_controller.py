@@ -260,6 +260,7 @@ def test_stale_and_future_stamps(age_ms: int, good: bool) -> None:
         "stopped: by hand",
         "alarm: 1",
         "mismatch: $100",
+        "disabled",
     ],
 )
 def test_driver_that_is_not_idle(driver: str) -> None:
@@ -271,6 +272,19 @@ def test_driver_that_is_not_idle(driver: str) -> None:
     state = driver.partition(":")[0]
     assert bench.controller.state == (driver if state in ("stopped", "alarm") else bench.controller.state)
     assert state in ("stopped", "alarm") or bench.controller.state.startswith("waiting: ")
+
+
+@pytest.mark.parametrize(
+    ("driver", "state"),
+    [("disabled", "waiting: not enabled"), ("disabled: by the ward", "waiting: not enabled: by the ward")],
+)
+def test_a_machine_that_is_not_enabled_is_waited_for(driver: str, state: str) -> None:
+    bench = Bench()
+    bench.driver = driver
+    bench.start()
+    assert bench.controller.state == state
+    bench.tell(msg.DriverState(text="idle"))
+    assert bench.controller.state == "ready"
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,42 @@ def test_refused_while_unhomed_busy_disabled_stale_or_without_heartbeat() -> Non
     assert rig.state == "idle", "idle with the stylus up needs no heartbeat"
 
 
+def test_homed_and_at_rest_but_not_enabled_is_a_state_of_its_own() -> None:
+    rig = Rig().homed()
+    assert rig.machine.enable(False, rig.now) == ""
+    rig.run_for(0.5)
+    assert rig.states[-1] == "disabled" and rig.machine.homed and rig.machine.at_rest
+    assert rig.go((0.1, 0.1, 0.0)).reason == rig.machine.home(rig.now) == "not enabled"
+    rig.machine.enable(False, rig.now)
+    rig.machine.enable(True, rig.now)
+    rig.step()
+    assert rig.states[-3:] == ["idle", "disabled", "idle"], "each change is said once"
+    rig.go((0.1, 0.1, 0.0))
+    rig.until(lambda: "reached" in rig.outcomes())
+
+
+def test_disabling_says_nothing_of_a_machine_that_is_not_homed() -> None:
+    rig = Rig(DriverConfig()).connect()
+    rig.step()
+    assert rig.states[-1] == "unhomed" and rig.machine.home(rig.now) == "not enabled"
+    rig.machine.enable(True, rig.now)
+    rig.step()
+    assert rig.states[-1] == "unhomed"
+
+
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_disabling_stops_what_moves_and_lifts_a_stylus_that_is_down(at_rest: bool) -> None:
+    rig = Rig().homed()
+    rig.go((0.05, 0.0, 0.02))
+    rig.until(lambda: "reached" in rig.outcomes() if at_rest else rig.board.mpos[2] < -10.0)
+    rig.machine.enable(False, rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == "stopped: disabled" and rig.board.mpos[2] == pytest.approx(HOMED[2])
+    assert rig.machine.reset(rig.now) == ""
+    rig.step()
+    assert rig.states[-1] == "disabled"
+
+
 def test_stop_holds_resets_keeps_the_position_and_stays_stopped() -> None:
     rig = Rig().homed()
     rig.go((0.3, 0.0, 0.0), (0.0, 0.0, 0.0), (0.3, 0.2, 0.0))

@@ -50,7 +50,8 @@ def prepare(session: OperatorSession, *, home: bool, calibrate: bool, until: flo
     steps = _Steps(session, until)
     steps.connect()
     steps.call(SetBool, "gantry/enable", SetBool.Request(data=True))
-    if home or session.latest(DRIVER) != "idle":
+    # The state may still be that of before the call: homed, but not enabled.
+    if home or session.latest(DRIVER).partition(":")[0] not in ("idle", "disabled"):
         steps.call(Trigger, "gantry/home", Trigger.Request())
         steps.follow(DRIVER, "homing", done=lambda text: text == "idle", failed=_BROKEN)
     # A stored calibration counts once the cameras have shown that it is theirs.

@@ -832,6 +832,7 @@ _DRIVER_TEXT = {
     "homing": "homing",
     "moving": "the driver is moving",
     "mismatch": "settings mismatch",
+    "disabled": "not enabled",
 }
 
 

@@ -59,7 +59,7 @@ Reading = tuple[float, float, float]
 
 
 class Phase(Enum):
-    """Where the driver is; the value is the published state."""
+    """Where the driver is; the value is the published state, but see :attr:`Machine.state`."""
 
     CLOSED = ("disconnected", 0)
     SYNCHRONISE = ("connecting", 1)
@@ -196,9 +196,14 @@ class Machine:
     # --- what the node sees -----------------------------------------------------------------------------------
 
     @property
+    def state(self) -> str:
+        """The published state without its reason; a machine that could move if it were enabled is ``disabled``."""
+        return "disabled" if self.phase is Phase.IDLE and not self.enabled else self.phase.state
+
+    @property
     def state_text(self) -> str:
         """The published state: ``state`` or ``state: reason``."""
-        return f"{self.phase.state}: {self.reason}" if self.reason else self.phase.state
+        return f"{self.state}: {self.reason}" if self.reason else self.state
 
     @property
     def at_rest(self) -> bool:
@@ -213,7 +218,7 @@ class Machine:
     @property
     def needs_way_out(self) -> bool:
         """Whether leaving now would leave something moving or pressing."""
-        return not self.at_rest or (self.phase is Phase.IDLE and self._stylus_is_down())
+        return not self.at_rest or self._rests_extended()
 
     def take_events(self) -> list[Event]:
         """Return what has happened since the last call."""
@@ -296,8 +301,7 @@ class Machine:
 
     def _watch(self, now: float) -> None:
         busy = self.phase in (Phase.MOVING, Phase.HOMING)
-        extended = self.phase is Phase.IDLE and self._stylus_is_down()
-        if (busy or extended) and (refusal := self._heartbeat_refusal(now)):
+        if (busy or self._rests_extended()) and (refusal := self._heartbeat_refusal(now)):
             self._halt(refusal, now)
         excused = self.phase in (Phase.CLOSED, Phase.HOMING) or self._critical or self.session.awaiting_banner
         silent = self.session.silent_for(now)
@@ -318,10 +322,12 @@ class Machine:
         self._heartbeat_at = max(self._heartbeat_at, at)
 
     def enable(self, on: bool, now: float) -> str:
-        """Allow or forbid motion; forbidding it while moving is a stop."""
-        self.enabled = on
-        if not on and self.phase in (Phase.MOVING, Phase.HOMING):
+        """Allow or forbid motion; forbidding it while moving or with the stylus extended is a stop."""
+        if not on and (self.phase in (Phase.MOVING, Phase.HOMING) or self._rests_extended()):
             self.stop("disabled", now)
+        before = self.state_text
+        self.enabled = on
+        self._say_if_changed(before)
         return ""
 
     def accept_settings(self, now: float) -> str:
@@ -474,6 +480,9 @@ class Machine:
         rate = self.config.moving_status_rate_hz if moving else self.config.status_rate_hz
         self.session.poll_interval_s = 1.0 / rate
         self.session.poll_now()
+        self._say_if_changed(before)
+
+    def _say_if_changed(self, before: str) -> None:
         if self.state_text != before:
             self._events.append(StateChanged(text=self.state_text))
 
@@ -559,6 +568,9 @@ class Machine:
         if self.config.stylus.kind != "z_axis":
             return self._stylus_down
         return self.reading_m is not None and self.reading_m[2] > STYLUS_DOWN_M
+
+    def _rests_extended(self) -> bool:
+        return self.phase is Phase.IDLE and self._stylus_is_down()
 
     def _lift_timeout_s(self) -> float:
         return 2.0 + self.config.stylus.dwell_s + self.config.stylus_limit_m() / self.config.stylus_feed_m_s

@@ -33,7 +33,10 @@ from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 from icu_common.nodes.runtime import run
 
-LEVELS = {"idle": "ok", "moving": "ok", "homing": "ok", "unhomed": "warn", "connecting": "warn", "stopped": "warn"}
+LEVELS = {
+    **dict.fromkeys(("idle", "moving", "homing"), "ok"),
+    **dict.fromkeys(("disabled", "unhomed", "connecting", "stopped"), "warn"),
+}
 
 
 class SerialDriverNode(Node):

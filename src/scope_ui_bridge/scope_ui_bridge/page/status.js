@@ -8,7 +8,7 @@ const LOOKS = {
 const LOOK_OF = {
   idle: "good", ready: "good", calibrated: "good",
   moving: "busy", homing: "busy", looking: "busy", touching: "busy", calibrating: "busy", connecting: "busy",
-  unhomed: "waiting", waiting: "waiting", uncalibrated: "waiting",
+  unhomed: "waiting", disabled: "waiting", waiting: "waiting", uncalibrated: "waiting",
   stopped: "bad", alarm: "bad", disconnected: "bad", mismatch: "bad", failed: "bad",
 };
 

@@ -106,6 +106,7 @@ const EN = {
   state_connecting: "Connecting",
   state_unhomed: "Not homed",
   state_homing: "Homing",
+  state_disabled: "Not enabled",
   state_idle: "Idle",
   state_moving: "Moving",
   state_stopped: "Stopped",
