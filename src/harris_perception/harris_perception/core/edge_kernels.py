@@ -23,35 +23,35 @@ def thin(a: Array, b: Array, c: Array, k: float) -> Array:
     The two values beside a pixel are interpolated between its neighbours, as Canny's suppression does.
     """
     height, width = a.shape
+    weight, one = np.float32(k), np.float32(1.0)
     strength = np.zeros((height, width), np.float32)
     for y in range(height):
+        ra, rb, rc, out = a[y], b[y], c[y], strength[y]
         for x in range(width):
-            trace = a[y, x] + b[y, x]
-            r = a[y, x] * b[y, x] - c[y, x] * c[y, x] - k * trace * trace
-            if r < 0.0:
-                strength[y, x] = np.sqrt(np.sqrt(-r / k))
+            trace = ra[x] + rb[x]
+            r = ra[x] * rb[x] - rc[x] * rc[x] - weight * trace * trace
+            out[x] = np.sqrt(np.sqrt(max(-r, np.float32(0.0)) / weight)) if r < 0 else np.float32(0.0)
     result = np.zeros((height, width), np.float32)
     for y in range(height):
         for x in range(width):
             s = strength[y, x]
             if s <= 0.0:
                 continue
-            angle = 0.5 * np.arctan2(2.0 * c[y, x], a[y, x] - b[y, x])
-            ux, uy = np.cos(angle), np.sin(angle)
-            if abs(ux) >= abs(uy):
-                step_x, step_y, share = 1, 1 if ux * uy >= 0.0 else -1, abs(uy / ux)
-                side_x, side_y = 1, 0
+            # The tangent of half the angle atan2(2 c, a - b), measured from the axis nearer to the direction.
+            difference, twice = a[y, x] - b[y, x], np.float32(2.0) * c[y, x]
+            share = abs(twice) / (abs(difference) + np.sqrt(difference * difference + twice * twice))
+            sign = 1 if twice >= 0 else -1
+            if difference >= 0:
+                step_x, step_y, side_x, side_y = 1, sign, 1, 0
             else:
-                step_x, step_y, share = 1 if ux * uy >= 0.0 else -1, 1, abs(ux / uy)
-                side_x, side_y = 0, 1
-            ahead = behind = np.float32(0.0)
+                step_x, step_y, side_x, side_y = sign, 1, 0, 1
             # Beyond the picture the edge goes on as it is, so that it is not lost along the frame.
             xs, ys = min(max(x + side_x, 0), width - 1), min(max(y + side_y, 0), height - 1)
             xd, yd = min(max(x + step_x, 0), width - 1), min(max(y + step_y, 0), height - 1)
-            ahead = (1.0 - share) * strength[ys, xs] + share * strength[yd, xd]
+            ahead = (one - share) * strength[ys, xs] + share * strength[yd, xd]
             xs, ys = min(max(x - side_x, 0), width - 1), min(max(y - side_y, 0), height - 1)
             xd, yd = min(max(x - step_x, 0), width - 1), min(max(y - step_y, 0), height - 1)
-            behind = (1.0 - share) * strength[ys, xs] + share * strength[yd, xd]
+            behind = (one - share) * strength[ys, xs] + share * strength[yd, xd]
             if s > behind and s >= ahead:
                 result[y, x] = s
     return result
