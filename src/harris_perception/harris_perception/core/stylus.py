@@ -26,6 +26,8 @@ Window = tuple[int, int, int, int]
 
 _ARC_BINS = 36
 _MAX_BLOBS = 12
+_MISFIT = 0.04
+"""How far a real ball is from Lambert's law, as a share of its chroma; a tighter scale makes the weights jump."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,9 +197,13 @@ class StylusTracker:
         """Yield connected regions of the ball's colour and a possible size, the largest first."""
         level = float(np.median(chroma[::8, ::8])) + self.config.min_chroma
         mask = np.asarray(cv2.threshold(chroma, min(level, 254.0), 255, cv2.THRESH_BINARY)[1])
-        if not cv2.countNonZero(mask):
+        left, top, across, down = cv2.boundingRect(mask)  # much quicker than labelling, and mostly small
+        if not across:
             return
-        _, _, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8, ltype=cv2.CV_32S)
+        inside = mask[top : top + down, left : left + across]
+        _, _, stats, centres = cv2.connectedComponentsWithStats(inside, connectivity=8, ltype=cv2.CV_32S)
+        stats[:, :2] += (left, top)
+        centres += (left, top)
         diameter = self.config.ball_diameter_m * self.stereo.focal_px
         largest = 1.3 * diameter / self.config.min_depth_m + 4
         smallest = 0.1 * (diameter / self.config.max_depth_m) ** 2
@@ -443,7 +449,12 @@ def _fit_shaded(
     state = np.array([0.0, 0.0, radius, 0.8])  # x, y, radius, blur
     expected = state.copy()
     trust = np.array([0.0, 0.0, 1 / (0.01 * radius), 1 / 0.3])  # how well radius and blur are known beforehand
-    weight, noise = np.ones(len(at)), 1.0
+    # Shading is at most as strong as the ball's chroma itself.
+    level = max(float(np.median(chroma[inner[use]])), 1.0) if inner.any() else 1.0
+    still = np.array([1e-3, 1.0, 1.0, 1.0, 1e-3]) / level
+    diagonal = np.diag_indices(9)
+    brightness: Array = np.zeros(5)
+    noise = 1.0
     for turn in range(7):
         offset = at - state[:2]
         distance = np.maximum(np.hypot(*offset.T), 1e-6)
@@ -453,11 +464,11 @@ def _fit_shaded(
         cover = 0.5 * (1 + _erf(across / np.sqrt(2)))
         shape = np.column_stack([np.ones(len(at)), toward * sine[:, None], np.sqrt(1 - sine**2)])
         basis = np.column_stack([shape * cover[:, None], 1 - cover])
-        root = np.sqrt(weight)[:, None]
-        brightness = np.linalg.lstsq(basis * root, chroma * root[:, 0], rcond=1e-4)[0]
+        if turn == 0:
+            brightness = np.asarray(np.linalg.lstsq(basis, chroma, rcond=1e-3)[0])
         error = chroma - basis @ brightness
         if turn < 3:  # a scale that follows the fit for ever keeps it from settling
-            noise = max(1.48 * float(np.median(np.abs(error))), 1.0)
+            noise = max(1.48 * float(np.median(np.abs(error))), _MISFIT * level)
         weight = np.clip(1 - (error / (4.685 * noise)) ** 2, 0, None) ** 2
         step = np.exp(-0.5 * across**2) / np.sqrt(2 * np.pi) / state[3] * (shape @ brightness[:4] - brightness[4])
         # How brightness at a place changes when the centre moves counts too, or the iteration creeps.
@@ -468,19 +479,18 @@ def _fit_shaded(
         weighted = joint * weight[:, None]
         normal = weighted.T @ joint / noise**2
         known = weighted.T @ error / noise**2
-        normal[np.arange(4), np.arange(4)] += trust**2
-        known[:4] += trust**2 * (expected - state)
-        normal[np.diag_indices(len(normal))] += 1e-6 * np.diag(normal).max()
-        change = np.clip(np.linalg.solve(normal, known)[:4], -0.5, 0.5)
-        state = state + change
+        normal[diagonal] += np.r_[trust, still] ** 2
+        known += np.r_[trust**2 * (expected - state), -(still**2) * brightness]
+        change = np.linalg.solve(normal, known)
+        state, brightness = state + np.clip(change[:4], -0.5, 0.5), brightness + change[4:]
         state[3] = min(max(state[3], 0.3), 2.5)
-        if np.abs(change[:3]).max() < 3e-3:
+        if np.abs(change[:3]).max() < 1e-2:
             break
     if np.hypot(*state[:2]) > 1.5:
         raise _Doubt("outline and brightness disagree about the centre")
     # Not weighted: what the fit left out counts against the ball.
     spread = float(np.sqrt(np.mean(error**2)))
-    return state[:2], float(state[2]), spread / max(float(np.median(chroma[cover > 0.9])), 1.0)
+    return state[:2], float(state[2]), spread / level
 
 
 def _erf(x: Array) -> Array:
