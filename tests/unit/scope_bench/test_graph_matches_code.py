@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import ast
 import importlib
+import inspect
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from rclpy.node import Node
+
 from icu_common.core.config import from_mapping, settings_of
 from scope_bench.core.graph_description import Program, load_graph
 
@@ -76,3 +80,21 @@ def test_parameter_file_names_every_setting(program: Program) -> None:
 def test_every_parameter_file_is_used() -> None:
     used = {path for profile in PROFILES for p in programs(profile) for path in p.parameter_files}
     assert set((ROOT / "config" / "params").glob("*.yaml")) == used
+
+
+@pytest.mark.parametrize("program", [p for p in programs("test") if p.is_node], ids=lambda p: p.name)
+def test_no_node_overwrites_an_attribute_of_rclpy(program: Program) -> None:
+    """A node that sets ``self._parameters`` breaks its own parameter services; rclpy keeps its own under that name."""
+    module = importlib.import_module(entry_points(program.package)[program.executable])
+    assert module.__file__ is not None
+    own = {name for name in vars(Node) if not name.startswith("__")} | set(rclpy_attributes())
+    for node in ast.walk(ast.parse(Path(module.__file__).read_text())):
+        targets = node.targets if isinstance(node, ast.Assign) else []
+        names = {t.attr for t in targets if isinstance(t, ast.Attribute) and ast.unparse(t.value) == "self"}
+        assert names & own == set()
+
+
+def rclpy_attributes() -> list[str]:
+    """Return the names that Node's constructor sets on itself."""
+    source = inspect.getsource(Node.__init__)
+    return re.findall(r"self\.(\w+)(?::[^=\n]+)? = ", source)

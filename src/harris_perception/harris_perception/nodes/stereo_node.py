@@ -83,7 +83,7 @@ class StereoNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("stereo", **options)
-        self._parameters = LiveParameters(self, StereoConfig, lambda config: self._configure())
+        self._live = LiveParameters(self, StereoConfig, lambda config: self._configure())
         self._calibration = StereoCalibration(self, self._configure)
         self._sets = Pairing(4, depth=6)
         self._matcher: Matcher | None = None
@@ -103,7 +103,7 @@ class StereoNode(Node):
         self.create_subscription(kind, topic, lambda message: self._on_message(stream, message), profile)
 
     def _configure(self) -> None:
-        config, stereo = self._parameters.config, self._calibration.stereo
+        config, stereo = self._live.config, self._calibration.stereo
         self._sets.tolerance_ns = round(config.pair_tolerance_s * 1e9)
         self._matcher = Matcher(stereo, config) if stereo is not None else None
 
@@ -118,7 +118,7 @@ class StereoNode(Node):
     def _due(self, image: Image) -> bool:
         # By the pictures' own clock, so that a replayed recording is thinned in the same way; a millisecond is jitter.
         stamp = stamp_ns(image.header.stamp)
-        period_ns = 1e9 / self._parameters.config.rate_hz - 1e6
+        period_ns = 1e9 / self._live.config.rate_hz - 1e6
         due = not self._last_ns <= stamp < self._last_ns + period_ns
         wanted = self._points.get_subscription_count() + self._plane.get_subscription_count() > 0
         if due and wanted:

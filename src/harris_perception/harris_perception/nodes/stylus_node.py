@@ -24,13 +24,13 @@ class StylusNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("stylus_tracker", **options)
-        self._parameters = LiveParameters(self, StylusConfig, self._configure)
-        self._calibration = StereoCalibration(self, lambda: self._configure(self._parameters.config))
+        self._live = LiveParameters(self, StylusConfig, self._configure)
+        self._calibration = StereoCalibration(self, lambda: self._configure(self._live.config))
         self._pairs = Pairing(2)
         self._tracker: StylusTracker | None = None
         self._seen = self._missed = 0
         self._last = Search(tip=None, reason="no pictures yet")
-        self._configure(self._parameters.config)
+        self._configure(self._live.config)
         self._tip = self.create_publisher(PointStamped, "tip", qos.RESULTS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         for stream, side in enumerate(("left", "right")):
