@@ -35,7 +35,7 @@ if [ -x "$venv/bin/python" ] && [ "$("$venv/bin/python" -c 'import sys; print("%
   rm -rf "$venv"
 fi
 if [ ! -x "$venv/bin/pip" ]; then
-  echo "[1/3] virtual environment in .venv (Python $version)"
+  echo "[1/4] virtual environment in .venv (Python $version)"
   rm -rf "$venv"
   options=()
   [ $jazzy = yes ] && options=(--system-site-packages)
@@ -48,7 +48,7 @@ install() { # file of requirements, what it is
   local sum
   sum=$(cat requirements*.txt | sha256sum)
   [ -f "$mark" ] && [ "$(cat "$mark")" = "$sum" ] && return
-  echo "[2/3] $2"
+  echo "[2/4] $2"
   # On a terminal one line shows what pip is at; elsewhere only the end is printed.
   local show=0
   [ -t 1 ] && show=1
@@ -77,7 +77,7 @@ fi
 built=ros2_ws/install/.built
 now=$(cat src/*/setup.py src/*/setup.cfg src/*/package.xml | sha256sum; find config src/*/launch -type f 2>/dev/null | sort | sha256sum; echo "$root $jazzy $version")
 if [ ! -f $built ] || [ "$(cat $built)" != "$now" ]; then
-  echo "[3/3] colcon build"
+  echo "[3/4] colcon build"
   log=$(mktemp)
   if [ $jazzy = yes ]; then colcon=colcon; else colcon="$venv/bin/colcon"; fi
   # A build directory made under another path or python would keep its old links.
@@ -91,3 +91,12 @@ fi
 # With this the executables in ros2_ws/install/<package>/lib/<package>/ also start without sourcing the workspace.
 for package in src/*/; do printf '%s\n' "$root/ros2_ws/build/$(basename "$package")"; done \
   > "$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/icu_workspace.pth"
+
+# The detector's machine code is cached beside its source, so that the first picture is not late.
+kernels=$(cat src/harris_perception/harris_perception/core/*.py | sha256sum)
+if [ ! -f ros2_ws/install/.warm ] || [ "$(cat ros2_ws/install/.warm)" != "$kernels" ]; then
+  echo "[4/4] compile the corner detector"
+  "$venv/bin/python" -c "from harris_perception.core.harris import HarrisDetector; HarrisDetector().warm()" \
+    || fail "the corner detector could not be compiled; see the lines above"
+  echo "$kernels" > ros2_ws/install/.warm
+fi
