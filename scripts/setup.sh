@@ -61,8 +61,12 @@ install() { # file of requirements, what it is
 if [ $jazzy = no ]; then
   install requirements.txt "rclpy, Fast DDS and libraries (about 400 MB, a minute or so)"
 else
-  "$python" -c 'import cv2, numpy, serial, yaml, numba, aiohttp' 2>/dev/null \
-    || fail "libraries are missing; install them with: rosdep install --from-paths src --ignore-src -y"
+  "$python" -c 'import cv2, numpy, serial, yaml, aiohttp' 2>/dev/null \
+    || fail "libraries are missing; install them with: rosdep install --from-paths src --ignore-src -y --skip-keys python3-numba"
+  # Ubuntu 24.04 has no package of numba.
+  "$venv/bin/python" -c 'import numba' 2>/dev/null \
+    || { echo "[2/4] numba"; "$venv/bin/pip" install --quiet numba "numpy==$("$python" -c 'import numpy; print(numpy.__version__)')"; } \
+    || fail "pip could not install numba into .venv; see the lines above"
 fi
 if [ "$want" = dev ]; then install requirements-dev.txt "tools for tests and checks"; fi
 
@@ -79,10 +83,10 @@ now=$(cat src/*/setup.py src/*/setup.cfg src/*/package.xml | sha256sum; find con
 if [ ! -f $built ] || [ "$(cat $built)" != "$now" ]; then
   echo "[3/4] colcon build"
   log=$(mktemp)
-  if [ $jazzy = yes ]; then colcon=colcon; else colcon="$venv/bin/colcon"; fi
+  # The environment's python runs colcon, so that the installed programs start with it.
   # A build directory made under another path or python would keep its old links.
   rm -rf ros2_ws/build ros2_ws/install ros2_ws/log
-  (cd ros2_ws && PATH="$venv/bin:$PATH" $colcon build --symlink-install --event-handlers console_direct- >"$log" 2>&1) \
+  (cd ros2_ws && PATH="$venv/bin:$PATH" "$venv/bin/python" -m colcon build --symlink-install --event-handlers console_direct- >"$log" 2>&1) \
     || { cat "$log" >&2; rm -f "$log"; fail "colcon build failed; see the lines above"; }
   rm -f "$log"
   echo "$now" > $built

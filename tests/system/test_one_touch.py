@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,7 @@ class Operator:
         self.states = ros.collect(self.node, String, "/gantry/state", qos.LATCHED)
         self.driver_states = ros.collect(self.node, String, "/gantry/driver_state", qos.LATCHED)
         self.beating = True
+        self.beats_heard = 0
         self.node.create_timer(0.1, self._beat)
         ros.spin_until(
             lambda: self.state == "ready" and self.goal.get_subscription_count() and self.heartbeat_heard(),
@@ -68,10 +70,11 @@ class Operator:
         return self.driver_states[-1].data if self.driver_states else ""
 
     def heartbeat_heard(self) -> bool:
-        return self.heartbeat.get_subscription_count() >= 2  # driver and controller
+        return self.beats_heard >= 5
 
     def _beat(self) -> None:
         if self.beating:
+            self.beats_heard += self.heartbeat.get_subscription_count() >= 2  # driver and controller
             self.heartbeat.publish(Header(stamp=self.node.get_clock().now().to_msg(), frame_id="operator"))
 
     def answer(self, goal_id: str, within_s: float = 60.0) -> GoalResult:
@@ -177,6 +180,10 @@ def test_press_of_a_named_control_stops_the_scope(running_graph: Any, operator: 
     assert all(line.replace(" ", "").startswith("G53G1") for line in lines), lines
     deepest = min(float(line.split("Z")[1].split("F")[0]) for line in lines if "Z" in line)
     assert -40.0 < deepest < -25.0, "the stylus went down to the button, 3 mm above the panel's face at z = -35 mm"
+    place = np.array(next(e["tip_base_m"] for e in events if e["event"] == "press")[:2]) * 1000
+    sent = [re.fullmatch(r".*X(-?[\d.]+)Y(-?[\d.]+).*", line) for line in lines]
+    over = np.array([(float(m[1]) + 359, float(m[2]) + 219) for m in sent if m])  # readings: 0 at the homed corner
+    assert np.hypot(*(over[-1] - place)) < 2.0, "the last place that the board was told is where the tip was"
 
     operator.go(0.01, 0.01)
     changed = np.abs(screen_pixels(operator) - seen_before).mean()

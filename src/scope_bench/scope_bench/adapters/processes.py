@@ -1,4 +1,4 @@
-"""Starts the programs of the graph, watches them, restarts what fell over, and ends them all in the right order."""
+"""Starts the programs of the graph, watches them, restarts what fell over, and ends the simulated hardware last."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ class Watched:
     starts: list[float] = field(default_factory=list)
     restart_at: float | None = None
     gave_up: bool = False
+    misconfigured: bool = False
     once: bool = False
+    ends_last: bool = False
 
 
 def _die_with_parent() -> None:
@@ -67,15 +69,15 @@ class ProcessGroup:
         self._selector = selectors.DefaultSelector()
         self._partial: dict[int, bytes] = {}
 
-    def start(self, name: str, command: list[str]) -> None:
-        """Start a program.
+    def start(self, name: str, command: list[str], *, ends_last: bool = False) -> None:
+        """Start a program; one that ``ends_last`` is ended when all others are gone.
 
         Raises
         ------
         OSError
             If the executable cannot be started.
         """
-        self._start(Watched(name=name, command=command))
+        self._start(Watched(name=name, command=command, ends_last=ends_last))
 
     def start_once(self, name: str, command: list[str]) -> None:
         """Start a program that ends by itself and is not restarted."""
@@ -118,6 +120,11 @@ class ProcessGroup:
         return {w.name: w.process.pid for w in self._programs if w.process is not None and w.process.poll() is None}
 
     @property
+    def misconfigured(self) -> list[str]:
+        """Names of programs that cannot run with their configuration."""
+        return [w.name for w in self._programs if w.misconfigured]
+
+    @property
     def gave_up(self) -> list[str]:
         """Names of programs that are not restarted any more."""
         return [w.name for w in self._programs if w.gave_up]
@@ -130,7 +137,7 @@ class ProcessGroup:
             if code:
                 self._on_event(watched.name, f"ended with {why}")
         elif code == 2:  # a wrong configuration stays wrong
-            watched.gave_up = True
+            watched.gave_up = watched.misconfigured = True
             self._on_event(watched.name, f"ended with {why} and is not restarted: mend its configuration")
         elif len(recent) > self._restarts:
             watched.gave_up = True
@@ -155,8 +162,11 @@ class ProcessGroup:
             self._selector.unregister(key.fileobj)
             key.fileobj.close()  # type: ignore[attr-defined]
 
-    def stop(self, within_s: float = 8.0) -> list[str]:
-        """End everything: interrupt, wait, terminate, kill. The last started goes first.
+    def stop(self, within_s: float = 20.0) -> list[str]:
+        """End everything: interrupt, and after a while terminate and kill.
+
+        First all but those that end last, so that a driver can hold its machine and lift the stylus while the board
+        still answers; then those.
 
         Returns
         -------
@@ -165,9 +175,15 @@ class ProcessGroup:
         """
         for watched in self._programs:
             watched.restart_at = None
-        waiting = [w for w in reversed(self._programs) if w.process is not None]
         killed: list[str] = []
-        for number, share in ((signal.SIGINT, 0.5), (signal.SIGTERM, 0.4), (signal.SIGKILL, 0.1)):
+        for last in (False, True):
+            killed += self._end([w for w in self._programs if w.process is not None and w.ends_last is last], within_s)
+        self._selector.close()
+        return killed
+
+    def _end(self, waiting: list[Watched], within_s: float) -> list[str]:
+        killed: list[str] = []
+        for number, share in ((signal.SIGINT, 0.7), (signal.SIGTERM, 0.2), (signal.SIGKILL, 0.1)):
             for watched in waiting:
                 assert watched.process is not None
                 if number == signal.SIGKILL:
@@ -181,7 +197,6 @@ class ProcessGroup:
                 waiting = [w for w in waiting if w.process is not None and w.process.poll() is None]
             if not waiting:
                 break
-        self._selector.close()
         return killed
 
 

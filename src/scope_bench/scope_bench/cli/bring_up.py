@@ -114,18 +114,18 @@ class BringUp:
                 values = temporary / f"{program.name}.yaml"
                 values.write_text(program.values_document(), encoding="utf-8")
                 path = find_executable(program.package, program.executable, here)
-                group.start(
-                    program.name, [str(path), *program.ros_arguments(values), *self._single_values(program.name)]
-                )
+                arguments = [*program.ros_arguments(values), *self._single_values(program.name)]
+                group.start(program.name, [str(path), *arguments], ends_last=program.ends_last)
             self.say(f"started {len(group.running())} programs of the profile {self.options.profile}; Ctrl-C ends them")
             if self.options.prepare:
                 path = find_executable("gantry_driver", "gantry_prepare", here)
                 namespace = ["-r", f"__ns:=/{self.options.namespace.strip('/')}"] if self.options.namespace else []
                 ros = ["--ros-args", *namespace] if namespace else []
                 group.start_once("prepare", [str(path), *ros])
-            while not self.stopping:
+            while not self.stopping and not group.misconfigured:
                 group.watch(0.2)
-            self.say("ending every program")
+            why = f", since {', '.join(group.misconfigured)} cannot run" if group.misconfigured else ""
+            self.say(f"ending every program{why}")
         finally:
             killed = group.stop()
             if killed:

@@ -9,7 +9,19 @@ from typing import Any
 
 import yaml
 
-_KEYS = {"package", "executable", "namespace", "parameters", "set", "remap", "arguments", "when", "only", "ros"}
+_KEYS = {
+    "package",
+    "executable",
+    "namespace",
+    "parameters",
+    "set",
+    "remap",
+    "arguments",
+    "when",
+    "only",
+    "ros",
+    "ends_last",
+}
 _ADDABLE = {"parameters", "set", "remap", "arguments"}
 
 
@@ -37,6 +49,8 @@ class Program:
         Further command line arguments.
     is_node
         False for a program without ROS.
+    ends_last
+        True for simulated hardware, which must answer until the others have ended.
     """
 
     name: str
@@ -48,6 +62,7 @@ class Program:
     remappings: tuple[tuple[str, str], ...]
     arguments: tuple[str, ...]
     is_node: bool
+    ends_last: bool
 
     def ros_arguments(self, values_file: Path) -> list[str]:
         """Return the command line behind the executable; ``values_file`` is where the single values were written."""
@@ -123,6 +138,7 @@ def load_graph(
                 remappings=tuple((source, str(root / target)) for source, target in remap.items()),
                 arguments=tuple(_fill([a for part in parts for a in part.get("arguments", ())], words)),
                 is_node=entry.get("ros", True),
+                ends_last=entry.get("ends_last", False),
             )
         )
     return programs, profiles
