@@ -47,7 +47,7 @@ def test_a_path_is_executed_line_by_line_and_ends_where_it_should(start: Start) 
     assert rig.outcomes() == ["accepted", "reached"], rig.results
     assert rig.results[-1].error_m < 2e-5
     texts = [line["text"] for line in board.lines(before)]
-    assert texts == ["G21G90G94", "G53G1X-259Y-169F9000", "G53G1Z-11F1800", "G53G1Z-1F1800", "G4P0"]
+    assert texts == ["G21G90G94", "G53G1X-259Y-169F9000", "G53G1Z-11F1800", "G53G1Z-1", "G4P0"]
     assert board.mpos() == pytest.approx((HOMED[0] + 100, HOMED[1] + 50, HOMED[2]), abs=0.02)
     assert rig.machine.counts.sent == rig.machine.counts.acknowledged == rig.machine.counts.executed
 

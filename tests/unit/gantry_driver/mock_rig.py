@@ -24,6 +24,7 @@ class Rig:
     settings: dict[int, float] = field(default_factory=dict)
     baud: int = 0
     line_s: float = 0.0
+    latency_s: float = 0.0
     seed: int = 0
     mist: bool = False
     mechanics: MechanicsOptions = field(default_factory=MechanicsOptions)
@@ -31,7 +32,7 @@ class Rig:
     def __post_init__(self) -> None:
         self.machine = Machine(
             make_eeprom(self.settings),
-            board=BoardOptions(baud=self.baud, line_s=self.line_s, mist=self.mist),
+            board=BoardOptions(baud=self.baud, line_s=self.line_s, latency_s=self.latency_s, mist=self.mist),
             mechanics=self.mechanics,
             seed=self.seed,
         )

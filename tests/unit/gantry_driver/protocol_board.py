@@ -192,7 +192,7 @@ class Board:
             target = list(self.blocks[-1][1] if self.blocks else self.mpos)
             for axis, letter in enumerate("XYZ"):
                 target[axis] = float(words.get(letter, target[axis]))
-            self.feed = float(words["F"])
+            self.feed = float(words.get("F", self.feed))
             self.blocks.append((text, target, self.feed))
             if self.state == "Idle":
                 self.state = "Run"

@@ -337,3 +337,10 @@ def test_a_fault_that_does_not_fit_is_refused(kind: str, arguments: dict[str, ob
     with pytest.raises(FaultError, match=re.escape(sentence)):
         rig.machine.inject(kind, arguments)
     assert rig.send(b"G21\n", 0.1) == OK
+
+
+def test_hard_limits_look_from_where_the_motors_are_when_a_block_begins() -> None:
+    """Down and back to the pull-off: the way up is shorter than it would be from where the way down began."""
+    rig = Rig.homed(settings={21: 1})
+    assert rig.send(b"G53G1Z-11F1800\nG53G1Z-1\n", 5.0) == b"ok\r\nok\r\n"
+    assert rig.report()[1][2] == -1.0

@@ -54,6 +54,18 @@ def test_counting_bytes_loses_nothing() -> None:
     assert [e["text"].encode() + b"\n" for e in rig.board.journal.since(0, "line")] == lines
 
 
+def test_latency_delays_answers_alike_and_frees_the_boards_buffer_in_time() -> None:
+    rig = Rig.free(latency_s=0.016, baud=115200)
+    byte_s = 10 / 115200
+    start = rig.now
+    rig.board.receive(b"G21\nG90\n", start)
+    first = rig.until(OK, 1.0)
+    assert first == pytest.approx(4 * byte_s + 4 * byte_s + 0.016, abs=1e-4)
+    # The second answer is delayed as long as the first, not after it.
+    rig.until(OK, 1.0)
+    assert rig.now - start == pytest.approx(first + 4 * byte_s, abs=1e-4)
+
+
 def test_real_time_bytes_pass_a_full_buffer() -> None:
     rig = Rig.free()
     rig.send(b"G1X-50F100\n" * 15 + b"X0\n" * 80)

@@ -8,6 +8,7 @@ import pytest
 from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
 
 from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
+from icu_common.core.config import settings_of
 
 
 def test_connects_checks_settings_and_waits_unhomed() -> None:
@@ -304,7 +305,7 @@ def test_trap_4_a_long_hold_runs_into_no_time_out() -> None:
 def test_trap_5_after_an_error_at_most_one_more_block_runs() -> None:
     rig = Rig().homed()
     points = [(0.02 * k, 0.0, 0.0) for k in range(1, 12)]
-    bad = "G53G1X-259F9000"
+    bad = "G53G1X-259"  # the speed is that of the lines before
     rig.board.refuse = {bad: 22}
     rig.go(*points)
     rig.until(lambda: "aborted" in rig.outcomes())
@@ -409,7 +410,7 @@ def test_other_styluses_go_down_after_the_move_and_up_before_it(kind: str, down:
     rig.go((0.1, 0.0, 0.01), (0.2, 0.0, 0.0))
     rig.until(lambda: "reached" in rig.outcomes())
     lines = [t for t in rig.board.received if t not in ("G21G90G94", "G4P0")]
-    assert lines[-6:] == ["G53G1X-259F9000", down, "G4P0.1", up, "G4P0.1", "G53G1X-159F9000"]
+    assert lines[-6:] == ["G53G1X-259F9000", down, "G4P0.1", up, "G4P0.1", "G53G1X-159"]
 
 
 def test_homed_somewhere_else_than_configured_is_a_mismatch() -> None:
@@ -438,3 +439,11 @@ def test_a_program_is_checked_as_a_whole_and_then_streamed() -> None:
     rig.until(lambda: "reached" in rig.outcomes(), 60.0)
     assert [t for t in rig.board.executed if "X" in t] == [f"G53G1X{-300 - k}F6000" for k in range(50)]
     assert rig.board.mpos[0] == -349.0
+
+
+def test_what_homing_and_the_settings_check_rest_on_is_fixed_while_the_node_runs() -> None:
+    items = {item.name: item.setting.read_only for item in settings_of(DriverConfig)}
+    fixed = {name for name in items if name.startswith("machine.")}
+    fixed |= {"stylus.kind", "stylus.stroke_m", "stylus.servo_up", "stylus.servo_down", "port", "baud"}
+    assert len(fixed) == 12 and [name for name in sorted(fixed) if not items[name]] == []
+    assert not items["feed_m_s"], "what only the next motion needs stays live"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import random
 
 import pytest
@@ -268,3 +269,36 @@ def test_executed_follows_the_planner_and_never_overtakes() -> None:
     assert (session.counts.sent, session.counts.acknowledged, session.counts.executed) == (5, 5, 2)
     session.executed_all()
     assert session.counts.executed == 5
+
+
+def test_nothing_is_due_while_lines_wait_for_room() -> None:
+    session = GrblSession()
+    for number in range(40):
+        session.queue(f"G1X{number}.123")
+    session.polling = True
+    session.output(1.0)
+    assert session.pending == 40 and session.in_flight_bytes > 90
+    assert session.deadline(1.0) == pytest.approx(1.0 + session.poll_interval_s), "waiting is for the next report"
+
+
+def test_nothing_is_due_while_the_board_writes_its_memory() -> None:
+    session = GrblSession()
+    session.polling = True
+    session.queue("$110=500")
+    session.queue("G1X1")
+    assert session.output(1.0).endswith(b"$110=500\n")
+    assert session.deadline(5.0) == math.inf and session.output(5.0) == b""
+
+
+def test_room_for_two_lines_stays_until_the_wire_is_the_limit() -> None:
+    session = GrblSession()
+    for _ in range(60):
+        session.queue("G53G1X-100")
+    sent = session.output(0.0).count(b"\n")
+    assert (sent + 2) * 11 < 128 <= (sent + 3) * 11
+    for _ in range(3):
+        assert session.output(0.0) == b""
+        list(session.receive(b"<Run|MPos:0,0,0|Bf:9,110|FS:0,0>\r\n", 0.1))
+    assert session.output(0.1).count(b"\n") == 2, "the motion is not the limit: the whole buffer is used"
+    list(session.receive(b"<Run|MPos:0,0,0|Bf:0,10|FS:0,0>\r\n" + b"ok\r\n" * 2, 0.2))
+    assert session.output(0.2) == b"", "the planner is full: room is left again"

@@ -56,6 +56,9 @@ class SerialLink:
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
         os.set_blocking(self._wake_write, False)
+        self._poller = select.poll()
+        self._poller.register(self._wake_read, select.POLLIN)
+        self._writing = False
         self._thread = threading.Thread(target=self._run, name="serial-link", daemon=True)
         self.stop_writes: int = 0
 
@@ -159,6 +162,8 @@ class SerialLink:
         with self._changed:
             self._port, self._fd = port, port.fileno()
             os.set_blocking(self._fd, False)
+            self._poller.register(self._fd, select.POLLIN)
+            self._writing = False
             self._pending.clear()
             self._machine.opened(time.monotonic())
             self._changed.notify_all()
@@ -188,11 +193,10 @@ class SerialLink:
 
     def _wait(self, seconds: float) -> bool:
         """Wait at most ``seconds``; return whether the port has something to say, be it that it has gone."""
-        poller = select.poll()
-        poller.register(self._wake_read, select.POLLIN)
-        if self._fd >= 0:
-            poller.register(self._fd, select.POLLIN | (select.POLLOUT if self._pending else 0))
-        ready = dict(poller.poll(1000.0 * seconds))
+        if self._fd >= 0 and self._writing is not bool(self._pending):
+            self._writing = bool(self._pending)
+            self._poller.modify(self._fd, select.POLLIN | (select.POLLOUT if self._writing else 0))
+        ready = dict(self._poller.poll(1000.0 * seconds))
         if self._wake_read in ready:
             woken = os.read(self._wake_read, 4096)
             for number in _STOP_SIGNALS.keys() & set(woken):
@@ -222,8 +226,10 @@ class SerialLink:
 
     def _close_port(self) -> None:
         with self._changed:
-            port, self._port, self._fd = self._port, None, -1
+            port, fd, self._port, self._fd = self._port, self._fd, None, -1
             self._pending.clear()
+            if fd >= 0:
+                self._poller.unregister(fd)
         if port is not None:
             with contextlib.suppress(OSError, serial.SerialException, termios.error):
                 port.close()

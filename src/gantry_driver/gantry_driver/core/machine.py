@@ -231,7 +231,7 @@ class Machine:
 
     def deadline(self, now: float) -> float:
         """Return when :meth:`tick` and :meth:`output` are due even if nothing happens."""
-        return min(self.session.deadline(), now + TICK_S)
+        return min(self.session.deadline(now), now + TICK_S)
 
     def diagnostics(self) -> list[tuple[str, str]]:
         """Return names and values for the diagnostics topic."""

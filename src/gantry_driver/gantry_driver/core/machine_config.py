@@ -17,20 +17,33 @@ STYLUS_KINDS = ("z_axis", "servo_m3", "solenoid_m8")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MachineConfig(Config):
-    """The controller board's settings as they must be; three values each for x, y and z."""
+    """The controller board's settings as they must be; three values each for x, y and z.
 
-    steps_per_mm: tuple[float, ...] = setting((80.0, 80.0, 400.0), "$100 to $102", minimum=0.01, unit="steps/mm")
+    All are fixed while the node runs: readings, limits and the check of the settings rest on them since homing.
+    """
+
+    steps_per_mm: tuple[float, ...] = setting(
+        (80.0, 80.0, 400.0), "$100 to $102", minimum=0.01, unit="steps/mm", read_only=True
+    )
     max_rate_mm_min: tuple[float, ...] = setting(
-        (12000.0, 12000.0, 3000.0), "$110 to $112", minimum=1.0, maximum=100_000.0, unit="mm/min"
+        (12000.0, 12000.0, 3000.0), "$110 to $112", minimum=1.0, maximum=100_000.0, unit="mm/min", read_only=True
     )
     acceleration_mm_s2: tuple[float, ...] = setting(
-        (1500.0, 1500.0, 400.0), "$120 to $122", minimum=1.0, maximum=100_000.0, unit="mm/s^2"
+        (1500.0, 1500.0, 400.0), "$120 to $122", minimum=1.0, maximum=100_000.0, unit="mm/s^2", read_only=True
     )
-    travel_mm: tuple[float, ...] = setting((360.0, 220.0, 60.0), "$130 to $132", minimum=1.0, maximum=5000.0, unit="mm")
+    travel_mm: tuple[float, ...] = setting(
+        (360.0, 220.0, 60.0), "$130 to $132", minimum=1.0, maximum=5000.0, unit="mm", read_only=True
+    )
     homing_direction_mask: int = setting(
-        3, "$23: a set bit homes that axis at its negative end (1 = x, 2 = y, 4 = z)", minimum=0, maximum=7
+        3,
+        "$23: a set bit homes that axis at its negative end (1 = x, 2 = y, 4 = z)",
+        minimum=0,
+        maximum=7,
+        read_only=True,
     )
-    pull_off_mm: float = setting(1.0, "$27: distance from the switch after homing", minimum=0.0, maximum=50.0)
+    pull_off_mm: float = setting(
+        1.0, "$27: distance from the switch after homing", minimum=0.0, maximum=50.0, read_only=True
+    )
 
     def __post_init__(self) -> None:
         super(MachineConfig, self).__post_init__()
@@ -73,10 +86,19 @@ class StylusConfig(Config):
 
     kind: str = setting("z_axis", "What moves the stylus", choices=STYLUS_KINDS, read_only=True)
     stroke_m: float = setting(
-        0.02, "Extension when down, for servo and solenoid; a Z axis has its travel", minimum=0.0, maximum=0.2, unit="m"
+        0.02,
+        "Extension when down, for servo and solenoid; a Z axis has its travel",
+        minimum=0.0,
+        maximum=0.2,
+        unit="m",
+        read_only=True,
     )
-    servo_up: float = setting(200.0, "S value of M3 that lifts the stylus", minimum=0.0, maximum=30000.0)
-    servo_down: float = setting(800.0, "S value of M3 that lowers the stylus", minimum=0.0, maximum=30000.0)
+    servo_up: float = setting(
+        200.0, "S value of M3 that lifts the stylus", minimum=0.0, maximum=30000.0, read_only=True
+    )
+    servo_down: float = setting(
+        800.0, "S value of M3 that lowers the stylus", minimum=0.0, maximum=30000.0, read_only=True
+    )
     dwell_s: float = setting(0.25, "Time that servo or solenoid take for the way", minimum=0.0, maximum=5.0, unit="s")
 
 

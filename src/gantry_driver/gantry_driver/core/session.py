@@ -37,6 +37,13 @@ MAX_LINE_BYTES = 80
 """Newline included; GRBL answers error:11 to longer ones."""
 EEPROM_PAUSE_S = 0.05
 """After the ``ok`` of an EEPROM write; without it bytes were lost in trials."""
+WIRE_BOUND_REPORTS = 3
+"""Reports in a row with room in the planner, after which the wire counts as the limit and not the motion."""
+WIRE_BOUND_POLL_S = 0.1
+"""Between status reports then: each takes as much of the line back as fifteen answers."""
+SPARE_LINES = 2
+"""Room left in the board's buffer while motion is the limit: there it fills up, and an answer too many would make a
+line overflow it. Streaming is not slower for it."""
 RESET_RETRY_S = 1.0
 """A reset without a banner was swallowed (GRBL does that for about 500 ms after ALARM:1 and 2) and is sent again."""
 
@@ -45,26 +52,33 @@ _EEPROM = re.compile(r"\$(?!J=)[^=]*=|\$RST|G0*10(?!\d).*L0*20?(?!\d)|G0*28\.10*
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """A line for the board: ``number`` counts from 1 within the session, ``text`` has no newline."""
+    """A line for the board: ``number`` counts from 1 within the session, ``text`` has no newline.
+
+    Parameters
+    ----------
+    eeprom
+        Whether it blocks the board's reception while it is executed.
+    alone
+        Whether nothing else may be under way with it: ``$`` commands and EEPROM writes.
+    """
 
     number: int
     text: str
     answer_within_s: float
+    eeprom: bool = False
+    alone: bool = False
+
+    @classmethod
+    def of(cls, number: int, text: str, answer_within_s: float) -> Line:
+        """Return the line with what its text says about it; asked once, not at every turn of the link."""
+        eeprom = _EEPROM.search(text) is not None
+        alone = eeprom or (text.startswith("$") and not text.startswith("$J="))
+        return cls(number=number, text=text, answer_within_s=answer_within_s, eeprom=eeprom, alone=alone)
 
     @property
     def size(self) -> int:
         """Bytes in the receive buffer, newline included."""
         return len(self.text) + 1
-
-    @property
-    def alone(self) -> bool:
-        """Whether nothing else may be under way with it: ``$`` commands and EEPROM writes."""
-        return self.eeprom or (self.text.startswith("$") and not self.text.startswith("$J="))
-
-    @property
-    def eeprom(self) -> bool:
-        """Whether it blocks the board's reception while it is executed."""
-        return _EEPROM.match(self.text) is not None or _EEPROM.search(self.text) is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,6 +177,7 @@ class GrblSession:
         self._reset_at = 0.0
         self._wco_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
         self._unanswered_since: float | None = None
+        self._roomy_reports = 0
         self.last_report_at: float | None = None
         self.polling = False
         self.paused = False
@@ -207,8 +222,10 @@ class GrblSession:
         for column, char in enumerate(text, 1):
             if not " " <= char <= "}" or char in "!?":
                 raise ValueError(f"line {text!r}, column {column}: {char!r} cannot be part of a line")
+        if not self.pending:
+            self._roomy_reports = 0
         self._number += 1
-        line = Line(number=self._number, text=text, answer_within_s=answer_within_s)
+        line = Line.of(self._number, text, answer_within_s)
         self._queue.append(line)
         return line
 
@@ -277,6 +294,7 @@ class GrblSession:
         # The largest free sizes ever reported are the empty buffers; some builds hold one less than [OPT:] says.
         self._planner_room = max(self._planner_room, report.planner_free)
         self._rx_room = max(self._rx_room, report.rx_free)
+        self._roomy_reports = self._roomy_reports + 1 if report.planner_free > 1 else 0
         if report.planner_free >= 0:
             # A line makes at least no block and each block in the planner waits, so this never counts too many.
             self._executed(self.counts.acknowledged - (self._planner_room - report.planner_free))
@@ -349,10 +367,10 @@ class GrblSession:
         if self.awaiting_banner and now - self._reset_at >= RESET_RETRY_S:
             out += SOFT_RESET
             self._reset_at = now
-        blocked = bool(self._in_flight) and self._in_flight[0][0].eeprom
-        if self.polling and now >= self._next_poll and not blocked and now >= self._quiet_until:
+        if self.polling and now >= self._next_poll and not self._deaf() and now >= self._quiet_until:
             out += STATUS
-            self._next_poll = now + self.poll_interval_s
+            rare = bool(self._queue) and self._wire_bound and not self.paused
+            self._next_poll = now + (max(self.poll_interval_s, WIRE_BOUND_POLL_S) if rare else self.poll_interval_s)
         while self._may_send(now):
             line = self._queue.popleft()
             self._in_flight.append((line, now))
@@ -362,21 +380,31 @@ class GrblSession:
         self.counts.bytes_sent += len(out)
         return bytes(out)
 
+    @property
+    def _wire_bound(self) -> bool:
+        return self._roomy_reports >= WIRE_BOUND_REPORTS
+
+    def _deaf(self) -> bool:
+        """Whether the board is writing to its EEPROM and would not take a byte."""
+        return bool(self._in_flight) and self._in_flight[0][0].eeprom
+
     def _may_send(self, now: float) -> bool:
         if not self._queue or self.awaiting_banner or self.paused or now < self._quiet_until:
             return False
         line = self._queue[0]
         if self._in_flight and (line.alone or self._in_flight[-1][0].alone):
             return False
+        spare = 0 if self._wire_bound or not self._in_flight else SPARE_LINES * line.size
         # One byte less than the buffer: older builds' ring buffers hold one less than they say.
-        return self._in_flight_bytes + line.size < self.rx_bytes
+        return self._in_flight_bytes + line.size + spare < self.rx_bytes
 
-    def deadline(self) -> float:
-        """Return the time at which :meth:`output` has something to do even if nothing is received."""
+    def deadline(self, now: float) -> float:
+        """Return when :meth:`output`, just called at ``now``, has something to do even if nothing is received."""
         times = [float("inf")]
-        if self.polling:
+        if self.polling and not self._deaf():
             times.append(max(self._next_poll, self._quiet_until))
-        if self._queue:
+        # Lines that wait for room wait for an answer; only those that wait for a pause have a time.
+        if self._queue and now < self._quiet_until:
             times.append(self._quiet_until)
         if self.awaiting_banner:
             times.append(self._reset_at + RESET_RETRY_S)

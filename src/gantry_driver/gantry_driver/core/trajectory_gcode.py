@@ -83,14 +83,18 @@ def write_motion(
     if not 0 < len(points) <= config.max_points:
         raise TrajectoryError(f"the trajectory has {len(points)} points, 1 to {config.max_points} are needed")
     lines = [MODES]
-    here, clock, total = start_m, 0.0, 0.0
+    here, clock, total, feed = start_m, 0.0, 0.0, ""
     for number, point in enumerate(points, 1):
         target = _target(number, point, order, here, config)
         seconds = _seconds(number, point, here, target, clock, config)
         clock = point.time_s if point.time_s > 0 else clock + seconds
         new = _segment(here, target, seconds, config)
         total += seconds + (config.stylus.dwell_s if config.stylus.kind != "z_axis" and target[2] != here[2] else 0.0)
-        lines += new
+        for line in new:
+            body, letter, value = line.partition("F")
+            # F stays in force; behind a USB adapter's latency the bytes that it takes are time.
+            lines.append(body if letter and value == feed else line)
+            feed = value or feed
         here = target
     return Motion(lines=(*lines, SYNCHRONISE), end_m=here, seconds=total)
 

@@ -94,6 +94,8 @@ class BoardOptions:
 
     baud: int = 115200
     """0 = bytes take no time."""
+    latency_s: float = 0.0
+    """What the host receives is this much later than the line alone makes it, as behind a USB adapter's timer."""
     line_s: float = 0.0005
     """Time the firmware takes for a line."""
     boot_s: float = 0.1
@@ -148,7 +150,7 @@ class Board:
         self.journal = Journal()
         byte_s = BITS_PER_BYTE / options.baud if options.baud else 0.0
         self.inbound = Inbound(byte_s)
-        self.outbound = Outbound(byte_s, rng)
+        self.outbound = Outbound(byte_s, rng, options.latency_s)
         self.now = 0.0
         self.powered = False
         self.state = State.IDLE
@@ -325,6 +327,8 @@ class Board:
             return self._probing(block)
         if not self.eeprom.flag(21):
             return None
+        # The motors may lag behind: they are asked for their place only now and then.
+        self.mechanics.follow(block.position(self.motion.done))
         hits = [self._along(block, axis) for axis in range(3)]
         known = [hit for hit in hits if hit]  # a switch that is closed already gives no new edge
         return self.motion.done + min(known) if known else None

@@ -18,6 +18,7 @@ from gantry_driver.mock.service import Service
 from gantry_driver.mock.settings import SettingsError, make_eeprom, parse_assignment, read_settings_file
 
 MAX_SCALE = 1000.0
+MAX_LATENCY_MS = 1000.0
 
 
 def _scale(text: str) -> float:
@@ -31,6 +32,13 @@ def _baud(text: str) -> int:
     value = int(text)
     if value != 0 and not 300 <= value <= 4_000_000:
         raise argparse.ArgumentTypeError(f"{text} is neither 0 nor within 300 to 4000000")
+    return value
+
+
+def _latency(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= MAX_LATENCY_MS:
+        raise argparse.ArgumentTypeError(f"{text} is not within 0 to {MAX_LATENCY_MS:g}")
     return value
 
 
@@ -56,6 +64,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--log", type=Path, metavar="FILE", help="JSON lines of all that is received and done")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of everything random (0)")
     parser.add_argument("--baud", type=_baud, default=115200, metavar="N", help="line speed, 0 = unlimited (115200)")
+    parser.add_argument(
+        "--latency", type=_latency, default=0.0, metavar="MS", help="delay of all that the host receives, board ms (0)"
+    )
     parser.add_argument("--start", type=_start, metavar="X,Y,Z", help="where the axes stand at power-up, mm")
     parser.add_argument("--keep-running", action="store_true", help="opening the port does not reset the board")
     parser.add_argument("--mist", action="store_true", help="built with M7")
@@ -82,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             mechanics = MechanicsOptions() if options.start is None else MechanicsOptions(start_mm=options.start)
             machine = Machine(
                 make_eeprom(assignments),
-                board=BoardOptions(baud=options.baud, mist=options.mist),
+                board=BoardOptions(baud=options.baud, latency_s=options.latency / 1000.0, mist=options.mist),
                 mechanics=mechanics,
                 seed=options.seed,
             )

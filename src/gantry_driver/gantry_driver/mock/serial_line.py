@@ -66,8 +66,9 @@ class Outbound:
     buffer_bytes = 104
     """GRBL's transmit buffer; the firmware waits when it is full."""
 
-    def __init__(self, byte_s: float, rng: random.Random) -> None:
+    def __init__(self, byte_s: float, rng: random.Random, latency_s: float = 0.0) -> None:
         self.byte_s = byte_s
+        self.latency_s = latency_s
         self.rng = rng
         self.faults: deque[AnswerFault] = deque()
         self._queue: deque[tuple[float, bytes]] = deque()
@@ -81,7 +82,7 @@ class Outbound:
         The delay is on the host's side: the board's transmit buffer empties all the same.
         """
         self._free_s = max(self._free_s, now) + len(data) * self.byte_s
-        self._arrived_s = max(self._arrived_s, self._free_s + after_s)
+        self._arrived_s = max(self._arrived_s, self._free_s + self.latency_s + after_s)
         self._queue.append((self._arrived_s, data))
 
     def answer(self, data: bytes, now: float) -> str | None:

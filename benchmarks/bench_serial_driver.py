@@ -1,0 +1,278 @@
+"""The serial driver against send-response senders on the same mock board: bytes per second, and how fast a stop is.
+
+Throughput: 1,500 short moves through the real adapter to ``mock_grbl`` at 115,200 baud, with 0, 4 and 16 ms between the
+board's answer and the host (a USB adapter's timer). Counted at the board, in its own time, from the first to the last
+line it took. The peers send the same lines on the same port: a minimal send-response loop, and ``pygrbl-streamer`` from
+the package index where it is installed (it is not a requirement of this project).
+
+Stop latency: from the call of the service, the publication of the topic and the delivery of SIGTERM to ``!`` at the
+board, while a path is being streamed. The node runs in a process of its own; for the signal its process only notes
+that it should end, so that the same process can be asked again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import serial
+from rows import Row, bound, row, write
+
+from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.trajectory_gcode import Waypoint, write_motion
+from icu_common.core.frames import JOINTS
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from nodes.grbl_board import GrblBoard, LinkRig, python_environment
+
+WIRE_BYTES_S = 11_520.0
+MOVES, PEER_MOVES = 1500, 300
+STEP_M = 0.000025
+LATENCIES_MS = {0: 0.95, 4: 0.95, 16: 0.50}
+"""Extra latency, and the share of the wire that is the goal."""
+START = "-356,-216,-1.5"
+"""Where the axes stand at power-up: near the switches, so that homing is short."""
+
+
+def path(count: int) -> list[tuple[float, float, float]]:
+    return [(round(STEP_M * number, 6), 0.0, 0.0) for number in range(1, count + 1)]
+
+
+def lines(count: int) -> list[str]:
+    points = [Waypoint(positions_m=point) for point in path(count)]
+    return list(write_motion(JOINTS, points, (0.0, 0.0, 0.0), DriverConfig()).lines)
+
+
+@contextmanager
+def board(latency_ms: float) -> Iterator[GrblBoard]:
+    with tempfile.TemporaryDirectory() as folder:
+        mock = GrblBoard(Path(folder), "--latency", str(latency_ms), f"--start={START}")
+        try:
+            yield mock
+        finally:
+            mock.close()
+
+
+def rate(mock: GrblBoard, count: int) -> float:
+    """Return bytes per second of the moves that the board took; all of them, or it is an error."""
+    moves = [entry for entry in mock.lines() if entry["text"].startswith("G53G1X")]
+    lost = mock.counters().get("bytes_lost_overflow", 0)
+    if [entry["text"] for entry in moves] != [t for t in lines(count) if t.startswith("G53G1X")] or lost:
+        raise RuntimeError(f"the board took {len(moves)} of {count} moves and lost {lost} bytes")
+    return sum(len(entry["text"]) + 1 for entry in moves[1:]) / (moves[-1]["t"] - moves[0]["t"])
+
+
+def ours(latency_ms: float) -> tuple[float, float]:
+    """Return bytes per second and the share of one core that this process used."""
+    with board(latency_ms) as mock:
+        rig = LinkRig(mock.port)
+        try:
+            rig.home(30.0)
+            begin, busy = time.monotonic(), time.process_time()
+            rig.go(*path(MOVES))
+            rig.until(lambda: len(rig.results) == 2, 60.0)
+            share = (time.process_time() - busy) / (time.monotonic() - begin)
+            if rig.results[-1].outcome.value != "reached":
+                raise RuntimeError(f"the path was {rig.results[-1]}")
+        finally:
+            rig.close()
+        return rate(mock, MOVES), share
+
+
+def send_response(latency_ms: float) -> float:
+    """One line, one answer: what most of the small senders do."""
+    with board(latency_ms) as mock, serial.Serial(str(mock.port), 115200, timeout=30.0, exclusive=True) as port:
+        port.read_until(b"unlock]\r\n")
+        for text in ("$H", *lines(PEER_MOVES)):
+            port.write(text.encode() + b"\n")
+            if (answer := port.read_until(b"\n")) != b"ok\r\n":
+                raise RuntimeError(f"{text} was answered by {answer!r}")
+        return rate(mock, PEER_MOVES)
+
+
+def published(latency_ms: float) -> float | None:
+    try:
+        from pygrbl_streamer import GrblStreamer
+    except ImportError:
+        return None
+    with board(latency_ms) as mock:
+        sender = GrblStreamer(port=str(mock.port))
+        sender.connect()
+        try:
+            sender.stream(["$H", *lines(PEER_MOVES)])
+        finally:
+            sender.disconnect()
+        return rate(mock, PEER_MOVES)
+
+
+def throughput(repeats: int) -> list[Row]:
+    rows: list[Row] = []
+    for latency_ms, goal in LATENCIES_MS.items():
+        measured = [(*ours(latency_ms), send_response(latency_ms), published(latency_ms)) for _ in range(repeats)]
+        best, simple = max(m[0] for m in measured), max(m[2] for m in measured)
+        others = [m[3] for m in measured if m[3] is not None]
+        what = f"{latency_ms} ms latency: 1500 moves"
+        rows.append(bound(f"{what}, share of the wire's 11520 B/s", best / WIRE_BYTES_S, goal, at_least=True))
+        rows.append(row(f"{what} [B/s]", best, simple, "send-response (own, pyserial)", 1.0, higher_is_better=True))
+        name = "pygrbl-streamer"
+        rows.append(row(f"{what} [B/s]", best, max(others, default=None), name, higher_is_better=True))
+        rows.append(bound(f"{what}: share of one core", min(m[1] for m in measured), 0.5))
+    return rows
+
+
+# --- stop ---------------------------------------------------------------------------------------------------------
+
+
+class Clock:
+    """The board's clock in terms of this process's: the narrowest of many questions."""
+
+    def __init__(self, mock: GrblBoard) -> None:
+        self.offset_s, self.width_s = 0.0, float("inf")
+        for _ in range(200):
+            before = time.monotonic()
+            board_s = mock.ask("counters")["t"]
+            after = time.monotonic()
+            if after - before < self.width_s:
+                self.width_s = after - before
+                self.offset_s = (before + after) / 2 - board_s
+
+
+def run_node(port: str) -> int:
+    """The driver's process: as in the graph, but a signal does not end it."""
+    import rclpy
+    from rclpy.experimental import EventsExecutor
+    from rclpy.parameter import Parameter
+    from rclpy.signals import SignalHandlerOptions
+
+    from gantry_driver.nodes.serial_driver_node import SerialDriverNode
+    from icu_common.nodes.runtime import prepare_transport
+
+    prepare_transport()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+
+    def note(number: int, frame: FrameType | None) -> None:
+        """The node's wake-up descriptor has it already."""
+
+    signal.signal(signal.SIGTERM, note)
+    overrides = [Parameter("port", value=port), Parameter("enabled_at_start", value=True)]
+    node = SerialDriverNode(parameter_overrides=overrides)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    parent = os.getppid()
+    while os.getppid() == parent:
+        executor.spin_once(timeout_sec=0.1)
+    node.close()
+    return 0
+
+
+def stops(count: int) -> list[Row]:
+    """Return p50 and p99 of each way to stop."""
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from std_msgs.msg import Empty, Header, String
+    from std_srvs.srv import Trigger
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
+    from icu_common.nodes.runtime import prepare_transport
+
+    prepare_transport()
+    rclpy.init()
+    node = rclpy.create_node("stop_bench")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    states: list[str] = [""]
+    node.create_subscription(String, "driver_state", lambda message: states.append(message.data), LATCHED)
+    heartbeat = node.create_publisher(Header, "heartbeat", SENSOR)
+    node.create_timer(0.1, lambda: heartbeat.publish(Header(stamp=node.get_clock().now().to_msg())))
+    topic = node.create_publisher(Empty, "stop_request", RESULTS)
+    trajectory = node.create_publisher(JointTrajectory, "trajectory", COMMAND)
+    services = {name: node.create_client(Trigger, name) for name in ("home", "stop", "reset")}
+
+    def until(condition: Callable[[], Any], within_s: float = 30.0) -> None:
+        end = time.monotonic() + within_s
+        while not condition():
+            if time.monotonic() > end:
+                raise RuntimeError(f"not within {within_s} s: the driver said {states[-5:]}")
+            executor.spin_once(timeout_sec=0.01)
+
+    def call(name: str) -> None:
+        future = services[name].call_async(Trigger.Request())
+        until(future.done)
+
+    with board(0) as mock:
+        command = [sys.executable, __file__, "--node", str(mock.port)]
+        child = subprocess.Popen(command, env=python_environment(), stderr=subprocess.DEVNULL)
+        try:
+            until(lambda: all(service.service_is_ready() for service in services.values()))
+            until(lambda: topic.get_subscription_count() and trajectory.get_subscription_count())
+            until(lambda: states[-1] == "unhomed")
+            while states[-1] != "idle":
+                call("home")
+                until(lambda: states[-1] in ("idle", "unhomed"))
+            ways: dict[str, Callable[[], Any]] = {
+                "service": lambda: services["stop"].call_async(Trigger.Request()),
+                "topic": lambda: topic.publish(Empty()),
+                "SIGTERM": lambda: os.kill(child.pid, signal.SIGTERM),
+            }
+            asked: dict[str, list[float]] = {name: [] for name in ways}
+            clock, rng, far = Clock(mock), np.random.default_rng(1), False
+            for turn in range(count * len(ways)):
+                name = list(ways)[turn % len(ways)]
+                far = not far
+                message = JointTrajectory(joint_names=list(JOINTS[:1]))
+                ends = np.linspace(0.0, 0.35, 300) if far else np.linspace(0.35, 0.0, 300)
+                message.points = [JointTrajectoryPoint(positions=[float(x)]) for x in ends]
+                trajectory.publish(message)
+                until(lambda: states[-1] == "moving")
+                pause_until = time.monotonic() + rng.uniform(0.02, 0.12)
+                until(lambda moment=pause_until: time.monotonic() > moment)
+                asked[name].append(time.monotonic())
+                ways[name]()
+                until(lambda: states[-1].startswith("stopped"))
+                while states[-1].startswith("stopped"):
+                    call("reset")
+                    until(lambda: True)
+                    executor.spin_once(timeout_sec=0.01)
+            heard = [e["t"] + clock.offset_s for e in mock.log() if e["kind"] == "realtime" and e["byte"] == ord("!")]
+        finally:
+            child.kill()
+            child.wait()
+    node.destroy_node()
+    rclpy.shutdown()
+    rows = []
+    for name, moments in asked.items():
+        took = [1e3 * (min(t for t in heard if t > moment - clock.width_s) - moment) for moment in moments]
+        p50, p99 = np.percentile(took, [50, 99])
+        print(f"stop by {name}: {len(took)} stops, longest {max(took):.2f} ms, clocks to {1e3 * clock.width_s:.2f} ms")
+        rows.append(bound(f"stop by {name} to the byte at the board, p50 [ms]", float(p50), 10.0))
+        rows.append(bound(f"stop by {name} to the byte at the board, p99 [ms]", float(p99), 10.0))
+    return rows
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--node", metavar="PORT", help="run only the driver's node, for the stops")
+    parser.add_argument("--repeats", type=int, default=3, help="turns of each throughput, the best counts (3)")
+    parser.add_argument("--stops", type=int, default=100, help="stops by each way (100)")
+    given = parser.parse_args()
+    if given.node:
+        return run_node(given.node)
+    rows = throughput(given.repeats) + stops(given.stops)
+    write("serial_driver", rows, title="serial driver: throughput and stop latency")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
