@@ -6,7 +6,7 @@ export PYTHON
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test check bench setup clean picture
+.PHONY: help demo test check bench campaign setup clean picture
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -30,6 +30,11 @@ check: ## lint, formatting, types and import contracts
 bench: ## measure every speed claim against a peer; results in benchmarks/out/
 	@scripts/setup.sh dev
 	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(VENV)/python $$file || exit 1; done
+
+CAMPAIGN_SEEDS ?= 1000
+campaign: ## seeded faults against the mock board; CAMPAIGN_SEEDS=5000, or FIRST:LAST to repeat some
+	@scripts/setup.sh dev
+	@PYTHONPATH=$$(echo src/*/ tests | tr ' ' ':') $(VENV)/python -m campaign.run --seeds $(CAMPAIGN_SEEDS)
 
 picture: ## make the README's picture of the operator page anew
 	@scripts/setup.sh dev

@@ -1,0 +1,183 @@
+"""The faults of the campaign, the promises, and the judge: the board's own journal and its motors.
+
+The same run is made in virtual time (:class:`~campaign.virtual_link.VirtualRig`) and on a pseudo-terminal
+(:class:`~campaign.port_rig.PortRig`).
+
+Each seed is one run: a random path, one fault at a random moment, and then the promises: no line lost, doubled or
+reordered without being reported; no false done; nothing moves after the answer but the stylus upwards; no byte beyond
+the buffer; no unbounded wait. In virtual time one seed reproduces one run, to the byte.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from gantry_driver.core.machine import Machine
+from gantry_driver.core.machine_config import DriverConfig
+from icu_common.core.results import GoalResult
+
+HOMED = (-359.0, -219.0, -1.0)
+Point = tuple[float, float, float]
+
+
+ANSWER_WITHIN_S = 120.0
+REST_WITHIN_S = 60.0
+CONFIG = DriverConfig(enabled_at_start=True, answer_timeout_s=1.5)
+
+
+class Rig(Protocol):
+    """A machine, a board, and what a run needs of them; all times in seconds of the rig's clock."""
+
+    machine: Machine
+    results: list[GoalResult]
+
+    def home(self) -> None: ...
+    def go(self, points: Sequence[Point], goal_id: str) -> GoalResult: ...
+    def stop(self, reason: str) -> None: ...
+    def fault(self, kind: str, **arguments: Any) -> None: ...
+    def until(self, condition: Callable[[], Any], within_s: float) -> None: ...
+    def run_for(self, seconds: float) -> None: ...
+    def mpos(self) -> Point: ...
+    def counter(self, name: str) -> int: ...
+    def lines(self, since: int) -> list[dict[str, Any]]: ...
+    @property
+    def entry(self) -> int: ...
+
+
+Do = Callable[[Rig, random.Random], Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """What happens; ``before`` marks those that are armed before the path is sent."""
+
+    name: str
+    do: Do
+    before: bool = False
+    must_reach: bool = False
+    powerless: bool = False
+    """The board loses its power, and with it the lines that it has not executed."""
+
+
+FAULTS = (
+    Fault(name="none", do=lambda rig, rng: None, must_reach=True),
+    Fault(name="unplug", do=lambda r, g: r.fault("unplug", seconds=g.uniform(0.05, 5.0)), powerless=True),
+    Fault(name="brown-out", do=lambda r, g: r.fault("brown_out"), powerless=True),
+    Fault(name="soft reset", do=lambda r, g: r.fault("soft_reset")),
+    Fault(name="error", do=lambda r, g: r.fault("error", number=22, after=g.randrange(12)), before=True),
+    Fault(name="garbage", do=lambda r, g: r.fault("garbage", count=g.randrange(1, 200))),
+    Fault(name="stray ok", do=lambda r, g: r.fault("stray_ok", count=g.randrange(1, 3))),
+    Fault(name="lost", do=lambda r, g: r.fault("answers", how="lost", count=g.randrange(1, 3)), before=True),
+    Fault(
+        name="delayed",
+        do=lambda r, g: r.fault("answers", how="delayed", count=2, seconds=g.uniform(0.1, 4.0)),
+        before=True,
+    ),
+    Fault(name="split", do=lambda r, g: r.fault("answers", how="split", count=5), before=True, must_reach=True),
+    Fault(name="merged", do=lambda r, g: r.fault("answers", how="merged", count=3), before=True, must_reach=True),
+    Fault(name="alarm", do=lambda r, g: r.fault("alarm", number=g.choice([1, 2]))),
+    Fault(name="hang", do=lambda r, g: r.fault("hang", seconds=g.uniform(0.2, 20.0))),
+    Fault(name="full", do=lambda r, g: r.fault("stop_reading", seconds=g.uniform(0.1, 12.0))),
+    Fault(name="door", do=lambda r, g: r.fault("door", on=True)),
+    Fault(name="stop button", do=lambda r, g: r.fault("stop_button", on=True)),
+    Fault(name="limit", do=lambda r, g: r.fault("limit", axis="X", on=True)),
+    Fault(name="operator stop", do=lambda r, g: r.stop("stop requested")),
+)
+
+
+def fault_of(seed: int) -> Fault:
+    """Every fault comes once in as many seeds as there are faults."""
+    return FAULTS[seed % len(FAULTS)]
+
+
+def path(rng: random.Random) -> list[Point]:
+    """Return a path of short and of longer segments somewhere in the travel, with the stylus up or down."""
+    size = rng.choice([0.002, 0.02, 0.1])
+    x, y = rng.uniform(0.0, 0.359 - size), rng.uniform(0.0, 0.219 - size)
+    down = rng.choice([0.0, 0.0, 0.02])
+    return [
+        (round(x + rng.uniform(0.0, size), 3), round(y + rng.uniform(0.0, size), 3), down)
+        for _ in range(rng.randrange(4, 40))
+    ]
+
+
+def run_seed(seed: int, rig: Rig) -> str:
+    """Run one seed and return the fault's name and the outcome; a promise that does not hold is an AssertionError."""
+    rng = random.Random(seed)
+    fault = fault_of(seed)
+    rig.home()
+    since, way = rig.entry, path(rng)
+    if fault.before:
+        fault.do(rig, rng)
+    assert rig.go(way, str(seed)).outcome.value == "accepted"
+    if not fault.before:
+        rig.run_for(rng.choice([0.02, 0.3, 4.0]) * rng.random())
+        fault.do(rig, rng)
+    rig.until(lambda: len(rig.results) >= 2, ANSWER_WITHIN_S)
+    answer = rig.results[-1]
+    reached = answer.outcome.value == "reached"
+    assert reached or (answer.outcome.value == "aborted" and answer.reason), answer
+    assert reached or not fault.must_reach, answer
+    judge(rig, fault, way, since, reached=reached)
+    assert rig.counter("bytes_lost_overflow") == 0, "more bytes than the buffer holds"
+    assert [r.goal_id for r in rig.results] == [str(seed)] * 2, "one acceptance and one final answer"
+    return f"{fault.name}: {answer.outcome.value}"
+
+
+def judge(rig: Rig, fault: Fault, way: list[Point], since: int, *, reached: bool) -> None:
+    if reached:
+        x, y, z = way[-1]
+        target = (HOMED[0] + 1000 * x, HOMED[1] + 1000 * y, HOMED[2] - 1000 * z)
+        assert max(abs(a - b) for a, b in zip(rig.mpos(), target)) <= 0.05, f"a false done: {rig.mpos()}, not {target}"
+    # A link that is gone, or a board that hangs, cannot be stopped; the answer says so. Rest begins when it is back.
+    rig.until(lambda: rig.machine.connected and rig.machine.at_rest, REST_WITHIN_S)
+    before = rig.mpos()
+    rig.run_for(2.0)
+    after = rig.mpos()
+    assert max(abs(a - b) for a, b in zip(after[:2], before[:2])) < 1e-6, f"motion after the answer: {before}, {after}"
+    assert after[2] >= before[2] - 1e-6, f"the stylus went down after the answer: {before}, {after}"
+    if fault.powerless:
+        return
+    sent = moves_of(way)
+    # A board that was reset while moving is locked (error:9) and refuses what was still on the wire.
+    heard = [entry["text"] for entry in rig.lines(since) if entry["answer"] != "error:9"]
+    taken = [text for text in heard if text.startswith(("G53G1X", "G53G1Y"))]
+    reported = 0 if reached else rig.machine.counts.lost
+    assert in_order(taken, sent, reported), f"{reported} reported as lost; lost, doubled or reordered: {taken}, {sent}"
+    assert not reached or len(taken) == len(sent)
+
+
+def in_order(taken: list[str], sent: list[str], reported: int) -> bool:
+    """Tell whether the lines are those sent up to a moment, but for one gap of at most the lines reported as lost.
+
+    A board that is reset loses what it has not read and then takes what was still on the wire, until it is held.
+    """
+    same = next((i for i, (a, b) in enumerate(zip(taken, sent)) if a != b), min(len(taken), len(sent)))
+    rest = taken[same:]
+    return not rest or any(
+        rest == sent[same + gap : same + gap + len(rest)] for gap in range(1, reported - len(rest) + 1)
+    )
+
+
+def moves_of(way: list[Point]) -> list[str]:
+    """Return the lines that this path must become, computed anew and not by the driver."""
+    lines, here, feed = [], (0.0, 0.0, 0.0), ""
+    for point in way:
+        words = "".join(
+            f"{letter}{format(home + sign * 1000 * value, '.3f').rstrip('0').rstrip('.')}"
+            for letter, home, sign, value, old in zip("XYZ", HOMED, (1, 1, -1), point, here)
+            if value != old
+        )
+        seconds = max(
+            ((point[0] - here[0]) ** 2 + (point[1] - here[1]) ** 2) ** 0.5 / 0.15, abs(point[2] - here[2]) / 0.03
+        )
+        length = sum((1000 * (a - b)) ** 2 for a, b in zip(point, here)) ** 0.5
+        if words:
+            word = f"F{format(length / seconds * 60, '.1f').rstrip('0').rstrip('.')}"
+            lines.append(f"G53G1{words}{word if word != feed else ''}")
+            feed = word
+        here = point
+    return lines
