@@ -258,6 +258,9 @@ def test_parameters_have_ranges_and_a_bad_one_is_refused(operator: Callable[...,
     assert not outcome.successful
     assert driver.set_parameters([Parameter("feed_m_s", value=0.05)])[0].successful
     assert driver.get_parameter("feed_m_s").value == 0.05
+    outcome = driver.set_parameters([Parameter("machine.travel_mm", value=[500.0, 220.0, 60.0])])[0]
+    assert not outcome.successful and "read-only" in outcome.reason
+    assert list(driver.get_parameter("machine.travel_mm").value) == [360.0, 220.0, 60.0]
 
 
 def test_sigterm_holds_lifts_and_ends(ros: Any, tmp_path: Path) -> None:
