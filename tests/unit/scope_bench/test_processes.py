@@ -84,3 +84,32 @@ def test_an_executable_that_is_not_there_says_where_it_was_looked_for(tmp_path: 
     there.parent.mkdir(parents=True)
     there.touch(mode=0o755)
     assert find_executable("harris_perception", "camera", near) == there
+
+
+def test_what_ends_last_lives_until_the_others_are_gone(tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    slow = f"""
+import pathlib, select, signal
+def leave(number, frame):
+    select.select([], [], [], 0.5)
+    pathlib.Path({str(mark)!r}).write_text('held')
+    raise SystemExit
+signal.signal(2, leave)
+print('up')
+signal.pause()
+"""
+    board = f"""
+import pathlib, signal
+def leave(number, frame):
+    print('board saw', pathlib.Path({str(mark)!r}).exists())
+    raise SystemExit
+signal.signal(2, leave)
+print('up')
+signal.pause()
+"""
+    watch = Watch()
+    watch.group.start("board", [*PYTHON, board], ends_last=True)
+    watch.group.start("driver", [*PYTHON, slow])
+    watch.until(lambda: len(watch.output) == 2)
+    assert watch.group.stop() == []
+    assert ("board", "board saw True") in watch.output
