@@ -22,10 +22,13 @@ setup(
             "camera = harris_perception.nodes.camera_node:main",
             "corners = harris_perception.nodes.corners_node:main",
             "stereo = harris_perception.nodes.stereo_node:main",
+            "dense_stereo = harris_perception.nodes.dense_stereo_node:main",
             "stylus_tracker = harris_perception.nodes.stylus_node:main",
             "recognition = harris_perception.nodes.recognition_node:main",
             "hand_eye = harris_perception.nodes.hand_eye_node:main",
             "harris = harris_perception.cli.harris:main",
+            "camera_calibration = harris_perception.cli.calibrate:main",
+            "stereo_evaluate = harris_perception.cli.stereo:main",
         ],
     },
 )

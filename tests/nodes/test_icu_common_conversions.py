@@ -79,3 +79,30 @@ def test_joints_by_name() -> None:
     np.testing.assert_array_equal(cv.joint_positions(message, ("a", "b")), (1.0, 2.0))
     with pytest.raises(ValueError, match="joint c is missing"):
         cv.joint_positions(message, ("c",))
+
+
+def test_disparities_travel_as_float32_and_unknown_ones_are_below_the_least() -> None:
+    values = np.array([[10.0, np.nan, 12.0625], [41.5, 9.3, np.nan]], np.float32)
+    message = cv.disparity_message(values, 850.0, 0.12, (9.3, 41.5), 1 / 16, cv.header(5, "left"), 1)
+    assert (message.f, message.min_disparity, message.max_disparity) == (850.0, np.float32(9.3), 41.5)
+    assert (message.image.step, message.image.encoding, message.image.header.frame_id) == (12, "32FC1", "left")
+    assert (message.valid_window.x_offset, message.valid_window.width, message.valid_window.height) == (1, 2, 2)
+    raw = cv.image_array(message.image)
+    assert raw[0, 1] == raw[1, 2] < message.min_disparity
+    assert np.array_equal(cv.disparity_array(message), values, equal_nan=True)
+    message.image.encoding = "mono8"
+    with pytest.raises(ValueError, match="mono8"):
+        cv.disparity_array(message)
+
+
+def test_an_organised_cloud_has_a_point_and_a_colour_for_each_pixel() -> None:
+    xyz = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
+    xyz[1, 2] = np.nan
+    bgr = np.arange(24, dtype=np.uint8).reshape(2, 4, 3) * 10
+    cloud = cv.organised_cloud_message(xyz, bgr, cv.header(5, "left"))
+    assert (cloud.height, cloud.width, cloud.row_step, cloud.is_dense) == (2, 4, 64, False)
+    assert [(f.name, f.offset) for f in cloud.fields] == [("x", 0), ("y", 4), ("z", 8), ("rgb", 12)]
+    points = cv.cloud_array(cloud, ("x", "y", "z")).reshape(2, 4, 3)
+    assert np.array_equal(points, xyz, equal_nan=True)
+    packed = np.frombuffer(cloud.data, np.uint32).reshape(2, 4, 4)[..., 3]
+    assert packed[0, 1] == (50 << 16) + (40 << 8) + 30  # red above green above blue, as the viewers read it

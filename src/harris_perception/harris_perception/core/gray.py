@@ -51,6 +51,32 @@ def gray_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[Any]:
     return gray
 
 
+_TO_BGR = {
+    "rgb8": cv2.COLOR_RGB2BGR,
+    "bgra8": cv2.COLOR_BGRA2BGR,
+    "rgba8": cv2.COLOR_RGBA2BGR,
+    "bayer_rggb8": cv2.COLOR_BayerBG2BGR,
+    "bayer_bggr8": cv2.COLOR_BayerRG2BGR,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2BGR,
+    "bayer_grbg8": cv2.COLOR_BayerGB2BGR,
+}
+
+
+def bgr_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[np.uint8]:
+    """Return the picture in colour, (H, W, 3) uint8; takes what :func:`gray_of` takes, grey pictures become grey.
+
+    Raises
+    ------
+    ValueError
+        For another encoding.
+    """
+    if encoding == "bgr8":
+        return picture
+    if encoding not in _TO_BGR:
+        return bgr_of_gray(gray_of(picture, encoding))
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(picture), _TO_BGR[encoding]), np.uint8)
+
+
 def bgr_of_gray(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     """Return (H, W, 3) uint8 to draw on; 16-bit and float pictures are stretched to their largest value."""
     if gray.dtype != np.uint8:

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion, TransformStamped, Vector3
-from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointField, RegionOfInterest
 from std_msgs.msg import ColorRGBA, Header
+from stereo_msgs.msg import DisparityImage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -22,8 +23,14 @@ from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import Control, PanelLayout, rgb
 from icu_common.core.results import GoalResult, Outcome
 
-_CHANNELS = {"mono8": (np.uint8, 1), "mono16": (np.uint16, 1), "bgr8": (np.uint8, 3), "rgb8": (np.uint8, 3)}
+_CHANNELS: dict[str, tuple[Any, int]] = {
+    "mono8": (np.uint8, 1),
+    "mono16": (np.uint16, 1),
+    "bgr8": (np.uint8, 3),
+    "rgb8": (np.uint8, 3),
+}
 _CHANNELS |= {"bgra8": (np.uint8, 4), "rgba8": (np.uint8, 4)}
+_CHANNELS |= {"32FC1": (np.float32, 1)}
 _CHANNELS |= {f"bayer_{p}8": (np.uint8, 1) for p in ("rggb", "bggr", "gbrg", "grbg")}
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
@@ -73,7 +80,7 @@ def image_array(message: Image) -> npt.NDArray[Any]:
             f"{len(message.data)} bytes"
         )
     rows = np.frombuffer(message.data, np.uint8)[: message.step * message.height].reshape(message.height, message.step)
-    picture = rows[:, :row].view(np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<"))
+    picture: npt.NDArray[Any] = rows[:, :row].view(np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<"))
     return picture if channels == 1 else picture.reshape(message.height, message.width, channels)
 
 
@@ -108,6 +115,67 @@ def cloud_array(cloud: PointCloud2, columns: Sequence[str]) -> npt.NDArray[np.fl
     raw = np.frombuffer(cloud.data, np.uint8)[: count * cloud.point_step].reshape(count, cloud.point_step)
     parts = [np.ascontiguousarray(raw[:, offsets[n] : offsets[n] + 4]).view("<f4") for n in columns]
     return np.hstack(parts) if parts else np.empty((count, 0), np.float32)
+
+
+def organised_cloud_message(xyz_m: npt.NDArray[Any], bgr: npt.NDArray[np.uint8], head: Header) -> PointCloud2:
+    """Pack (H, W, 3) points in metres with (H, W, 3) colours, one point for each pixel; unknown points are NaN.
+
+    Colour is the field ``rgb`` as the viewers read it: one float32 whose bytes are blue, green, red and zero.
+    """
+    height, width = xyz_m.shape[:2]
+    points = np.zeros((height, width, 4), np.float32)
+    points[:, :, :3] = xyz_m
+    points.view(np.uint8).reshape(height, width, 16)[:, :, 12:15] = bgr
+    fields = [
+        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
+        for i, name in enumerate(("x", "y", "z", "rgb"))
+    ]
+    cloud = PointCloud2(header=head, height=height, width=width, fields=fields, point_step=16, row_step=16 * width)
+    cloud.is_dense = bool(np.isfinite(points[:, :, 2]).all())
+    data = array.array("B")
+    data.frombytes(points.data.cast("B"))
+    cloud.data = data
+    return cloud
+
+
+def disparity_message(
+    disparity_px: npt.NDArray[np.float32],
+    focal_px: float,
+    baseline_m: float,
+    searched_px: tuple[float, float],
+    delta_px: float,
+    head: Header,
+    first_column: int = 0,
+) -> DisparityImage:
+    """Pack (H, W) float32 disparities, NaN where unknown, as stereo_image_proc does: unknown is ``min_disparity - 1``.
+
+    Depth is ``focal_px * baseline_m / disparity``. ``searched_px`` are the least and the largest disparity that could
+    be found, ``delta_px`` their step; columns left of ``first_column`` are never known.
+    """
+    height, width = disparity_px.shape
+    least, largest = searched_px
+    message = DisparityImage(header=head, f=float(focal_px), t=float(baseline_m))
+    message.min_disparity, message.max_disparity, message.delta_d = float(least), float(largest), float(delta_px)
+    known = np.where(np.isnan(disparity_px), np.float32(least - 1), disparity_px)
+    message.image = image_message(known.astype(np.float32, copy=False), "32FC1", head)
+    message.valid_window = RegionOfInterest(x_offset=first_column, width=width - first_column, height=height)
+    return message
+
+
+def disparity_array(message: DisparityImage) -> npt.NDArray[np.float32]:
+    """Return (H, W) float32 disparities in pixels, NaN where unknown.
+
+    Raises
+    ------
+    ValueError
+        If the picture in it is not of float32.
+    """
+    if message.image.encoding != "32FC1":
+        raise ValueError(f"encoding {message.image.encoding!r}: a disparity picture is 32FC1")
+    values = image_array(message.image).astype(np.float32)
+    # The least disparity is a float32 too; half a step below it is nothing that was found.
+    values[values < message.min_disparity - 0.5 * message.delta_d] = np.nan
+    return values
 
 
 def camera_info_message(model: CameraModel, head: Header) -> CameraInfo:

@@ -1,0 +1,284 @@
+"""Disparity of every pixel of a rectified pair by semi-global matching, and the points in metres that follow from it.
+
+H. Hirschmueller, "Stereo Processing by Semiglobal Matching and Mutual Information", PAMI 30(2), 2008, in OpenCV's form
+with three paths. Three things are done around it: the pictures are widened to the left, because OpenCV gives nothing
+for columns nearer to the left edge than the largest disparity searched; what would lie outside of the right picture is
+taken out again; and the search may start at any disparity without paying for the columns that cannot be seen twice.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.compiled import compiled
+from icu_common.core.camera_model import StereoModel
+from icu_common.core.config import Config, ConfigError, setting
+
+U8 = npt.NDArray[np.uint8]
+F32 = npt.NDArray[np.float32]
+
+DELTA_PX = 1 / 16
+"""OpenCV's matcher counts sixteenths of a pixel."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SemiGlobalConfig(Config):
+    """Settings of the matcher; the defaults are for 8-bit grey pictures."""
+
+    block_px: int = setting(3, "Side of the compared blocks, odd.", minimum=1, maximum=11, unit="px")
+    p1: int = setting(72, "Cost of a disparity that differs by 1 px from its neighbour's.", minimum=1, maximum=5000)
+    p2: int = setting(288, "Cost of a larger difference; above p1.", minimum=2, maximum=10000)
+    prefilter_cap: int = setting(31, "Horizontal gradients are cut at this.", minimum=1, maximum=63)
+    uniqueness_percent: int = setting(
+        5, "The best disparity is better than any other by at least this.", minimum=0, maximum=50, unit="%"
+    )
+    left_right_px: int = setting(
+        1, "Disparities seen from the left and from the right differ by at most this.", minimum=1, maximum=64, unit="px"
+    )
+    speckle_px: int = setting(
+        100, "Smaller patches apart from their surroundings are taken out; 0 keeps all.", minimum=0, maximum=10000
+    )
+    speckle_range_px: int = setting(
+        2, "Neighbours that differ by more than this belong to different patches.", minimum=1, maximum=32, unit="px"
+    )
+    refine: bool = setting(True, "Improve the fraction of a pixel by one step of Lucas and Kanade.")
+    fill_holes: bool = setting(False, "Fill what stayed unknown with the farther neighbour of its row.")
+
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        if self.block_px % 2 == 0:
+            raise ConfigError(f"block_px = {self.block_px}: an odd number is needed")
+        if self.p2 <= self.p1:
+            raise ConfigError(f"p2 = {self.p2} is not above p1 = {self.p1}")
+
+
+class SemiGlobalMatcher:
+    """Finds the disparity of every pixel.
+
+    Parameters
+    ----------
+    low_px, high_px
+        The disparities to be searched, left column minus right column; the range is widened to a multiple of 16.
+    config
+        Settings of the matcher.
+
+    Attributes
+    ----------
+    least_px, count
+        The search goes from ``least_px`` to ``least_px + count - 1``; neither end is given as a result, because a
+        cost that is least at the end of the search has no minimum there (blank walls come out so).
+
+    Raises
+    ------
+    ValueError
+        If the limits are not in order.
+    """
+
+    def __init__(self, low_px: float, high_px: float, config: SemiGlobalConfig) -> None:
+        if not low_px <= high_px:
+            raise ValueError(f"disparities from {low_px} to {high_px} px: the first must not be above the second")
+        self.least_px = math.floor(low_px) - 1
+        self.count = 16 * math.ceil((math.ceil(high_px) + 1 - self.least_px + 1) / 16)
+        self._refine, self._fill = config.refine, config.fill_holes
+        self._matcher = cv2.StereoSGBM_create(  # type: ignore[attr-defined]
+            minDisparity=0,
+            numDisparities=self.count,
+            blockSize=config.block_px,
+            P1=config.p1,
+            P2=config.p2,
+            disp12MaxDiff=config.left_right_px,
+            preFilterCap=config.prefilter_cap,
+            uniquenessRatio=config.uniqueness_percent,
+            speckleWindowSize=config.speckle_px,
+            speckleRange=config.speckle_range_px,
+            mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+        )
+
+    def __call__(self, left: U8, right: U8) -> F32:
+        """Return (H, W) float32 disparities in pixels, NaN where unknown, of (H, W) uint8 rectified pictures.
+
+        Raises
+        ------
+        ValueError
+            If the pictures differ in size, are not 8 bits deep, or are not wider than the least disparity.
+        """
+        if left.shape != right.shape or left.ndim != 2 or left.dtype != np.uint8 or right.dtype != np.uint8:
+            raise ValueError(f"{left.shape} {left.dtype} and {right.shape} {right.dtype}: two equal (H, W) uint8")
+        width = left.shape[1]
+        if width <= self.least_px:
+            raise ValueError(f"pictures {width} px wide cannot show a disparity of {self.least_px} px or more")
+        # Columns left of `first` see nothing that the right picture shows. The right picture is moved by the least
+        # disparity, so that the search starts at 0, and both get `count` columns more on the left.
+        first = max(self.least_px, 0)
+        columns = np.arange(first - self.count, width)
+        wide_left = np.take(left, columns.clip(0), axis=1)
+        wide_right = np.take(right, (columns - self.least_px).clip(0, width - 1), axis=1)
+        found = self._matcher.compute(wide_left, wide_right)[:, self.count :]
+        disparity = np.full(left.shape, np.nan, np.float32)
+        _accept(np.asarray(found, np.int16), first, self.least_px, self.count, disparity)
+        if self._refine:
+            disparity = refined(left, right, disparity)
+        if self._fill:
+            fill_holes(disparity)
+        return disparity
+
+
+@compiled
+def _accept(found: npt.NDArray[np.int16], first: int, least_px: int, searched: int, disparity: F32) -> None:
+    """Write what was found, in sixteenths above the least, where its partner lies inside the right picture."""
+    height, count = found.shape
+    width = disparity.shape[1]
+    for y in range(height):
+        for i in range(count):
+            value = np.float32(least_px) + np.float32(0.0625) * np.float32(found[y, i])
+            partner = np.float32(first + i) - value
+            inside = partner >= np.float32(-0.5) and partner <= np.float32(width) - np.float32(0.5)
+            if inside and found[y, i] > 0 and found[y, i] < 16 * (searched - 1):
+                disparity[y, first + i] = value
+
+
+_WINDOW_PX = 5
+_MAX_STEP_PX = 0.5
+_LEAST_VARIANCE = 30.0
+"""Variance of the gradient, grey values squared per px squared, below which its step is damped."""
+
+
+def refined(left: U8, right: U8, disparity: F32) -> F32:
+    """Return the disparities moved by at most half a pixel to where the pictures fit better.
+
+    Semi-global matching draws the fraction towards whole and half pixels (on made planes up to 0.17 px). One
+    Gauss-Newton step along the row takes most of this away (B. Lucas, T. Kanade, IJCAI 1981); each window's own mean is
+    taken off, since the two cameras seldom see the same brightness.
+    """
+    known = np.isfinite(disparity)
+    weight = known.astype(np.float32)
+    height, width = disparity.shape
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    x -= np.where(known, disparity, np.float32(0))
+    ours, theirs = left.astype(np.float32), right.astype(np.float32)
+
+    def seen(shift: float, how: int) -> Any:
+        return cv2.remap(theirs, x + np.float32(shift), y, how, borderMode=cv2.BORDER_REPLICATE)
+
+    def mean(values: Any) -> Any:
+        return cv2.boxFilter(values, -1, (_WINDOW_PX, _WINDOW_PX)) / share
+
+    share = np.maximum(cv2.boxFilter(weight, -1, (_WINDOW_PX, _WINDOW_PX)), np.float32(1e-3))
+    difference = (ours - seen(0.0, cv2.INTER_CUBIC)) * weight
+    slope = 0.5 * (seen(1.0, cv2.INTER_LINEAR) - seen(-1.0, cv2.INTER_LINEAR))
+    slope = 0.5 * (slope + 0.5 * cv2.Sobel(ours, cv2.CV_32F, 1, 0, ksize=1)) * weight
+    mean_slope, mean_difference = mean(slope), mean(difference)
+    covariance = mean(difference * slope) - mean_slope * mean_difference
+    variance = np.maximum(mean(slope * slope) - mean_slope * mean_slope, np.float32(0))
+    step = -covariance / (variance + np.float32(_LEAST_VARIANCE))
+    return np.where(known & (np.abs(step) < _MAX_STEP_PX), disparity + step, disparity)
+
+
+@compiled
+def fill_holes(disparity: F32) -> None:
+    """Give unknown pixels (NaN), in place, the smaller disparity of the next known ones in their row.
+
+    What one camera does not see is hidden behind something, hence belongs to the farther side. Rows without any known
+    pixel stay unknown.
+    """
+    height, width = disparity.shape
+    for y in range(height):
+        x = 0
+        while x < width:
+            if not np.isnan(disparity[y, x]):
+                x += 1
+                continue
+            end = x
+            while end < width and np.isnan(disparity[y, end]):
+                end += 1
+            before = disparity[y, x - 1] if x > 0 else np.float32(np.inf)
+            after = disparity[y, end] if end < width else np.float32(np.inf)
+            farther = min(before, after)
+            if farther < np.float32(np.inf):
+                disparity[y, x:end] = farther
+            x = end
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DenseConfig(Config):
+    """Limits and size of a calibrated pair's dense disparity."""
+
+    min_depth_m: float = setting(0.2, "Nothing is nearer.", minimum=0.01, maximum=100.0, unit="m")
+    max_depth_m: float = setting(1.5, "Nothing is farther.", minimum=0.02, maximum=1000.0, unit="m")
+    binning: int = setting(1, "Pictures are made smaller by this before matching.", minimum=1, maximum=8)
+
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        if self.max_depth_m <= self.min_depth_m:
+            raise ConfigError(f"max_depth_m = {self.max_depth_m} is not above min_depth_m = {self.min_depth_m}")
+
+
+class DenseStereo:
+    """Dense disparity and points of a calibrated pair; everything is in the left camera's rectified frame.
+
+    Attributes
+    ----------
+    focal_px
+        Focal length of the disparity picture; its depth is ``focal_px * baseline / disparity``.
+    least_px, largest_px
+        Disparities that can be found, after the difference of the principal points was taken off.
+    first_column
+        Columns left of this one are never known.
+    """
+
+    def __init__(self, stereo: StereoModel, config: DenseConfig, matching: SemiGlobalConfig) -> None:
+        self._models, self._binning = (stereo.left, stereo.right), config.binning
+        self._maps = [model.rectification_maps() for model in self._models]
+        self.focal_px, self.baseline_m = stereo.focal_px / config.binning, stereo.baseline
+        # A pixel of the small picture covers several of the large one, and centres are at whole numbers in both.
+        centre = (stereo.left.p[:2, 2] + 0.5) / config.binning - 0.5
+        self._offset_px = float(stereo.left.p[0, 2] - stereo.right.p[0, 2]) / config.binning
+        product = self.focal_px * self.baseline_m
+        self._matcher = SemiGlobalMatcher(
+            product / config.max_depth_m + self._offset_px, product / config.min_depth_m + self._offset_px, matching
+        )
+        self.first_column = max(self._matcher.least_px, 0)
+        self.least_px = self._matcher.least_px - self._offset_px
+        self.largest_px = self.least_px + self._matcher.count - 1
+        width, height = (size // config.binning for size in stereo.left.size)
+        if width <= self.first_column:
+            raise ValueError(f"max_depth_m = {config.max_depth_m}: pictures {width} px wide show nothing so near")
+        across = (np.arange(width, dtype=np.float64) - centre[0]) / self.focal_px
+        down = (np.arange(height, dtype=np.float64) - centre[1]) * (stereo.focal_px / stereo.left.p[1, 1])
+        self._across = across.astype(np.float32)[None, :]
+        self._down = (down / self.focal_px).astype(np.float32)[:, None]
+
+    def rectified(self, side: int, raw: npt.NDArray[Any]) -> U8:
+        """Rectify a raw picture, (H, W) or (H, W, 3) uint8, of the left (0) or right (1) camera and make it smaller.
+
+        Raises
+        ------
+        ValueError
+            If it is not the size that was calibrated, or not 8 bits deep.
+        """
+        model = self._models[side]
+        if raw.shape[:2] != (model.height, model.width) or raw.dtype != np.uint8:
+            raise ValueError(f"picture {raw.shape} {raw.dtype}: {(model.height, model.width)} uint8 is calibrated")
+        whole = cv2.remap(raw, *self._maps[side], cv2.INTER_LINEAR)
+        if self._binning == 1:
+            return np.asarray(whole, np.uint8)
+        height, width = len(self._down), self._across.shape[1]
+        cut = whole[: height * self._binning, : width * self._binning]
+        return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+    def disparity(self, left_raw: U8, right_raw: U8) -> F32:
+        """Return (H, W) float32 disparities, NaN where unknown, of raw grey pictures; H and W after binning."""
+        found = self._matcher(self.rectified(0, left_raw), self.rectified(1, right_raw))
+        return found - np.float32(self._offset_px)
+
+    def points(self, disparity: F32) -> F32:
+        """Return (H, W, 3) float32 points in metres, NaN where the disparity is unknown or not positive."""
+        with np.errstate(divide="ignore"):
+            z = np.where(disparity > 0, np.float32(self.focal_px * self.baseline_m) / disparity, np.float32(np.nan))
+        return np.stack([z * self._across, z * self._down, z], axis=2)

@@ -1,0 +1,155 @@
+"""Dense stereo node: disparity and coloured points of every pixel, for people who look; idle while nobody does."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import Image, PointCloud2
+from stereo_msgs.msg import DisparityImage
+
+from harris_perception.core.dense_stereo import DELTA_PX, F32, DenseConfig, DenseStereo, SemiGlobalConfig
+from harris_perception.core.gray import bgr_of, gray_of
+from harris_perception.core.pairing import Pairing
+from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
+from icu_common.core import frames
+from icu_common.core.config import Config, nested, setting
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import (
+    diagnostic_status,
+    disparity_message,
+    header,
+    image_array,
+    organised_cloud_message,
+    stamp_ns,
+)
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import run
+
+_LOOK_S = 0.25
+"""How soon the node notices that somebody subscribes, or nobody any more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DenseStereoConfig(Config):
+    """Settings of the dense stereo node."""
+
+    rate_hz: float = setting(10.0, "Pairs are matched at most this often.", minimum=0.1, maximum=120.0, unit="Hz")
+    pair_tolerance_s: float = setting(
+        0.004, "Left and right stamps of a pair differ by at most this; 0 = equal.", minimum=0.0, maximum=0.1, unit="s"
+    )
+    limits: DenseConfig = nested(DenseConfig)
+    matching: SemiGlobalConfig = nested(SemiGlobalConfig)
+
+
+class DenseStereoNode(Node):
+    """Publishes ``disparity`` and ``dense_points``; takes ``image_raw`` and ``camera_info`` of both sides.
+
+    The pictures are subscribed to only while one of the two has a reader, so an unwatched node costs nothing.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("dense_stereo", **options)
+        self._live = LiveParameters(self, DenseStereoConfig, lambda config: self._configure())
+        self._calibration = StereoCalibration(self, self._configure)
+        self._pairs = Pairing(2)
+        self._stereo: DenseStereo | None = None
+        self._listening: list[Subscription] = []
+        self._last_ns = self._matched = 0
+        self._values: list[tuple[str, Any]] = []
+        self._complaint = ""
+        self._configure()
+        self._disparity = self.create_publisher(DisparityImage, "disparity", qos.IMAGES)
+        self._points = self.create_publisher(PointCloud2, "dense_points", qos.IMAGES)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self.create_timer(_LOOK_S, self._follow_readers)
+        self.create_timer(1.0, self._report)
+
+    def _configure(self) -> None:
+        config, stereo = self._live.config, self._calibration.stereo
+        self._pairs.tolerance_ns = round(config.pair_tolerance_s * 1e9)
+        self._stereo, self._complaint = None, ""
+        try:
+            self._stereo = DenseStereo(stereo, config.limits, config.matching) if stereo is not None else None
+        except ValueError as error:
+            self._complaint = str(error)
+
+    def _wanted(self) -> bool:
+        return bool(self._disparity.get_subscription_count() + self._points.get_subscription_count())
+
+    def _follow_readers(self) -> None:
+        if self._wanted() and not self._listening:
+            self._listening = [self._listen(number, side) for number, side in enumerate(SIDES)]
+        elif self._listening and not self._wanted():
+            while self._listening:
+                self.destroy_subscription(self._listening.pop())
+            self._pairs.clear()
+
+    def _listen(self, stream: int, side: str) -> Subscription:
+        # The newest only: a matcher that falls behind should skip pairs and not show old ones.
+        return self.create_subscription(
+            Image, f"{side}/image_raw", lambda message: self._on_image(stream, message), qos.NEWEST
+        )
+
+    def _on_image(self, stream: int, message: Image) -> None:
+        pair = self._pairs.add(stream, stamp_ns(message.header.stamp), message)
+        if pair is None or self._stereo is None or not self._due(pair[0]):
+            return
+        try:
+            self._match(self._stereo, *pair)
+        except ValueError as error:
+            self._complaint = str(error)
+
+    def _due(self, image: Image) -> bool:
+        # By the pictures' own clock, so that a replayed recording is thinned in the same way; a millisecond is jitter.
+        stamp = stamp_ns(image.header.stamp)
+        period_ns = 1e9 / self._live.config.rate_hz - 1e6
+        due = self._wanted() and not self._last_ns <= stamp < self._last_ns + period_ns
+        if due:
+            self._last_ns = stamp
+        return due
+
+    def _match(self, stereo: DenseStereo, left: Image, right: Image) -> None:
+        start = time.perf_counter()
+        disparity = stereo.disparity(*(gray_of(image_array(i), i.encoding) for i in (left, right)))
+        head = header(stamp_ns(left.header.stamp), frames.CAMERA_LEFT)
+        if self._disparity.get_subscription_count() > 0:
+            searched = stereo.least_px, stereo.largest_px
+            self._disparity.publish(
+                disparity_message(
+                    disparity, stereo.focal_px, stereo.baseline_m, searched, DELTA_PX, head, stereo.first_column
+                )
+            )
+        if self._points.get_subscription_count() > 0:
+            colours = stereo.rectified(0, bgr_of(image_array(left), left.encoding))
+            self._points.publish(organised_cloud_message(stereo.points(disparity), colours, head))
+        self._note(disparity, time.perf_counter() - start)
+
+    def _note(self, disparity: F32, took_s: float) -> None:
+        self._matched, self._complaint = self._matched + 1, ""
+        known = float(np.isfinite(disparity).mean())
+        self._values = [("known_share", f"{known:.3f}"), ("took_ms", f"{took_s * 1e3:.1f}")]
+
+    def _report(self) -> None:
+        complaint = self._calibration.complaint or self._complaint
+        state = "matching" if self._listening else "idle: nobody subscribes"
+        values = [("pairs", self._matched), ("unpaired", self._pairs.unpaired), *self._values]
+        level, text = ("warn", complaint) if complaint and self._listening else ("ok", state)
+        head = header(self.get_clock().now().nanoseconds, "")
+        self._diagnostics.publish(
+            DiagnosticArray(header=head, status=[diagnostic_status("dense_stereo", level, text, values)])
+        )
+
+
+def main() -> int:
+    """Run the dense stereo node."""
+    return run(DenseStereoNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
