@@ -94,10 +94,13 @@ class LinkRig:
         self.results: list[GoalResult] = []
         self.positions: list[tuple[float, float, float]] = []
         self.notes: list[str] = []
+        self.complaint: Callable[[], None] | None = None
         self.link = SerialLink(self.machine, str(port), 115200, self._collect)
         self.link.start()
 
     def _collect(self, events: list[Event]) -> None:
+        if self.complaint is not None:
+            self.complaint()
         now = time.monotonic()
         for event in events:
             if isinstance(event, StateChanged):

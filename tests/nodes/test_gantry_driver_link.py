@@ -208,3 +208,20 @@ def test_a_program_with_arcs_runs_on_the_board_as_it_was_checked(start: Start) -
     assert rig.outcomes()[-1] == "reached", rig.results[-1]
     assert board.mpos() == pytest.approx((-190.0, -100.0, HOMED[2]), abs=0.02)
     assert board.counters().get("errors", 0) == 0
+
+
+def test_a_listener_that_always_fails_does_not_end_the_thread(start: Start) -> None:
+    _, rig = start(time_scale=4.0)
+    rig.home()
+    failures: list[float] = []
+
+    def fail() -> None:
+        failures.append(time.monotonic())
+        raise RuntimeError("nobody takes the events")
+
+    rig.complaint = fail
+    rig.until(lambda: len(failures) >= 2)
+    assert not rig.machine.homed, "the port was closed, nobody else could stop the board"
+    rig.complaint = None
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.link.alive

@@ -6,6 +6,7 @@ import math
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -261,6 +262,28 @@ def test_parameters_have_ranges_and_a_bad_one_is_refused(operator: Callable[...,
     outcome = driver.set_parameters([Parameter("machine.travel_mm", value=[500.0, 220.0, 60.0])])[0]
     assert not outcome.successful and "read-only" in outcome.reason
     assert list(driver.get_parameter("machine.travel_mm").value) == [360.0, 220.0, 60.0]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_dead_port_thread_is_said_and_ends_the_node_within_a_second(
+    operator: Callable[..., Operator], ros: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    op = operator().ready()
+    driver = next(node for node in ros.nodes if isinstance(node, SerialDriverNode))
+    ended = threading.Event()
+
+    def end(events: object) -> None:
+        ended.set()
+        raise SystemExit
+
+    monkeypatch.setattr(driver._link, "_on_events", end)
+    assert ended.wait(5.0)
+    since = time.monotonic()
+    with pytest.raises(RuntimeError, match="the thread of the port has ended"):
+        op.until(lambda: False, 5.0)
+    assert time.monotonic() - since < 1.0
+    ros.executor.remove_node(driver)
+    op.state("disconnected: the thread of the port has ended", 2.0)
 
 
 def test_sigterm_holds_lifts_and_ends(ros: Any, tmp_path: Path) -> None:

@@ -67,6 +67,11 @@ class SerialLink:
         self._thread.start()
 
     @property
+    def alive(self) -> bool:
+        """Whether the thread that reads and writes the port runs; without it nobody stops the board."""
+        return self._thread.is_alive()
+
+    @property
     def wakeup_fd(self) -> int:
         """For ``signal.set_wakeup_fd``: SIGINT and SIGTERM then stop the machine at once."""
         return self._wake_write
@@ -97,7 +102,8 @@ class SerialLink:
             restless = self._machine.needs_way_out
         if restless:
             self.stop(reason)
-            self.wait_for(lambda machine: machine.at_rest, within_s)
+            if self.alive:
+                self.wait_for(lambda machine: machine.at_rest, within_s)
         self._closing = True
         self._wake()
         if self._thread.ident is not None:
@@ -134,7 +140,9 @@ class SerialLink:
                 # Whatever it is, a thread that dies would leave a board that nobody stops.
                 self._write_hold()
                 self._lost(f"error in the driver: {error!r}")
-                self._publish()
+                # Who takes the events may be what failed, and fails again.
+                with contextlib.suppress(Exception):
+                    self._publish()
 
     def _step(self) -> None:
         if self._fd >= 0:

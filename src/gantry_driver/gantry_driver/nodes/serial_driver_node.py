@@ -33,6 +33,8 @@ from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 from icu_common.nodes.runtime import run
 
+LINK_CHECK_S = 0.5
+LINK_ENDED = "the thread of the port has ended"
 LEVELS = {
     **dict.fromkeys(("idle", "moving", "homing"), "ok"),
     **dict.fromkeys(("disabled", "unhomed", "connecting", "stopped"), "warn"),
@@ -60,6 +62,7 @@ class SerialDriverNode(Node):
         self.create_service(Trigger, "accept_settings", self._on_accept)
         self.create_service(SetBool, "enable", self._on_enable)
         self.create_timer(1.0, self._publish_diagnostics)
+        self.create_timer(LINK_CHECK_S, self._check_link)
         self._old_wakeup_fd: int | None = None
         if threading.current_thread() is threading.main_thread():
             self._old_wakeup_fd = signal.set_wakeup_fd(self._link.wakeup_fd, warn_on_full_buffer=False)
@@ -129,6 +132,11 @@ class SerialDriverNode(Node):
         level = LEVELS.get(state.partition(":")[0], "error")
         status = diagnostic_status(f"{self.get_name()}: board", level, state, values)
         self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
+
+    def _check_link(self) -> None:
+        if not self._link.alive:
+            self._state.publish(String(data=f"disconnected: {LINK_ENDED}"))
+            raise RuntimeError(f"{LINK_ENDED}; the driver ends too, so that bring-up starts it anew")
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
