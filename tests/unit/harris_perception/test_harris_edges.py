@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edges as edges_module
 from harris_perception.core.edges import CORNER, EDGE, FLAT, EdgeConfig, EdgeDetector
-from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.harris import HarrisConfig, HarrisDetector, gaussian_taps
 
 
 def halves(angle_deg: float, offset: float, size: int = 90) -> tuple[np.ndarray, np.ndarray]:
@@ -40,9 +40,46 @@ def test_straight_edge_is_one_chain_within_a_pixel(angle: float, offset: float) 
 def test_strength_is_the_gradient_in_grey_levels_per_pixel() -> None:
     x = np.indices((60, 60))[1].astype(np.float32)
     soft = 100 + 40 * np.tanh((x - 30) / 8)  # slope 5 at x = 30, hardly changed by a blur of 2 px
-    thinned = EdgeDetector().thinned(soft.astype(np.float32))
+    thinned = EdgeDetector(EdgeConfig(coarse_sigma_px=0.0, surround=0.0)).thinned(soft.astype(np.float32))
     assert set(np.nonzero(thinned.max(axis=0) > 1)[0].tolist()) <= {29, 30, 31}
     assert thinned[30].max() == pytest.approx(5.0, rel=0.1)
+
+
+@pytest.mark.parametrize("shape", [(40, 57), (3, 5), (1, 1)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_structure_is_that_of_separate_filters(shape: tuple[int, int], dtype: type) -> None:
+    picture = np.random.default_rng(5).integers(0, 256, shape).astype(dtype)
+    taps = gaussian_taps(1.5)
+    margin = 10
+    padded = cv2.copyMakeBorder(picture.astype(np.float64), *(margin,) * 4, cv2.BORDER_REPLICATE)
+    soft = cv2.sepFilter2D(padded, cv2.CV_64F, taps, taps)
+    step, one, window = np.array([-0.5, 0.0, 0.5]), np.ones(1), np.array([0.25, 0.5, 0.25])
+    gx, gy = cv2.sepFilter2D(soft, cv2.CV_64F, step, one), cv2.sepFilter2D(soft, cv2.CV_64F, one, step)
+    inside = np.s_[margin:-margin, margin:-margin]
+    expected = [3.0 * cv2.sepFilter2D(p, cv2.CV_64F, window, window)[inside] for p in (gx * gx, gy * gy, gx * gy)]
+    found = [np.zeros(shape, np.float32) for _ in range(3)]
+    for weight in (1.0, 2.0):  # two channels add up
+        kernels.add_structure(picture, taps[len(taps) // 2 :].copy(), weight, *found)
+    for ours, theirs in zip(found, expected):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-2)
+
+
+def test_edge_between_colors_of_one_lightness_needs_the_colors() -> None:
+    lab = np.full((60, 80, 3), 128, np.uint8)
+    lab[:, 40:, 1] = 160
+    picture = cv2.cvtColor(lab, cv2.COLOR_LAB2BGR)
+    found = EdgeDetector().detect(picture)
+    assert len(found.chains) == 1 and len(found.chains[0]) == 60
+    assert np.abs(found.chains[0][:, 0] - 39.5).max() < 1.0
+    assert EdgeDetector(EdgeConfig(color=0.0)).detect(picture).chains == []
+
+
+def test_texture_counts_less_than_an_outline_of_the_same_contrast() -> None:
+    picture = np.full((240, 400), 80, np.uint8)
+    picture[60:180, 40:160] = 140  # outline of a lone square
+    picture[:, 220:][np.indices((240, 180)).sum(axis=0) % 24 < 12] = 140  # stripes of the same contrast
+    strength = EdgeDetector(EdgeConfig(surround_px=20.0)).thinned(picture)
+    assert strength[100:140, 30:170].max() > 2.0 * strength[60:180, 280:380].max()
 
 
 def square() -> np.ndarray:
@@ -100,7 +137,10 @@ def test_hysteresis_keeps_weak_pixels_only_with_a_strong_one_and_drops_small_pie
     thinned[5, 40:58] = 1.0  # below the low threshold
     expected = np.zeros(thinned.shape, bool)
     expected[5, 5:35] = True
-    np.testing.assert_array_equal(kernels.hysteresis(thinned, 8.0, 2.0, 20), expected)
+    np.testing.assert_array_equal(kernels.hysteresis(thinned, 8.0, 2.0, 20, 10.0), expected)
+    # The sum of the piece is 29 * 3 + 9 = 96.
+    assert kernels.hysteresis(thinned, 8.0, 2.0, 20, 12.0).any()
+    assert not kernels.hysteresis(thinned, 8.0, 2.0, 20, 12.1).any()
 
 
 def test_spur_is_removed_and_the_branch_of_a_t_stays() -> None:
@@ -163,8 +203,10 @@ def test_pictures_without_edges(shape: tuple[int, int], value: float) -> None:
 
 
 def test_bad_input_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"\(5, 5, 2\)"):
+        EdgeDetector().detect(np.zeros((5, 5, 2), np.uint8))
     with pytest.raises(ValueError, match=r"\(5, 5, 3\)"):
-        EdgeDetector().detect(np.zeros((5, 5, 3), np.uint8))
+        EdgeDetector().detect(np.zeros((5, 5, 3), np.float32))
     with pytest.raises(ValueError, match="outside the picture of 30 x 20"):
         EdgeDetector().detect(np.zeros((20, 30), np.uint8), [(30.0, 4.0)])
 

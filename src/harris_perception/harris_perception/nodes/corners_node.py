@@ -59,6 +59,7 @@ class CornersNode(Node):
         self._detector = HarrisDetector(config)
         self._detector.warm()
         self._edges = EdgeDetector(config.edges)
+        self._edges.warm()
 
     def _on_image(self, message: Image) -> None:
         start = time.perf_counter()
