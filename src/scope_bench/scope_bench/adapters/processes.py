@@ -134,8 +134,7 @@ class ProcessGroup:
         recent = [t for t in watched.starts if now - t < self._window_s]
         why = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         if watched.once:
-            if code:
-                self._on_event(watched.name, f"ended with {why}")
+            self._on_event(watched.name, f"ended with {why}" if code else "done")
         elif code == 2:  # a wrong configuration stays wrong
             watched.gave_up = watched.misconfigured = True
             self._on_event(watched.name, f"ended with {why} and is not restarted: mend its configuration")

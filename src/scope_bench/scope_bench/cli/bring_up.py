@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
@@ -18,6 +20,8 @@ from scope_bench.core.graph_description import GraphError, Program, load_graph
 
 IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "http://", "https://")
 """Lines with one of these are shown without --verbose."""
+WAIT_S = 60.0
+"""So long a program waits for the simulated device that it belongs to."""
 
 
 def configuration_folder() -> Path:
@@ -73,6 +77,8 @@ class BringUp:
         self.options = options
         self.say = say
         self.stopping = False
+        self.complete = False
+        self.page = ""
 
     def run(self) -> int:
         """Run until a signal comes; return the exit code."""
@@ -108,21 +114,22 @@ class BringUp:
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
         group = ProcessGroup(environment, self._output, self._event)
         try:
-            for program in programs:
-                if program.name in self.options.without:
-                    continue
-                values = temporary / f"{program.name}.yaml"
-                values.write_text(program.values_document(), encoding="utf-8")
-                path = find_executable(program.package, program.executable, here)
-                arguments = [*program.ros_arguments(values), *self._single_values(program.name)]
-                group.start(program.name, [str(path), *arguments], ends_last=program.ends_last)
-            self.say(f"started {len(group.running())} programs of the profile {self.options.profile}; Ctrl-C ends them")
-            if self.options.prepare:
-                path = find_executable("gantry_driver", "gantry_prepare", here)
-                namespace = ["-r", f"__ns:=/{self.options.namespace.strip('/')}"] if self.options.namespace else []
-                ros = ["--ros-args", *namespace] if namespace else []
-                group.start_once("prepare", [str(path), *ros])
+            waiting = [p for p in programs if p.name not in self.options.without]
+            patience = time.monotonic() + WAIT_S
             while not self.stopping and not group.misconfigured:
+                late = time.monotonic() > patience
+                for program in [p for p in waiting if late or p.waits_for is None or p.waits_for.exists()]:
+                    waiting.remove(program)
+                    values = temporary / f"{program.name}.yaml"
+                    values.write_text(program.values_document(), encoding="utf-8")
+                    path = find_executable(program.package, program.executable, here)
+                    arguments = [*program.ros_arguments(values), *self._single_values(program.name)]
+                    group.start(program.name, [str(path), *arguments], ends_last=program.ends_last)
+                if not waiting and not self.complete:
+                    self.complete = True
+                    self.say(f"started {len(group.running())} programs of the profile {self.options.profile}")
+                    if self.options.prepare:
+                        self._start_preparation(group, here)
                 group.watch(0.2)
             why = f", since {', '.join(group.misconfigured)} cannot run" if group.misconfigured else ""
             self.say(f"ending every program{why}")
@@ -132,6 +139,11 @@ class BringUp:
                 self.say(f"had to be killed: {', '.join(killed)}")
         return 1 if group.gave_up or killed else 0
 
+    def _start_preparation(self, group: ProcessGroup, here: Path) -> None:
+        path = find_executable("gantry_driver", "gantry_prepare", here)
+        namespace = self.options.namespace.strip("/")
+        group.start_once("prepare", [str(path), *(["--ros-args", "-r", f"__ns:=/{namespace}"] if namespace else [])])
+
     def _single_values(self, name: str) -> list[str]:
         values = [text.partition(".")[2] for text in self.options.set if text.partition(".")[0] == name]
         return [part for value in values for part in ("-p", value.replace("=", ":=", 1))]
@@ -140,11 +152,15 @@ class BringUp:
         self.stopping = True
 
     def _output(self, name: str, line: str) -> None:
+        found = re.search(r"https?://\S+\?token=\S+", line)
+        self.page = found[0] if found else self.page
         if line and (self.options.verbose or name == "prepare" or any(word in line for word in IMPORTANT)):
             self.say(f"{name:>17} | {line}")
 
     def _event(self, name: str, text: str) -> None:
         self.say(f"{name:>17} ! {text}")
+        if name == "prepare" and text == "done":
+            self.say(f"\nReady. Open {self.page or 'the operator page'}\nCtrl-C ends every program.\n")
 
 
 def main() -> int:

@@ -9,20 +9,8 @@ from typing import Any
 
 import yaml
 
-_KEYS = {
-    "package",
-    "executable",
-    "namespace",
-    "parameters",
-    "set",
-    "remap",
-    "arguments",
-    "when",
-    "only",
-    "ros",
-    "ends_last",
-}
-_ADDABLE = {"parameters", "set", "remap", "arguments"}
+_KEYS = {"package", "executable", "namespace", "only", "ros", "ends_last", "when"}
+_ADDABLE = {"parameters", "set", "remap", "arguments", "waits_for"}
 
 
 class GraphError(ValueError):
@@ -51,6 +39,9 @@ class Program:
         False for a program without ROS.
     ends_last
         True for simulated hardware, which must answer until the others have ended.
+    waits_for
+        Socket or port that bring-up waits for before it starts the program, so that a simulated device that is still
+        warming up is not reported as missing. The program itself copes with a missing one.
     """
 
     name: str
@@ -63,6 +54,7 @@ class Program:
     arguments: tuple[str, ...]
     is_node: bool
     ends_last: bool
+    waits_for: Path | None
 
     def ros_arguments(self, values_file: Path) -> list[str]:
         """Return the command line behind the executable; ``values_file`` is where the single values were written."""
@@ -127,6 +119,7 @@ def load_graph(
                 raise GraphError(f"{name}: parameter file {path} does not exist")
         remap = {source: target for part in parts for source, target in part.get("remap", {}).items()}
         values = {key: value for part in parts for key, value in part.get("set", {}).items()}
+        waits = [part["waits_for"] for part in parts if "waits_for" in part]
         programs.append(
             Program(
                 name=name,
@@ -139,6 +132,7 @@ def load_graph(
                 arguments=tuple(_fill([a for part in parts for a in part.get("arguments", ())], words)),
                 is_node=entry.get("ros", True),
                 ends_last=entry.get("ends_last", False),
+                waits_for=Path(_fill(waits[-1], words)) if waits else None,
             )
         )
     return programs, profiles
@@ -156,9 +150,11 @@ def _check_keys(name: str, entry: Mapping[str, Any], profiles: list[str]) -> Non
     for key in ("package", "executable"):
         if key not in entry:
             raise GraphError(f"{name}: {key} is missing")
-    unknown = set(entry) - _KEYS
+    unknown = set(entry) - _KEYS - _ADDABLE
     if unknown:
-        raise GraphError(f"{name}: unknown key {', '.join(sorted(unknown))}; known: {', '.join(sorted(_KEYS))}")
+        raise GraphError(
+            f"{name}: unknown key {', '.join(sorted(unknown))}; known: {', '.join(sorted(_KEYS | _ADDABLE))}"
+        )
     for profile, addition in entry.get("when", {}).items():
         if profile not in profiles:
             raise GraphError(f"{name}: when {profile!r}: the profiles are {', '.join(profiles)}")
