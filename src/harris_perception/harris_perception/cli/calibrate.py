@@ -1,0 +1,334 @@
+"""Print a calibration board; calibrate one camera, or a pair, from pictures of it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import yaml
+
+from harris_perception.adapters.camera_sources import SourceError, picture_files
+from harris_perception.adapters.picture_files import read_gray
+from harris_perception.core.board import PAPERS_MM, Board, board_pdf, board_svg
+from harris_perception.core.board_detection import BoardDetector, BoardView, size_shown
+from harris_perception.core.camera_calibration import (
+    CalibrationConfig,
+    CalibrationError,
+    CameraCalibration,
+    StereoCalibration,
+    ViewError,
+    calibrate_camera,
+    calibrate_stereo,
+    coverage,
+    residual_picture,
+)
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.config import settings_of
+
+
+def _columns_by_rows(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)x(\d+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r}: inner corners as COLUMNSxROWS, for example 9x6, are needed")
+    return int(match[1]), int(match[2])
+
+
+def _camera_name(text: str) -> str:
+    # camera_info_manager takes letters, digits and underscores only.
+    if not re.fullmatch(r"\w+", text, re.ASCII):
+        raise argparse.ArgumentTypeError(f"{text!r}: a name of letters, digits and '_' is needed")
+    return text
+
+
+def _board(options: argparse.Namespace) -> Board:
+    kind = "charuco" if options.charuco else "chessboard"
+    columns, rows = options.charuco or options.chessboard
+    marker_mm = options.marker_mm if options.marker_mm is not None else 0.72 * options.square_mm
+    return Board(
+        kind=kind,
+        columns=columns,
+        rows=rows,
+        square_m=options.square_mm * 1e-3,
+        marker_m=marker_mm * 1e-3,
+        dictionary=options.dictionary,
+    )
+
+
+def _config(options: argparse.Namespace) -> CalibrationConfig:
+    return CalibrationConfig(**{item.name: getattr(options, item.name) for item in settings_of(CalibrationConfig)})
+
+
+def _detect_all(board: Board, files: Sequence[Path], what: str) -> list[BoardView | None]:
+    """Look for the board in every file, with a bar on standard error where somebody sees it."""
+    shown, detector = sys.stderr.isatty(), BoardDetector(board)
+    views = []
+    for i, file in enumerate(files, start=1):
+        views.append(detector.detect(read_gray(file), file.name))
+        if shown:
+            done = 30 * i // len(files)
+            print(f"\r{what} [{'#' * done}{'.' * (30 - done)}] {i}/{len(files)}", end="", file=sys.stderr, flush=True)
+    if shown:
+        print(file=sys.stderr)
+    return views
+
+
+def _require_some(board: Board, files: Sequence[Path], views: Sequence[BoardView | None]) -> None:
+    """Tell which files do not show the board; refuse when none does, with the size that would fit if there is one."""
+    lost = [file.name for file, view in zip(files, views) if view is None]
+    if len(lost) < len(files):
+        if lost:
+            print(f"board not found in {len(lost)} of {len(files)}: {', '.join(lost)}")
+        return
+    advice = "check the size (inner corners, one less than squares), and that the whole board is sharp and evenly lit"
+    if board.kind == "charuco":
+        advice = "check the dictionary and the size (inner corners, one less than squares)"
+    else:
+        for file in files[:2]:
+            size = size_shown(read_gray(file), board)
+            if size is not None:
+                advice = f"{file.name} shows {size[0]}x{size[1]} inner corners: try --chessboard {size[0]}x{size[1]}"
+                break
+    raise CalibrationError(f"no {board.title} in any of {len(files)} pictures: {advice}")
+
+
+def _number(file: Path) -> int | None:
+    digits = re.findall(r"\d+", file.stem)
+    return int(digits[-1]) if digits else None
+
+
+def _paired(left: Sequence[Path], right: Sequence[Path]) -> list[tuple[Path, Path]]:
+    """Pair files by the last number in their names; by order where there are no numbers."""
+    numbers = [[_number(file) for file in side] for side in (left, right)]
+    if any(None in side or len(set(side)) < len(side) for side in numbers):
+        if len(left) != len(right):
+            raise CalibrationError(
+                f"{len(left)} left and {len(right)} right pictures without numbers to pair them by: "
+                "name them left01.png, right01.png and so on"
+            )
+        return list(zip(left, right))
+    by_number = dict(zip(numbers[1], right))
+    pairs = [(file, by_number[n]) for n, file in zip(numbers[0], left) if n in by_number]
+    alone = [f.name for f in (*left, *right) if not any(f in pair for pair in pairs)]
+    if not pairs:
+        raise CalibrationError("no left picture has a right one with the same number")
+    if alone:
+        print(f"without a partner: {', '.join(alone)}")
+    return pairs
+
+
+def _say_coverage(board: Board, views: Sequence[BoardView]) -> None:
+    print("coverage   from    to")
+    for reach in coverage(board, views):
+        print(f"  {reach.name:<6} {reach.low:6.2f} {reach.high:6.2f}  {reach.missing or 'enough'}")
+
+
+def _say_views(views: Sequence[ViewError], left_out: Sequence[ViewError]) -> None:
+    print("view                             corners  rms [px]")
+    for view in (*views, *left_out):
+        note = "left out" if view in left_out else "OUTLIER: look at it, or --drop-outliers" if view.outlier else ""
+        print(f"  {view.name:<30} {view.corners:8d} {view.rms_px:9.3f}  {note}".rstrip())
+
+
+def _say_camera(model: CameraModel, sigma: dict[str, float], prefix: str = "") -> None:
+    values = (*model.k[[0, 1, 0, 1], [0, 1, 2, 2]], *model.d)
+    for name, value in zip(("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3"), values):
+        known = f"+- {sigma[prefix + name]:.5f}" if prefix + name in sigma else "(not estimated)"
+        print(f"  {name:<6} {value:12.5f} {known}")
+    loose = sigma[prefix + "fx_px"] / model.k[0, 0]
+    if loose > 0.01:
+        print(
+            f"  focal length is known to {100 * loose:.1f} % only: add views with the board tilted by 20 to 45 degrees"
+        )
+
+
+def _write_model(model: CameraModel, folder: Path) -> Path:
+    path = folder / f"{model.name}.yaml"
+    text = yaml.safe_dump(model.to_mapping(), sort_keys=False, default_flow_style=None, width=120)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _write_picture(calibration: CameraCalibration, folder: Path) -> Path:
+    path = folder / f"{calibration.model.name}_residuals.png"
+    if not cv2.imwrite(str(path), residual_picture(calibration)):
+        raise ValueError(f"{path} cannot be written")
+    return path
+
+
+def _views_report(views: Sequence[ViewError]) -> list[dict[str, Any]]:
+    return [{"name": v.name, "corners": v.corners, "rms_px": v.rms_px, "outlier": v.outlier} for v in views]
+
+
+def _report(board: Board, result: CameraCalibration | StereoCalibration, views: Sequence[BoardView]) -> dict[str, Any]:
+    reaches = coverage(board, views)
+    report: dict[str, Any] = {
+        "board": board.title,
+        "rms_px": result.rms_px,
+        "sigma": result.sigma,
+        "views": _views_report(result.views),
+        "left_out": _views_report(result.left_out),
+        "coverage": {r.name: {"low": r.low, "high": r.high, "missing": r.missing} for r in reaches},
+    }
+    if isinstance(result, CameraCalibration):
+        return report | {"camera": result.model.to_mapping()}
+    return report | {
+        "rows_rms_px": result.rows_rms_px,
+        "baseline_m": result.stereo.baseline,
+        "left_alone_rms_px": result.left.rms_px,
+        "right_alone_rms_px": result.right.rms_px,
+        "left": result.stereo.left.to_mapping(),
+        "right": result.stereo.right.to_mapping(),
+    }
+
+
+def _finish(folder: Path, report: dict[str, Any], written: Sequence[Path]) -> int:
+    path = folder / "calibration.json"
+    path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    print("written: " + ", ".join(str(p) for p in (*written, path)))
+    return 0
+
+
+def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], places: Sequence[str]) -> None:
+    """Fill the folders from live topics."""
+    # Only here, so that everything else runs where ROS is not installed.
+    from harris_perception.nodes.calibration_capture import capture
+
+    folders = [Path(place) for place in places]
+    for folder in folders:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise CalibrationError(f"{folder} is not empty: give new folders for live pictures")
+    print(f"listening to {', '.join(topics)}; Ctrl-C ends it and calibrates with what there is")
+    capture(
+        board, topics, folders, wanted=options.views, within_s=options.within, say=lambda line: print(line, flush=True)
+    )
+
+
+def draw_board(options: argparse.Namespace) -> int:
+    board = _board(options)
+    for path in options.files:
+        if path.suffix == ".svg":
+            path.write_text(board_svg(board, options.paper), encoding="utf-8")
+        elif path.suffix == ".pdf":
+            path.write_bytes(board_pdf(board, options.paper))
+        else:
+            raise ValueError(f"{path}: the name must end in .svg or .pdf")
+        print(f"{path}: {board.title}; print at 100 % and measure the line of 100 mm")
+    return 0
+
+
+def mono(options: argparse.Namespace) -> int:
+    board, config = _board(options), _config(options)
+    if options.live:
+        _capture(options, board, [options.topic], [options.pictures])
+    files = picture_files(options.pictures)
+    found = _detect_all(board, files, "looking for the board")
+    _require_some(board, files, found)
+    views = [view for view in found if view is not None]
+    _say_coverage(board, views)
+    result = calibrate_camera(board, views, config, options.name)
+    _say_views(result.views, result.left_out)
+    print(f"{options.name}: rms {result.rms_px:.3f} px, {len(result.views)} views")
+    _say_camera(result.model, result.sigma)
+    options.output.mkdir(parents=True, exist_ok=True)
+    written = [_write_model(result.model, options.output), _write_picture(result, options.output)]
+    return _finish(options.output, _report(board, result, views), written)
+
+
+def stereo(options: argparse.Namespace) -> int:
+    board, config = _board(options), _config(options)
+    places = (options.left, options.right)
+    if options.live:
+        _capture(options, board, [f"{options.namespace}/{side}/image_raw" for side in ("left", "right")], places)
+    files = _paired(*(picture_files(place) for place in places))
+    found = []
+    for side, name in enumerate(("left", "right")):
+        found.append(_detect_all(board, [pair[side] for pair in files], f"looking for the board, {name}"))
+        _require_some(board, [pair[side] for pair in files], found[side])
+    pairs = [(a, b) for a, b in zip(*found) if a is not None and b is not None]
+    _say_coverage(board, [pair[0] for pair in pairs])
+    result = calibrate_stereo(board, pairs, config, tuple(options.names))
+    _say_views(result.views, result.left_out)
+    for name, alone, model in (("left", result.left, result.stereo.left), ("right", result.right, result.stereo.right)):
+        print(f"{model.name}: rms alone {alone.rms_px:.3f} px")
+        _say_camera(model, result.sigma, f"{name}_")
+    print(
+        f"pair: rms {result.rms_px:.3f} px, rectified rows {result.rows_rms_px:.3f} px, {len(result.views)} pairs, "
+        f"baseline {result.stereo.baseline * 1e3:.2f} +- {result.sigma['baseline_m'] * 1e3:.2f} mm"
+    )
+    options.output.mkdir(parents=True, exist_ok=True)
+    written = [_write_model(model, options.output) for model in (result.stereo.left, result.stereo.right)]
+    written += [_write_picture(alone, options.output) for alone in (result.left, result.right)]
+    return _finish(options.output, _report(board, result, [pair[0] for pair in pairs]), written)
+
+
+def _add_board(parser: argparse.ArgumentParser) -> None:
+    choices = {item.name: item.setting.choices for item in settings_of(Board)}["dictionary"]
+    which = parser.add_mutually_exclusive_group()
+    size: dict[str, Any] = {"type": _columns_by_rows, "metavar": "COLUMNSxROWS"}
+    which.add_argument("--chessboard", default=(9, 6), help="inner corners (default 9x6)", **size)
+    which.add_argument("--charuco", help="inner corners, rows even, for example 10x6", **size)
+    parser.add_argument("--square-mm", type=float, default=25.0, help="side of a square as printed (default 25)")
+    parser.add_argument("--marker-mm", type=float, help="side of a charuco marker (default 0.72 of the square)")
+    parser.add_argument("--dictionary", choices=choices, default="4X4_250", help="charuco markers (default 4X4_250)")
+
+
+def _add_calibration(parser: argparse.ArgumentParser) -> None:
+    _add_board(parser)
+    for item in settings_of(CalibrationConfig):
+        option, text = f"--{item.name.replace('_', '-')}", item.setting.description
+        if item.kind is bool:
+            parser.add_argument(option, action="store_true", help=text)
+        else:
+            parser.add_argument(option, type=item.kind, default=item.default, help=f"{text} (default {item.default:g})")
+    parser.add_argument("-o", "--output", type=Path, default=Path(), help="folder for results (default: here)")
+    parser.add_argument("--live", action="store_true", help="first fill the folders from running cameras")
+    parser.add_argument("--views", type=int, default=20, help="live: so many are enough (default 20)")
+    parser.add_argument("--within", type=float, default=600.0, help="live: end after so many seconds (default 600)")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="camera_calibration", description=__doc__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    draw = commands.add_parser("board", help="draw a board to print, of true size")
+    draw.add_argument("files", type=Path, nargs="+", help="files ending in .svg or .pdf")
+    draw.add_argument("--paper", choices=("fit", *PAPERS_MM), default="fit", help="sheet (default: fits the board)")
+    _add_board(draw)
+    draw.set_defaults(run=draw_board)
+
+    one = commands.add_parser("mono", help="calibrate one camera")
+    one.add_argument("pictures", help="folder, or pattern in quotes: 'folder/left*.png'")
+    one.add_argument("--name", type=_camera_name, default="camera", help="the camera's, and the file's, name")
+    one.add_argument("--topic", default="/camera/image_raw", help="live: pictures (default /camera/image_raw)")
+    _add_calibration(one)
+    one.set_defaults(run=mono)
+
+    two = commands.add_parser("stereo", help="calibrate a pair")
+    two.add_argument("left", help="folder, or pattern in quotes: 'folder/left*.png'")
+    two.add_argument("right", help="the same for the right camera; paired by the last number in the names")
+    two.add_argument("--names", type=_camera_name, nargs=2, default=["left", "right"], help="the cameras' names")
+    two.add_argument("--namespace", default="/stereo", help="live: left/image_raw and right/image_raw are below this")
+    _add_calibration(two)
+    two.set_defaults(run=stereo)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; errors in what the user gave end with code 2 and one line."""
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except (ValueError, OSError, SourceError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,550 @@
+"""Calibrates one camera, or a pair, from views of a board; says how good it is and what is missing.
+
+The method is Zhang's ("A Flexible New Technique for Camera Calibration", PAMI 22(11), 2000) in OpenCV's implementation;
+what is added is the judgement: coverage, outliers, uncertainties of a pair, and input that cannot be calibrated from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+import cv2
+import numpy as np
+
+from harris_perception.core.board import Board
+from harris_perception.core.board_detection import BoardView
+from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.core.config import Config, setting
+from icu_common.core.geometry import Array
+
+INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
+_MIN_SPREAD_DEG = 6.0
+_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-10)
+
+
+class CalibrationError(ValueError):
+    """The views cannot be calibrated from; the message says what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationConfig(Config):
+    """Settings of a calibration."""
+
+    radial_terms: int = setting(
+        2, "Radial distortion terms that are estimated; the third only pays for wide lenses.", minimum=1, maximum=3
+    )
+    min_views: int = setting(5, "Fewer views with the board are refused.", minimum=3, maximum=100)
+    outlier_factor: float = setting(
+        2.0,
+        "A view is an outlier when its rms error is above so many times the median of all.",
+        minimum=1.1,
+        maximum=20.0,
+    )
+    drop_outliers: bool = setting(False, "Leave outliers out and calibrate again.")
+    alpha: float = setting(
+        0.0,
+        "Rectified picture: 0 shows only valid pixels, 1 keeps every pixel of the raw one.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """How far the views cover one of x, y, size and skew.
+
+    Attributes
+    ----------
+    name
+        x, y: share of the picture's width or height, smallest and largest at which corners were seen.
+        size: square root of the board's share of the picture. skew: 0 = a rectangle, 1 = an angle off by 30 degrees
+        or more.
+    low, high
+        What was reached.
+    missing
+        What to show the camera next; empty when this is covered.
+    """
+
+    name: str
+    low: float
+    high: float
+    missing: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewError:
+    """One picture's (or pair's) share in the error, px."""
+
+    name: str
+    corners: int
+    rms_px: float
+    outlier: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraCalibration:
+    """A calibrated camera.
+
+    Attributes
+    ----------
+    model
+        The camera; its rectified frame is its own.
+    rms_px
+        Root mean square distance of a corner from where it should be.
+    sigma
+        Standard deviation of each of INTRINSICS that was estimated.
+    views
+        The views used, in the order given.
+    left_out
+        Outliers that were left out.
+    at_px, residual_px
+        (M, 2) corners and measured minus expected.
+    """
+
+    model: CameraModel
+    rms_px: float
+    sigma: dict[str, float]
+    views: tuple[ViewError, ...]
+    left_out: tuple[ViewError, ...]
+    at_px: Array
+    residual_px: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class StereoCalibration:
+    """A calibrated pair.
+
+    Attributes
+    ----------
+    stereo
+        The pair, rectified.
+    left, right
+        What each camera's own calibration from the same pictures said; the pair's K and d are estimated jointly.
+    rms_px
+        Of all corners of both cameras with one pose of the board per pair.
+    rows_rms_px
+        Difference of a corner's rows in the rectified pictures, rms: what matching along rows sees.
+    sigma
+        Standard deviations: ``left_`` and ``right_`` INTRINSICS, ``baseline_m`` and ``rotation_deg``.
+    views, left_out
+        As for one camera, for each pair.
+    """
+
+    stereo: StereoModel
+    left: CameraCalibration
+    right: CameraCalibration
+    rms_px: float
+    rows_rms_px: float
+    sigma: dict[str, float]
+    views: tuple[ViewError, ...]
+    left_out: tuple[ViewError, ...]
+
+
+def _homography(board: Board, view: BoardView) -> Array:
+    """Return (3, 3) picture_from_board."""
+    found, _ = cv2.findHomography(board.points()[view.ids, :2], view.xy)
+    if found is None:
+        raise CalibrationError(f"{view.name}: the corners do not fit a flat board; take this picture out")
+    return np.asarray(found, dtype=np.float64)
+
+
+def view_place(board: Board, view: BoardView) -> Array:
+    """Return (4,) x, y, size, skew of one view, each about 0 to 1: what makes it differ from another."""
+    width, height = view.size
+    w, h = (board.columns - 1) * board.square_m, (board.rows - 1) * board.square_m
+    outer = cv2.perspectiveTransform(np.array([[[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]]]), _homography(board, view))[0]
+    before, after = np.roll(outer, 1, axis=0) - outer, np.roll(outer, -1, axis=0) - outer
+    lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+    angles = np.arccos(np.clip((before * after).sum(axis=1) / lengths, -1, 1))
+    skew = min(1.0, float(np.abs(angles - np.pi / 2).max() / (np.pi / 6)))
+    hull = cv2.contourArea(cv2.convexHull(view.xy.astype(np.float32)))
+    x, y = view.xy.mean(axis=0) / (width, height)
+    return np.array([x, y, np.sqrt(hull / (width * height)), skew])
+
+
+def coverage(board: Board, views: Sequence[BoardView]) -> tuple[Reach, ...]:
+    """Return what the views cover in x, y, size and skew (the four of ROS's camera_calibration)."""
+    if not views:
+        return tuple(Reach(name=n, low=0.0, high=0.0, missing="show the board") for n in ("x", "y", "size", "skew"))
+    seen = np.vstack([view.xy / view.size for view in views])
+    places = np.array([view_place(board, view) for view in views])
+    reaches = []
+    for axis, (name, sides) in enumerate((("x", ("left", "right")), ("y", ("upper", "lower")))):
+        low, high = float(seen[:, axis].min()), float(seen[:, axis].max())
+        needed = [side for side, open_ in zip(sides, (low > 0.12, high < 0.88)) if open_]
+        missing = f"show the board nearer to the picture's {' and '.join(needed)} edge" if needed else ""
+        reaches.append(Reach(name=name, low=low, high=high, missing=missing))
+    low, high = float(places[:, 2].min()), float(places[:, 2].max())
+    missing = "show the board from farther away" if high - low < 0.12 and low > 0.3 else ""
+    missing = "show the board from nearer, filling half of the picture" if high < 0.4 else missing
+    reaches.append(Reach(name="size", low=low, high=high, missing=missing))
+    low, high = float(places[:, 3].min()), float(places[:, 3].max())
+    tilted = int((places[:, 3] > 0.25).sum())
+    missing = "" if tilted >= 4 else f"tilt the board by 20 to 45 degrees in different directions ({tilted} of 4 views)"
+    reaches.append(Reach(name="skew", low=low, high=high, missing=missing))
+    return tuple(reaches)
+
+
+def tilt_spread_deg(board: Board, views: Sequence[BoardView]) -> float:
+    """Return the largest angle between the board's normals in two views, roughly, without a calibration.
+
+    With a guessed focal length the angles are rough, but parallel boards come out parallel with any: the columns of
+    ``K^-1 H`` are then the same up to their length.
+    """
+    normals = []
+    for view in views:
+        width, height = view.size
+        guess = np.array([[max(view.size), 0, width / 2], [0, max(view.size), height / 2], [0, 0, 1.0]])
+        columns = np.linalg.solve(guess, _homography(board, view))
+        normal = np.cross(columns[:, 0], columns[:, 1])
+        normals.append(normal / np.linalg.norm(normal) * np.sign(normal[2] or 1.0))
+    cosines = np.clip(np.array(normals) @ np.array(normals).T, -1, 1)
+    return float(np.degrees(np.arccos(cosines.min())))
+
+
+def require_views(board: Board, views: Sequence[BoardView], config: CalibrationConfig) -> tuple[int, int]:
+    """Return the size of all views' pictures.
+
+    Raises
+    ------
+    CalibrationError
+        For too few views, pictures of different sizes, or a board that was always held alike.
+    """
+    if len(views) < config.min_views:
+        raise CalibrationError(
+            f"the board was found in {len(views)} pictures, at least {config.min_views} are needed (15 are good): "
+            "take more, with the whole board sharp and evenly lit"
+        )
+    for view in views:
+        if view.size != views[0].size:
+            raise CalibrationError(
+                f"{view.name} is {view.size[0]} x {view.size[1]} px but {views[0].name} is {views[0].size[0]} x "
+                f"{views[0].size[1]} px: use pictures of one size, the one that the camera will run with"
+            )
+    spread = tilt_spread_deg(board, views)
+    if spread < _MIN_SPREAD_DEG:
+        raise CalibrationError(
+            f"the board is parallel to itself in all {len(views)} views (tilts differ by {spread:.1f} degrees, at "
+            f"least {_MIN_SPREAD_DEG:g} are needed): focal length and distance cannot be told apart; add views with "
+            "the board tilted by 20 to 45 degrees to the left, right, up and down"
+        )
+    return views[0].size
+
+
+def _flags(config: CalibrationConfig) -> int:
+    fixed = (0, cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3, cv2.CALIB_FIX_K3, 0)
+    return int(fixed[config.radial_terms])
+
+
+def _free(config: CalibrationConfig) -> list[int]:
+    """Return which of INTRINSICS are estimated."""
+    left_alone = {1: (5, 8), 2: (8,), 3: ()}[config.radial_terms]
+    return [i for i in range(len(INTRINSICS)) if i not in left_alone]
+
+
+def _points(board: Board, views: Sequence[BoardView]) -> tuple[list[Any], list[Any]]:
+    objects = [board.points()[view.ids].astype(np.float32).reshape(-1, 1, 3) for view in views]
+    return objects, [view.xy.astype(np.float32).reshape(-1, 1, 2) for view in views]
+
+
+def _judged(names: Sequence[str], counts: Sequence[int], errors: Sequence[float], factor: float) -> list[ViewError]:
+    bound = factor * float(np.median(errors))
+    return [
+        ViewError(name=n, corners=c, rms_px=float(e), outlier=bool(e > bound)) for n, c, e in zip(names, counts, errors)
+    ]
+
+
+_V = TypeVar("_V")
+_R = TypeVar("_R", bound=CameraCalibration | StereoCalibration)
+
+
+def _without_outliers(
+    views: Sequence[_V], once: Callable[[Sequence[_V], tuple[ViewError, ...]], _R], config: CalibrationConfig
+) -> _R:
+    """Calibrate; then, if asked, leave the worst outlier out and calibrate again, until there is none."""
+    kept = list(views)
+    left_out: list[ViewError] = []
+    while True:
+        result = once(kept, tuple(left_out))
+        worst = max(result.views, key=lambda view: view.rms_px)
+        if not (config.drop_outliers and worst.outlier and len(kept) > config.min_views):
+            return result
+        del kept[result.views.index(worst)]
+        left_out.append(worst)
+
+
+def calibrate_camera(
+    board: Board, views: Sequence[BoardView], config: CalibrationConfig, name: str = "camera"
+) -> CameraCalibration:
+    """Calibrate one camera.
+
+    Parameters
+    ----------
+    board
+        What was shown.
+    views
+        Where its corners are; see :class:`harris_perception.core.board_detection.BoardDetector`.
+    config
+        What to estimate, and what to do with outliers.
+    name
+        The camera's name in the result.
+
+    Raises
+    ------
+    CalibrationError
+        If the views cannot be calibrated from.
+    """
+
+    def once(kept: Sequence[BoardView], left_out: tuple[ViewError, ...]) -> CameraCalibration:
+        size = require_views(board, kept, config)
+        objects, pictures = _points(board, kept)
+        rms, k, d, turns, shifts, sigma, _, errors = cv2.calibrateCameraExtended(
+            objects, pictures, size, None, None, flags=_flags(config), criteria=_CRITERIA
+        )  # type: ignore[call-overload]
+        if not (np.isfinite(rms) and np.isfinite(k).all() and 0 < k[0, 0] < 100 * max(size)):
+            raise CalibrationError(
+                f"the focal length comes out as {k[0, 0]:g} px: add views with the board tilted more"
+            )
+        d = np.asarray(d, dtype=np.float64).ravel()[:5]
+        p, _ = cv2.getOptimalNewCameraMatrix(k, d, size, config.alpha)
+        at = np.vstack([view.xy for view in kept])
+        expected = [
+            cv2.projectPoints(o, r, t, k, d)[0].reshape(-1, 2) for o, r, t in zip(objects, turns, shifts, strict=True)
+        ]
+        model = CameraModel(
+            name=name, width=size[0], height=size[1], k=k, d=d, r=np.eye(3), p=np.column_stack([p, np.zeros(3)])
+        )
+        counts = [len(view.ids) for view in kept]
+        return CameraCalibration(
+            model=model,
+            rms_px=float(rms),
+            sigma={INTRINSICS[i]: float(np.ravel(sigma)[i]) for i in _free(config)},
+            views=tuple(_judged([v.name for v in kept], counts, np.ravel(errors).tolist(), config.outlier_factor)),
+            left_out=left_out,
+            at_px=at,
+            residual_px=at - np.vstack(expected),
+        )
+
+    return _without_outliers(views, once, config)
+
+
+def common_corners(board: Board, left: BoardView, right: BoardView) -> tuple[BoardView, BoardView]:
+    """Return both views with the corners that both have, counted from the same end of the board.
+
+    A chessboard seen turned by half looks the same to the finder. Cameras of a pair are never rolled by more than a
+    quarter against each other, so the diagonal tells.
+    """
+    if board.kind == "chessboard":
+        diagonals = [view.xy[-1] - view.xy[0] for view in (left, right)]
+        if diagonals[0] @ diagonals[1] < 0:
+            right = BoardView(name=right.name, size=right.size, ids=right.ids, xy=right.xy[::-1].copy())
+    ids, i, j = np.intersect1d(left.ids, right.ids, return_indices=True)
+    return (
+        BoardView(name=left.name, size=left.size, ids=ids, xy=left.xy[i]),
+        BoardView(name=right.name, size=right.size, ids=ids, xy=right.xy[j]),
+    )
+
+
+def calibrate_stereo(
+    board: Board,
+    pairs: Sequence[tuple[BoardView, BoardView]],
+    config: CalibrationConfig,
+    names: tuple[str, str] = ("left", "right"),
+) -> StereoCalibration:
+    """Calibrate a pair of cameras, left and right side by side, from pictures taken at the same moments.
+
+    Raises
+    ------
+    CalibrationError
+        If the pairs cannot be calibrated from, or the cameras are swapped or above each other.
+    """
+    matched = [common_corners(board, left, right) for left, right in pairs]
+    matched = [pair for pair in matched if len(pair[0].ids) >= 8]
+
+    def once(kept: Sequence[tuple[BoardView, BoardView]], left_out: tuple[ViewError, ...]) -> StereoCalibration:
+        alone = CalibrationConfig(
+            radial_terms=config.radial_terms,
+            min_views=config.min_views,
+            outlier_factor=config.outlier_factor,
+            alpha=config.alpha,
+        )
+        left, right = (calibrate_camera(board, [pair[side] for pair in kept], alone, names[side]) for side in (0, 1))
+        if left.model.size != right.model.size:
+            raise CalibrationError(
+                f"left pictures are {left.model.width} x {left.model.height} px, right ones {right.model.width} x "
+                f"{right.model.height} px: use one size for both"
+            )
+        objects, lefts = _points(board, [pair[0] for pair in kept])
+        rights = _points(board, [pair[1] for pair in kept])[1]
+        rms, k1, d1, k2, d2, turn, shift, *_ = cv2.stereoCalibrate(
+            objects,
+            lefts,
+            rights,
+            left.model.k.copy(),
+            left.model.d.copy(),
+            right.model.k.copy(),
+            right.model.d.copy(),
+            left.model.size,
+            flags=cv2.CALIB_USE_INTRINSIC_GUESS | _flags(config),
+            criteria=_CRITERIA,
+        )
+        shift = np.asarray(shift, dtype=np.float64).ravel()
+        _require_side_by_side(shift)
+        cameras = [(np.asarray(k, np.float64), np.asarray(d, np.float64).ravel()[:5]) for k, d in ((k1, d1), (k2, d2))]
+        bundle = _PairBundle(board, kept, cameras, turn, shift)
+        stereo = _rectified(left.model, right.model, cameras, turn, shift, config.alpha)
+        rows = [stereo.left.rectify(a.xy)[:, 1] - stereo.right.rectify(b.xy)[:, 1] for a, b in kept]
+        labels = [f"{a.name} + {b.name}" for a, b in kept]
+        counts = [2 * len(a.ids) for a, _ in kept]
+        return StereoCalibration(
+            stereo=stereo,
+            left=left,
+            right=right,
+            rms_px=float(rms),
+            rows_rms_px=float(np.sqrt(np.mean(np.concatenate(rows) ** 2))),
+            sigma=bundle.sigma(_free(config)),
+            views=tuple(_judged(labels, counts, bundle.view_rms_px, config.outlier_factor)),
+            left_out=left_out,
+        )
+
+    return _without_outliers(matched, once, config)
+
+
+def _require_side_by_side(shift: Array) -> None:
+    x, y, _ = shift
+    if abs(y) > abs(x):
+        raise CalibrationError(
+            f"the right camera is {abs(y):.3f} m above or below the left one and {abs(x):.3f} m beside it: "
+            "the cameras must be side by side; turn the bar"
+        )
+    if x > 0:
+        raise CalibrationError(
+            f"the right camera comes out {x:.3f} m to the left of the left one: the two sides are swapped; "
+            "exchange them"
+        )
+
+
+def _rectified(
+    left: CameraModel, right: CameraModel, cameras: Sequence[tuple[Array, Array]], turn: Any, shift: Array, alpha: float
+) -> StereoModel:
+    (k1, d1), (k2, d2) = cameras
+    found = cv2.stereoRectify(
+        k1, d1, k2, d2, left.size, turn, shift.reshape(3, 1), flags=cv2.CALIB_ZERO_DISPARITY, alpha=alpha
+    )
+    r1, r2, p1, p2 = (np.asarray(part, np.float64) for part in found[:4])
+    return StereoModel(
+        left=CameraModel(name=left.name, width=left.width, height=left.height, k=k1, d=d1, r=r1, p=p1),
+        right=CameraModel(name=right.name, width=right.width, height=right.height, k=k2, d=d2, r=r2, p=p2),
+    )
+
+
+class _PairBundle:
+    """All parameters of a pair around their optimum: errors of each pair of views, and the covariance.
+
+    OpenCV gives no uncertainties for a pair. Here they are ``s^2 (J^T J)^-1`` with the boards' poses eliminated
+    (Schur complement; Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000), J by central differences.
+    """
+
+    _STEPS = np.array([1e-6] * 3 + [1e-6] * 3 + 2 * ([1e-3] * 4 + [1e-6] * 5))
+
+    def __init__(
+        self,
+        board: Board,
+        pairs: Sequence[tuple[BoardView, BoardView]],
+        cameras: Sequence[tuple[Array, Array]],
+        turn: Any,
+        shift: Array,
+    ) -> None:
+        self._turn = np.asarray(turn, dtype=np.float64)
+        intrinsics = [(k[0, 0], k[1, 1], k[0, 2], k[1, 2], *d) for k, d in cameras]
+        self._shared = np.concatenate([np.zeros(3), shift, *intrinsics])
+        self._blocks: list[tuple[Array, Array]] = []
+        self.view_rms_px: list[float] = []
+        self._squares, self._count = 0.0, 0
+        for a, b in pairs:
+            points = board.points()[a.ids]
+            measured = np.vstack([a.xy, b.xy])
+            _, r, t = cv2.solvePnP(points, a.xy, *cameras[0])
+            pose = np.concatenate([np.ravel(r), np.ravel(t)])
+            for _ in range(10):
+                residual = (measured - self._expected(points, self._shared, pose)).ravel()
+                j_pose = self._slopes(partial(self._expected, points, self._shared), pose, np.full(6, 1e-6))
+                step = np.linalg.lstsq(j_pose, residual, rcond=None)[0]
+                pose = pose + step
+                if np.abs(step).max() < 1e-9:
+                    break
+            residual = (measured - self._expected(points, self._shared, pose)).ravel()
+            j_shared = self._slopes(partial(self._expected, points, pose=pose), self._shared, self._STEPS)
+            self._blocks.append((j_shared, j_pose))
+            self._squares += float(residual @ residual)
+            self._count += len(residual)
+            self.view_rms_px.append(float(np.sqrt(2 * np.mean(residual**2))))
+
+    def _expected(self, points: Array, shared: Array, pose: Array) -> Array:
+        turn = cv2.Rodrigues(pose[:3])[0]
+        right_turn = cv2.Rodrigues(shared[:3])[0] @ self._turn
+        poses = ((pose[:3], pose[3:]), (cv2.Rodrigues(right_turn @ turn)[0], right_turn @ pose[3:] + shared[3:6]))
+        pictures = []
+        for (r, t), (fx, fy, cx, cy, *d) in zip(poses, (shared[6:15], shared[15:24])):
+            k = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+            pictures.append(cv2.projectPoints(points, r, t, k, np.array(d))[0].reshape(-1, 2))
+        return np.vstack(pictures)
+
+    @staticmethod
+    def _slopes(function: Callable[[Array], Array], at: Array, steps: Array) -> Array:
+        columns = []
+        for i, step in enumerate(steps):
+            move = np.zeros(len(at))
+            move[i] = step
+            columns.append((function(at + move) - function(at - move)).ravel() / (2 * step))
+        return np.column_stack(columns)
+
+    def sigma(self, free: Sequence[int]) -> dict[str, float]:
+        """Return the standard deviations; ``free`` tells which intrinsics were estimated."""
+        used = [*range(6), *(6 + i for i in free), *(15 + i for i in free)]
+        information = np.zeros((len(used), len(used)))
+        for j_shared, j_pose in self._blocks:
+            j = j_shared[:, used]
+            rest = j - j_pose @ np.linalg.lstsq(j_pose, j, rcond=None)[0]
+            information += rest.T @ rest
+        freedom = self._count - len(used) - 6 * len(self._blocks)
+        # Distances and distortion differ by six orders of magnitude: scaled to a unit diagonal before inverting.
+        scale = 1 / np.sqrt(np.diag(information))
+        covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+        covariance *= self._squares / freedom
+        along = self._shared[3:6] / np.linalg.norm(self._shared[3:6])
+        names = [f"{side}_{INTRINSICS[i]}" for side in ("left", "right") for i in free]
+        deviations = np.sqrt(np.diag(covariance))
+        return dict(zip(names, deviations[6:].tolist())) | {
+            "baseline_m": float(np.sqrt(along @ covariance[3:6, 3:6] @ along)),
+            "rotation_deg": float(np.degrees(np.sqrt(np.trace(covariance[:3, :3])))),
+        }
+
+
+def residual_picture(calibration: CameraCalibration, magnify: float = 0.0) -> Any:
+    """Return (H, W, 3) uint8: each corner with its residual, magnified so that 3 rms are a thirtieth of the width.
+
+    Parameters
+    ----------
+    calibration
+        Whose residuals.
+    magnify
+        How much longer than true the residuals are drawn; 0 chooses.
+    """
+    model = calibration.model
+    zoom = max(1.0, 1280 / model.width)
+    picture = np.full((round(model.height * zoom) + 40, round(model.width * zoom), 3), 255, np.uint8)
+    rms = max(calibration.rms_px, 1e-9)
+    magnify = magnify or max(1.0, float(f"{model.width / 90 / rms:.1g}"))
+    bound = 3 * rms
+    for at, residual in zip(calibration.at_px, calibration.residual_px):
+        start, end = (tuple(round(v * 8) for v in p * zoom) for p in (at, at + magnify * residual))
+        colour = (40, 40, 220) if np.hypot(*residual) > bound else (190, 110, 20)
+        cv2.line(picture, start, end, colour, 1, cv2.LINE_AA, 3)
+        cv2.circle(picture, start, 10, colour, -1, cv2.LINE_AA, 3)
+    text = f"{model.name}: rms {calibration.rms_px:.3f} px, residuals x{magnify:g}, red: above three times the rms"
+    cv2.putText(picture, text, (10, picture.shape[0] - 12), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 1, cv2.LINE_AA)
+    return picture

@@ -1,0 +1,124 @@
+"""Node that keeps useful pictures of a calibration board from live topics and says how to hold the board next."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from sensor_msgs.msg import Image
+
+from harris_perception.core.board import Board
+from harris_perception.core.board_detection import BoardDetector
+from harris_perception.core.gray import gray_of
+from harris_perception.core.view_collection import ViewCollection
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import diagnostic_status, header, image_array, stamp_ns
+from icu_common.nodes.runtime import prepare_transport
+
+_MAX_APART_NS = 2_000_000
+
+
+class CalibrationCaptureNode(Node):
+    """Listens to one topic of pictures per camera and writes the moments kept as PNG.
+
+    Parameters
+    ----------
+    topics
+        One, or left and right; pictures within 2 ms of each other are one moment.
+    folders
+        Where each topic's pictures go; they are named by number.
+    collection
+        What decides, and what was kept.
+    say
+        Gets a line whenever there is something new to tell.
+    """
+
+    def __init__(
+        self,
+        topics: Sequence[str],
+        folders: Sequence[Path],
+        collection: ViewCollection,
+        say: Callable[[str], None],
+        **options: Any,
+    ) -> None:
+        super().__init__("calibration_capture", **options)
+        self.collection = collection
+        self._say, self._said, self._hint = say, "", "no pictures yet"
+        self._detector = BoardDetector(collection.board, quick=True)
+        self._folders = [Path(folder) for folder in folders]
+        self._newest: list[tuple[int, npt.NDArray[np.uint8]] | None] = [None] * len(topics)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self.create_timer(1.0, self._report)
+        for side, topic in enumerate(topics):
+            self.create_subscription(Image, topic, lambda m, side=side: self._on_image(side, m), qos.NEWEST)
+
+    def _on_image(self, side: int, message: Image) -> None:
+        try:
+            gray = np.array(gray_of(image_array(message), message.encoding))
+        except ValueError as error:
+            self._hint = f"picture refused: {error}"
+            return
+        self._newest[side] = stamp_ns(message.header.stamp), gray
+        moment = [item for item in self._newest if item is not None]
+        stamps = [stamp for stamp, _ in moment]
+        if len(moment) == len(self._newest) and max(stamps) - min(stamps) <= _MAX_APART_NS:
+            self._newest = [None] * len(self._newest)
+            self._look([gray for _, gray in moment])
+
+    def _look(self, pictures: Sequence[npt.NDArray[np.uint8]]) -> None:
+        number = len(self.collection.kept)
+        self._hint = self.collection.offer([self._detector.detect(gray, f"view{number:03d}") for gray in pictures])
+        if not self._hint:
+            for folder, gray in zip(self._folders, pictures):
+                path = folder / f"view{number:03d}.png"
+                if not cv2.imwrite(str(path), gray):
+                    raise OSError(f"{path} cannot be written")
+        self._tell()
+
+    def _tell(self) -> None:
+        line = self.collection.progress + (f" [{self._hint}]" if self._hint else "")
+        if line != self._said:
+            self._said = line
+            self._say(line)
+
+    def _report(self) -> None:
+        self._tell()
+        level = "ok" if self.collection.complete else "warn"
+        values = [(reach.name, f"{reach.low:.2f} to {reach.high:.2f}") for reach in self.collection.reaches]
+        status = diagnostic_status(self.get_fully_qualified_name(), level, self._said, values)
+        head = header(self.get_clock().now().nanoseconds, "")
+        self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))
+
+
+def capture(
+    board: Board,
+    topics: Sequence[str],
+    folders: Sequence[Path],
+    *,
+    wanted: int,
+    within_s: float,
+    say: Callable[[str], None],
+) -> ViewCollection:
+    """Collect views from topics until they suffice, Ctrl-C is pressed or the time is over; return what was kept."""
+    prepare_transport()
+    rclpy.init(args=[])
+    collection = ViewCollection(board, wanted)
+    node = CalibrationCaptureNode(topics, folders, collection, say)
+    deadline = time.monotonic() + within_s
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            while not collection.complete and time.monotonic() < deadline and rclpy.ok():
+                rclpy.spin_once(node, timeout_sec=0.1)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return collection
