@@ -225,3 +225,17 @@ def test_a_listener_that_always_fails_does_not_end_the_thread(start: Start) -> N
     rig.complaint = None
     rig.until(lambda: rig.state == "unhomed")
     assert rig.link.alive
+
+
+def test_stops_during_the_retreat_let_it_finish(start: Start) -> None:
+    board, rig = start()
+    rig.home()
+    rig.go((0.0, 0.0, 0.05))
+    rig.until(lambda: bool(rig.positions) and rig.positions[-1][2] > 0.03)
+    rig.link.stop("first")
+    rig.until(lambda: rig.machine.phase.name == "LIFTING")
+    for _ in range(5):
+        rig.link.stop("again")
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert board.mpos()[2] == pytest.approx(HOMED[2], abs=0.01) and rig.states[-1][1] == "stopped: first"
+    assert rig.link.stop_writes == 1, "one hold for the motion, none for the retreat"

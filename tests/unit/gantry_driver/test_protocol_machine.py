@@ -171,15 +171,20 @@ def test_stop_lifts_the_stylus_and_moves_nothing_else() -> None:
     assert rig.states[-1] == "stopped: stop requested"
 
 
-def test_a_second_stop_ends_the_retreat() -> None:
+@pytest.mark.parametrize("hold_written", [False, True])
+def test_a_second_stop_lets_the_retreat_finish(hold_written: bool) -> None:
     rig = Rig().homed()
     rig.go((0.0, 0.0, 0.05))
     rig.until(lambda: rig.board.mpos[2] < -45)
     rig.machine.stop("first", rig.now)
     rig.until(lambda: rig.machine.phase.name == "LIFTING" and rig.board.state == "Run")
-    rig.machine.stop("second", rig.now)
+    for _ in range(3):
+        if hold_written:  # by the thread that wanted the stop, before it could know of the retreat
+            rig.board.write(b"!")
+        rig.machine.stop("second", rig.now, hold_written=hold_written)
+        rig.run_for(0.1)
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
-    assert rig.board.mpos[2] < -20 and rig.states[-1] == "stopped: first"
+    assert rig.board.mpos == pytest.approx(list(HOMED)) and rig.states[-1] == "stopped: first"
 
 
 def test_heartbeat_lost_while_moving_stops_and_while_pressing_lifts() -> None:

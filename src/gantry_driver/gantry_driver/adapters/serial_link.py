@@ -84,8 +84,12 @@ class SerialLink:
         return result
 
     def stop(self, reason: str) -> None:
-        """Write a feed hold to the port now, past all queues, then let the machine go its way down."""
-        written = self._write_hold()
+        """Write a feed hold to the port now, past all queues, then let the machine go its way down.
+
+        Only a retreat of the stylus that is under way is not held but finishes.
+        """
+        # Read without the lock, which may be busy: where the two cross, the machine holds, resets and lifts once more.
+        written = not self._machine.retreating and self._write_hold()
         self.call(lambda machine, now: machine.stop(reason, now, hold_written=written))
 
     def wait_for(self, condition: Callable[[Machine], bool], within_s: float) -> bool:

@@ -211,6 +211,11 @@ class Machine:
         return self.phase not in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING, Phase.MOVING, Phase.HOMING)
 
     @property
+    def retreating(self) -> bool:
+        """Whether only the stylus moves, off the panel, after a stop: a hold would leave it down."""
+        return self.phase is Phase.LIFTING
+
+    @property
     def connected(self) -> bool:
         """Whether a board has been identified on the port."""
         return self.phase.state not in ("disconnected", "connecting")
@@ -373,7 +378,9 @@ class Machine:
                 self.session.realtime(HOLD)
         if self.phase in (Phase.CLOSED, Phase.SYNCHRONISE):
             return
-        self._halt(reason, now, hold_written=hold_written)
+        if self.phase is Phase.LIFTING and not hold_written:
+            return  # The retreat is the way into the safe state already: a repeated stop lets it finish.
+        self._halt(reason, now, hold_written=hold_written, lift_again=True)
 
     def reset(self, now: float) -> str:
         """Leave ``stopped`` or ``alarm``."""
@@ -497,12 +504,12 @@ class Machine:
         self._probe_from = now
         self._enter(Phase.SYNCHRONISE, now, reason)
 
-    def _halt(self, reason: str, now: float, *, hold_written: bool = False) -> None:
+    def _halt(self, reason: str, now: float, *, hold_written: bool = False, lift_again: bool = False) -> None:
         """Begin the way down: hold, wait for it, reset, lift; the goal is answered now."""
         self._finish(Outcome.ABORTED, reason, now)
         if self.phase in (Phase.STOPPED, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
-            # The first reason is the one that explains; a stop during the retreat ends the retreat too.
-            reason, self._lift = self.reason, self._lift and self.phase is not Phase.LIFTING
+            # The first reason is the one that explains; a retreat that failed is not repeated.
+            reason, self._lift = self.reason, self._lift and (lift_again or self.phase is not Phase.LIFTING)
         else:
             self._lift = self.config.lift_on_stop
         self._latched = reason
@@ -847,7 +854,8 @@ class Machine:
             self._stylus_down = False
             self._enter(Phase.STOPPED, now, self.reason)
         elif report.state in ("Hold", "Door"):
-            self._halt(self.reason, now)
+            # The hold of a stop that was written just before the retreat began must not leave the stylus down.
+            self._halt(self.reason, now, lift_again=report.state == "Hold")
 
     def _report_alarm_reset(self, report: Report, now: float) -> None:
         if self._marker == -1 and not self.session.awaiting_banner:
