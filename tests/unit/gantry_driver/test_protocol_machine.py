@@ -187,6 +187,33 @@ def test_a_second_stop_lets_the_retreat_finish(hold_written: bool) -> None:
     assert rig.board.mpos == pytest.approx(list(HOMED)) and rig.states[-1] == "stopped: first"
 
 
+def test_resting_extended_for_too_long_is_a_stop_that_lifts() -> None:
+    rig = Rig().homed()
+    rig.go((0.1, 0.0, 0.0))
+    rig.until(lambda: "reached" in rig.outcomes())
+    rig.run_for(40.0)
+    assert rig.state == "idle", "with the stylus up it may stand as long as it likes"
+    rig.go((0.1, 0.0, 0.02))
+    rig.until(lambda: rig.outcomes().count("reached") == 2)
+    since = rig.now
+    rig.until(lambda: rig.state == "stopped", 40.0)
+    assert rig.now - since == pytest.approx(35.0, abs=0.1), "longer than the longest hold, 30 s"
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1].startswith("stopped: the stylus was left extended for 35.0 s, 35 s are allowed")
+    assert rig.board.mpos == pytest.approx([HOMED[0] + 100.0, HOMED[1], HOMED[2]])
+    assert rig.machine.reset(rig.now) == "" and rig.state == "idle"
+
+
+def test_each_motion_gives_a_resting_stylus_its_time_anew() -> None:
+    rig = Rig(DriverConfig(enabled_at_start=True, max_rest_extended_s=2.0)).homed()
+    for x in (0.01, 0.02, 0.03):
+        rig.go((x, 0.0, 0.02))
+        rig.until(lambda: rig.state == "idle")
+        rig.run_for(1.8)
+        assert rig.state == "idle"
+    rig.until(lambda: rig.state == "stopped", 0.5)
+
+
 def test_heartbeat_lost_while_moving_stops_and_while_pressing_lifts() -> None:
     rig = Rig().homed()
     rig.go((0.35, 0.0, 0.0))

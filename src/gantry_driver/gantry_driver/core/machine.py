@@ -305,6 +305,10 @@ class Machine:
         self._watch(now)
 
     def _watch(self, now: float) -> None:
+        rested, allowed = now - self._since, self.config.max_rest_extended_s
+        if self._rests_extended() and rested > allowed:
+            # Whoever lowered it has gone, though the operator has not.
+            self._halt(f"the stylus was left extended for {rested:.1f} s, {allowed:g} s are allowed", now)
         busy = self.phase in (Phase.MOVING, Phase.HOMING)
         if (busy or self._rests_extended()) and (refusal := self._heartbeat_refusal(now)):
             self._halt(refusal, now)

@@ -139,6 +139,13 @@ class DriverConfig(Config):
     arrival_tolerance_m: float = setting(
         0.0001, "A trajectory has reached its end when the report is this close", minimum=1e-6, maximum=0.01, unit="m"
     )
+    max_rest_extended_s: float = setting(
+        35.0,
+        "Standing with the stylus extended for longer is a stop; the longest hold is 30 s",
+        minimum=1.0,
+        maximum=600.0,
+        unit="s",
+    )
     lift_on_stop: bool = setting(True, "After a stop, once the hold is complete, lift the stylus off the panel")
     machine: MachineConfig = nested(MachineConfig)
     stylus: StylusConfig = nested(StylusConfig)
