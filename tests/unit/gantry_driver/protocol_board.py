@@ -45,6 +45,7 @@ class Board:
     def __init__(self, *, locked: bool = True) -> None:
         self.settings = dict(SETTINGS)
         self.mpos = [0.0, 0.0, 0.0]
+        self.homed = HOMED
         self.state = "Alarm" if locked else "Idle"
         self.out = bytearray()
         self.rx = bytearray()
@@ -133,7 +134,7 @@ class Board:
             self.say("[MSG:Reset to continue]")
         if 0 <= self.homing_until <= now:
             self.homing_until = -1.0
-            self.mpos, self.state = list(HOMED), "Idle"
+            self.mpos, self.state = list(self.homed), "Idle"
             self._answer("$H")
         if self.state == "Hold:1" and now >= self._hold_done:
             self.state = "Hold:0"

@@ -454,6 +454,36 @@ def test_homed_somewhere_else_than_configured_is_a_mismatch() -> None:
     assert rig.machine.home(rig.now) == ""
     rig.until(lambda: rig.state == "mismatch")
     assert "homed at MPos -359.000, -219.000, -1.000" in rig.states[-1]
+    assert "mismatch" in rig.go((0.1, 0.1, 0.0)).reason and not rig.machine.homed
+    assert "nothing to accept" in rig.machine.accept_settings(rig.now)
+    # It may have been a switch that was touched: home again, and there is the configured place.
+    rig.board.homed = (-358.0, -218.0, -2.0)
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle", 5.0)
+    assert rig.machine.homed and rig.states[-1] == "idle"
+    assert rig.go((0.1, 0.1, 0.0)).outcome.value == "accepted"
+
+
+def test_reset_leaves_a_wrong_homed_place_towards_homing() -> None:
+    rig = Rig(DriverConfig(enabled_at_start=True, machine=MachineConfig(pull_off_mm=2.0)))
+    rig.board.settings[27] = "2.000"
+    rig.connect()
+    rig.step()
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "mismatch")
+    assert rig.machine.reset(rig.now) == ""
+    assert rig.state == "unhomed" and not rig.machine.homed
+    assert "unhomed" in rig.go((0.1, 0.1, 0.0)).reason
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "mismatch", 5.0)
+
+
+def test_reset_and_home_do_not_leave_settings_that_differ() -> None:
+    board = Board()
+    board.settings[110] = "500.000"
+    rig = Rig(board=board).connect()
+    assert "nothing to reset" in rig.machine.reset(rig.now) and "mismatch" in rig.machine.home(rig.now)
+    assert rig.state == "mismatch"
 
 
 def test_settings_of_the_test_board_are_those_of_the_configuration() -> None:

@@ -90,7 +90,7 @@ TRANSITIONS: dict[Phase, frozenset[Phase]] = {
     _P.SYNCHRONISE: frozenset(),
     _P.IDENTIFY: frozenset({_P.SETTINGS, _P.MISMATCH}),
     _P.SETTINGS: frozenset({_P.MISMATCH, _P.UNHOMED, _P.STOPPED}),
-    _P.MISMATCH: frozenset({_P.UNHOMED, _P.HOLDING}),
+    _P.MISMATCH: frozenset({_P.UNHOMED, _P.HOMING, _P.HOLDING}),
     _P.UNHOMED: frozenset({_P.HOMING, _P.HOLDING}),
     _P.HOMING: frozenset({_P.IDLE, _P.UNHOMED, _P.MISMATCH, _P.RESETTING}),
     _P.IDLE: frozenset({_P.MOVING, _P.HOMING, _P.HOLDING}),
@@ -178,6 +178,7 @@ class Machine:
         self._settings: dict[int, str] = {}
         self._latched = ""
         self._mismatch = ""
+        self._misplaced = False
         self._accepted_mismatch = ""
         self._events: list[Event] = [StateChanged(text=self.state_text)]
         self._goal: _Goal | None = None
@@ -341,7 +342,7 @@ class Machine:
 
     def accept_settings(self, now: float) -> str:
         """Accept that the board's settings differ from the configuration; holds for these differences only."""
-        if self.phase is not Phase.MISMATCH or not self._settings:
+        if self.phase is not Phase.MISMATCH or not self._settings or self._misplaced:
             return f"nothing to accept: the driver is {self.state_text}"
         self._accepted_mismatch = self._mismatch
         self._enter(Phase.UNHOMED, now)
@@ -349,7 +350,7 @@ class Machine:
 
     def home(self, now: float) -> str:
         """Begin a homing cycle."""
-        if self.phase not in (Phase.UNHOMED, Phase.IDLE):
+        if self.phase not in (Phase.UNHOMED, Phase.IDLE) and not self._misplaced:
             return f"the driver is {self.state_text}"
         if refusal := self._permission(now):
             return refusal
@@ -387,7 +388,7 @@ class Machine:
         self._halt(reason, now, hold_written=hold_written, lift_again=True)
 
     def reset(self, now: float) -> str:
-        """Leave ``stopped`` or ``alarm``."""
+        """Leave ``stopped``, ``alarm``, or the ``mismatch`` of a machine that homed in another place."""
         if self.phase is Phase.STOPPED:
             self._latched = ""
             self._enter(self._resting_phase(), now, self._mismatch if self._blocked() else "")
@@ -395,6 +396,9 @@ class Machine:
         if self.phase is Phase.ALARM:
             self._enter(Phase.ALARM_RESET, now, self.reason)
             self._marker = 0
+            return ""
+        if self._misplaced:
+            self._enter(Phase.UNHOMED, now)
             return ""
         if self.phase in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
             return "the stop is not complete yet"
@@ -487,6 +491,7 @@ class Machine:
             raise AssertionError(f"{self.phase.name} to {phase.name} is not in the table")
         before = self.state_text
         self.phase, self.reason, self._since = phase, reason, now
+        self._misplaced = False
         moving = phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
         rate = self.config.moving_status_rate_hz if moving else self.config.status_rate_hz
         self.session.poll_interval_s = 1.0 / rate
@@ -771,11 +776,9 @@ class Machine:
         expected = self.config.machine.homed_mpos_mm()
         if any(abs(a - e) > 0.05 for a, e in zip(report.mpos_mm, expected)):
             found = ", ".join(f"{v:.3f}" for v in report.mpos_mm[:3])
-            self._mismatch = (
-                f"homed at MPos {found} mm, the configuration says {', '.join(f'{v:g}' for v in expected)} mm"
-            )
-            self._settings = {}
-            self._enter(Phase.MISMATCH, now, self._mismatch)
+            text = f"homed at MPos {found} mm, the configuration says {', '.join(f'{v:g}' for v in expected)} mm"
+            self._enter(Phase.MISMATCH, now, text)
+            self._misplaced = True
             return
         self.homed, self._stylus_down = True, False
         self.session.executed_all()
