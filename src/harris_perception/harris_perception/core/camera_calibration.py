@@ -201,8 +201,21 @@ def tilt_spread_deg(board: Board, views: Sequence[BoardView]) -> float:
         columns = np.linalg.solve(guess, _homography(board, view))
         normal = np.cross(columns[:, 0], columns[:, 1])
         normals.append(normal / np.linalg.norm(normal) * np.sign(normal[2] or 1.0))
-    cosines = np.clip(np.array(normals) @ np.array(normals).T, -1, 1)
-    return float(np.degrees(np.arccos(cosines.min())))
+    return _spread_deg(np.array(normals))
+
+
+def _spread_deg(normals: Array) -> float:
+    """Return the largest angle between two of (N, 3) unit vectors."""
+    return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min())))
+
+
+def _require_tilts(spread_deg: float, count: int) -> None:
+    if spread_deg < _MIN_SPREAD_DEG:
+        raise CalibrationError(
+            f"the board is parallel to itself in all {count} views (tilts differ by {spread_deg:.1f} degrees, at least "
+            f"{_MIN_SPREAD_DEG:g} are needed): focal length and distance cannot be told apart; add views with the "
+            "board tilted by 20 to 45 degrees to the left, right, up and down"
+        )
 
 
 def require_views(board: Board, views: Sequence[BoardView], config: CalibrationConfig) -> tuple[int, int]:
@@ -224,13 +237,7 @@ def require_views(board: Board, views: Sequence[BoardView], config: CalibrationC
                 f"{view.name} is {view.size[0]} x {view.size[1]} px but {views[0].name} is {views[0].size[0]} x "
                 f"{views[0].size[1]} px: use pictures of one size, the one that the camera will run with"
             )
-    spread = tilt_spread_deg(board, views)
-    if spread < _MIN_SPREAD_DEG:
-        raise CalibrationError(
-            f"the board is parallel to itself in all {len(views)} views (tilts differ by {spread:.1f} degrees, at "
-            f"least {_MIN_SPREAD_DEG:g} are needed): focal length and distance cannot be told apart; add views with "
-            "the board tilted by 20 to 45 degrees to the left, right, up and down"
-        )
+    _require_tilts(tilt_spread_deg(board, views), len(views))
     return views[0].size
 
 
@@ -304,6 +311,9 @@ def calibrate_camera(
         rms, k, d, turns, shifts, sigma, _, errors = cv2.calibrateCameraExtended(
             objects, pictures, size, None, None, flags=_flags(config), criteria=_CRITERIA
         )  # type: ignore[call-overload]
+        # Distortion makes parallel boards look tilted in different ways; once it is known it does not. OpenCV solves
+        # the singular problem with a false focal length and a small deviation, so this must be asked of the poses.
+        _require_tilts(_spread_deg(np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])), len(kept))
         if not (np.isfinite(rms) and np.isfinite(k).all() and 0 < k[0, 0] < 100 * max(size)):
             raise CalibrationError(
                 f"the focal length comes out as {k[0, 0]:g} px: add views with the board tilted more"

@@ -1,0 +1,282 @@
+"""Calibration: known cameras within the stated uncertainties, outliers, coverage, input that cannot do, photographs."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from unit.harris_perception.drawn_board import SIZE, camera, exact, pair_poses, picture, poses
+
+from harris_perception.adapters.picture_files import read_gray
+from harris_perception.core.board import Board
+from harris_perception.core.board_detection import BoardDetector, BoardView, size_shown
+from harris_perception.core.camera_calibration import (
+    CalibrationConfig,
+    CalibrationError,
+    calibrate_camera,
+    calibrate_stereo,
+    common_corners,
+    coverage,
+    residual_picture,
+)
+from harris_perception.core.view_collection import ViewCollection
+
+BOARD = Board(columns=9, rows=6, square_m=0.025)
+CHARUCO = Board(kind="charuco", columns=9, rows=6, square_m=0.025, marker_m=0.018)
+CONFIG = CalibrationConfig()
+TURN = cv2.Rodrigues(np.array([0.01, 0.06, -0.02]))[0]
+SHIFT = np.array([-0.12, 0.003, 0.004])
+
+
+def intrinsics(model: Any) -> dict[str, float]:
+    k = model.k
+    values = (k[0, 0], k[1, 1], k[0, 2], k[1, 2], *model.d)
+    return dict(zip(("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3"), values))
+
+
+def views(seed: int = 1, count: int = 15, sigma_px: float = 0.1, **options: Any) -> list[BoardView]:
+    rng = np.random.default_rng(seed)
+    return exact(BOARD, camera(), poses(rng, BOARD, count, **options), rng, sigma_px)
+
+
+def pairs(seed: int = 1, count: int = 15) -> list[tuple[BoardView, BoardView]]:
+    rng = np.random.default_rng(seed)
+    where = poses(rng, BOARD, count)
+    right = camera("right", baseline=0.12)
+    return list(
+        zip(exact(BOARD, camera(), where, rng, 0.1), exact(BOARD, right, pair_poses(where, TURN, SHIFT), rng, 0.1))
+    )
+
+
+def replaced(view: BoardView, **changes: Any) -> BoardView:
+    return dataclasses.replace(view, **changes)
+
+
+def test_parameters_lie_within_their_stated_uncertainties() -> None:
+    truth = intrinsics(camera())
+    squares = []
+    for seed in range(6):
+        result = calibrate_camera(BOARD, views(seed), CONFIG)
+        assert result.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.06)
+        found = intrinsics(result.model)
+        scores = {name: (found[name] - truth[name]) / sigma for name, sigma in result.sigma.items()}
+        print("seed", seed, {name: round(score, 2) for name, score in scores.items()})
+        assert set(scores) == set(truth) - {"k3"}
+        assert max(abs(s) for s in scores.values()) < 4.5
+        squares += [s * s for s in scores.values()]
+    # 48 squares of unit normals, strongly correlated within a seed: their mean is 1 with a deviation of some 0.35.
+    assert 0.35 < np.mean(squares) < 2.2
+
+
+def test_pair_lies_within_its_stated_uncertainties() -> None:
+    truth = {f"left_{n}": v for n, v in intrinsics(camera()).items()}
+    truth |= {f"right_{n}": v for n, v in intrinsics(camera("right", baseline=0.12)).items()}
+    truth["baseline_m"] = float(np.linalg.norm(SHIFT))
+    squares = []
+    for seed in range(4):
+        result = calibrate_stereo(BOARD, pairs(seed), CONFIG)
+        stereo = result.stereo
+        assert result.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.06)
+        assert result.rows_rms_px < 0.17
+        found = {f"left_{n}": v for n, v in intrinsics(stereo.left).items()}
+        found |= {f"right_{n}": v for n, v in intrinsics(stereo.right).items()}
+        found["baseline_m"] = stereo.baseline
+        scores = {n: (found[n] - truth[n]) / s for n, s in result.sigma.items() if n != "rotation_deg"}
+        print("seed", seed, {name: round(score, 2) for name, score in scores.items()})
+        assert max(abs(s) for s in scores.values()) < 4.5
+        squares += [s * s for s in scores.values()]
+        turn = stereo.right.r.T @ stereo.left.r
+        off_deg = np.degrees(np.linalg.norm(cv2.Rodrigues(turn @ TURN.T)[0]))
+        assert off_deg < 4 * result.sigma["rotation_deg"] < 0.4
+        assert [view.name for view in result.views][:1] == ["left00 + right00"]
+    assert 0.35 < np.mean(squares) < 2.2
+
+
+def test_pair_measures_the_board_after_rectification() -> None:
+    given = pairs(3)
+    stereo = calibrate_stereo(BOARD, given, CONFIG).stereo
+    for left, right in given[:5]:
+        xyz = stereo.triangulate(stereo.left.rectify(left.xy), stereo.right.rectify(right.xy))
+        diagonal = np.linalg.norm(xyz[-1] - xyz[0])
+        assert diagonal == pytest.approx(0.025 * np.hypot(8, 5), abs=5e-4)
+
+
+def test_more_noise_gives_larger_uncertainties_in_proportion() -> None:
+    small, large = (calibrate_camera(BOARD, views(2, sigma_px=s), CONFIG).sigma for s in (0.05, 0.5))
+    for name in small:
+        assert large[name] / small[name] == pytest.approx(10, rel=0.3)
+
+
+@pytest.mark.parametrize("terms", [1, 3])
+def test_only_the_terms_asked_for_are_estimated(terms: int) -> None:
+    result = calibrate_camera(BOARD, views(), CalibrationConfig(radial_terms=terms))
+    assert ("k3" in result.sigma) == ("k2" in result.sigma) == (terms == 3)
+    assert (result.model.d[4] != 0) == (terms == 3)
+
+
+def test_outlier_is_named_and_left_out_only_if_asked() -> None:
+    given = views(5)
+    rng = np.random.default_rng(0)
+    given[7] = replaced(given[7], xy=given[7].xy + rng.normal(0, 1.5, given[7].xy.shape))
+    kept = calibrate_camera(BOARD, given, CONFIG)
+    assert [view.name for view in kept.views if view.outlier] == ["left07"]
+    assert len(kept.views) == 15 and not kept.left_out
+    dropped = calibrate_camera(BOARD, given, CalibrationConfig(drop_outliers=True))
+    assert [view.name for view in dropped.left_out] == ["left07"]
+    assert len(dropped.views) == 14 and dropped.rms_px < 0.16 < kept.rms_px
+    assert len(dropped.residual_px) == 14 * 54
+
+
+def test_outlier_of_a_pair_is_left_out() -> None:
+    given = pairs(6)
+    given[4] = (given[4][0], replaced(given[4][1], xy=given[4][1].xy + (3.0, 2.0)))
+    result = calibrate_stereo(BOARD, given, CalibrationConfig(drop_outliers=True))
+    assert [view.name for view in result.left_out] == ["left04 + right04"]
+    assert result.rms_px < 0.16
+
+
+def test_too_few_views_are_refused() -> None:
+    with pytest.raises(CalibrationError, match=r"found in 4 pictures, at least 5 are needed.*take more"):
+        calibrate_camera(BOARD, views(count=4), CONFIG)
+
+
+def test_parallel_views_are_refused() -> None:
+    rng = np.random.default_rng(4)
+    tilted = cv2.Rodrigues(np.array([0.4, 0.2, 0.0]))[0]
+    for turn in (np.eye(3), tilted):
+        where = [
+            (turn, np.array([x - 0.1, y - 0.06, z])) for x in (-0.1, 0, 0.1) for y, z in ((-0.05, 0.5), (0.05, 0.6))
+        ]
+        given = exact(BOARD, camera(), where, rng, 0.1)
+        with pytest.raises(CalibrationError, match=r"parallel to itself in all 6 views.*tilted by 20 to 45 degrees"):
+            calibrate_camera(BOARD, given, CONFIG)
+
+
+def test_mixed_picture_sizes_are_refused() -> None:
+    given = views()
+    given[3] = replaced(given[3], size=(1280, 960))
+    with pytest.raises(CalibrationError, match=r"left03 is 1280 x 960 px but left00 is 960 x 720 px.*one size"):
+        calibrate_camera(BOARD, given, CONFIG)
+
+
+def test_swapped_and_stacked_cameras_are_refused() -> None:
+    given = pairs(7)
+    with pytest.raises(CalibrationError, match="swapped"):
+        calibrate_stereo(BOARD, [(b, a) for a, b in given], CONFIG)
+    rng = np.random.default_rng(7)
+    where = poses(rng, BOARD, 8)
+    above = pair_poses(where, np.eye(3), np.array([0.0, 0.1, 0.0]))
+    stacked = list(zip(exact(BOARD, camera(), where, rng, 0.1), exact(BOARD, camera("right"), above, rng, 0.1)))
+    with pytest.raises(CalibrationError, match="side by side"):
+        calibrate_stereo(BOARD, stacked, CONFIG)
+
+
+def test_order_of_a_pair_is_settled() -> None:
+    left, right = pairs(8)[0]
+    turned = replaced(right, xy=right.xy[::-1].copy())
+    assert np.array_equal(common_corners(BOARD, left, turned)[1].xy, right.xy)
+    part = replaced(left, ids=left.ids[5:], xy=left.xy[5:])
+    a, b = common_corners(CHARUCO, part, right)
+    assert np.array_equal(a.ids, np.arange(5, 54)) and np.array_equal(b.xy, right.xy[5:])
+
+
+def test_coverage_says_what_is_missing() -> None:
+    full = {reach.name: reach for reach in coverage(BOARD, views(1, 30))}
+    assert [name for name, reach in full.items() if reach.missing and name != "size"] == []
+    turn = np.eye(3)
+    small = exact(BOARD, camera(), [(turn, np.array([-0.42, -0.12, 0.9]))], np.random.default_rng(0), 0.0)
+    poor = {reach.name: reach for reach in coverage(BOARD, small)}
+    assert "right edge" in poor["x"].missing and "left" not in poor["x"].missing
+    assert "nearer" in poor["size"].missing
+    assert "(0 of 4 views)" in poor["skew"].missing
+    assert all(reach.missing == "show the board" for reach in coverage(BOARD, []))
+
+
+def test_live_views_are_kept_when_still_and_new() -> None:
+    first, second = views(9, 2, sigma_px=0.0)
+    collection = ViewCollection(BOARD, wanted=2)
+    assert "not seen whole" in collection.offer([None])
+    assert "both" in collection.offer([first, None])
+    assert "still" in collection.offer([first])
+    assert collection.offer([replaced(first, xy=first.xy + 0.5)]) == ""
+    assert "differently" in collection.offer([first])
+    assert "still" in collection.offer([second])
+    assert collection.offer([second]) == ""
+    assert len(collection.kept) == 2 and not collection.complete
+    assert collection.progress.startswith("2/2 views; ") and "tilt" in collection.progress
+
+
+@pytest.mark.parametrize("board", [BOARD, CHARUCO], ids=["chessboard", "charuco"])
+def test_rendered_boards_give_the_camera_back(board: Board) -> None:
+    rng = np.random.default_rng(11)
+    model, where = camera(), poses(rng, board, 6)
+    detector = BoardDetector(board)
+    found, errors = [], []
+    for number, pose in enumerate(where):
+        view = detector.detect(picture(board, pose, rng), f"picture{number}")
+        assert view is not None and view.size == SIZE
+        truth = model.project(board.points() @ pose[0].T + pose[1])
+        forward, back = (np.linalg.norm(view.xy - t[view.ids], axis=1) for t in (truth, truth[::-1]))
+        errors.append(np.sqrt(np.mean(min(forward, back, key=np.max) ** 2)))
+        assert len(view.ids) >= 50
+        found.append(view)
+    print("rms of the corners, px", np.round(errors, 3))
+    assert max(errors) < 0.1
+    result = calibrate_camera(board, found, CONFIG)
+    truth_values, values = intrinsics(model), intrinsics(result.model)
+    assert values["fx_px"] == pytest.approx(truth_values["fx_px"], abs=6 * result.sigma["fx_px"] + 0.5)
+    assert values["cx_px"] == pytest.approx(truth_values["cx_px"], abs=6 * result.sigma["cx_px"] + 0.5)
+    assert result.rms_px < 0.1
+
+
+def test_charuco_is_found_in_part_and_a_chessboard_only_whole() -> None:
+    rng = np.random.default_rng(12)
+    pose = (np.eye(3), np.array([-0.28, -0.06, 0.5]))
+    part = BoardDetector(CHARUCO).detect(picture(CHARUCO, pose, rng), "part")
+    assert part is not None and 15 <= len(part.ids) < 54
+    truth = camera().project(CHARUCO.points() + pose[1])[part.ids]
+    assert np.abs(part.xy - truth).max() < 0.3
+    assert BoardDetector(BOARD).detect(picture(BOARD, pose, rng), "part") is None
+
+
+def test_wrong_size_is_recognised() -> None:
+    rng = np.random.default_rng(13)
+    shown = picture(BOARD, poses(rng, BOARD, 1)[0], rng)
+    wrong = Board(columns=10, rows=7)
+    assert BoardDetector(wrong).detect(shown, "shown") is None
+    assert size_shown(shown, wrong) == (9, 6)
+
+
+def test_residual_picture_shows_every_corner() -> None:
+    result = calibrate_camera(BOARD, views(), CONFIG, "left")
+    drawn = residual_picture(result)
+    assert drawn.shape == (1000, 1280, 3)
+    for x, y in result.at_px[:54] * (1280 / 960):
+        assert drawn[round(y) - 1 : round(y) + 2, round(x) - 1 : round(x) + 2].min() < 128
+
+
+def boards() -> Path:
+    place = os.environ.get("ICU_TEST_DATA")
+    if not place or not (Path(place) / "boards").is_dir():
+        pytest.skip("ICU_TEST_DATA names no folder with boards/: photographs of a 9x6 chessboard, left and right")
+    return Path(place) / "boards"
+
+
+def test_photographed_pairs_reach_the_known_error() -> None:
+    folder, detector = boards(), BoardDetector(BOARD)
+    sides = [
+        [detector.detect(read_gray(p), p.name) for p in sorted(folder.glob(f"{s}*.jpg"))] for s in ("left", "right")
+    ]
+    assert [len(side) for side in sides] == [13, 13] and not any(view is None for side in sides for view in side)
+    result = calibrate_stereo(BOARD, [(a, b) for a, b in zip(*sides) if a and b], CONFIG)
+    print("rms px", result.left.rms_px, result.right.rms_px, result.rms_px, "rows", result.rows_rms_px)
+    assert result.left.rms_px <= 0.21
+    assert result.right.rms_px <= 0.21
+    assert result.rms_px <= 0.22
+    assert not result.left_out and not any(view.outlier for view in result.views)
+    assert result.rows_rms_px < 0.2
