@@ -23,6 +23,7 @@ setup(
             "gantry_controller = gantry_driver.nodes.controller_node:main",
             "mock_grbl = gantry_driver.mock.main:main",
             "gantry_goal = gantry_driver.cli.gantry_goal:main",
+            "gantry_gcode = gantry_driver.cli.gantry_gcode:main",
             "gantry_prepare = gantry_driver.cli.gantry_prepare:main",
         ],
     },

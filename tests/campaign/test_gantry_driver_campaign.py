@@ -70,3 +70,15 @@ def test_the_judge_sees_a_false_done(monkeypatch: pytest.MonkeyPatch, capsys: py
 )
 def test_the_judge_allows_one_gap_of_what_was_reported(taken: str, reported: int, good: bool) -> None:
     assert in_order(list(taken), list("abcdef"), reported) is good
+
+
+def test_a_program_is_checked_with_the_offset_that_the_board_has_stored() -> None:
+    rig = VirtualRig(CONFIG, 0)
+    rig.board.eeprom.systems[0][:] = [-359.0, -219.0, 0.0]
+    rig.home()
+    rig.run_for(1.0)
+    refused = rig.machine.run_program("p", ["G0 X-5"], rig.now)
+    assert refused.reason == "line 1, column 4: X = -364.000 mm (machine) is outside -359 to 0 mm (ALARM:2)"
+    assert rig.machine.run_program("p", ["G0 X20 Y10"], rig.now).outcome is Outcome.ACCEPTED
+    rig.until(lambda: rig.results and rig.results[-1].outcome is Outcome.REACHED, 10.0)
+    assert rig.mpos() == pytest.approx((-339.0, -209.0, -1.0), abs=0.02)

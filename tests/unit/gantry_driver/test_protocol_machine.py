@@ -518,3 +518,50 @@ def test_what_homing_and_the_settings_check_rest_on_is_fixed_while_the_node_runs
     fixed |= {"stylus.kind", "stylus.stroke_m", "stylus.servo_up", "stylus.servo_down", "port", "baud"}
     assert len(fixed) == 12 and [name for name in sorted(fixed) if not items[name]] == []
     assert not items["feed_m_s"], "what only the next motion needs stays live"
+
+
+def test_pause_holds_and_resume_goes_on_without_losing_a_line() -> None:
+    rig = Rig().homed()
+    source = [f"G53 G1 X{-359 + 5 * k} F9000" for k in range(1, 41)]
+    assert rig.machine.pause(rig.now) == "nothing to pause: the driver is idle"
+    assert rig.machine.run_program("p", source, rig.now).outcome.value == "accepted"
+    rig.run_for(0.4)
+    assert rig.machine.pause(rig.now) == ""
+    rig.until(lambda: rig.board.state == "Hold:0", 1.0)
+    where = list(rig.board.mpos)
+    rig.run_for(5.0)
+    assert rig.states[-1] == "moving: paused" and rig.board.mpos == where and rig.outcomes() == ["accepted"]
+    assert "paused" in rig.machine.pause(rig.now)
+    assert rig.machine.resume(rig.now) == ""
+    rig.until(lambda: "reached" in rig.outcomes(), 20.0)
+    assert [t for t in rig.board.executed if "X" in t] == [line.replace(" ", "") for line in source]
+    assert "nothing to resume" in rig.machine.resume(rig.now)
+
+
+def test_resume_waits_for_the_hold_to_complete() -> None:
+    rig = Rig().homed()
+    rig.board.hold_s = 0.4
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.3)
+    rig.machine.pause(rig.now)
+    rig.step()
+    rig.machine.resume(rig.now)
+    rig.until(lambda: "reached" in rig.outcomes(), 10.0)
+    resumed = [t for t, code in rig.board.realtime if code == ord("~")]
+    hold = next(t for t, code in rig.board.realtime if code == ord("!"))
+    assert resumed and resumed[0] >= hold + 0.4
+
+
+def test_a_stop_and_a_lost_operator_end_a_pause() -> None:
+    for end in ("stop", "heartbeat"):
+        rig = Rig().homed()
+        rig.go((0.1, 0.1, 0.03), (0.3, 0.1, 0.03))
+        rig.until(lambda rig=rig: rig.board.mpos[2] < -30.9)
+        rig.machine.pause(rig.now)
+        rig.run_for(1.0)
+        if end == "stop":
+            rig.machine.stop("stop requested", rig.now)
+        rig.beating = end == "stop"
+        rig.until(lambda rig=rig: rig.machine.phase.name == "STOPPED")
+        assert rig.outcomes() == ["accepted", "aborted"] and rig.board.mpos[2] == pytest.approx(HOMED[2])
+        assert rig.machine.homed

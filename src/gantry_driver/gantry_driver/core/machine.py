@@ -26,6 +26,7 @@ from gantry_driver.core.grbl_messages import (
 from gantry_driver.core.machine_config import DriverConfig, close_enough
 from gantry_driver.core.session import (
     HOLD,
+    RESUME,
     Acknowledged,
     CountBroken,
     Counts,
@@ -193,6 +194,7 @@ class Machine:
         self._probed = 0.0
         self._probe_from = 0.0
         self._stylus_down = False
+        self._pausing = self._resuming = False
 
     # --- what the node sees -----------------------------------------------------------------------------------
 
@@ -387,6 +389,28 @@ class Machine:
             return  # The retreat is the way into the safe state already: a repeated stop lets it finish.
         self._halt(reason, now, hold_written=hold_written, lift_again=True)
 
+    def pause(self, now: float) -> str:
+        """Hold a motion where it is; its buffered lines stay, and the stylus stays where it is."""
+        if self.phase is not Phase.MOVING or self._pausing:
+            return f"nothing to pause: the driver is {self.state_text}"
+        self.session.paused = self._pausing = True
+        self._resuming = False
+        self._hold_sent = now
+        self.session.realtime(HOLD)
+        self._enter(Phase.MOVING, now, "paused")
+        return ""
+
+    def resume(self, now: float) -> str:
+        """Go on with a motion that was paused."""
+        if self.phase is not Phase.MOVING or not self._pausing:
+            return f"nothing to resume: the driver is {self.state_text}"
+        if refusal := self._permission(now):
+            return refusal
+        self._pausing, self._resuming = False, True
+        self.session.paused = False
+        self._enter(Phase.MOVING, now)
+        return ""
+
     def reset(self, now: float) -> str:
         """Leave ``stopped``, ``alarm``, or the ``mismatch`` of a machine that homed in another place."""
         if self.phase is Phase.STOPPED:
@@ -435,7 +459,8 @@ class Machine:
         try:
             if refusal := self._goal_refusal(0.0, now):
                 raise TrajectoryError(refusal)
-            checker = ProgramChecker(self._bounds(), mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config))
+            start = mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config)
+            checker = ProgramChecker(self.bounds(), start, {"G54": _three(self.session.wco_mm)})
             lines = [(line.text, line.seconds) for line in checker.check_all(source)]
         except (TrajectoryError, GcodeError) as error:
             return self._answer(
@@ -458,7 +483,8 @@ class Machine:
         self._enter(Phase.MOVING, now)
         return accepted
 
-    def _bounds(self) -> Bounds:
+    def bounds(self) -> Bounds:
+        """Return the travel in machine coordinates and the rates of rapid moves."""
         ends = mpos_mm((0.0, 0.0, 0.0), self.config), mpos_mm(self.config.limits_m(), self.config)
         low, high = (_three([pick(pair) for pair in zip(*ends)]) for pick in (min, max))
         return Bounds(low_mm=low, high_mm=high, rapid_mm_min=_three(self.config.machine.max_rate_mm_min))
@@ -491,6 +517,8 @@ class Machine:
             raise AssertionError(f"{self.phase.name} to {phase.name} is not in the table")
         before = self.state_text
         self.phase, self.reason, self._since = phase, reason, now
+        if phase is not Phase.MOVING:
+            self._pausing = self._resuming = False
         self._misplaced = False
         moving = phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
         rate = self.config.moving_status_rate_hz if moving else self.config.status_rate_hz
@@ -801,10 +829,23 @@ class Machine:
     def _report_moving(self, report: Report, now: float) -> None:
         if report.state == "Alarm":
             self._to_alarm("the board is locked by an alarm whose number was not received", now)
+        elif (self._pausing or self._resuming) and report.state in ("Idle", "Run", "Hold"):
+            self._report_paused(report, now)
         elif report.state in ("Hold", "Door", "Check", "Sleep", "Tool", "Home", "Jog"):
             self._halt(f"the board went to {report.state_text}", now)
         elif report.state == "Idle" and self._goal is not None and self._goal.acknowledged:
             self._arrive(now)
+
+    def _report_paused(self, report: Report, now: float) -> None:
+        """Hold until it shows; resume only from a complete hold, for before that GRBL swallows ``~``."""
+        if self._pausing:
+            if report.state != "Hold" and now - self._hold_sent >= HOLD_REPEAT_S:
+                self._hold_sent = now
+                self.session.realtime(HOLD)
+        elif report.state != "Hold":
+            self._resuming = False
+        elif report.substate == 0:
+            self.session.realtime(RESUME)
 
     def _arrive(self, now: float) -> None:
         goal, here = self._goal, self.reading_m

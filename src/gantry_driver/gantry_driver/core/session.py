@@ -203,6 +203,11 @@ class GrblSession:
         return len(self._queue) + len(self._in_flight)
 
     @property
+    def wco_mm(self) -> tuple[float, ...]:
+        """The work offset that the board has reported: its memory's G54 and what was added since its reset."""
+        return self._wco_mm[:3]
+
+    @property
     def in_flight_bytes(self) -> int:
         """Bytes sent and not acknowledged."""
         return self._in_flight_bytes

@@ -1,0 +1,280 @@
+"""Run a G-code program directly on the board's port, without ROS: checked first, paused and resumed by keys.
+
+``gantry_gcode run FILE --port /dev/ttyUSB0`` checks the whole file against the machine, says how long it takes, opens
+the port for itself alone (a driver that has it makes that fail), homes, and streams. Space pauses (the stylus stays
+where it is) and resumes; Ctrl-C holds, lifts the stylus, keeps the position, and ends. ``--dry-run`` lets the board's
+own parser check the lines in ``$C`` mode; nothing moves. ``--check`` does not open the port at all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import select
+import signal
+import sys
+import termios
+import tty
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import serial
+import yaml
+
+from gantry_driver.adapters.check_mode import CheckFailed, dry_run
+from gantry_driver.adapters.serial_link import SerialLink
+from gantry_driver.core.gcode_check import CheckedLine, GcodeError, ProgramChecker
+from gantry_driver.core.grbl_messages import error_text
+from gantry_driver.core.machine import Answered, Event, Machine, Note, StateChanged
+from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.progress import duration_text, progress_text
+from icu_common.core.config import ConfigError, from_mapping
+from icu_common.core.results import GoalResult, Outcome
+
+DONE, FAILED, USAGE = 0, 1, 2
+"""Exit codes."""
+TURN_S = 0.1
+BROKEN = ("stopped", "alarm", "mismatch")
+
+
+class Failed(Exception):
+    """The program cannot go on; the message says why."""
+
+
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested settings with dotted names."""
+    result: dict[str, Any] = {}
+    for name, value in values.items():
+        result.update(flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value})
+    return result
+
+
+def read_config(params: Path | None, port: str | None) -> DriverConfig:
+    """Return the driver's configuration, from a ROS parameter file if there is one.
+
+    Raises
+    ------
+    ConfigError
+        Also for a file without ``ros__parameters``.
+    """
+    values: dict[str, Any] = {}
+    if params is not None:
+        document = yaml.safe_load(params.read_text(encoding="utf-8"))
+        try:
+            ((_, node),) = document.items()
+            values = flat(node["ros__parameters"])
+        except (AttributeError, KeyError, TypeError, ValueError):
+            raise ConfigError(f"{params}: one node with ros__parameters is needed") from None
+    if port is not None:
+        values["port"] = port
+    return from_mapping(DriverConfig, {**values, "enabled_at_start": True})
+
+
+def check(source: Sequence[str], config: DriverConfig) -> list[CheckedLine]:
+    """Return the lines to send, checked as from the homed position.
+
+    Raises
+    ------
+    GcodeError
+        At the first line that cannot be sent.
+    """
+    checker = ProgramChecker(Machine(config).bounds(), config.machine.homed_mpos_mm())
+    return list(checker.check_all(source))
+
+
+class Display:
+    """One line that is written anew on a terminal; elsewhere a line at every tenth of the way."""
+
+    def __init__(self) -> None:
+        self._live = sys.stdout.isatty()
+        self._shown = ""
+        self._tenth = -1
+
+    def show(self, text: str, share: float) -> None:
+        """Show the state; ``share`` is how much is done, 0 to 1."""
+        if self._live:
+            if text != self._shown:
+                print(f"\r\x1b[K{text}", end="", flush=True)
+        elif int(10 * share) != self._tenth:
+            self._tenth = int(10 * share)
+            print(text, flush=True)
+        self._shown = text
+
+    def say(self, text: str) -> None:
+        """Print a line that stays."""
+        print(f"\r\x1b[K{text}" if self._live else text, flush=True)
+
+
+class Runner:
+    """Runs one program on one port; the operator's heartbeat comes from its own turns, so a hang here is a hold."""
+
+    def __init__(self, config: DriverConfig, display: Display) -> None:
+        self._display = display
+        self._machine = Machine(config)
+        self._result: GoalResult | None = None
+        self._texts: list[str] = []
+        self._link = SerialLink(self._machine, config.port, config.baud, self._on_events)
+        self._link.start()
+
+    def run(self, source: Sequence[str], lines: Sequence[CheckedLine], key: Callable[[], str]) -> GoalResult:
+        """Home, stream, and return the answer; ``key`` returns what was typed since the last turn.
+
+        Raises
+        ------
+        Failed, KeyboardInterrupt
+        """
+        self._turn_until(lambda: self._machine.state not in ("connecting", "disconnected"), key)
+        self._need("unhomed")
+        if refusal := self._link.call(lambda machine, now: machine.home(now)):
+            raise Failed(f"homing was refused: {refusal}")
+        self._turn_until(lambda: self._machine.state != "homing", key)
+        self._need("idle")
+        before = self._machine.counts.executed
+        self._link.call(lambda machine, now: machine.run_program("program", source, now))
+        seconds = [line.seconds for line in lines]
+
+        def over() -> bool:
+            done = min(max(self._machine.counts.executed - before, 0), len(lines))
+            share = done / max(len(lines), 1)
+            self._display.show(progress_text(done, seconds, self._machine.state_text), share)
+            return self._result is not None
+
+        self._turn_until(over, key)
+        assert self._result is not None
+        return self._result
+
+    def close(self) -> None:
+        """Hold if anything moves, lift the stylus, and close the port."""
+        self._link.close("interrupted")
+        self._turn()
+
+    def _need(self, state: str) -> None:
+        if self._machine.state != state:
+            raise Failed(f"the board is {self._machine.state_text}, {state!r} is needed")
+
+    def _turn_until(self, condition: Callable[[], bool], key: Callable[[], str]) -> None:
+        while not condition():
+            if self._machine.state in BROKEN and self._result is None:
+                raise Failed(f"the board is {self._machine.state_text}")
+            if " " in key() and (refusal := self._link.call(_pause_or_resume)):
+                self._display.say(refusal)
+            self._turn()
+        self._turn()
+
+    def _turn(self) -> None:
+        self._link.call(lambda machine, now: machine.heartbeat(now))
+        self._link.wait_for(lambda machine: self._result is not None, TURN_S)
+        while self._texts:
+            self._display.say(self._texts.pop(0))
+
+    def _on_events(self, events: list[Event]) -> None:
+        for event in events:
+            if isinstance(event, StateChanged):
+                self._texts.append(event.text)
+            elif isinstance(event, Note):
+                self._texts.append(f"{event.level}: {event.text}")
+            elif isinstance(event, Answered) and event.result.outcome is not Outcome.ACCEPTED:
+                self._result = event.result
+
+
+def _pause_or_resume(machine: Machine, now: float) -> str:
+    return machine.resume(now) if machine.reason == "paused" else machine.pause(now)
+
+
+@contextlib.contextmanager
+def keys() -> Iterator[Callable[[], str]]:
+    """Give the keys typed since the last call, without waiting; none where there is no terminal."""
+    if not sys.stdin.isatty():
+        yield lambda: ""
+        return
+    fd = sys.stdin.fileno()
+    old = termios.tcgetattr(fd)
+    tty.setcbreak(fd)
+    try:
+        yield lambda: os.read(fd, 64).decode("ascii", "replace") if select.select([fd], [], [], 0)[0] else ""
+    finally:
+        termios.tcsetattr(fd, termios.TCSADRAIN, old)
+
+
+def run_program(source: Sequence[str], lines: Sequence[CheckedLine], config: DriverConfig) -> int:
+    display = Display()
+    runner = Runner(config, display)
+    try:
+        with keys() as key:
+            result = runner.run(source, lines, key)
+    except Failed as error:
+        print(f"error: {error}", file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt:
+        display.say("interrupted: holding")
+        return FAILED
+    finally:
+        runner.close()
+    display.say(result.outcome.value + (f": {result.reason}" if result.reason else f" in {result.duration_s:.1f} s"))
+    return DONE if result.outcome is Outcome.REACHED else FAILED
+
+
+def run_dry(name: str, source: Sequence[str], lines: Sequence[CheckedLine], config: DriverConfig) -> int:
+    display, refused = Display(), 0
+    seconds = [0.0] * len(lines)
+
+    def show(done: int) -> None:
+        display.show(progress_text(done, seconds, "dry run"), done / max(len(lines), 1))
+
+    try:
+        for index, code in dry_run(config.port, config.baud, [line.text for line in lines], show):
+            refused += 1
+            display.say(f"{name}:{lines[index].number}:1: the board answers {error_text(code)}")
+    except (CheckFailed, serial.SerialException, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return FAILED
+    display.say(f"dry run: {len(lines)} lines, {refused} refused by the board")
+    return FAILED if refused else DONE
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(prog="gantry_gcode", description=__doc__)
+    run = parser.add_subparsers(required=True, metavar="run").add_parser("run", help="check and run a program")
+    run.add_argument("file", type=Path, metavar="FILE")
+    run.add_argument("--port", help="device of the board (from --params, else /dev/ttyUSB0)")
+    run.add_argument("--params", type=Path, metavar="YAML", help="ROS parameter file of the serial driver")
+    only = run.add_mutually_exclusive_group()
+    only.add_argument("--check", action="store_true", help="check the file only; the port is not opened")
+    only.add_argument("--dry-run", action="store_true", help="let the board check it in $C mode; nothing moves")
+    return parser
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check, then run; 0 done, 1 refused, stopped or failed, 2 usage."""
+    given = make_parser().parse_args(arguments)
+    try:
+        config = read_config(given.params, given.port)
+        source = given.file.read_text(encoding="ascii", errors="replace").splitlines()
+    except (ConfigError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return USAGE
+    try:
+        lines = check(source, config)
+    except GcodeError as error:
+        print(f"{given.file}:{error.line}:{error.column}: {error.reason}", file=sys.stderr)
+        return FAILED
+    if not lines:
+        print(f"{given.file}: nothing to send", file=sys.stderr)
+        return FAILED
+    print(f"{given.file}: {len(lines)} lines, about {duration_text(sum(line.seconds for line in lines))}", flush=True)
+    if given.check:
+        return DONE
+    signal.signal(signal.SIGTERM, _interrupt)
+    return run_dry(str(given.file), source, lines, config) if given.dry_run else run_program(source, lines, config)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,147 @@
+"""gantry_gcode on a mock board: a process with arguments, output, keys and exit codes; truth from the board."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from nodes.grbl_board import GrblBoard, python_environment
+
+from gantry_driver.cli.gantry_gcode import main
+
+GOOD = ["; a square", "G21 G90", *(f"G53 G1 X{-300 - 10 * k} Y-100 F9000" for k in range(5)), "G53 G0 X-359 Y-219"]
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Iterator[GrblBoard]:
+    board = GrblBoard(tmp_path, "--start=-350,-210,-2", time_scale=4.0)
+    yield board
+    board.close()
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Callable[..., Path]:
+    def write(*lines: str) -> Path:
+        path = tmp_path / "program.nc"
+        path.write_text("\n".join(lines) + "\n")
+        return path
+
+    return write
+
+
+class Terminal:
+    """The program on a terminal of its own."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._master, slave = pty.openpty()
+        command = [sys.executable, "-m", "gantry_driver.cli.gantry_gcode", *arguments]
+        self.process = subprocess.Popen(command, env=python_environment(), stdin=slave, stdout=slave, stderr=slave)
+        os.close(slave)
+        self.seen = ""
+
+    def until(self, text: str, within_s: float = 30.0) -> None:
+        end = time.monotonic() + within_s
+        while text not in self.seen:
+            ready, _, _ = select.select([self._master], [], [], max(end - time.monotonic(), 0.0))
+            assert ready, f"{text!r} was not printed: {self.seen[-600:]}"
+            try:
+                self.seen += os.read(self._master, 4096).decode()
+            except OSError:  # the program has ended
+                assert text in self.seen, self.seen[-600:]
+
+    def type(self, keys: str) -> None:
+        self.seen = ""
+        os.write(self._master, keys.encode())
+
+    def end(self, within_s: float = 30.0) -> int:
+        try:
+            return self.process.wait(within_s)
+        finally:
+            self.process.kill()
+            os.close(self._master)
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    command = [sys.executable, "-m", "gantry_driver.cli.gantry_gcode", "run", *arguments]
+    done = subprocess.run(
+        command, env=python_environment(), text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=60.0
+    )
+    return done.returncode, done.stdout
+
+
+def test_a_program_is_run_and_every_line_is_executed(board: GrblBoard, program: Callable[..., Path]) -> None:
+    code, output = run(str(program(*GOOD)), "--port", str(board.port))
+    assert code == 0, output
+    assert "program.nc: 7 lines, about " in output and "[########################] 100 %  7/7 lines" in output
+    assert "reached in " in output
+    moves = [line["text"] for line in board.lines() if "G53" in line["text"]]
+    assert moves == [line.replace(" ", "") for line in GOOD[2:]]
+    assert board.mpos() == pytest.approx((-359.0, -219.0, -1.0), abs=0.02)
+
+
+def test_a_refused_program_does_not_open_the_port(
+    program: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = program("G21", "G53 G1 X-300 F6000", "G53 G1 X-100 Y7")
+    assert main(["run", str(path), "--port", "no-such-port"]) == 1
+    said = capsys.readouterr().err
+    assert said == f"{path}:3:14: Y = 7.000 mm (machine) is outside -219 to 0 mm (ALARM:2)\n"
+
+
+def test_the_check_alone_says_how_long_it_takes(
+    program: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = program("G53 G1 X-259 F6000", "G4 P2")
+    assert main(["run", str(path), "--check", "--port", "no-such-port"]) == 0
+    assert capsys.readouterr().out == f"{path}: 2 lines, about 3.0 s\n"
+
+
+def test_a_dry_run_moves_nothing_and_names_what_the_board_refuses(
+    board: GrblBoard, program: Callable[..., Path]
+) -> None:
+    start = board.mpos()
+    code, output = run(str(program(*GOOD)), "--port", str(board.port), "--dry-run")
+    assert code == 0 and "dry run: 7 lines, 0 refused by the board" in output, output
+    board.fault("error", number=20, after=4)
+    code, output = run(str(program(*GOOD)), "--port", str(board.port), "--dry-run")
+    assert code == 1 and "program.nc:4:1: the board answers error:20 (command not supported)" in output, output
+    assert board.mpos() == start
+
+
+def test_a_setting_that_differs_is_named(tmp_path: Path, program: Callable[..., Path]) -> None:
+    board = GrblBoard(tmp_path, "--set", "110=500")
+    try:
+        code, output = run(str(program(*GOOD)), "--port", str(board.port))
+    finally:
+        board.close()
+    assert code == 1 and "mismatch: $110 is 500.000, the configuration says 12000" in output, output
+
+
+def test_space_pauses_and_resumes_and_ctrl_c_ends_safely(board: GrblBoard, program: Callable[..., Path]) -> None:
+    way = [f"G53 G1 X{-300 + 100 * (k % 2)} F6000" for k in range(30)]
+    terminal = Terminal("run", str(program("G53 G1 Z-11 F1800", *way)), "--port", str(board.port))
+    terminal.until("moving")
+    terminal.until("3/31 lines")
+    terminal.type(" ")
+    terminal.until("moving: paused")
+    end = time.monotonic() + 10.0
+    while board.ask("state")["state"] != "Hold:0":
+        assert time.monotonic() < end
+    where = board.mpos()
+    terminal.type(" ")
+    terminal.until("5/31 lines")
+    assert board.mpos() != where and where[2] == pytest.approx(-11.0)
+    terminal.process.send_signal(signal.SIGINT)
+    terminal.until("interrupted: holding")
+    assert terminal.end() == 1
+    x, _, z = board.mpos()
+    assert -300.1 < x < -199.9 and z == pytest.approx(-1.0, abs=0.02), "held, and the stylus is up"
+    assert not [entry for entry in board.log() if entry["kind"] == "alarm"], "the position is kept"
