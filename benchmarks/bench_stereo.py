@@ -1,0 +1,103 @@
+"""Sparse and dense stereo against OpenCV's matchers: errors on pairs with known disparity, and time.
+
+Dense peers are BM and SGBM with the defaults of image_pipeline's disparity node and the same range of disparities; all
+holes are filled in the same way, and pixels count that both pictures show. Sparse peers are ORB and SIFT. The pairs
+come from the data folder (stereo/), at their own size; without it only the time is measured. Two pairs are few: their
+mean says little about a third one. Time is from rectified grey pictures to disparity, at 640x480 with 64 and 128
+disparities, on two threads; the node's time has rectification, colour and both messages on top.
+"""
+
+from __future__ import annotations
+
+import time
+
+import cv2
+import numpy as np
+from rows import Row, bound, data_folder, interleaved_ms, row, tune_malloc, write
+
+from harris_perception.adapters.stereo_folders import scenes
+from harris_perception.core.dense_stereo import DELTA_PX, DenseConfig, DenseStereo, SemiGlobalConfig
+from harris_perception.core.stereo_evaluation import dense_methods, evaluate
+from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.nodes.conversions import disparity_message, header, organised_cloud_message
+
+MEAN_BAD_2 = 3.6
+FRAME_MS = 100.0
+
+
+def errors() -> list[Row]:
+    folder = data_folder()
+    if folder is None:
+        print("ICU_TEST_DATA names no folder with stereo/: only the time is measured")
+        return []
+    rows: list[Row] = []
+    results = [evaluate(scene, time.perf_counter) for scene in scenes(folder / "stereo")]
+    for result in results:
+        ours = result.dense["ours"]
+        for name, score in list(result.dense.items())[1:]:
+            rows.append(row(f"{result.scene.name}: bad-2 [%]", ours.bad_2, score.bad_2, name, 1.0))
+            what = f"{result.scene.name}: bad-2 without the strip that peers leave empty [%]"
+            rows.append(row(what, ours.bad_2_strip_apart, score.bad_2_strip_apart, name))
+        for name, peer in list(result.sparse.items())[1:]:
+            mine = result.sparse["ours"]
+            for figure in ("precision", "recall"):
+                values = getattr(mine, figure), getattr(peer, figure)
+                what = f"{result.scene.name}: sparse {figure} at 1 px [%]"
+                rows.append(row(what, *values, name, 1.0, higher_is_better=True))
+    mean = float(np.mean([result.dense["ours"].bad_2 for result in results]))
+    rows.append(bound(f"mean bad-2 of {len(results)} pairs [%]", mean, MEAN_BAD_2))
+    return rows
+
+
+def drawn_pair(disparity: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(1)
+    wall = cv2.GaussianBlur(rng.normal(0, 1, (480, 640 + disparity)), (0, 0), 1.5) * 120 + 128
+    left, right = (np.clip(wall[:, x : x + 640] + rng.normal(0, 1, (480, 640)), 0, 255) for x in (0, disparity))
+    return left.astype(np.uint8), right.astype(np.uint8)
+
+
+def speed() -> list[Row]:
+    rows: list[Row] = []
+    for count in (64, 128):
+        left, right = drawn_pair(count // 2)
+        functions = {n: lambda m=m, a=left, b=right: m(a, b) for n, m in dense_methods(count).items()}
+        ms = interleaved_ms(functions, repeats=20)
+        what = f"640x480, {count} disparities, 2 threads [ms]"
+        rows += [row(what, ms["ours"], ms[name], name) for name in functions if name != "ours"]
+    rows.append(bound("640x480, 128 disparities: node's work for one pair [ms]", whole_ms(), FRAME_MS))
+    return rows
+
+
+def whole_ms() -> float:
+    """Return the time from two raw colour pictures to both messages."""
+    k = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
+    p = np.column_stack([k, np.zeros(3)])
+    moved = p.copy()
+    moved[0, 3] = -600 * 0.12
+    models = [
+        CameraModel(name=n, width=640, height=480, k=k, d=np.array([-0.08, 0, 0, 0, 0]), r=np.eye(3), p=q)
+        for n, q in (("left", p), ("right", moved))
+    ]
+    limits = DenseConfig(min_depth_m=72 / 125, max_depth_m=72 / 2)
+    stereo = DenseStereo(StereoModel(left=models[0], right=models[1]), limits, SemiGlobalConfig())
+    pair = [cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR) for picture in drawn_pair(64)]
+    head = header(1, "left")
+
+    def work() -> None:
+        disparity = stereo.disparity(*(cv2.cvtColor(p, cv2.COLOR_BGR2GRAY) for p in pair))
+        searched = stereo.least_px, stereo.largest_px
+        disparity_message(disparity, stereo.focal_px, stereo.baseline_m, searched, DELTA_PX, head)
+        organised_cloud_message(stereo.points(disparity), stereo.rectified(0, pair[0]), head)
+
+    return interleaved_ms({"work": work}, repeats=20)["work"]
+
+
+def main() -> int:
+    tune_malloc()
+    cv2.setNumThreads(2)
+    write("stereo", errors() + speed(), title="stereo: errors and time")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

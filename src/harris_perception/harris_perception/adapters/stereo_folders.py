@@ -1,0 +1,84 @@
+"""Rectified pairs with known disparity from folders, in the forms in which such pictures are handed out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.adapters.picture_files import SUFFIXES, read_gray
+from harris_perception.core.stereo_evaluation import StereoScene
+
+FORMS = (("L", "R", "GT"), ("_left", "_right", "_disp"), ("im0", "im1", "disp0"), ("view1", "view5", "disp1"))
+"""Ends of the names, without suffix, of the left picture, the right one and the disparity of the left one."""
+_TRUTH_SUFFIXES = (".npz", ".npy", ".pfm", ".png")
+
+
+def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterator[StereoScene]:
+    """Yield the pairs in a folder and below it.
+
+    Parameters
+    ----------
+    folder
+        Holds, at any depth, a left and a right picture and the left one's disparity in px: grey values (0 = unknown),
+        or npz, npy, pfm with floats (not finite = unknown).
+    truth_scale
+        Pixels of disparity for each unit in the file.
+    scale
+        Pictures and disparities are made smaller by this; at most 1.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or a file cannot be read.
+    """
+    if not 0.05 <= scale <= 1.0:
+        raise ValueError(f"scale {scale:g}: from 0.05 to 1 is possible")
+    found = False
+    for left in sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES):
+        for first, second, known in FORMS:
+            if not left.stem.endswith(first):
+                continue
+            stem = left.stem.removesuffix(first)
+            right = next((p for s in SUFFIXES if (p := left.with_name(stem + second + s)).is_file()), None)
+            truth = next((p for s in _TRUTH_SUFFIXES if (p := left.with_name(stem + known + s)).is_file()), None)
+            if right is not None and truth is not None:
+                found = True
+                yield _scene(left, right, truth, truth_scale, scale)
+    if not found:
+        forms = "; ".join(f"*{a}, *{b}, *{c}" for a, b, c in FORMS)
+        raise ValueError(f"{folder} has no pair with known disparity: {forms}")
+
+
+def _scene(left: Path, right: Path, truth: Path, truth_scale: float, scale: float) -> StereoScene:
+    pictures = [read_gray(path) for path in (left, right)]
+    disparity = _disparity(truth) * np.float32(truth_scale)
+    if scale < 1.0:
+        size = round(pictures[0].shape[1] * scale), round(pictures[0].shape[0] * scale)
+        factor = np.float32(size[0] / pictures[0].shape[1])
+        pictures = [np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.uint8) for p in pictures]
+        disparity = np.asarray(cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST), np.float32) * factor
+    return StereoScene(name=left.parent.name, left=pictures[0], right=pictures[1], truth=disparity)
+
+
+def _disparity(path: Path) -> npt.NDArray[np.float32]:
+    """Return (H, W) float32, NaN where unknown."""
+    values: Any
+    try:
+        if path.suffix == ".npz":
+            with np.load(path) as file:
+                values = file[file.files[0]]
+        elif path.suffix == ".npy":
+            values = np.load(path)
+        else:
+            values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    except (OSError, ValueError, IndexError) as error:
+        raise ValueError(f"{path} is no disparity that can be read: {error}") from error
+    if values is None or values.ndim != 2:
+        raise ValueError(f"{path} is no disparity picture of one channel")
+    disparity = values.astype(np.float32)
+    return np.where(np.isfinite(disparity) & (disparity > 0), disparity, np.float32(np.nan))

@@ -1,0 +1,310 @@
+"""Sparse and dense stereo against known disparity, beside the methods that others would use.
+
+Dense: the share of pixels whose disparity is off by more than N px (bad-N), as D. Scharstein and R. Szeliski count it
+(IJCV 47, 2002), over the pixels that both pictures show, before and after holes are filled, in the same way for all
+methods. Sparse: the share of matches within 1 px (precision), and how many of the first picture's points
+that both pictures show were matched so (recall).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.dense_stereo import F32, U8, SemiGlobalConfig, SemiGlobalMatcher, fill_holes
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.stereo_matching import MatchConfig, match_corners
+
+MAX_POINTS = 1500
+ROWS_PX = 1.5
+"""Matches of the peers whose rows differ by more are dropped, as ours are: the pair is rectified."""
+Clock = Callable[[], float]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class StereoScene:
+    """A rectified pair with known disparity: ``left`` and ``right`` (H, W) uint8, ``truth`` (H, W) float32, NaN where
+    it is not known.
+    """
+
+    name: str
+    left: U8
+    right: U8
+    truth: F32
+
+    def __post_init__(self) -> None:
+        if not self.left.shape == self.right.shape == self.truth.shape or self.left.ndim != 2:
+            shapes = f"{self.left.shape}, {self.right.shape} and {self.truth.shape}"
+            raise ValueError(f"{self.name}: left, right and truth have the sizes {shapes}; they must be equal")
+        if not np.isfinite(self.truth).any():
+            raise ValueError(f"{self.name}: the truth knows no disparity at all")
+
+    def disparities(self) -> int:
+        """Return how many disparities from 0 the search needs, a multiple of 16."""
+        return 16 * int(np.nanmax(self.truth) // 16 + 1)
+
+    def visible(self) -> Mask:
+        """Return (H, W): the truth is known and the right picture shows it too, with nothing nearer in front."""
+        height, width = self.truth.shape
+        y, x = np.nonzero(np.isfinite(self.truth))
+        disparity = self.truth[y, x]
+        there = np.round(x - disparity).astype(int)
+        inside = there >= 0
+        y, x, disparity, there = y[inside], x[inside], disparity[inside], there[inside]
+        front = np.full((height, width + 1), -np.inf, np.float32)
+        for step in (0, 1):
+            np.maximum.at(front, (y, there + step), disparity)
+        seen = np.zeros((height, width), bool)
+        seen[y, x] = disparity >= front[y, there] - 1.5
+        return seen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DenseScore:
+    """Shares in percent of the pixels that both pictures show; ``rms_px`` of the known ones within 2 px of the truth.
+
+    ``strip_apart`` is bad-2 filled without the columns left of the search range, which OpenCV's matchers leave empty.
+    """
+
+    bad_half: float
+    bad_1: float
+    bad_2: float
+    bad_2_of_known: float
+    bad_2_strip_apart: float
+    invalid: float
+    rms_px: float
+    took_ms: float
+
+
+def score_dense(scene: StereoScene, disparity: F32, took_ms: float) -> DenseScore:
+    """Compare (H, W) disparities, NaN where unknown, with the truth."""
+    seen = scene.visible()
+    known = seen & np.isfinite(disparity)
+    off = np.abs(disparity - scene.truth)
+    filled = disparity.copy()
+    fill_holes(filled)
+    off_filled = np.where(np.isfinite(filled), np.abs(filled - scene.truth), np.inf)
+    strip_apart = seen & (np.arange(seen.shape[1]) >= scene.disparities())
+
+    def share(values: Mask, among: Mask) -> float:
+        return 100.0 * float(values[among].mean()) if among.any() else float("nan")
+
+    near = off[known & (off <= 2.0)]
+    return DenseScore(
+        bad_half=share(off_filled > 0.5, seen),
+        bad_1=share(off_filled > 1.0, seen),
+        bad_2=share(off_filled > 2.0, seen),
+        bad_2_of_known=share(off > 2.0, known),
+        bad_2_strip_apart=share(off_filled > 2.0, strip_apart),
+        invalid=share(~known, seen),
+        rms_px=float(np.sqrt(np.mean(near**2))) if near.size else float("nan"),
+        took_ms=took_ms,
+    )
+
+
+def dense_methods(disparities: int) -> dict[str, Callable[[U8, U8], F32]]:
+    """Return our matcher and its peers, all searching 0 to ``disparities - 1``.
+
+    The peers have the defaults of image_pipeline's stereo_image_proc::DisparityNode (documented in its components.rst)
+    except for the range, which the scene needs.
+    """
+    block = cv2.StereoBM_create(disparities, 15)  # type: ignore[attr-defined]
+    block.setPreFilterSize(9)
+    block.setPreFilterCap(31)
+    block.setTextureThreshold(10)
+    block.setUniquenessRatio(15)
+    block.setSpeckleWindowSize(100)
+    block.setSpeckleRange(4)
+    block.setDisp12MaxDiff(0)
+    semi_global = cv2.StereoSGBM_create(  # type: ignore[attr-defined]
+        minDisparity=0,
+        numDisparities=disparities,
+        blockSize=15,
+        P1=200,
+        P2=400,
+        disp12MaxDiff=0,
+        preFilterCap=31,
+        uniquenessRatio=15,
+        speckleWindowSize=100,
+        speckleRange=4,
+        mode=cv2.STEREO_SGBM_MODE_SGBM,
+    )
+    return {
+        "ours": SemiGlobalMatcher(0, disparities - 1, SemiGlobalConfig()),
+        "SGBM as image_pipeline": lambda left, right: _pixels(semi_global.compute(left, right)),
+        "BM as image_pipeline": lambda left, right: _pixels(block.compute(left, right)),
+    }
+
+
+def _pixels(sixteenths: npt.NDArray[Any]) -> F32:
+    return np.where(sixteenths >= 0, sixteenths / np.float32(16), np.nan).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SparseScore:
+    """Precision and recall in percent at 1 px; ``rms_px`` of the matches within it."""
+
+    points: int
+    matches: int
+    precision: float
+    recall: float
+    rms_px: float
+    took_ms: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SparseResult:
+    """The first picture's points, (M, 2) px, and what was matched: (N, 2) px with (N,) disparities."""
+
+    points_px: npt.NDArray[Any]
+    matched_px: npt.NDArray[Any]
+    disparity_px: npt.NDArray[Any]
+
+
+def score_sparse(scene: StereoScene, result: SparseResult, took_ms: float) -> SparseScore:
+    """Compare matches with the truth; those where it is not known do not count."""
+    height, width = scene.truth.shape
+
+    def at(picture: npt.NDArray[Any], px: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        x, y = np.round(px.reshape(-1, 2)).astype(int).T
+        return np.asarray(picture[y.clip(0, height - 1), x.clip(0, width - 1)])
+
+    off = np.abs(result.disparity_px - at(scene.truth, result.matched_px))
+    off = off[np.isfinite(off)]
+    good = off[off <= 1.0]
+    could = int(at(scene.visible(), result.points_px).sum())
+    return SparseScore(
+        points=len(result.points_px),
+        matches=len(result.matched_px),
+        precision=100.0 * len(good) / len(off) if len(off) else float("nan"),
+        recall=100.0 * len(good) / could if could else float("nan"),
+        rms_px=float(np.sqrt(np.mean(good**2))) if len(good) else float("nan"),
+        took_ms=took_ms,
+    )
+
+
+def sparse_methods(disparities: int) -> dict[str, Callable[[U8, U8], SparseResult]]:
+    """Return our matcher and its peers; each takes at most MAX_POINTS points of each picture."""
+    detector = HarrisDetector(HarrisConfig(max_corners=MAX_POINTS))
+
+    def ours(left: U8, right: U8) -> SparseResult:
+        a, b = (detector.detect(picture).xy for picture in (left, right))
+        found = match_corners(left, right, a, b, (1.0, float(disparities)), MatchConfig())
+        return SparseResult(a, found.left_px, found.disparity_px)
+
+    def orb(left: U8, right: U8) -> SparseResult:
+        finder = cv2.ORB_create(MAX_POINTS)  # type: ignore[attr-defined]
+        matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
+        return _described(finder, left, right, lambda a, b: list(matcher.match(a, b)))
+
+    def sift(left: U8, right: U8) -> SparseResult:
+        finder = cv2.SIFT_create(MAX_POINTS)  # type: ignore[attr-defined]
+        matcher = cv2.BFMatcher(cv2.NORM_L2)
+
+        def distinct(a: Any, b: Any) -> list[Any]:
+            pairs = [pair for pair in matcher.knnMatch(a, b, 2) if len(pair) == 2]
+            return [best for best, second in pairs if best.distance < 0.75 * second.distance]
+
+        return _described(finder, left, right, distinct)
+
+    return {"ours": ours, "ORB, cross check": orb, "SIFT, ratio 0.75": sift}
+
+
+def _described(finder: Any, left: U8, right: U8, match: Callable[[Any, Any], list[Any]]) -> SparseResult:
+    (first, a), (second, b) = (finder.detectAndCompute(picture, None) for picture in (left, right))
+    first_px = np.array([p.pt for p in first], np.float64).reshape(-1, 2)
+    second_px = np.array([p.pt for p in second], np.float64).reshape(-1, 2)
+    pairs = match(a, b) if a is not None and b is not None else []
+    from_, to = (np.array([getattr(m, end) for m in pairs], np.intp) for end in ("queryIdx", "trainIdx"))
+    same_row = np.abs(first_px[from_, 1] - second_px[to, 1]) <= ROWS_PX
+    from_, to = from_[same_row], to[same_row]
+    return SparseResult(first_px, first_px[from_], first_px[from_, 0] - second_px[to, 0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """Scores by method, and what the methods gave, of one scene."""
+
+    scene: StereoScene
+    dense: Mapping[str, DenseScore]
+    sparse: Mapping[str, SparseScore]
+    disparities: Mapping[str, F32]
+    matches: Mapping[str, SparseResult]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one flat row for each kind and method."""
+        kinds: tuple[tuple[str, Mapping[str, Any]], ...] = (("dense", self.dense), ("sparse", self.sparse))
+        return [
+            {"scene": self.scene.name, "kind": kind, "method": name, **asdict(score)}
+            for kind, scores in kinds
+            for name, score in scores.items()
+        ]
+
+
+def evaluate(scene: StereoScene, clock: Clock) -> Evaluation:
+    """Run every method on a scene; ``clock`` gives seconds. The first of two runs, which warms up, is not timed."""
+
+    def run(method: Callable[[U8, U8], Any]) -> tuple[Any, float]:
+        method(scene.left, scene.right)
+        start = clock()
+        return method(scene.left, scene.right), 1e3 * (clock() - start)
+
+    dense = {name: run(method) for name, method in dense_methods(scene.disparities()).items()}
+    sparse = {name: run(method) for name, method in sparse_methods(scene.disparities()).items()}
+    return Evaluation(
+        scene,
+        {name: score_dense(scene, *result) for name, result in dense.items()},
+        {name: score_sparse(scene, *result) for name, result in sparse.items()},
+        {name: result for name, (result, _) in dense.items()},
+        {name: result for name, (result, _) in sparse.items()},
+    )
+
+
+def error_picture(evaluation: Evaluation) -> U8:
+    """Draw, (H, W, 3) BGR: the left picture, the truth, and below the disparity and the error of each dense method,
+    then the sparse matches. Errors go from dark blue (0 px) to red (4 px and more); unknown is black, occluded grey.
+    """
+    scene, top = evaluation.scene, float(np.nanmax(evaluation.scene.truth))
+    seen = scene.visible()
+    grey = cv2.cvtColor(scene.left, cv2.COLOR_GRAY2BGR)
+    columns = [_stack("left picture", grey, "truth", _coloured(scene.truth, top))]
+    for name, disparity in evaluation.disparities.items():
+        error = _coloured(np.abs(disparity - scene.truth), 4.0)
+        error[~seen] = 110
+        text = f"bad-2 {evaluation.dense[name].bad_2:.2f} %, unknown {evaluation.dense[name].invalid:.1f} %"
+        columns.append(_stack(name, _coloured(disparity, top), text, error))
+    both = []
+    for name in list(evaluation.matches)[:2]:
+        drawn = (grey * 0.6).astype(np.uint8)
+        result = evaluation.matches[name]
+        for (x, y), found in zip(result.matched_px, result.disparity_px):
+            expected = scene.truth[int(round(y)), int(round(x))]  # noqa: RUF046 - numpy's round gives floats
+            good = abs(found - expected) <= 1.0
+            colour = (60, 220, 60) if good else (60, 60, 255) if np.isfinite(expected) else (200, 200, 60)
+            cv2.circle(drawn, (int(x), int(y)), 3, colour, -1, cv2.LINE_AA)
+        score = evaluation.sparse[name]
+        both += [f"{name}: right {score.precision:.1f} % of {score.matches}, recall {score.recall:.1f} %", drawn]
+    columns.append(_stack(*both))
+    return np.hstack(columns)
+
+
+def _coloured(values: F32, top: float) -> U8:
+    scaled = np.nan_to_num(values / top * 255.0, nan=0.0, posinf=255.0).clip(0, 255).astype(np.uint8)
+    drawn = np.asarray(cv2.applyColorMap(scaled, cv2.COLORMAP_TURBO), np.uint8)
+    drawn[~np.isfinite(values)] = 0
+    return drawn
+
+
+def _stack(*titles_and_pictures: Any) -> U8:
+    parts = []
+    for title, picture in zip(titles_and_pictures[::2], titles_and_pictures[1::2]):
+        bar = np.full((28, picture.shape[1], 3), 245, np.uint8)
+        cv2.putText(bar, title, (6, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (20, 20, 20), 1, cv2.LINE_AA)
+        parts += [bar, picture]
+    return np.vstack(parts)
