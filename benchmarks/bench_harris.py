@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from rows import Row, bound, data_folder, interleaved_ms, row, tune_malloc, write
 
+from harris_perception.core.deriche import filtered, recursive_filter
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080))
@@ -109,6 +110,27 @@ def measure(threads: int, label: str, goals: bool) -> list[Row]:
     return rows
 
 
+def recursion() -> list[Row]:
+    """Time of derivatives and window of Gaussians: by recursion it does not grow with sigma."""
+    cv2.setNumThreads(1)
+    gray, rows, ms = picture(1280, 720), [], {}
+    for sigma in (1.0, 4.0, 8.0):  # the window twice as wide: up to 16 px
+        detectors = {
+            kind: HarrisDetector(HarrisConfig(gradient=kind, window=kind, sigma_d_px=sigma, sigma_i_px=2.0 * sigma))
+            for kind in ("deriche", "gaussian")
+        }
+        calls = {kind: (lambda detector=detector: detector.structure(gray)) for kind, detector in detectors.items()}
+        ms[sigma] = interleaved_ms(calls, repeats=10)
+        what = f"1280x720: structure tensor by recursion, sigma {sigma:g} / {2 * sigma:g} [ms]"
+        rows.append(row(what, ms[sigma]["deriche"], ms[sigma]["gaussian"], "direct, cv2.sepFilter2D"))
+    rows.append(bound("recursion: time at the widest / narrowest sigma", ms[8.0]["deriche"] / ms[1.0]["deriche"], 1.25))
+    filters = {s: (recursive_filter(s, True), recursive_filter(s, False)) for s in (1.0, 4.0, 16.0)}
+    source = gray.astype(np.float32)
+    one = interleaved_ms({str(s): (lambda f=f: filtered(source, *f)) for s, f in filters.items()}, repeats=10)
+    rows += [row(f"1280x720: one derivative by recursion, sigma {s} [ms]", value, None, "") for s, value in one.items()]
+    return rows
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--default-malloc", action="store_true", help="only with glibc's default malloc")
@@ -117,7 +139,7 @@ def main() -> int:
         return 0
     subprocess.run([sys.executable, __file__, "--default-malloc"], check=True)
     tune_malloc()
-    rows = measure(1, "tuned malloc", goals=True) + measure(2, "tuned malloc", goals=False)
+    rows = measure(1, "tuned malloc", goals=True) + measure(2, "tuned malloc", goals=False) + recursion()
     write("harris", rows, title="grey picture to corners")
     return 0
 

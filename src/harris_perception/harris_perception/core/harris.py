@@ -2,7 +2,8 @@
 
 Sources: C. Harris, M. Stephens, "A Combined Corner and Edge Detector", Alvey Vision Conference 1988; C. Schmid,
 R. Mohr, C. Bauckhage, "Evaluation of Interest Point Detectors", IJCV 37(2), 2000 (derivatives and window of Gaussians);
-J. Shi, C. Tomasi, "Good Features to Track", CVPR 1994; J. A. Noble, "Finding Corners", IVC 6(2), 1988.
+J. Shi, C. Tomasi, "Good Features to Track", CVPR 1994; J. A. Noble, "Finding Corners", IVC 6(2), 1988; for the
+recursive filters see deriche.py.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core import deriche
 from harris_perception.core import harris_kernels as kernels
 from icu_common.core.config import Config, ConfigError, setting
 
@@ -40,13 +42,17 @@ class HarrisConfig(Config):
 
     gradient: str = setting(
         "harris",
-        "Derivative: the 3x3 kernels of 1988, Sobel's, or derivatives of a Gaussian",
-        choices=("harris", "sobel", "gaussian"),
+        "Derivative: the 3x3 kernels of 1988, Sobel's, or of a Gaussian, also by Deriche's recursion",
+        choices=("harris", "sobel", "gaussian", "deriche"),
     )
     sigma_d_px: float = setting(
         1.0, "Standard deviation of the gaussian gradient", minimum=0.5, maximum=10.0, unit="px"
     )
-    window: str = setting("box", "Shape of the window that sums the products", choices=("box", "gaussian"))
+    window: str = setting(
+        "box",
+        "Shape of the window that sums the products; deriche is a Gaussian by recursion",
+        choices=("box", "gaussian", "deriche"),
+    )
     window_px: int = setting(3, "Side of the box window, odd", minimum=3, maximum=31, unit="px")
     sigma_i_px: float = setting(2.0, "Standard deviation of the gaussian window", minimum=0.5, maximum=20.0, unit="px")
     response: str = setting(
@@ -133,7 +139,7 @@ class HarrisDetector:
         self._derivative, self._smooth = _gradient_taps(self.config)
         self._window = _window_taps(self.config)
         fusable = self.config.window == "box" and self.config.window_px == 3 and self.config.response == "harris"
-        self._fused = fusable and self.config.gradient != "gaussian"
+        self._fused = fusable and self.config.gradient in ("harris", "sobel")
 
     @property
     def margin_px(self) -> int:
@@ -183,10 +189,19 @@ class HarrisDetector:
             Three of (H - 2 margin_px, W - 2 margin_px) float32, without the frame of ``margin_px``.
         """
         source, margin, taps = gray.astype(np.float32), self.margin_px, self._window
-        gx = cv2.sepFilter2D(source, cv2.CV_32F, self._derivative, self._smooth)
-        gy = cv2.sepFilter2D(source, cv2.CV_32F, self._smooth, self._derivative)
+        if self.config.gradient == "deriche":
+            smooth, derivative = (deriche.recursive_filter(self.config.sigma_d_px, order) for order in (False, True))
+            gx, gy = deriche.filtered(source, derivative, smooth), deriche.filtered(source, smooth, derivative)
+        else:
+            gx = cv2.sepFilter2D(source, cv2.CV_32F, self._derivative, self._smooth)
+            gy = cv2.sepFilter2D(source, cv2.CV_32F, self._smooth, self._derivative)
         inside = np.s_[margin:-margin, margin:-margin]
-        a, b, c = (cv2.sepFilter2D(p, cv2.CV_32F, taps, taps)[inside] for p in (gx * gx, gy * gy, gx * gy))
+        products = (gx * gx, gy * gy, gx * gy)
+        if self.config.window == "deriche":
+            window = deriche.recursive_filter(self.config.sigma_i_px, False)
+            a, b, c = (deriche.filtered(p, window, window)[inside] for p in products)
+        else:
+            a, b, c = (cv2.sepFilter2D(p, cv2.CV_32F, taps, taps)[inside] for p in products)
         return a, b, c
 
     @overload
@@ -280,14 +295,14 @@ def gaussian_derivative_taps(sigma: float) -> F32:
 
 
 def _gradient_taps(config: HarrisConfig) -> tuple[F32, F32]:
-    if config.gradient == "gaussian":
+    if config.gradient in ("gaussian", "deriche"):  # by recursion the taps tell the margin only
         return gaussian_derivative_taps(config.sigma_d_px), gaussian_taps(config.sigma_d_px)
     smooth = (1, 1, 1) if config.gradient == "harris" else (1, 2, 1)
     return np.array((-1, 0, 1), np.float32), np.array(smooth, np.float32)
 
 
 def _window_taps(config: HarrisConfig) -> F32:
-    if config.window == "gaussian":
+    if config.window in ("gaussian", "deriche"):
         return gaussian_taps(config.sigma_i_px)
     return np.ones(config.window_px, np.float32)
 
