@@ -55,8 +55,9 @@ def test_second_move_retracts_first_and_uses_the_axes_of_the_calibration() -> No
     bench = Bench()
     axes = np.array([[1.004, 0.003], [0.0, 0.997]])
     bench.calibration = (CAMERA_FROM_BASE, axes)
-    bench.readings = np.array([0.05, 0.05, 0.02])
     bench.start()
+    bench.readings = np.array([0.05, 0.05, 0.02])
+    bench.run(0.1)
     result = bench.go(0.12, 0.08)
     q = np.linalg.solve(axes, [0.12, 0.08])
     np.testing.assert_allclose(bench.paths[0], [[0.05, 0.05, 0.0], [*(q - 0.001), 0.0], [*q, 0.0]], atol=1e-12)
@@ -706,3 +707,42 @@ def test_configuration_refuses_nonsense() -> None:
         from_mapping(ControllerConfig, {"tolerance_m": 0.5})
     with pytest.raises(ConfigError, match=re.escape("has no setting touch.hover")):
         from_mapping(ControllerConfig, {"touch.hover": 0.5})
+
+
+# --- what was left behind -----------------------------------------------------------------------------------------
+
+
+def test_started_with_the_stylus_extended_it_asks_for_a_stop_and_says_why() -> None:
+    bench = Bench()
+    bench.readings = np.array([0.05, 0.05, 0.02])
+    bench.driver = "moving"  # what the controller before had sent goes on
+    bench.start()
+    assert bench.stops == 0
+    bench._say_driver("idle")
+    rejected(bench, bench.go(0.1, 0.1), "extended by 20.0 mm")
+    bench.run(0.1)
+    assert bench.stops == 1 and bench.driver == "stopped: on request"
+    assert "the controller started with the stylus extended by 20.0 mm" in bench.controller.state
+    assert bench.controller.state.startswith("stopped: on request")
+    bench.readings = np.array([0.05, 0.05, 0.0])
+    bench._say_driver("idle")
+    bench.run(0.2)
+    assert bench.controller.state == "ready" and bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+    assert bench.stops == 1
+
+
+def test_a_stop_that_nobody_heard_is_asked_for_again() -> None:
+    bench = Bench()
+    bench.readings = np.array([0.05, 0.05, 0.02])
+    bench._say_driver = lambda text: None  # type: ignore[method-assign]
+    bench.tell(msg.DriverState(text="idle"))
+    bench.run(2.0)
+    assert 3 <= bench.stops <= 6
+    assert bench.controller.state == "waiting: the controller started with the stylus extended by 20.0 mm"
+
+
+def test_after_its_start_a_stylus_that_rests_extended_is_no_reason() -> None:
+    bench = Bench().start()
+    assert bench.go(0.1, 0.1, -0.01).outcome is Outcome.REACHED
+    bench.run(1.0)
+    assert bench.stops == 0 and bench.controller.state == "ready"

@@ -29,6 +29,9 @@ from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
 
 NANO = 1_000_000_000
+EXTENDED_M = 0.0005
+"""Extension above which a stylus that was left behind may be pressing something."""
+ASK_AGAIN_S = 0.5
 CLOCK_JUMP_S = 0.5
 """Time that runs back farther than this between two events ends the goal: no deadline would hold any more."""
 
@@ -222,6 +225,9 @@ class Controller:
         self._look_after_ns = self._look_until_ns = 0
         self._tips: deque[Array] = deque()
         self._tips_needed = 1
+        self._unchecked = True
+        self._left_behind = ""
+        self._asked_ns = 0
 
     # Every transition of a goal. A method either enters another phase or finishes the goal.
     _NEXT: ClassVar[dict[tuple[Phase, Step], Callable[[Controller, _Job], None]]] = {
@@ -291,9 +297,10 @@ class Controller:
             case msg.Command():
                 self._take_command(event.text)
             case msg.DriverState():
-                world.driver = event.text
+                self._take_driver(event.text)
             case msg.Joints():
                 world.readings, world.readings_ns = event.readings, self._now_ns
+                self._check_left_behind()
             case msg.MotionResult():
                 self._take_motion_result(event.result)
             case msg.PanelPose():
@@ -316,6 +323,27 @@ class Controller:
                 world.heartbeat_ns = self._now_ns
             case msg.Tick():
                 pass
+
+    def _take_driver(self, text: str) -> None:
+        self._world.driver = text
+        state = text.partition(":")[0]
+        if state == "stopped":
+            self._unchecked = False
+        elif not self._unchecked and state == "idle":
+            self._left_behind = ""
+
+    def _check_left_behind(self) -> None:
+        """Ask for a stop, which lifts, if the stylus was left extended before the start; again until it is heard."""
+        if not self._unchecked or self._world.driver != "idle":
+            return
+        self._unchecked = bool(self._readings()[2] > EXTENDED_M)
+        self._left_behind = self._left_behind_text() if self._unchecked else ""
+        if self._unchecked and self._age_s(self._asked_ns) > ASK_AGAIN_S:
+            self._asked_ns = self._now_ns
+            self._actions.append(msg.CallStop(reason=self._left_behind))
+
+    def _left_behind_text(self) -> str:
+        return f"the controller started with the stylus extended by {1000 * self._readings()[2]:.1f} mm"
 
     def _take_confidence(self, value: float) -> None:
         """Believe the pose that came before a good confidence; forget one that came before a bad one."""
@@ -349,6 +377,8 @@ class Controller:
             shown = world.driver if state in ("stopped", "alarm") else f"waiting: {_DRIVER_TEXT.get(state, state)}"
             if state not in ("stopped", "alarm") and reason:
                 shown += f": {reason.strip()}"
+            if self._left_behind:
+                shown += f"; {self._left_behind}"
             yield _Obstacle(state=shown, reason=f"the driver is {world.driver!r}, 'idle' is needed", every_goal=True)
         elif world.readings is None or self._age_s(world.readings_ns) > config.joints_timeout_s:
             text = f"no joint_states {_since(self._age_s(world.readings_ns))}"
@@ -357,6 +387,9 @@ class Controller:
                 reason=f"{text}, at most {config.joints_timeout_s:g} s are allowed",
                 every_goal=True,
             )
+        elif self._unchecked and world.readings[2] > EXTENDED_M:
+            text = self._left_behind_text()
+            yield _Obstacle(state=f"waiting: {text}", reason=f"{text}, a stop is asked for", every_goal=True)
         heartbeat_age = self._age_s(world.heartbeat_ns)
         if heartbeat_age > config.heartbeat_timeout_s:
             yield _Obstacle(
@@ -441,6 +474,7 @@ class Controller:
             self._reject(goal_id, text, str(error))
             return
         self._job = job
+        self._unchecked = False
         self._publish(job, Outcome.ACCEPTED)
         self._actions.append(msg.ShowTarget(in_base=job.goal_base))
         self._go(Phase.MOVE if job.touch is None else Phase.APPROACH, path)
