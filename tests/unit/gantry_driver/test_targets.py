@@ -182,3 +182,11 @@ def test_gap_of_round_and_square_controls() -> None:
     assert circle.gap(np.array([0.003, 0.004])) == pytest.approx(0.0)
     assert circle.gap(np.array([0.006, 0.008])) == pytest.approx(0.005)
     assert circle.gap(np.array([0.0, 0.0])) == 0.0
+
+
+@pytest.mark.parametrize("cosine", [-1.0 - 1e-9, -1.0])
+def test_a_panel_seen_from_behind_is_refused_whatever_the_rounding(cosine: float) -> None:
+    turned = Transform(np.diag([1.0, -1.0, cosine]), np.zeros(3))
+    behind = replace(SCENE, camera_from_base=Transform.identity(), camera_from_panel=turned)
+    with pytest.raises(Refused, match="leans by 180.0 degrees"):
+        resolve(parse_gesture("press:RUN_STOP"), behind, TouchConfig(), wander_m=0.005)

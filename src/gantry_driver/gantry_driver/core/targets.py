@@ -239,7 +239,7 @@ def resolve(gesture: Gesture, scene: Scene, config: TouchConfig, *, wander_m: fl
         panel, the panel leans too far, or a proud neighbour is in the way.
     """
     base_from_panel = scene.base_from_panel
-    tilt = math.degrees(math.acos(min(1.0, float(base_from_panel.rotation[2, 2]))))
+    tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(base_from_panel.rotation[2, 2])))))
     if tilt > config.max_tilt_deg:
         raise Refused(f"the panel leans by {tilt:.1f} degrees, at most {config.max_tilt_deg:g} are allowed")
     point, control = _surface(gesture.target, scene)
