@@ -81,6 +81,14 @@ def test_joints_by_name() -> None:
         cv.joint_positions(message, ("c",))
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_joint_that_is_not_finite_is_refused_by_name(value: float) -> None:
+    message = cv.joint_message(("a", "b", "other"), (1.0, value, 0.0), HEAD)
+    with pytest.raises(ValueError, match=f"joint b = {value} m is not finite"):
+        cv.joint_positions(message, ("a", "b"))
+    np.testing.assert_array_equal(cv.joint_positions(message, ("a", "other")), (1.0, 0.0))
+
+
 def test_disparities_travel_as_float32_and_unknown_ones_are_below_the_least() -> None:
     values = np.array([[10.0, np.nan, 12.0625], [41.5, 9.3, np.nan]], np.float32)
     message = cv.disparity_message(values, 850.0, 0.12, (9.3, 41.5), 1 / 16, cv.header(5, "left"), 1)

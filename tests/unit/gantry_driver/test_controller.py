@@ -746,3 +746,23 @@ def test_after_its_start_a_stylus_that_rests_extended_is_no_reason() -> None:
     assert bench.go(0.1, 0.1, -0.01).outcome is Outcome.REACHED
     bench.run(1.0)
     assert bench.stops == 0 and bench.controller.state == "ready"
+
+
+# --- the way up ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("end", ["after the contact", "after a fault"])
+def test_the_stylus_is_lifted_where_it_stands_also_when_that_lies_outside_the_limits_now(end: str) -> None:
+    bench = Bench().start()
+
+    def narrow(b: Bench) -> None:
+        motion = from_mapping(ControllerConfig, {"motion.x_max_m": 0.1, "motion.y_max_m": 0.1}).motion
+        b.controller.config = config(motion=motion)
+        if end == "after a fault":
+            b.talking.discard("heartbeat")
+
+    bench.on_phase[Phase.CONTACT] = narrow
+    result = bench.do("press:RUN_STOP" if end == "after the contact" else "hold:RUN_STOP:5")
+    assert result.outcome is (Outcome.REACHED if end == "after the contact" else Outcome.ABORTED)
+    np.testing.assert_allclose(bench.paths[-1], [[*RUN_STOP[:2], 0.0]], atol=1e-9)
+    assert bench.readings[2] == 0.0

@@ -116,10 +116,10 @@ def follow(start: Array, points: Array, config: MotionConfig) -> Path:
 
 
 def lift(start: Array, config: MotionConfig) -> Path:
-    """Retract the stylus where it stands."""
+    """Retract the stylus where it stands, also where the limits would let nothing go (any more)."""
     steps = _Steps(start)
     steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
-    return steps.path(config)
+    return steps.unchecked()
 
 
 def _approach_point(aim_xy: Array, config: MotionConfig) -> Array:
@@ -146,7 +146,9 @@ class _Steps:
             self._at = goal
 
     def path(self, config: MotionConfig) -> Path:
-        points = np.array(self._points).reshape(-1, 3)
-        check_reach(points, config)
-        points = np.clip(points, config.lower(), config.upper())
-        return Path(points=points, times_s=np.array(self._times))
+        path = self.unchecked()
+        check_reach(path.points, config)
+        return Path(points=np.clip(path.points, config.lower(), config.upper()), times_s=path.times_s)
+
+    def unchecked(self) -> Path:
+        return Path(points=np.array(self._points).reshape(-1, 3), times_s=np.array(self._times))

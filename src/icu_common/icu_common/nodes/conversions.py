@@ -262,12 +262,15 @@ def joint_positions(message: JointState, names: Sequence[str]) -> Array:
     Raises
     ------
     ValueError
-        If a joint is missing.
+        If a joint is missing or its position is not finite.
     """
     known = dict(zip(message.name, message.position))
     missing = [name for name in names if name not in known]
     if missing:
         raise ValueError(f"joint {', '.join(missing)} is missing; the message has {', '.join(known)}")
+    for name in names:
+        if not math.isfinite(known[name]):
+            raise ValueError(f"joint {name} = {known[name]} m is not finite")
     return np.array([known[name] for name in names])
 
 
