@@ -9,7 +9,6 @@ from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
 
 from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
 from icu_common.core.config import settings_of
-from icu_common.core.config import settings_of
 
 
 def test_connects_checks_settings_and_waits_unhomed() -> None:
@@ -502,14 +501,6 @@ def test_a_program_is_checked_as_a_whole_and_then_streamed() -> None:
     rig.until(lambda: "reached" in rig.outcomes(), 60.0)
     assert [t for t in rig.board.executed if "X" in t] == [f"G53G1X{-300 - k}F6000" for k in range(50)]
     assert rig.board.mpos[0] == -349.0
-
-
-def test_what_homing_and_the_settings_check_rest_on_is_fixed_while_the_node_runs() -> None:
-    items = {item.name: item.setting.read_only for item in settings_of(DriverConfig)}
-    fixed = {name for name in items if name.startswith("machine.")}
-    fixed |= {"stylus.kind", "stylus.stroke_m", "stylus.servo_up", "stylus.servo_down", "port", "baud"}
-    assert len(fixed) == 12 and [name for name in sorted(fixed) if not items[name]] == []
-    assert not items["feed_m_s"], "what only the next motion needs stays live"
 
 
 def test_what_homing_and_the_settings_check_rest_on_is_fixed_while_the_node_runs() -> None:

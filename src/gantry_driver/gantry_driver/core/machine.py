@@ -517,9 +517,9 @@ class Machine:
             raise AssertionError(f"{self.phase.name} to {phase.name} is not in the table")
         before = self.state_text
         self.phase, self.reason, self._since = phase, reason, now
+        self._misplaced = False
         if phase is not Phase.MOVING:
             self._pausing = self._resuming = False
-        self._misplaced = False
         moving = phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
         rate = self.config.moving_status_rate_hz if moving else self.config.status_rate_hz
         self.session.poll_interval_s = 1.0 / rate
