@@ -24,6 +24,7 @@ setup(
             "mock_grbl = gantry_driver.mock.main:main",
             "gantry_goal = gantry_driver.cli.gantry_goal:main",
             "gantry_gcode = gantry_driver.cli.gantry_gcode:main",
+            "gantry_monitor = gantry_driver.cli.gantry_monitor:main",
             "gantry_prepare = gantry_driver.cli.gantry_prepare:main",
         ],
     },

@@ -1,0 +1,101 @@
+"""Show the gantry in the terminal: state, position, counts of lines and throughput. It asks for nothing to move.
+
+Names are relative, so ``--ros-args -r __ns:=/bed_1`` shows another robot. Without a terminal it prints a line a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from types import FrameType
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from gantry_driver.cli.operator_session import own_arguments
+from gantry_driver.core.monitor import Monitor
+from icu_common.core.frames import JOINTS
+from icu_common.nodes.qos import LATCHED, RESULTS
+from icu_common.nodes.runtime import prepare_transport
+
+LIVE_S, PIPED_S = 0.1, 1.0
+
+
+class MonitorNode(Node):
+    """Feeds a :class:`~gantry_driver.core.monitor.Monitor` from the topics."""
+
+    def __init__(self, driver: str) -> None:
+        super().__init__("gantry_monitor")
+        self.monitor = Monitor()
+        self._status_name = f"{driver}: board"
+        self.create_subscription(String, "gantry/driver_state", self._on_state, LATCHED)
+        self.create_subscription(JointState, "joint_states", self._on_joints, RESULTS)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, RESULTS)
+
+    def _on_state(self, message: String) -> None:
+        self.monitor.state = message.data
+
+    def _on_joints(self, message: JointState) -> None:
+        places = dict(zip(message.name, message.position))
+        if all(name in places for name in JOINTS):
+            self.monitor.reading([places[name] for name in JOINTS], time.monotonic())
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == self._status_name:
+                self.monitor.diagnostics({pair.key: pair.value for pair in status.values}, time.monotonic())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Show until Ctrl-C, or for ``--seconds``."""
+    arguments = list(sys.argv if arguments is None else arguments)
+    parser = argparse.ArgumentParser(prog="gantry_monitor", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=math.inf, metavar="S", help="end after S seconds")
+    parser.add_argument("--driver", default="serial_driver", metavar="NAME", help="name of the driver's node")
+    given = parser.parse_args(own_arguments(arguments))
+    if not given.seconds > 0:
+        parser.error(f"--seconds {given.seconds:g}: above 0 is needed")
+    stopping = False
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal stopping
+        stopping = True
+
+    prepare_transport()
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    node = MonitorNode(given.driver)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    live = sys.stdout.isatty()
+    end, shown_at = time.monotonic() + given.seconds, time.monotonic()
+    try:
+        while not stopping and time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.05)
+            now = time.monotonic()
+            if now - shown_at >= (LIVE_S if live else PIPED_S):
+                shown_at = now
+                text = node.monitor.line(now)
+                print(f"\r\x1b[K{text}" if live else text, end="" if live else "\n", flush=True)
+    finally:
+        if live:
+            print(flush=True)
+        executor.remove_node(node)
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
