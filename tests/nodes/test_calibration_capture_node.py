@@ -1,0 +1,60 @@
+"""The capture node: keeps the moments that are still and new, in both folders, and reports what is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import Image
+from unit.harris_perception.drawn_board import picture, poses
+
+from harris_perception.core.board import Board
+from harris_perception.core.view_collection import ViewCollection
+from harris_perception.nodes.calibration_capture import CalibrationCaptureNode
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import header, image_message
+
+BOARD = Board(columns=9, rows=6, square_m=0.025)
+
+
+def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Path) -> None:
+    rng = np.random.default_rng(31)
+    shown = [picture(BOARD, pose, rng) for pose in poses(rng, BOARD, 2)]
+    folders = [tmp_path / side for side in ("left", "right")]
+    for folder in folders:
+        folder.mkdir()
+    collection, lines = ViewCollection(BOARD, wanted=2), []
+    topics = [f"/stereo/{side}/image_raw" for side in ("left", "right")]
+    ros.node(lambda **o: CalibrationCaptureNode(topics, folders, collection, lines.append, **o))
+    probe = ros.plain()
+    reports = ros.collect(probe, DiagnosticArray, "/diagnostics")
+    publishers = [probe.create_publisher(Image, topic, qos.IMAGES) for topic in topics]
+    ros.spin_until(lambda: all(p.get_subscription_count() for p in publishers), 10)
+
+    stamp = 1_000_000_000
+    for number, gray in enumerate(shown):
+        for kept in (number, number + 1):  # the first sight of a pose only shows that the board moved
+            stamp += 100_000_000
+            before = len(lines)
+            for publisher in publishers:
+                publisher.publish(image_message(gray, "mono8", header(stamp, "camera")))
+            ros.spin_until(lambda k=kept, b=before: len(collection.kept) == k and len(lines) > b, 20, lambda: lines)
+    for folder in folders:
+        assert sorted(file.name for file in folder.iterdir()) == ["view000.png", "view001.png"]
+        assert np.array_equal(cv2.imread(str(folder / "view001.png"), cv2.IMREAD_GRAYSCALE), shown[1])
+    assert any("hold the board still" in line for line in lines)
+    ros.spin_until(lambda: any("2/2 views" in r.status[0].message for r in reports), 10, lambda: lines)
+    values = {pair.key: pair.value for pair in reports[-1].status[0].values}
+    assert set(values) == {"x", "y", "size", "skew"}
+
+    # Pictures of different moments are no pair.
+    count = len(lines)
+    publishers[0].publish(image_message(shown[0], "mono8", header(stamp + 200_000_000, "camera")))
+    publishers[1].publish(image_message(shown[0], "mono8", header(stamp + 300_000_000, "camera")))
+    publishers[0].publish(image_message(np.full_like(shown[0], 90), "mono8", header(stamp + 400_000_000, "camera")))
+    publishers[1].publish(image_message(np.full_like(shown[0], 90), "mono8", header(stamp + 400_000_000, "camera")))
+    ros.spin_until(lambda: any("not seen by both" in line for line in lines), 20, lambda: lines)
+    assert len(lines) == count + 1 and len(collection.kept) == 2

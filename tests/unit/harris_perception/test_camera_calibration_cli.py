@@ -1,0 +1,94 @@
+"""The command: files written and read again by CameraModel, and one line of advice for each wrong input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from unit.harris_perception.drawn_board import camera, picture, poses
+
+from harris_perception.cli.calibrate import main
+from harris_perception.core.board import Board
+from icu_common.core.camera_model import CameraModel
+
+BOARD = Board(columns=9, rows=6, square_m=0.025)
+SMALL = ["--chessboard", "9x6", "--square-mm", "25"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder of six rendered views, left0.png to left5.png."""
+    place = tmp_path_factory.mktemp("views")
+    rng = np.random.default_rng(21)
+    for number, pose in enumerate(poses(rng, BOARD, 6)):
+        assert cv2.imwrite(str(place / f"left{number}.png"), picture(BOARD, pose, rng))
+    return place
+
+
+def test_one_camera_is_calibrated_and_its_file_loads(folder: Path, tmp_path: Path, capsys: Any) -> None:
+    assert main(["mono", str(folder), *SMALL, "--name", "bench_left", "-o", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "left3.png" in said and "+-" in said and "coverage" in said
+    model = CameraModel.load(tmp_path / "bench_left.yaml")
+    assert model.name == "bench_left" and model.size == (960, 720)
+    assert model.k[0, 0] == pytest.approx(camera().k[0, 0], abs=3)
+    # What camera_info_manager reads (camera_calibration_parsers), no more and no less.
+    document = yaml.safe_load((tmp_path / "bench_left.yaml").read_text())
+    assert set(document) == {
+        "image_width",
+        "image_height",
+        "camera_name",
+        "camera_matrix",
+        "distortion_model",
+        "distortion_coefficients",
+        "rectification_matrix",
+        "projection_matrix",
+    }
+    report = json.loads((tmp_path / "calibration.json").read_text())
+    assert len(report["views"]) == 6 and report["rms_px"] < 0.1 and report["sigma"]["fx_px"] > 0
+    assert set(report["coverage"]) == {"x", "y", "size", "skew"}
+    assert cv2.imread(str(tmp_path / "bench_left_residuals.png")).shape == (1000, 1280, 3)
+
+
+def test_board_files_are_written(tmp_path: Path) -> None:
+    files = [str(tmp_path / "b.svg"), str(tmp_path / "b.pdf")]
+    assert main(["board", *files, "--charuco", "9x6", "--square-mm", "24", "--paper", "a4"]) == 0
+    assert "<svg" in Path(files[0]).read_text()
+    assert Path(files[1]).read_bytes().startswith(b"%PDF-")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["mono", "{folder}", "--chessboard", "10x7"], "left0.png shows 9x6 inner corners: try --chessboard 9x6"),
+        (["mono", "{folder}/left[0-2].png", *SMALL], "found in 3 pictures, at least 5 are needed"),
+        (["mono", "{folder}/nothing*.png"], "no pictures"),
+        (["mono", "{folder}", "--charuco", "9x6"], "check the dictionary"),
+        (["stereo", "{folder}/left[0-2].png", "{folder}/left[3-5].png"], "no left picture has a right one"),
+        (["mono", "{folder}", "--alpha", "2"], "alpha = 2.0 is above its maximum 1"),
+        (["board", "{folder}/board.txt"], "must end in .svg or .pdf"),
+        (["mono", "--live", "{folder}"], "is not empty"),
+    ],
+)
+def test_wrong_input_gets_one_line_of_advice(
+    arguments: list[str], message: str, folder: Path, tmp_path: Path, capsys: Any
+) -> None:
+    given = [argument.replace("{folder}", str(folder)) for argument in arguments]
+    output = [] if given[0] == "board" else ["-o", str(tmp_path)]
+    assert main([*given, *output]) == 2
+    lines = capsys.readouterr().err.strip().split("\n")
+    assert lines[-1].startswith("error: ") and message in lines[-1]
+    assert not list(tmp_path.iterdir())
+
+
+def test_pictures_without_the_board_are_named(folder: Path, tmp_path: Path, capsys: Any) -> None:
+    for file in folder.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    assert cv2.imwrite(str(tmp_path / "left9.png"), np.full((720, 960), 90, np.uint8))
+    assert main(["mono", str(tmp_path), *SMALL, "-o", str(tmp_path / "out")]) == 0
+    assert "board not found in 1 of 7: left9.png" in capsys.readouterr().out
