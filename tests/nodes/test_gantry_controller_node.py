@@ -195,3 +195,34 @@ def test_parameter_file_names_every_setting_and_nothing_else() -> None:
 def test_unknown_parameter_is_refused(ros: Any, name: str) -> None:
     with pytest.raises(ValueError, match=name):
         GantryBench(ros, {name: 1.0})
+
+
+def test_an_unexpected_error_stops_the_machine_answers_the_goal_and_ends_the_node(
+    ros: Any, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bench = GantryBench(ros)
+    bench.see()
+    bench.spin_until_state("ready")
+    bench.connect_goals()
+    ros.spin_until(lambda: bench.node.count_publishers("/gantry/stop_request"), 10.0)
+    bench.obey = False
+    bench.command.publish(String(data="press:RUN_STOP id=a1"))
+    ros.spin_until(lambda: bench.trajectories and len(bench.results) == 1, 10.0)
+
+    def slip(job: object) -> None:
+        raise ZeroDivisionError("a slip in the plan")
+
+    monkeypatch.setattr(bench.controller._controller, "_fault", slip)
+    with pytest.raises(ZeroDivisionError, match="a slip in the plan"):
+        ros.spin_until(lambda: False, 10.0)
+    ros.executor.remove_node(bench.controller)
+    result = bench.spin_until_final()
+    assert result.outcome is Outcome.ABORTED and result.goal_id == "a1"
+    assert "error in the controller: ZeroDivisionError('a slip in the plan')" in result.reason
+    ros.spin_until(lambda: bench.stops, 10.0)
+    bench.spin_until_state("stopped: error in the controller: ZeroDivisionError('a slip in the plan')")
+    bench.controller.close()
+    seen = len(bench.results)
+    bench.joints.publish(bench.joints.msg_type())
+    assert len(bench.results) == seen == 2
+    assert "Traceback" in (log := capfd.readouterr().err) and "in slip" in log

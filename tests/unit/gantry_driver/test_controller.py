@@ -766,3 +766,19 @@ def test_the_stylus_is_lifted_where_it_stands_also_when_that_lies_outside_the_li
     assert result.outcome is (Outcome.REACHED if end == "after the contact" else Outcome.ABORTED)
     np.testing.assert_allclose(bench.paths[-1], [[*RUN_STOP[:2], 0.0]], atol=1e-9)
     assert bench.readings[2] == 0.0
+
+
+def test_after_an_error_nothing_is_sent_any_more_and_what_was_answered_stays_answered() -> None:
+    bench = Bench().start()
+    controller = bench.controller
+    controller._go = lambda *arguments: 1 / 0  # type: ignore[method-assign,assignment,return-value]
+    with pytest.raises(ZeroDivisionError):
+        controller.handle(msg.Command(text="press:RUN_STOP id=a1"), bench.now_ns)
+    actions = controller.fail("error in the controller: x", bench.now_ns)
+    assert [a.result.outcome for a in actions if isinstance(a, msg.PublishResult)] == [
+        Outcome.ACCEPTED, Outcome.ABORTED,
+    ]  # fmt: skip
+    assert isinstance(actions[0], msg.CallStop) and not any(isinstance(a, msg.SendTrajectory) for a in actions)
+    assert actions[-1] == msg.SetState(text="stopped: error in the controller: x")
+    assert controller.handle(msg.Tick(), bench.now_ns) == controller.close(bench.now_ns) == []
+    assert controller.fail("again", bench.now_ns) == []

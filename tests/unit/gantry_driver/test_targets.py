@@ -188,5 +188,5 @@ def test_gap_of_round_and_square_controls() -> None:
 def test_a_panel_seen_from_behind_is_refused_whatever_the_rounding(cosine: float) -> None:
     turned = Transform(np.diag([1.0, -1.0, cosine]), np.zeros(3))
     behind = replace(SCENE, camera_from_base=Transform.identity(), camera_from_panel=turned)
-    with pytest.raises(Refused, match="leans by 180.0 degrees"):
+    with pytest.raises(Refused, match=r"leans by 180\.0 degrees"):
         resolve(parse_gesture("press:RUN_STOP"), behind, TouchConfig(), wander_m=0.005)

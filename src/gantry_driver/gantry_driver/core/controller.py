@@ -275,10 +275,28 @@ class Controller:
                 self._break_off(self._job, fault)
         self._advance()
         self._show_state()
+        actions, self._actions = self._actions, []
+        return actions
+
+    def fail(self, cause: str, now_ns: int) -> list[msg.Action]:
+        """End everything after an error in here: the machine is held, the goal aborted, and nothing is heard any more.
+
+        Of what was about to be done only the answers remain; a state that is not trusted must not move anything.
+        """
+        if self._closed:
+            return []
+        answers = [action for action in self._actions if isinstance(action, msg.PublishResult)]
+        self._now_ns, self._closed = now_ns, True
+        self._actions = [msg.CallStop(reason=cause), *answers]
+        if self._job is not None:
+            self._finish(self._job, Outcome.ABORTED, f"{cause}; the machine was told to stop")
+        self._set_state(f"stopped: {cause}")
         return self._actions
 
     def close(self, now_ns: int) -> list[msg.Action]:
         """End the goal in work because the controller goes away: the machine is held, and nothing is heard any more."""
+        if self._closed:
+            return []
         self._now_ns = now_ns
         self._actions = []
         if self._job is not None:

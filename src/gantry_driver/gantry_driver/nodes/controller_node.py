@@ -1,13 +1,21 @@
-"""ROS node of the gantry controller: messages become events, actions become messages; decisions are in core."""
+"""ROS node of the gantry controller: messages become events, actions become messages; decisions are in core.
+
+An error that nobody foresaw stops the machine, aborts the goal, and ends the process with its traceback and an exit
+code above 0: the state of the controller is not to be trusted after it, and bring-up starts a new one, which begins by
+asking for a stop if the stylus was left extended.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import traceback
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
@@ -40,6 +48,7 @@ from icu_common.nodes.runtime import run
 
 TICK_S = 0.05
 DIAGNOSTICS_S = 1.0
+LAST_WORDS = Duration(seconds=0.3)
 
 
 class ControllerNode(Node):
@@ -74,7 +83,7 @@ class ControllerNode(Node):
         self._hear(PointStamped, "stylus/tip", qos.SENSOR, _tip)
         self._hear(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
         self._hear(Header, "heartbeat", qos.SENSOR, lambda m: msg.Heartbeat())
-        self.create_timer(TICK_S, lambda: self._handle(msg.Tick()))
+        self.create_timer(TICK_S, self._tick)
         self.create_timer(DIAGNOSTICS_S, self._diagnose)
         self._handle(msg.Tick())
 
@@ -84,12 +93,13 @@ class ControllerNode(Node):
 
     def _hear(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:
         def callback(message: Any) -> None:
-            try:
-                event = convert(message)
-            except ValueError as error:
-                self.get_logger().error(f"{topic}: ignored: {error}", throttle_duration_sec=5.0)
-                return
-            self._handle(event)
+            with self._stopping_on_error():
+                try:
+                    event = convert(message)
+                except ValueError as error:
+                    self.get_logger().error(f"{topic}: ignored: {error}", throttle_duration_sec=5.0)
+                    return
+                self._handle(event)
 
         self.create_subscription(message_type, topic, callback, profile)
 
@@ -104,6 +114,20 @@ class ControllerNode(Node):
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
+
+    def _tick(self) -> None:
+        with self._stopping_on_error():
+            self._handle(msg.Tick())
+
+    @contextlib.contextmanager
+    def _stopping_on_error(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:
+            self.get_logger().fatal(traceback.format_exc())
+            self._act(self._controller.fail(f"error in the controller: {error!r}", self._now_ns()))
+            self._stop.wait_for_all_acked(LAST_WORDS)
+            raise
 
     def _handle(self, event: msg.Event) -> None:
         self._act(self._controller.handle(event, self._now_ns()))
