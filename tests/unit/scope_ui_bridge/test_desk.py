@@ -350,6 +350,16 @@ def test_an_idle_operator_loses_control_after_the_timeout() -> None:
     assert rig.desk.lease.holder == ""
 
 
+@pytest.mark.parametrize("timeout_s", [2.0, 8.0])
+def test_a_change_of_the_timeout_is_in_force_at_once(timeout_s: float) -> None:
+    rig = Rig()
+    rig.desk.config = BridgeConfig(lease_timeout_s=timeout_s)
+    rig.wait(timeout_s - 0.2)
+    assert rig.desk.lease.holder == rig.a
+    rig.wait(0.4)
+    assert rig.desk.lease.holder == ""
+
+
 def test_a_stop_voids_an_order_that_has_not_gone_out() -> None:
     rig = Rig()
     rig.select(control="RUN_STOP")

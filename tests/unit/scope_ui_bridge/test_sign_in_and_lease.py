@@ -76,7 +76,7 @@ def test_the_memory_for_failures_is_bounded() -> None:
 
 
 def test_one_holder_and_a_new_epoch_with_each_change_of_hands() -> None:
-    lease = OperatorLease(5.0)
+    lease = OperatorLease()
     lease.take("a", 0.0)
     lease.take("a", 1.0)
     assert lease.epoch == 1
@@ -92,7 +92,7 @@ def test_one_holder_and_a_new_epoch_with_each_change_of_hands() -> None:
 
 
 def test_only_the_holder_keeps_the_lease_alive() -> None:
-    lease = OperatorLease(5.0)
+    lease = OperatorLease()
     assert lease.silence_s(10.0) == float("inf")
     lease.take("a", 10.0)
     lease.alive("b", 10.5)
@@ -102,7 +102,7 @@ def test_only_the_holder_keeps_the_lease_alive() -> None:
 
 
 def test_release_and_decline() -> None:
-    lease = OperatorLease(5.0)
+    lease = OperatorLease()
     lease.take("a", 0.0)
     lease.request("b", 0.0)
     assert not lease.release("b")

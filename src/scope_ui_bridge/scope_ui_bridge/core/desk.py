@@ -138,7 +138,7 @@ class Desk:
         self.boot_id = boot_id
         self.title = title
         self.scene = Scene()
-        self.lease = OperatorLease(config.lease_timeout_s)
+        self.lease = OperatorLease()
         self.stops = 0
         self._viewers: dict[str, _Viewer] = {}
         self._viewer_count = 0
@@ -278,7 +278,7 @@ class Desk:
             self._last_heartbeat_s = now.mono_s
             effects.append(Heartbeat())
         if self.lease.holder and (
-            (silence >= self.config.silence_stop_s and self.moving) or silence >= self.lease.timeout_s
+            (silence >= self.config.silence_stop_s and self.moving) or silence >= self.config.lease_timeout_s
         ):
             effects += self._lose_lease(self.lease.holder, "stopped_page_silent", now)
         effects += self._expire(now)

@@ -10,12 +10,11 @@ from scope_ui_bridge.core.refusal import Refusal
 class OperatorLease:
     """The right to move the machine.
 
-    Each change of hands raises ``epoch``; commands that name an older one are refused. A silent holder keeps the lease
-    until ``timeout_s`` while nothing moves; nobody gets it without asking.
+    Each change of hands raises ``epoch``; commands that name an older one are refused. A silent holder keeps it
+    until the desk takes it away; nobody gets it without asking.
     """
 
-    def __init__(self, timeout_s: float) -> None:
-        self.timeout_s = timeout_s
+    def __init__(self) -> None:
         self.epoch = 0
         self.holder = ""
         self.requester = ""
