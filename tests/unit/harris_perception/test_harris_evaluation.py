@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+import re
 from pathlib import Path
 
 import cv2
@@ -110,6 +112,18 @@ def test_match_finds_a_shifted_picture(tmp_path: Path, capsys: pytest.CaptureFix
     shift = np.array([(r["x2_px"] - r["x1_px"], r["y2_px"] - r["y1_px"]) for r in rows])
     np.testing.assert_allclose(np.median(shift, axis=0), (9.0, 6.0), atol=0.05)
     assert cv2.imread(str(drawn)).shape == (160, 400, 3)
+
+
+def test_match_finds_the_box_in_the_scene(capsys: pytest.CaptureFixture[str]) -> None:
+    folder = Path(os.environ.get("ICU_TEST_DATA", "")) / "object"
+    if not (folder / "box.png").is_file():
+        pytest.skip("needs object/box.png and box_in_scene.png below ICU_TEST_DATA")
+    assert main(["match", str(folder / "box.png"), str(folder / "box_in_scene.png")]) == 0
+    printed = capsys.readouterr().out
+    assert int(re.search(r"(\d+) agree", printed)[1]) > 40
+    outline = np.array(re.findall(r"\((\d+), (\d+)\)", printed), float)
+    # Read off the picture by eye.
+    np.testing.assert_allclose(outline, [(118, 161), (285, 175), (267, 297), (90, 272)], atol=5.0)
 
 
 def test_evaluate_reads_sequences_and_writes_tables_and_curves(

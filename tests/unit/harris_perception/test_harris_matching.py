@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.matching import MatchConfig, describe, match, orientations_deg
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.matching import MatchConfig, describe, describe_over_scales, match, orientations_deg
 from icu_common.core.config import ConfigError
 
 
@@ -64,6 +65,32 @@ def test_matches_of_a_warped_picture_are_right(
     assert len(set(found.pairs[:, 0].tolist())) == len(set(found.pairs[:, 1].tolist())) == len(found.pairs)
 
 
+@pytest.mark.parametrize("scale", [0.5, 0.63, 1.7])
+def test_corners_over_scales_match_a_picture_of_another_size(scale: float) -> None:
+    first = scene(8, 400)
+    side = round(400 * scale)
+    second = cv2.resize(first, (side, side), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    ratio = side / 400
+    h = np.array([[ratio, 0.0, 0.5 * ratio - 0.5], [0.0, ratio, 0.5 * ratio - 0.5], [0.0, 0.0, 1.0]])
+    config = MatchConfig()
+    counts = []
+    for levels in (8, 1):
+        detector = HarrisLaplaceDetector(HarrisLaplaceConfig(levels=levels, select=False))
+        a, b = detector.detect(first), detector.detect(second)
+        found = match(describe_over_scales(first, a, config), describe_over_scales(second, b, config), config)
+        right = np.zeros(0, bool)
+        if len(found.pairs) > 0:
+            right = error_px(a.xy[found.pairs[:, 0]], b.xy[found.pairs[:, 1]], h) < 3.0
+        counts.append(int(right.sum()))
+        if levels == 8:
+            assert right.mean() > 0.97
+            # The scales tell the change of size as well, within a level.
+            change = b.scale[found.pairs[:, 1]] / a.scale[found.pairs[:, 0]]
+            assert np.median(change) == pytest.approx(scale, rel=0.15)
+    print("right matches over scales, on one:", counts)
+    assert counts[0] > 40 and counts[0] > 1.5 * counts[1]
+
+
 def test_each_check_removes_wrong_matches() -> None:
     first, h = scene(2), warp(8.0, 1.0)
     second = cv2.warpPerspective(first, h, first.shape[::-1], flags=cv2.INTER_CUBIC)
@@ -87,6 +114,9 @@ def test_pictures_without_anything_in_common_do_not_match() -> None:
     config = MatchConfig(descriptor="sift")
     a, b = scene(3), scene(4)
     found = match(describe(a, corners(a), config), describe(b, corners(b), config), config)
+    assert len(found.pairs) < 10
+    detector = HarrisLaplaceDetector(HarrisLaplaceConfig(select=False))
+    found = match(*(describe_over_scales(p, detector.detect(p), config) for p in (a, b)), config)
     assert len(found.pairs) < 10
 
 

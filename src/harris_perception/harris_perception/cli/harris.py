@@ -18,12 +18,14 @@ from harris_perception.adapters.picture_files import SUFFIXES, pairs_of_sequence
 from harris_perception.core.edges import EDGE, EdgeConfig, EdgeDetector
 from harris_perception.core.gray import bgr_of_gray
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.matching import MatchConfig, describe, match
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.matching import MatchConfig, describe_over_scales, match
 from harris_perception.core.overlay import draw_corners, matches_picture
 from harris_perception.core.repeatability import (
     EPSILONS_PX,
     Detect,
     Pair,
+    mapped,
     our_detectors,
     peer_detectors,
     repeatability,
@@ -33,6 +35,8 @@ from icu_common.core.config import from_mapping, settings_of
 
 T = TypeVar("T")
 EDGE_COLOR = (255, 160, 0)
+MIN_AGREEING = 10
+"""Fewer matches than this agree by chance (measured on pictures that have nothing in common)."""
 
 
 def _settings(config_class: type[T], pairs: Sequence[str]) -> T:
@@ -103,17 +107,21 @@ def detect(options: argparse.Namespace) -> int:
 
 def match_pictures(options: argparse.Namespace) -> int:
     first, second = read_gray(options.first), read_gray(options.second)
-    detector = HarrisDetector(_settings(HarrisConfig, options.set))
-    config = _settings(MatchConfig, options.set_match)
-    a, b = detector.detect(first).xy, detector.detect(second).xy
-    found = match(describe(first, a, config), describe(second, b, config), config)
-    pairs = found.pairs
+    scales = HarrisLaplaceConfig(detector=_settings(HarrisConfig, options.set), levels=options.scales, select=False)
+    detector, config = HarrisLaplaceDetector(scales), _settings(MatchConfig, options.set_match)
+    one, other = detector.detect(first), detector.detect(second)
+    found = match(describe_over_scales(first, one, config), describe_over_scales(second, other, config), config)
+    pairs, a, b = found.pairs, one.xy, other.xy
     if options.output:
         _write_picture(options.output, matches_picture(first, second, a[pairs[:, 0]], b[pairs[:, 1]]))
     if options.table:
         ends = np.hstack((a[pairs[:, 0]], b[pairs[:, 1]])).tolist()
         _write_table(options.table, [dict(zip(("x1_px", "y1_px", "x2_px", "y2_px"), row)) for row in ends])
     print(f"{len(a)} and {len(b)} corners, {found.tentative} tentative matches, {len(pairs)} agree ({config.geometry})")
+    if config.geometry == "homography" and found.model is not None and len(pairs) >= MIN_AGREEING:
+        height, width = first.shape
+        outline = mapped(np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)]), found.model)
+        print("the first lies in the second at " + ", ".join(f"({x:.0f}, {y:.0f})" for x, y in outline))
     return 0
 
 
@@ -209,6 +217,9 @@ def _parser() -> argparse.ArgumentParser:
     two.add_argument("--table", type=Path, help="matches as .csv or .json")
     two.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="settings of the detector")
     two.add_argument("--set-match", action="append", default=[], metavar="KEY=VALUE", help="settings of the matching")
+    two.add_argument(
+        "--scales", type=int, default=8, help="levels of the pyramid, each 1.26 times coarser; 1 = one scale"
+    )
     two.set_defaults(run=match_pictures)
 
     many = commands.add_parser("evaluate", help="repeatability of this detector and of others")

@@ -26,6 +26,7 @@ class HarrisLaplaceConfig(Config):
     detector: HarrisConfig = nested(HarrisConfig)
     levels: int = setting(8, "Levels of the pyramid", minimum=1, maximum=30)
     factor: float = setting(1.26, "Ratio of two neighbouring scales", minimum=1.05, maximum=2.0)
+    select: bool = setting(True, "Keep a corner only at the scale at which the Laplacian answers most; else at all")
     laplacian_px: float = setting(1.5, "Scale of the Laplacian on each level", minimum=0.5, maximum=10.0, unit="px")
 
 
@@ -69,7 +70,7 @@ class HarrisLaplaceDetector:
         self._detector = HarrisDetector(self.config.detector)
 
     def detect(self, gray: npt.NDArray[Any]) -> ScaledCorners:
-        """Return the corners of (H, W) uint8, uint16 or float32 where the Laplacian is largest at their level.
+        """Return the corners of (H, W) uint8, uint16 or float32; if selected, where the Laplacian is largest.
 
         Raises
         ------
@@ -79,16 +80,15 @@ class HarrisLaplaceDetector:
         found = [self._detector.detect(gray)]  # checks the picture
         pictures = self._pyramid(gray)
         found += [self._detector.detect(picture) for picture in pictures[1:]]
-        laplacians = [self._laplacian(picture) for picture in pictures]
+        laplacians = [self._laplacian(picture) for picture in pictures] if self.config.select else []
         xys, scales, responses = [], [], []
         for level, corners in enumerate(found[: len(pictures)]):
             ratio = _ratio(gray, pictures[level])
             xy = np.asarray((corners.xy + 0.5) * ratio - 0.5, np.float32)
-            here = _values(laplacians[level], xy, gray)
             kept = np.ones(len(xy), bool)
             for beside in (level - 1, level + 1):
-                if 0 <= beside < len(pictures):
-                    kept &= here > _values(laplacians[beside], xy, gray)
+                if 0 <= beside < len(laplacians):
+                    kept &= _values(laplacians[level], xy, gray) > _values(laplacians[beside], xy, gray)
             kept &= np.cumsum(kept) <= self._quota(level)
             xys.append(xy[kept])
             scales.append(np.full(int(kept.sum()), self.config.factor**level))

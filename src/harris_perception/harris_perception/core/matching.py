@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.harris_laplace import ScaledCorners
 from icu_common.core.config import Config, ConfigError, setting
 
 F32 = npt.NDArray[np.float32]
@@ -28,7 +29,9 @@ class MatchConfig(Config):
         "sift", "Square of normalised grey values, ORB or RootSIFT", choices=("patch", "orb", "sift")
     )
     patch_px: int = setting(15, "Side of the patch, odd", minimum=5, maximum=63, unit="px")
-    size_px: float = setting(12.0, "Size of ORB's and SIFT's keypoints", minimum=2.0, maximum=100.0, unit="px")
+    size_px: float = setting(
+        6.0, "Size of SIFT's keypoints; a descriptor covers six times as much", minimum=2.0, maximum=100.0, unit="px"
+    )
     oriented: bool = setting(True, "Turn ORB and SIFT to the direction of the intensity centroid")
     mutual: bool = setting(True, "Each must be the other's best match")
     ratio: float = setting(
@@ -117,6 +120,24 @@ def describe(gray: npt.NDArray[np.uint8], xy: npt.ArrayLike, config: MatchConfig
     if config.descriptor == "sift":
         vectors = np.sqrt(vectors / np.maximum(vectors.sum(axis=1, keepdims=True), 1e-9))
     return Described(points[index], index, vectors)
+
+
+def describe_over_scales(gray: npt.NDArray[np.uint8], corners: ScaledCorners, config: MatchConfig) -> Described:
+    """Describe each corner on the picture shrunk by its scale, so that descriptors cover as much of what is seen."""
+    parts, places = [], []
+    for scale in np.unique(corners.scale):
+        index = np.nonzero(corners.scale == scale)[0]
+        size = tuple(max(round(side / float(scale)), 1) for side in gray.shape[::-1])
+        level = cv2.resize(gray, size, interpolation=cv2.INTER_AREA) if scale != 1.0 else gray
+        ratio = np.array(size, np.float32) / np.array(gray.shape[::-1], np.float32)
+        part = describe(np.asarray(level, np.uint8), (corners.xy[index] + 0.5) * ratio - 0.5, config)
+        if len(part.xy) > 0:
+            parts.append(part.vectors)
+            places.append(index[part.index])
+    if not parts:
+        return Described(np.empty((0, 2), np.float32), np.empty(0, np.int64), np.empty((0, 1), np.float32))
+    place = np.concatenate(places)
+    return Described(corners.xy[place], place, np.concatenate(parts))
 
 
 def _patches(gray: npt.NDArray[np.uint8], points: F32, side: int) -> Described:
