@@ -205,9 +205,14 @@ def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], p
         if any(folder.iterdir()):
             raise CalibrationError(f"{folder} is not empty: give new folders for live pictures")
     print(f"listening to {', '.join(topics)}; Ctrl-C ends it and calibrates with what there is")
-    capture(
+    collection = capture(
         board, topics, folders, wanted=options.views, within_s=options.within, say=lambda line: print(line, flush=True)
     )
+    if not collection.kept:
+        raise CalibrationError(
+            f"no view of the {board.title} was kept: is the camera running, is this the board, was it held still? "
+            "See ros2 topic hz on the topics above"
+        )
 
 
 def draw_board(options: argparse.Namespace) -> int:
