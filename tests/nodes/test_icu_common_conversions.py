@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from sensor_msgs.msg import CameraInfo
 
+from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Transform
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import conversions as cv
@@ -114,3 +116,35 @@ def test_an_organised_cloud_has_a_point_and_a_colour_for_each_pixel() -> None:
     assert np.array_equal(points, xyz, equal_nan=True)
     packed = np.frombuffer(cloud.data, np.uint32).reshape(2, 4, 4)[..., 3]
     assert packed[0, 1] == (50 << 16) + (40 << 8) + 30  # red above green above blue, as the viewers read it
+
+
+def camera_info() -> CameraInfo:
+    k = np.array([[1700.0, 0.0, 639.5], [0.0, 1700.0, 359.5], [0.0, 0.0, 1.0]])
+    p = np.column_stack([k, np.zeros(3)])
+    model = CameraModel(name="left", width=1280, height=720, k=k, d=np.zeros(5), r=np.eye(3), p=p)
+    return cv.camera_info_message(model, HEAD)
+
+
+def test_the_same_camera_is_known_whatever_the_header_says() -> None:
+    later = camera_info()
+    later.header = cv.header(5, "elsewhere")
+    assert cv.same_camera(camera_info(), later)
+    assert not cv.same_camera(None, later)
+
+
+@pytest.mark.parametrize("field", ["width", "height", "distortion_model", "d", "k", "r", "p"])
+def test_another_camera_is_known_by_each_of_its_values(field: str) -> None:
+    other = camera_info()
+    if field == "distortion_model":
+        other.distortion_model = "fisheye"
+    elif field in ("width", "height"):
+        setattr(other, field, 640)
+    else:
+        getattr(other, field)[0] += 1e-3
+    assert not cv.same_camera(camera_info(), other)
+
+
+def test_another_frame_than_expected_is_refused_by_name() -> None:
+    cv.check_frame(HEAD, "camera_left_optical_frame")
+    with pytest.raises(ValueError, match="frame 'camera_left_optical_frame', 'panel_link' is needed"):
+        cv.check_frame(HEAD, "panel_link")

@@ -30,6 +30,7 @@ from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_model,
+    check_frame,
     controls_of_message,
     diagnostic_status,
     header,
@@ -38,6 +39,7 @@ from icu_common.nodes.conversions import (
     point_message,
     result_message,
     result_of_message,
+    same_camera,
     stamp_ns,
     trajectory_message,
     transform_of_message,
@@ -105,7 +107,7 @@ class ControllerNode(Node):
 
     def _camera_seen(self, message: CameraInfo) -> msg.Event:
         # Every picture repeats the same calibration; unpacking it anew would be most of this node's work.
-        if self._camera is None or not _same_camera(self._camera[0], message):
+        if self._camera is None or not same_camera(self._camera[0], message):
             self._camera = (message, camera_model(message, "left"))
         return msg.CameraSeen(camera=self._camera[1], stamp_ns=stamp_ns(message.header.stamp))
 
@@ -168,19 +170,19 @@ def _point_goal(message: PointStamped) -> msg.Event:
 
 
 def _panel_pose(message: PoseStamped) -> msg.Event:
-    _check_frame(message.header, CAMERA_LEFT)
+    check_frame(message.header, CAMERA_LEFT)
     pose = transform_of_pose(message.pose)
     return msg.PanelPose(camera_from_panel=pose, stamp_ns=stamp_ns(message.header.stamp))
 
 
 def _panel_controls(message: MarkerArray) -> msg.Event:
     for marker in message.markers:
-        _check_frame(marker.header, PANEL)
+        check_frame(marker.header, PANEL)
     return msg.PanelControls(panel=PanelMap.of(*controls_of_message(message)))
 
 
 def _camera_from_base(message: TransformStamped) -> msg.Event:
-    _check_frame(message.header, CAMERA_LEFT)
+    check_frame(message.header, CAMERA_LEFT)
     if message.child_frame_id != BASE:
         raise ValueError(f"child frame {message.child_frame_id!r}, {BASE!r} is needed")
     return msg.CameraFromBase(transform=transform_of_message(message))
@@ -193,19 +195,8 @@ def _axes(message: Float64MultiArray) -> msg.Event:
 
 
 def _tip(message: PointStamped) -> msg.Event:
-    _check_frame(message.header, CAMERA_LEFT)
+    check_frame(message.header, CAMERA_LEFT)
     return msg.TipSeen(in_camera=point_array(message), stamp_ns=stamp_ns(message.header.stamp))
-
-
-def _check_frame(head: Header, frame: str) -> None:
-    if head.frame_id != frame:
-        raise ValueError(f"frame {head.frame_id!r}, {frame!r} is needed")
-
-
-def _same_camera(a: CameraInfo, b: CameraInfo) -> bool:
-    return (a.width, a.height, a.distortion_model) == (b.width, b.height, b.distortion_model) and all(
-        np.array_equal(x, y) for x, y in ((a.d, b.d), (a.k, b.k), (a.r, b.r), (a.p, b.p))
-    )
 
 
 def main() -> int:

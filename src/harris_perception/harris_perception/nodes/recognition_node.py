@@ -35,6 +35,7 @@ from icu_common.nodes.conversions import (
     header,
     image_array,
     pose_message,
+    same_camera,
     stamp_ns,
 )
 from icu_common.nodes.newest import NewestSubscription
@@ -107,7 +108,7 @@ class RecognitionNode(Node):
             self.get_logger().error(f"{error}; the panel is searched as before")
 
     def _on_camera(self, message: CameraInfo) -> None:
-        if self._camera is not None and _same_camera(self._camera[0], message):
+        if self._camera is not None and same_camera(self._camera[0], message):
             return
         try:
             self._camera = (message, camera_model(message, "left"))
@@ -214,12 +215,6 @@ def _designated(config: RecognitionNodeConfig) -> tuple[PanelLayout, npt.NDArray
 
 def _eight_bits(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     return gray if gray.dtype == np.uint8 else (gray >> 8).astype(np.uint8)
-
-
-def _same_camera(a: CameraInfo, b: CameraInfo) -> bool:
-    return (a.width, a.height, a.distortion_model) == (b.width, b.height, b.distortion_model) and all(
-        np.array_equal(x, y) for x, y in ((a.d, b.d), (a.k, b.k), (a.r, b.r), (a.p, b.p))
-    )
 
 
 def main() -> int:

@@ -9,7 +9,7 @@ from sensor_msgs.msg import CameraInfo
 
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import camera_model
+from icu_common.nodes.conversions import camera_model, same_camera
 
 SIDES = ("left", "right")
 
@@ -35,7 +35,6 @@ class StereoCalibration:
     def __init__(self, node: Node, on_change: Callable[[], None]) -> None:
         self._on_change = on_change
         self._infos: dict[str, CameraInfo] = {}
-        self._keys: dict[str, bytes] = {}
         self.stereo: StereoModel | None = None
         self.complaint = "no camera_info yet"
         for side in SIDES:
@@ -45,11 +44,9 @@ class StereoCalibration:
 
     def _on_info(self, side: str, info: CameraInfo) -> None:
         # It comes with every picture; only a change is worth the work.
-        key = b"".join(bytes(memoryview(part).cast("B")) for part in (info.d, info.k, info.r, info.p))
-        key += f"{info.width} {info.height} {info.distortion_model}".encode()
-        if self._keys.get(side) == key:
+        if same_camera(self._infos.get(side), info):
             return
-        self._keys[side], self._infos[side] = key, info
+        self._infos[side] = info
         if len(self._infos) < len(SIDES):
             return
         try:

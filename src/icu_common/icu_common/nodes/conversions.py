@@ -51,6 +51,12 @@ def header(stamp: int, frame: str) -> Header:
     return Header(stamp=time_message(stamp), frame_id=frame)
 
 
+def check_frame(head: Header, frame: str) -> None:
+    """Raise ValueError unless a header names this frame."""
+    if head.frame_id != frame:
+        raise ValueError(f"frame {head.frame_id!r}, {frame!r} is needed")
+
+
 def image_message(picture: npt.NDArray[Any], encoding: str, head: Header) -> Image:
     """Pack (H, W) or (H, W, C); filling ``array.array`` from a buffer is the fast way in rclpy (see ros decisions)."""
     contiguous = np.ascontiguousarray(picture)
@@ -204,6 +210,15 @@ def camera_model(info: CameraInfo, name: str = "camera") -> CameraModel:
         d=np.array(info.d),
         r=np.array(info.r).reshape(3, 3),
         p=np.array(info.p).reshape(3, 4),
+    )
+
+
+def same_camera(known: CameraInfo | None, info: CameraInfo) -> bool:
+    """Return whether two messages hold the same calibration; unpacking each anew costs more than comparing them."""
+    return (
+        known is not None
+        and (known.width, known.height, known.distortion_model) == (info.width, info.height, info.distortion_model)
+        and all(np.array_equal(getattr(known, name), getattr(info, name)) for name in "dkrp")
     )
 
 

@@ -30,6 +30,7 @@ from icu_common.core.panel_layout import Control, LayoutError, PanelLayout, load
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_model,
+    check_frame,
     cloud_array,
     controls_of_message,
     header,
@@ -38,6 +39,7 @@ from icu_common.nodes.conversions import (
     point_array,
     point_message,
     result_of_message,
+    same_camera,
     stamp_ns,
     transform_of_message,
     transform_of_pose,
@@ -171,15 +173,14 @@ class BridgeNode(Node):
         return lambda message: self._mail.newest(part, self._desk.set_state, part, message.data)
 
     def _camera_seen(self, side: str, message: CameraInfo) -> None:
-        known = self._cameras.get(side)
         # Every picture repeats the calibration; only a new one is work.
-        if known is None or any(list(getattr(known, m)) != list(getattr(message, m)) for m in "kdrp"):
+        if not same_camera(self._cameras.get(side), message):
             model = camera_model(message, side)
             self._cameras[side] = message
             self._mail.each(self._set_scene, {side: model})
 
     def _pose_seen(self, message: PoseStamped) -> None:
-        _check_frame(message.header, CAMERA_LEFT)
+        check_frame(message.header, CAMERA_LEFT)
         self._mail.newest("pose", self._scene.place_panel, transform_of_pose(message.pose))
 
     def _controls_seen(self, message: MarkerArray) -> None:
@@ -197,7 +198,7 @@ class BridgeNode(Node):
         self._scene.changed()
 
     def _tip_seen(self, message: PointStamped) -> None:
-        _check_frame(message.header, CAMERA_LEFT)
+        check_frame(message.header, CAMERA_LEFT)
         self._mail.newest("tip", self._set_tip, point_array(message), stamp_ns(message.header.stamp))
 
     def _set_tip(self, point: Any, stamp: int) -> None:
@@ -210,7 +211,7 @@ class BridgeNode(Node):
         self._mail.newest("corners", setattr, self._scene, "corners_px", cloud_array(message, ("u", "v")))
 
     def _calibration_seen(self, message: TransformStamped) -> None:
-        _check_frame(message.header, CAMERA_LEFT)
+        check_frame(message.header, CAMERA_LEFT)
         self._mail.newest("calibrated", setattr, self._scene, "camera_from_base", transform_of_message(message))
 
     def _axes_seen(self, message: Float64MultiArray) -> None:
@@ -299,11 +300,6 @@ def _open_audit(config: BridgeConfig) -> AuditFile | None:
         return AuditFile(Path(config.audit_file).expanduser()) if config.audit_file else None
     except (OSError, AuditError) as error:
         raise ConfigError(f"audit_file = {config.audit_file!r}: {error}; look at it and move it away") from error
-
-
-def _check_frame(head: Header, frame: str) -> None:
-    if head.frame_id != frame:
-        raise ValueError(f"frame {head.frame_id!r}, {frame!r} is needed")
 
 
 def _make() -> BridgeNode:
