@@ -186,3 +186,16 @@ def test_points_are_metric_whatever_the_binning_and_the_principal_points(binning
     middle = (np.column_stack([column, row]) + 0.5) * binning - 0.5
     back = stereo.left.rectify(stereo.left.project(points[row, column]))
     assert np.abs(back - middle).max() < 0.02
+
+
+def test_the_black_borders_of_turned_pictures_stay_unknown() -> None:
+    stereo = stereo_model()
+    turned = cv2.Rodrigues(np.array([0.05, 0.0, 0.0]))[0]  # both cameras nod: 85 rows come from outside
+    nodding = StereoModel(left=replace(stereo.left, r=turned), right=replace(stereo.right, r=turned))
+    dense = DenseStereo(nodding, DenseConfig(min_depth_m=0.5, max_depth_m=0.8, binning=2), CONFIG)
+    drawing = texture(10, (480, 1200))
+    pictures = [drawing[:, start : start + 800].clip(0, 255).astype(np.uint8) for start in (0, 330)]
+    black = dense.rectified(0, np.full((480, 800), 255, np.uint8)) < 255
+    assert 30 * 400 < black.sum() < 60 * 400
+    disparity = dense.disparity(*pictures)
+    assert np.isnan(disparity[black]).all() and np.isfinite(disparity[~black]).mean() > 0.3

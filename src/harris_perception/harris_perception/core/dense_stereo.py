@@ -253,6 +253,10 @@ class DenseStereo:
         down = (np.arange(height, dtype=np.float64) - centre[1]) * (stereo.focal_px / stereo.left.p[1, 1])
         self._across = across.astype(np.float32)[None, :]
         self._down = (down / self.focal_px).astype(np.float32)[:, None]
+        # Turning the pictures leaves black borders, in which the matcher would find disparities of its own making.
+        whole = np.full(stereo.left.size[::-1], 255, np.uint8)
+        near = np.ones((5, 5), np.uint8)
+        self._covered = [cv2.erode(self.rectified(side, whole), near) == 255 for side in (0, 1)]
 
     def rectified(self, side: int, raw: npt.NDArray[Any]) -> U8:
         """Rectify a raw picture, (H, W) or (H, W, 3) uint8, of the left (0) or right (1) camera and make it smaller.
@@ -273,8 +277,15 @@ class DenseStereo:
         return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
     def disparity(self, left_raw: U8, right_raw: U8) -> F32:
-        """Return (H, W) float32 disparities, NaN where unknown, of raw grey pictures; H and W after binning."""
+        """Return (H, W) float32 disparities of raw grey pictures, H and W after binning.
+
+        NaN where unknown, and where the rectified pictures show nothing.
+        """
         found = self._matcher(self.rectified(0, left_raw), self.rectified(1, right_raw))
+        rows, columns = np.nonzero(np.isfinite(found))
+        partners = np.round(columns - found[rows, columns]).astype(np.intp).clip(0, found.shape[1] - 1)
+        outside = ~(self._covered[0][rows, columns] & self._covered[1][rows, partners])
+        found[rows[outside], columns[outside]] = np.nan
         return found - np.float32(self._offset_px)
 
     def points(self, disparity: F32) -> F32:
