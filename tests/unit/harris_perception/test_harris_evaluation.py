@@ -13,7 +13,16 @@ import numpy as np
 import pytest
 
 from harris_perception.cli.harris import main
-from harris_perception.core.repeatability import Pair, mapped, our_detectors, peer_detectors, repeatability, warps
+from harris_perception.core.repeatability import (
+    Pair,
+    best_on_average,
+    mapped,
+    means,
+    our_detectors,
+    peer_detectors,
+    repeatability,
+    warps,
+)
 
 
 def pair(homography: np.ndarray, size: tuple[int, int] = (200, 300)) -> Pair:
@@ -147,6 +156,49 @@ def test_evaluate_reads_sequences_and_writes_tables_and_curves(
     assert {r["change"] for r in rows} == {"turned"} and {r["amount"] for r in rows} == {2.0, 3.0}
     assert len(rows) == len(names) * 2 * 6 == len(list(csv.DictReader((out / "repeatability.csv").open())))
     assert cv2.imread(str(out / "turned.png")) is not None
+
+
+def test_setting_is_chosen_on_one_half_and_reported_on_the_other(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = list(warps(photograph(), np.random.default_rng(0)))
+    for name, kept in (("a", made[0]), ("b", made[20])):
+        folder = tmp_path / "seq" / name
+        folder.mkdir(parents=True)
+        cv2.imwrite(str(folder / "img1.png"), kept.first)
+        cv2.imwrite(str(folder / "img2.png"), kept.second)
+        np.savetxt(folder / "H1to2p", kept.homography)
+    out = tmp_path / "out"
+    assert main(["evaluate", str(tmp_path / "seq"), "-o", str(out), "--count", "80"]) == 0
+    rows = json.loads((out / "repeatability.json").read_text())
+    assert {(r["change"], r["half"]) for r in rows} == {("a", "chosen on"), ("b", "reported")}
+    at = [r for r in rows if r["epsilon_px"] == 1.5]
+    best = max(
+        (r for r in at if r["change"] == "a" and r["detector"] in our_detectors()), key=lambda r: r["repeatability"]
+    )
+    printed = capsys.readouterr().out.splitlines()
+    chosen = [line for line in printed if line.startswith("* ")]
+    assert len(chosen) == 1 and chosen[0][2:].startswith(best["detector"])
+    mine, peer = (
+        max(r["repeatability"] for r in at if r["change"] == "b" and test(r["detector"]))
+        for test in (lambda n: n == best["detector"], lambda n: n in peer_detectors())
+    )
+    assert any(line.startswith("not first on b: ") for line in printed) == (peer > mine)
+
+
+def test_best_on_average_weighs_every_change_alike() -> None:
+    rows = [
+        {"change": change, "detector": name, "repeatability": rate}
+        for change, name, rates in (
+            ("x", "p", (0.9, 0.9, 0.9)),
+            ("x", "q", (0.8,) * 3),
+            ("y", "p", (0.1,)),
+            ("y", "q", (0.3,)),
+        )
+        for rate in rates
+    ]
+    assert means(rows, "repeatability")["x", "p"] == pytest.approx(0.9)
+    assert best_on_average(rows, ["p", "q"]) == "q"
 
 
 @pytest.mark.parametrize(

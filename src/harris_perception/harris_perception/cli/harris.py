@@ -25,7 +25,9 @@ from harris_perception.core.repeatability import (
     EPSILONS_PX,
     Detect,
     Pair,
+    best_on_average,
     mapped,
+    means,
     our_detectors,
     peer_detectors,
     repeatability,
@@ -125,48 +127,66 @@ def match_pictures(options: argparse.Namespace) -> int:
     return 0
 
 
-def _pairs(sources: Iterable[Path], seed: int) -> Iterator[Pair]:
-    """Yield pairs of sequences below folders, and of warps of single photographs."""
+def _pairs(sources: Iterable[Path], seed: int) -> Iterator[list[Pair]]:
+    """Yield the pairs of each sequence below the folders, and of the warps of each photograph."""
     for source in sources:
         if source.is_dir():
             known = list(sequences(source))
             for sequence in known:
-                yield from pairs_of_sequence(*sequence)
+                yield list(pairs_of_sequence(*sequence))
             photographs = [p for p in sorted(source.glob("*")) if p.suffix.lower() in SUFFIXES] if not known else []
             if not known and not photographs:
                 raise ValueError(f"{source} has neither sequences (img1, H1to2p) nor pictures")
         else:
             photographs = [source]
         for photograph in photographs:
-            yield from warps(read_gray(photograph), np.random.default_rng(seed))
+            yield list(warps(read_gray(photograph), np.random.default_rng(seed)))
 
 
 def evaluate(options: argparse.Namespace) -> int:
-    detectors: dict[str, Detect] = our_detectors() | peer_detectors()
+    ours, peers = our_detectors(), peer_detectors()
+    detectors: dict[str, Detect] = ours | peers
     options.output.mkdir(parents=True, exist_ok=True)
+    # The first, third, ... sequence or photograph is for choosing one of our settings, the others are reported.
+    groups = list(_pairs(options.sources, options.seed))
+    tasks = [("chosen on" if i % 2 == 0 else "reported", pair) for i, group in enumerate(groups) for pair in group]
     rows: list[dict[str, Any]] = []
-    for pair in _progress(list(_pairs(options.sources, options.seed)), "evaluate"):
+    for half, pair in _progress(tasks, "evaluate"):
         for name, find in detectors.items():
             rate = repeatability(pair, find(pair.first, options.count), find(pair.second, options.count))
             for epsilon, value, chance in zip(EPSILONS_PX, rate.rates, rate.chance):
                 rows.append(
-                    {"change": pair.change, "amount": pair.amount, "detector": name, "epsilon_px": epsilon}
-                    | {"repeatability": value, "chance": chance, "points": rate.count}
+                    {"half": half, "change": pair.change, "amount": pair.amount, "detector": name}
+                    | {"epsilon_px": epsilon, "repeatability": value, "chance": chance, "points": rate.count}
                 )
     _write_table(options.output / "repeatability.csv", rows)
     _write_table(options.output / "repeatability.json", rows)
     _plot(rows, list(detectors), options.output)
-    changes = list(dict.fromkeys(r["change"] for r in rows))
-    print(f"repeatability (chance) in %, epsilon {options.epsilon} px, strongest {options.count}")
-    print(f"{'':<24}" + "".join(f"{c:>16}" for c in changes))
-    for name in detectors:
-        cells = []
-        for change in changes:
-            mine = [r for r in rows if (r["detector"], r["change"], r["epsilon_px"]) == (name, change, options.epsilon)]
-            share, by_chance = (100 * float(np.mean([r[key] for r in mine])) for key in ("repeatability", "chance"))
-            cells.append(f"{share:9.1f} ({by_chance:4.1f})")
-        print(f"{name:<24}" + "".join(f"{c:>16}" for c in cells))
+    _report(rows, list(ours), list(peers), options)
     return 0
+
+
+def _report(rows: Sequence[dict[str, Any]], ours: list[str], peers: list[str], options: argparse.Namespace) -> None:
+    """Print the table of the reported half and where the setting chosen on the other half is not first."""
+    rows = [r for r in rows if r["epsilon_px"] == options.epsilon]
+    reported = [r for r in rows if r["half"] == "reported"] or rows
+    chosen = best_on_average([r for r in rows if r["half"] == "chosen on"], ours)
+    rates, chances = (means(reported, key) for key in ("repeatability", "chance"))
+    changes = list(dict.fromkeys(r["change"] for r in reported))
+    print(f"repeatability (chance) in %, epsilon {options.epsilon} px, strongest {options.count}")
+    if reported is rows:
+        print("one sequence or photograph only: chosen and reported on the same one")
+    else:
+        print("chosen (*) on the first, third, ... sequence or photograph, reported on the others")
+    print(f"{'':<26}" + "".join(f"{c:>16}" for c in changes))
+    for name in (*ours, *peers):
+        cells = [f"{100 * rates[c, name]:9.1f} ({100 * chances[c, name]:4.1f})" for c in changes]
+        print(f"{'* ' if name == chosen else '  '}{name:<24}" + "".join(f"{c:>16}" for c in cells))
+    for change in changes:
+        first = max(peers, key=lambda name: rates[change, name])
+        behind = 100 * (rates[change, first] - rates[change, chosen])
+        if behind > 0:
+            print(f"not first on {change}: {first} is {behind:.1f} points ahead of {chosen}")
 
 
 def _plot(rows: Sequence[dict[str, Any]], names: Sequence[str], folder: Path) -> None:

@@ -7,7 +7,7 @@ tells what chance alone gives.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -93,6 +93,21 @@ def _paired_distances(a: Points, b: Points, farthest: float) -> npt.NDArray[np.f
             free_a[i] = free_b[j] = False
             taken.append(values[k])
     return np.array(taken)
+
+
+def means(rows: Sequence[Mapping[str, Any]], key: str) -> dict[tuple[str, str], float]:
+    """Return the mean of a column of result rows for each change and detector."""
+    values: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        values.setdefault((row["change"], row["detector"]), []).append(row[key])
+    return {place: float(np.mean(each)) for place, each in values.items()}
+
+
+def best_on_average(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
+    """Return which detector has the highest rate on average, every kind of change counting alike."""
+    rates = means(rows, "repeatability")
+    changes = {change for change, _ in rates}
+    return max(names, key=lambda name: sum(rates[change, name] for change in changes))
 
 
 def warps(photograph: Gray, rng: np.random.Generator, *, noise: float = 2.0) -> Iterator[Pair]:
