@@ -12,6 +12,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),
+        ("share/" + NAME + "/launch", ["launch/perception.launch.py"]),
     ],
     install_requires=["setuptools"],
     zip_safe=True,

@@ -16,11 +16,12 @@ from scope_bench.core.graph_description import load_graph
 def start(context: LaunchContext) -> list:
     values = {
         name: LaunchConfiguration(name).perform(context)
-        for name in ("profile", "config", "state", "namespace", "scope")
+        for name in ("profile", "config", "state", "namespace", "scope", "package", "run")
     }
     state = Path(values["state"]).expanduser()
     state.mkdir(parents=True, exist_ok=True, mode=0o700)
-    run = Path(mkdtemp(prefix="icu_gantry_"))
+    run = Path(values["run"] or mkdtemp(prefix="icu_gantry_"))
+    run.mkdir(parents=True, exist_ok=True)
     programs, _ = load_graph(
         Path(values["config"]),
         values["profile"],
@@ -30,7 +31,7 @@ def start(context: LaunchContext) -> list:
         scope=values["scope"],
     )
     actions = []
-    for program in programs:
+    for program in (p for p in programs if values["package"] in ("", p.package)):
         if program.is_node:
             actions.append(
                 Node(
@@ -59,6 +60,10 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("state", default_value="~/.local/state/icu_gantry", description="kept files"),
             DeclareLaunchArgument("namespace", default_value="", description="the robot's namespace"),
             DeclareLaunchArgument("scope", default_value="", description="model in config/scopes"),
+            DeclareLaunchArgument("package", default_value="", description="only this package's part of the graph"),
+            DeclareLaunchArgument(
+                "run", default_value="", description="folder for sockets, shared by several launches"
+            ),
             OpaqueFunction(function=start),
         ]
     )

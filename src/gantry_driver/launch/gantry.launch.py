@@ -1,0 +1,15 @@
+"""Serial driver and gantry controller, and in the profile bench the mock board: this package's part of the graph.
+
+``ros2 launch gantry_driver gantry.launch.py profile:=hardware`` reads config/graph.yaml by scope_bench.
+"""
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+from launch import LaunchDescription
+
+
+def generate_launch_description() -> LaunchDescription:
+    graph = PythonLaunchDescriptionSource(get_package_share_directory("scope_bench") + "/launch/graph.launch.py")
+    return LaunchDescription([IncludeLaunchDescription(graph, launch_arguments=[("package", "gantry_driver")])])

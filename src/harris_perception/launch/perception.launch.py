@@ -1,0 +1,15 @@
+"""Camera, corners, stereo, stylus tracker, recognition and hand-eye: this package's part of the graph.
+
+``ros2 launch harris_perception perception.launch.py profile:=hardware`` reads config/graph.yaml by scope_bench.
+"""
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+from launch import LaunchDescription
+
+
+def generate_launch_description() -> LaunchDescription:
+    graph = PythonLaunchDescriptionSource(get_package_share_directory("scope_bench") + "/launch/graph.launch.py")
+    return LaunchDescription([IncludeLaunchDescription(graph, launch_arguments=[("package", "harris_perception")])])
