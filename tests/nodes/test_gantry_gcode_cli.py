@@ -43,7 +43,10 @@ class Terminal:
     def __init__(self, *arguments: str) -> None:
         self._master, slave = pty.openpty()
         command = [sys.executable, "-m", "gantry_driver.cli.gantry_gcode", *arguments]
+        # As a script's background job: it starts with SIGINT ignored.
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         self.process = subprocess.Popen(command, env=python_environment(), stdin=slave, stdout=slave, stderr=slave)
+        signal.signal(signal.SIGINT, before)
         os.close(slave)
         self.seen = ""
 

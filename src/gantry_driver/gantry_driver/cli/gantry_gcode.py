@@ -272,7 +272,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{given.file}: {len(lines)} lines, about {duration_text(sum(line.seconds for line in lines))}", flush=True)
     if given.check:
         return DONE
-    signal.signal(signal.SIGTERM, _interrupt)
+    # A shell that starts a program in the background lets it ignore SIGINT; one that moves a machine must not.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     return run_dry(str(given.file), source, lines, config) if given.dry_run else run_program(source, lines, config)
 
 
