@@ -10,6 +10,7 @@ the buffer; no unbounded wait. In virtual time one seed reproduces one run, to t
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -42,7 +43,7 @@ class Rig(Protocol):
     def run_for(self, seconds: float) -> None: ...
     def mpos(self) -> Point: ...
     def counter(self, name: str) -> int: ...
-    def lines(self, since: int) -> list[dict[str, Any]]: ...
+    def lines(self, since: int, kind: str = "line") -> list[dict[str, Any]]: ...
     @property
     def entry(self) -> int: ...
 
@@ -142,9 +143,15 @@ def judge(rig: Rig, fault: Fault, way: list[Point], since: int, *, reached: bool
     if fault.powerless:
         return
     sent = moves_of(way)
-    # A board that was reset while moving is locked (error:9) and refuses what was still on the wire.
-    heard = [entry["text"] for entry in rig.lines(since) if entry["answer"] != "error:9"]
-    taken = [text for text in heard if text.startswith(("G53G1X", "G53G1Y"))]
+    # A board that was reset while moving is locked (error:9) and refuses what was still on the wire. One that was reset
+    # at rest is not: of what reaches it then, neither a line nor the rest of one may be obeyed.
+    first_banner = min((entry["n"] for entry in rig.lines(since, "banner")), default=math.inf)
+    heard = [
+        entry["text"]
+        for entry in rig.lines(since)
+        if entry["answer"] == "ok" or (entry["answer"] != "error:9" and entry["n"] < first_banner)
+    ]
+    taken = [text for text in heard if "X" in text or "Y" in text]
     assert taken == sent[: len(taken)], f"lost, doubled or reordered: {taken}, {sent}"
     assert not reached or len(taken) == len(sent)
 
@@ -164,7 +171,7 @@ def moves_of(way: list[Point]) -> list[str]:
         length = sum((1000 * (a - b)) ** 2 for a, b in zip(point, here)) ** 0.5
         if words:
             word = f"F{format(length / seconds * 60, '.1f').rstrip('0').rstrip('.')}"
-            lines.append(f"G53G1{words}{word if word != feed else ''}")
+            lines.append(f"{word if word != feed else ''}{words}G53G1")
             feed = word
         here = point
     return lines

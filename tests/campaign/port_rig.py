@@ -57,8 +57,8 @@ class PortRig:
     def counter(self, name: str) -> int:
         return self._board.counters().get(name, 0)
 
-    def lines(self, since: int) -> list[dict[str, Any]]:
-        return self._board.lines(since)
+    def lines(self, since: int, kind: str = "line") -> list[dict[str, Any]]:
+        return [entry for entry in self._board.log(since) if entry["kind"] == kind]
 
     @property
     def entry(self) -> int:

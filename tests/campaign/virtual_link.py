@@ -100,8 +100,8 @@ class VirtualRig:
     def counter(self, name: str) -> int:
         return self.board.journal.counts[name]
 
-    def lines(self, since: int) -> list[dict[str, Any]]:
-        return self.board.journal.since(since, "line")
+    def lines(self, since: int, kind: str = "line") -> list[dict[str, Any]]:
+        return self.board.journal.since(since, kind)
 
     @property
     def entry(self) -> int:

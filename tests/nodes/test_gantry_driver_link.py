@@ -47,7 +47,7 @@ def test_a_path_is_executed_line_by_line_and_ends_where_it_should(start: Start) 
     assert rig.outcomes() == ["accepted", "reached"], rig.results
     assert rig.results[-1].error_m < 2e-5
     texts = [line["text"] for line in board.lines(before)]
-    assert texts == ["G21G90G94", "G53G1X-259Y-169F9000", "G53G1Z-11F1800", "G53G1Z-1", "G4P0"]
+    assert texts == ["G21G90G94", "F9000X-259Y-169G53G1", "F1800Z-11G53G1", "Z-1G53G1", "G4P0"]
     assert board.mpos() == pytest.approx((HOMED[0] + 100, HOMED[1] + 50, HOMED[2]), abs=0.02)
     assert rig.machine.counts.sent == rig.machine.counts.acknowledged == rig.machine.counts.executed
 
@@ -62,7 +62,7 @@ def test_a_long_path_fills_the_buffer_and_loses_no_byte(start: Start) -> None:
     assert rig.outcomes()[-1] == "reached"
     entries = board.log(before)
     moves = [e["text"] for e in entries if e["kind"] == "line" and "G53" in e["text"]]
-    assert len(moves) == 300 and moves[-1].startswith("G53G1X-209") and board.counters().get("bytes_lost", 0) == 0
+    assert len(moves) == 300 and moves[-1].startswith("X-209") and board.counters().get("bytes_lost", 0) == 0
     assert board.mpos()[:2] == pytest.approx((HOMED[0] + 150, HOMED[1] + 0.0), abs=0.02)
 
 

@@ -86,7 +86,8 @@ def test_a_program_is_run_and_every_line_is_executed(board: GrblBoard, program: 
     assert "program.nc: 7 lines, about " in output and "[########################] 100 %  7/7 lines" in output
     assert "reached in " in output
     moves = [line["text"] for line in board.lines() if "G53" in line["text"]]
-    assert moves == [line.replace(" ", "") for line in GOOD[2:]]
+    between = [f"X{-300 - 10 * k}Y-100G53G1" for k in range(1, 5)]
+    assert moves == ["F9000X-300Y-100G53G1", *between, "F17234X-359Y-219G53G1"]
     assert board.mpos() == pytest.approx((-359.0, -219.0, -1.0), abs=0.02)
 
 

@@ -163,7 +163,7 @@ class Board:
         text = bytes(self.rx[:end]).decode()
         if text.startswith("G4") and (self.blocks or self.state != "Idle"):
             return False
-        if text.startswith("G53") and len(self.blocks) >= 15:
+        if text.endswith("G53G1") and len(self.blocks) >= 15:
             return False
         del self.rx[: end + 1]
         self.received.append(text)
@@ -188,7 +188,7 @@ class Board:
         elif self.state == "Alarm" and text != "$X":
             self.say("error:9")
             return
-        elif text.startswith("G53G1"):
+        elif re.search("[XYZ]", text) and text.endswith("G53G1"):
             words = dict(re.findall(r"([XYZF])(-?[\d.]+)", text))
             target = list(self.blocks[-1][1] if self.blocks else self.mpos)
             for axis, letter in enumerate("XYZ"):

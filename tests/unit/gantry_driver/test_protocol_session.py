@@ -30,6 +30,7 @@ from gantry_driver.core.session import (
     Acknowledged,
     CountBroken,
     GrblSession,
+    Line,
     Refused,
     StrayAnswer,
     WasReset,
@@ -183,10 +184,47 @@ def test_eeprom_lines_go_alone_and_the_board_gets_fifty_milliseconds_after_them(
 
 @pytest.mark.parametrize("text", ["G1X10", "$J=G91X1F100", "G4P0", "G28", "G30", "G10.5"])
 def test_other_lines_are_not_taken_for_eeprom_lines(text: str) -> None:
+    assert not Line.of(1, text, 1.0).eeprom
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "F100",
+        "F100X5G53G1",
+        "G1X5F100",
+        "G1X5",
+        "X5",
+        "X5G0",
+        "X5G10",
+        "Z5G21",
+        "M3S800",
+        "M08",
+        "G28",
+        "G30",
+        "$H",
+        "$J=X1F9",
+    ],
+)
+def test_what_a_board_would_obey_after_a_reset_is_sent_alone(text: str) -> None:
     session = started()
+    for line in ("G4P0", text, "X2G1"):
+        session.queue(line)
+    assert session.output(0.0) == b"G4P0\n"
+    list(session.receive(b"ok\r\n", 0.1))
+    assert session.output(0.1) == text.encode() + b"\n"
+    assert session.output(0.2) == b""
+    list(session.receive(b"ok\r\n", 0.3))
+    assert session.output(0.3) == b"X2G1\n"
+
+
+@pytest.mark.parametrize("text", ["X5G53G1", "X5Y-2.5I1G02", "X0G92", "G4P0.25", "G21G90G94", "M5", "M9", "M30"])
+def test_what_a_board_would_refuse_or_do_nothing_for_after_a_reset_is_streamed(text: str) -> None:
+    session = started()
+    session.queue("X1G1")
     session.queue(text)
-    session.queue("G1X2")
-    assert session.output(0.0) == text.encode() + b"\nG1X2\n"
+    session.queue("X2G1")
+    assert session.output(0.0) == b"X1G1\n" + text.encode() + b"\nX2G1\n"
 
 
 @pytest.mark.parametrize("text", ["", "X" * 80, "G1X1\nG1X2", "G1?", "G1!", "G1~", "G1\x18", "G1\x85", "é"])
@@ -222,8 +260,8 @@ def test_no_line_and_no_answer_counts_between_a_reset_and_its_banner() -> None:
 
 def test_a_stray_ok_is_caught_by_the_boards_own_count() -> None:
     session = started()
-    session.queue("G1X1F100")
-    session.queue("G1X22F100")
+    session.queue("X1G1")
+    session.queue("X22G1")
     session.output(0.0)
     idle = b"<Idle|MPos:0,0,0|Bf:15,128|FS:0,0>\r\n"
     assert [type(m) for m in session.receive(idle, 0.01)] == [Report]
@@ -251,7 +289,7 @@ def test_work_positions_become_machine_positions_with_the_last_offset() -> None:
 
 def test_errors_belong_to_their_lines() -> None:
     session = started()
-    first, second = session.queue("G1X1F1"), session.queue("G77")
+    first, second = session.queue("X1G1"), session.queue("G77")
     session.output(0.0)
     assert list(session.receive(b"ok\r\nerror:20\r\n", 0.1)) == [
         Acknowledged(line=first),
@@ -262,7 +300,7 @@ def test_errors_belong_to_their_lines() -> None:
 def test_executed_follows_the_planner_and_never_overtakes() -> None:
     session = started()
     for k in range(5):
-        session.queue(f"G1X{k}F100")
+        session.queue(f"X{k}G1")
     session.output(0.0)
     list(session.receive(b"<Idle|MPos:0,0,0|Bf:15,128|FS:0,0>\r\n" + b"ok\r\n" * 5, 0.1))
     list(session.receive(b"<Run|MPos:0,0,0|Bf:12,128|FS:0,0>\r\n", 0.2))
@@ -274,7 +312,7 @@ def test_executed_follows_the_planner_and_never_overtakes() -> None:
 def test_nothing_is_due_while_lines_wait_for_room() -> None:
     session = GrblSession()
     for number in range(40):
-        session.queue(f"G1X{number}.123")
+        session.queue(f"X{number}.123G1")
     session.polling = True
     session.output(1.0)
     assert session.pending == 40 and session.in_flight_bytes > 90
@@ -293,7 +331,7 @@ def test_nothing_is_due_while_the_board_writes_its_memory() -> None:
 def test_room_for_two_lines_stays_until_the_wire_is_the_limit() -> None:
     session = GrblSession()
     for _ in range(60):
-        session.queue("G53G1X-100")
+        session.queue("X-100G53G1")
     sent = session.output(0.0).count(b"\n")
     assert (sent + 2) * 11 < 128 <= (sent + 3) * 11
     for _ in range(3):

@@ -3,6 +3,9 @@
 The rules are those of GRBL 1.1's parser (its error numbers are named), and one of this machine's: every target, also
 relative ones and those behind a work offset, lies inside the travel, and an arc as a whole. Words whose target cannot
 be known here (G28, G30, probing, offsets written to the board) are refused rather than trusted.
+
+What is sent is the same program in other words (docs/decisions/lines-after-a-reset.md): each move names its motion, at
+its end, and a feed only where it changes; a rapid move is a G1 at the highest feed, an inverse time the feed it means.
 """
 
 from __future__ import annotations
@@ -102,6 +105,7 @@ class _Modes:
     scale: float = 1.0
     system: str = "G54"
     feed: float = 0.0
+    sent_feed: float = 0.0
     shift: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
@@ -152,13 +156,27 @@ class ProgramChecker:
         words = self._words(raw)
         if not words:
             return None
-        text = "".join(f"{w.letter}{_plain(w.value)}" for w in words)
-        if len(text) + 1 > MAX_LINE_BYTES:
-            raise self._error(MAX_LINE_BYTES, f"{len(text) + 1} bytes with the newline, {MAX_LINE_BYTES} can be sent")
         commands = self._commands(words)
         values = self._values(words)
-        seconds = self._follow(commands, values, words)
-        return CheckedLine(number=self._number, text=text, seconds=seconds)
+        seconds, feed = self._follow(commands, values, words)
+        text = self._written(words, feed)
+        if len(text) + 1 > MAX_LINE_BYTES:
+            raise self._error(MAX_LINE_BYTES, f"{len(text) + 1} bytes with the newline, {MAX_LINE_BYTES} can be sent")
+        return CheckedLine(number=self._number, text=text, seconds=seconds) if text else None
+
+    def _written(self, words: list[_Word], feed: float) -> str:
+        """Return the line for the board; ``feed`` is in mm/min, 0 where nothing moves."""
+        modes = self._modes
+        kept = [w for w in words if w.letter != "F" and _GROUP_OF.get(w.name) not in ("motion", "feed mode")]
+        if not any(w.letter in "XYZ" for w in kept):
+            return "".join(f"{w.letter}{_plain(w.value)}" for w in kept)
+        # Values before commands: the rest of a line that a reset has cut is no move.
+        text = "".join(f"{w.letter}{_plain(w.value)}" for w in sorted(kept, key=lambda w: w.letter in "GM"))
+        if not feed:
+            return text
+        speed = "" if feed == modes.sent_feed else f"F{_plain(feed / modes.scale)}"
+        modes.sent_feed = feed
+        return f"{speed}{text}{'G1' if modes.motion == 'G0' else modes.motion}"
 
     def _error(self, column: int, reason: str) -> GcodeError:
         return GcodeError(self._number, column, reason)
@@ -240,7 +258,8 @@ class ProgramChecker:
 
     # --- meaning -------------------------------------------------------------------------------------------------
 
-    def _follow(self, commands: dict[str, str], values: dict[str, _Word], words: list[_Word]) -> float:
+    def _follow(self, commands: dict[str, str], values: dict[str, _Word], words: list[_Word]) -> tuple[float, float]:
+        """Return the seconds that the line takes and the feed of its move in mm/min, 0 without one."""
         modes = self._modes
         modes.scale = {"G20": 25.4, "G21": 1.0}.get(commands.get("units", ""), modes.scale)
         modes.plane = commands.get("plane", modes.plane)
@@ -252,26 +271,29 @@ class ProgramChecker:
         modes.system = system
         if "F" in values:
             modes.feed = values["F"].value * (modes.scale if modes.feed_mode == "G94" else 1.0)
+        if "program" in commands:
+            modes.motion, modes.plane, modes.distance, modes.system = "G1", "G17", "G90", "G54"
+            modes.feed_mode = "G94"
         special = commands.get("non-modal", "")
         axes = [values[letter] for letter in "XYZ" if letter in values]
         if special == "G4":
             if "P" not in values:
                 raise self._error(words[0].column, "G4 needs P (error:28)")
-            return values["P"].value
+            return values["P"].value, 0.0
         if special.startswith("G92"):
             self._shift(special, values, axes, words)
-            return 0.0
+            return 0.0, 0.0
         modes.motion = commands.get("motion", modes.motion)
         if special == "G53" and modes.motion not in ("G0", "G1"):
             raise self._error(words[0].column, "G53 needs G0 or G1 (error:30)")
         if modes.motion == "G80":
             if axes:
                 raise self._error(axes[0].column, "axis words without a motion (error:31)")
-            return 0.0
+            return 0.0, 0.0
         if not axes:
             if "motion" in commands and modes.motion in ("G2", "G3"):
                 raise self._error(words[0].column, "an arc needs an axis word of its plane (error:26)")
-            return 0.0
+            return 0.0, 0.0
         if modes.motion != "G0" and (modes.feed <= 0 or (modes.feed_mode == "G93" and "F" not in values)):
             raise self._error(axes[0].column, "no feed rate (error:22)")
         return self._move(special == "G53", values, axes)
@@ -288,7 +310,7 @@ class ProgramChecker:
                 value = values[letter].value * modes.scale
                 modes.shift[axis] = self._at[axis] - self._offsets[modes.system][axis] - value
 
-    def _move(self, machine: bool, values: dict[str, _Word], axes: list[_Word]) -> float:
+    def _move(self, machine: bool, values: dict[str, _Word], axes: list[_Word]) -> tuple[float, float]:
         modes, target = self._modes, list(self._at)
         for axis, letter in enumerate("XYZ"):
             if letter not in values:
@@ -306,9 +328,9 @@ class ProgramChecker:
             length, extremes = math.dist(self._at, target), [target]
         for point in extremes:
             self._inside(point, values, axes)
-        seconds = self._seconds(length, target)
+        seconds, feed = self._pace(length, target)
         self._at = target
-        return seconds
+        return seconds, feed
 
     def _inside(self, point: Sequence[float], values: dict[str, _Word], axes: list[_Word]) -> None:
         for axis, letter in enumerate("XYZ"):
@@ -319,11 +341,16 @@ class ProgramChecker:
                     column, f"{letter} = {point[axis]:.3f} mm (machine) is outside {low:g} to {high:g} mm (ALARM:2)"
                 )
 
-    def _seconds(self, length: float, target: Sequence[float]) -> float:
-        modes = self._modes
+    def _pace(self, length: float, target: Sequence[float]) -> tuple[float, float]:
+        """Return the seconds of a move and its feed in mm/min."""
+        modes, rapid = self._modes, self._bounds.rapid_mm_min
         if modes.motion == "G0":
-            return max(60.0 * abs(t - a) / r for t, a, r in zip(target, self._at, self._bounds.rapid_mm_min))
-        return 60.0 / modes.feed if modes.feed_mode == "G93" else 60.0 * length / modes.feed
+            # The board limits each axis to its rate, so that this feed is a rapid move in any direction.
+            return max(60.0 * abs(t - a) / r for t, a, r in zip(target, self._at, rapid)), math.ceil(math.hypot(*rapid))
+        if modes.feed_mode == "G93":
+            # Below 1 mm/min the planner takes minutes for a step.
+            return 60.0 / modes.feed, max(length * modes.feed, 1.0)
+        return 60.0 * length / modes.feed, modes.feed
 
     def _arc(self, target: list[float], values: dict[str, _Word], axes: list[_Word]) -> tuple[float, list[list[float]]]:
         """Return the arc's length and the points where it reaches furthest along its plane's axes."""

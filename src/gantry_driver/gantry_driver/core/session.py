@@ -47,6 +47,8 @@ line overflow it. Streaming is not slower for it."""
 RESET_RETRY_S = 1.0
 """A reset without a banner was swallowed (GRBL does that for about 500 ms after ALARM:1 and 2) and is sent again."""
 
+_ACTS = re.compile(r"[$F]|M0*[3478](?!\d)|G0*(?:28|30)(?!\d)|[XYZ](?!.*G0*(?:[123]|92)\Z)", re.IGNORECASE)
+"""What a board that has just been reset would obey: see docs/decisions/lines-after-a-reset.md."""
 _EEPROM = re.compile(r"\$(?!J=)[^=]*=|\$RST|G0*10(?!\d).*L0*20?(?!\d)|G0*28\.10*(?!\d)|G0*30\.10*(?!\d)", re.IGNORECASE)
 
 
@@ -59,7 +61,8 @@ class Line:
     eeprom
         Whether it blocks the board's reception while it is executed.
     alone
-        Whether nothing else may be under way with it: ``$`` commands and EEPROM writes.
+        Whether nothing else may be under way with it: ``$`` commands, EEPROM writes, and whatever a board that has been
+        reset meanwhile would still obey, be it to move, to lower a stylus, or to take a feed for the moves behind it.
     """
 
     number: int
@@ -72,7 +75,7 @@ class Line:
     def of(cls, number: int, text: str, answer_within_s: float) -> Line:
         """Return the line with what its text says about it; asked once, not at every turn of the link."""
         eeprom = _EEPROM.search(text) is not None
-        alone = eeprom or (text.startswith("$") and not text.startswith("$J="))
+        alone = eeprom or _ACTS.search(text) is not None
         return cls(number=number, text=text, answer_within_s=answer_within_s, eeprom=eeprom, alone=alone)
 
     @property

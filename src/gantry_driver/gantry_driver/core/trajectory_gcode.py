@@ -90,11 +90,10 @@ def write_motion(
         clock = point.time_s if point.time_s > 0 else clock + seconds
         new = _segment(here, target, seconds, config)
         total += seconds + (config.stylus.dwell_s if config.stylus.kind != "z_axis" and target[2] != here[2] else 0.0)
-        for line in new:
-            body, letter, value = line.partition("F")
-            # F stays in force; behind a USB adapter's latency the bytes that it takes are time.
-            lines.append(body if letter and value == feed else line)
-            feed = value or feed
+        for speed, line in new:
+            # F stays in force, and a line without it is refused by a board that was reset: lines-after-a-reset.md.
+            lines.append(speed + line if speed != feed else line)
+            feed = speed or feed
         here = target
     return Motion(lines=(*lines, SYNCHRONISE), end_m=here, seconds=total)
 
@@ -107,7 +106,7 @@ def lift_lines(config: DriverConfig) -> tuple[str, ...]:
     if stylus.kind == "solenoid_m8":
         return (MODES, "M9", f"G4P{_number(stylus.dwell_s)}", SYNCHRONISE)
     top = config.machine.homed_mpos_mm()[2]
-    return (MODES, f"G53G1Z{_number(top)}F{_number(config.stylus_feed_m_s * 60_000.0)}", SYNCHRONISE)
+    return (MODES, f"F{_number(config.stylus_feed_m_s * 60_000.0)}Z{_number(top)}G53G1", SYNCHRONISE)
 
 
 def mpos_mm(reading_m: tuple[float, float, float], config: DriverConfig) -> tuple[float, float, float]:
@@ -184,7 +183,8 @@ def _seconds(
 
 def _segment(
     here: tuple[float, float, float], target: tuple[float, float, float], seconds: float, config: DriverConfig
-) -> list[str]:
+) -> list[tuple[str, str]]:
+    """Return lines, each with the F word that it needs; the words stand so that no rest of a line is a move."""
     start, end = mpos_mm(here, config), mpos_mm(target, config)
     axes = 3 if config.stylus.kind == "z_axis" else 2
     words = "".join(f"{'XYZ'[a]}{_number(end[a])}" for a in range(axes) if _number(end[a]) != _number(start[a]))
@@ -192,7 +192,8 @@ def _segment(
     if words:
         distance = math.hypot(*(end[a] - start[a] for a in range(axes)))
         # Below 1 mm/min GRBL's planner takes minutes for a step; such a segment is rounding.
-        move = [f"G53G1{words}F{_number(max(distance / seconds * 60.0, 1.0) if seconds else config.feed_m_s * 6e4, 1)}"]
+        feed = max(distance / seconds * 60.0, 1.0) if seconds else config.feed_m_s * 6e4
+        move = [(f"F{_number(feed, 1)}", f"{words}G53G1")]
     if config.stylus.kind == "z_axis" or target[2] == here[2]:
         return move
     # Without a Z axis the stylus is up during every move that it starts or ends in the air.
@@ -200,13 +201,13 @@ def _segment(
     return [*move, *_stylus(down, config)] if down else [*_stylus(down, config), *move]
 
 
-def _stylus(down: bool, config: DriverConfig) -> list[str]:
+def _stylus(down: bool, config: DriverConfig) -> list[tuple[str, str]]:
     stylus = config.stylus
     if stylus.kind == "servo_m3":
         word = f"M3S{_number(stylus.servo_down if down else stylus.servo_up)}"
     else:
         word = "M8" if down else "M9"
-    return [word, f"G4P{_number(stylus.dwell_s)}"]
+    return [("", word), ("", f"G4P{_number(stylus.dwell_s)}")]
 
 
 def _number(value: float, digits: int = 3) -> str:
