@@ -15,6 +15,8 @@ from typing import Any
 import pytest
 from builtin_interfaces.msg import Duration as DurationMessage
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from nodes.grbl_board import GrblBoard, python_environment
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
@@ -311,3 +313,57 @@ def test_sigterm_holds_lifts_and_ends(ros: Any, tmp_path: Path) -> None:
         driver.kill()
         driver.wait(5.0)
         board.close()
+
+
+def test_lifecycle_from_unconfigured_to_active_and_back(operator: Callable[..., Operator]) -> None:
+    """The services that ``ros2 lifecycle`` calls; topics and services of the driver are there in every state."""
+    op = operator(autostart=False, enabled_at_start=True)
+
+    def change(label: str) -> bool:
+        request = ChangeState.Request(transition=Transition(label=label))
+        client = op.node.create_client(ChangeState, "serial_driver/change_state")
+        op.until(client.service_is_ready)
+        future = client.call_async(request)
+        op.until(future.done)
+        return bool(future.result().success)
+
+    def lifecycle() -> str:
+        return str(op.call("serial_driver/get_state", GetState).current_state.label)
+
+    op.state("disconnected: not opened yet")
+    assert (
+        lifecycle() == "unconfigured"
+        and op.call("home").message == "refused: the driver is disconnected: not opened yet"
+    )
+    op.go((0.1, 0.1, 0.0))
+    op.until(lambda: op.results)
+    assert op.results[-1].reason == "the driver is disconnected: not opened yet"
+    assert op.board.log()[-1]["kind"] != "opened" and not change("activate"), "the port is not touched"
+
+    assert change("configure") and lifecycle() == "inactive"
+    op.state("unhomed")
+    op.until(lambda: op.heartbeat.get_subscription_count() == 1)
+    op.until(lambda: op.call("home").message == "refused: the driver is inactive")
+
+    assert change("activate") and lifecycle() == "active"
+    op.ready().go((0.1, 0.0, 0.0), (0.1, 0.0, 0.02), (0.3, 0.0, 0.02))
+    op.until(lambda: op.board.mpos()[0] > HOMED[0] + 150)
+    assert change("deactivate") and lifecycle() == "inactive"
+    op.state("stopped: deactivated")
+    op.until(lambda: op.call("reset").success)
+    op.state("disabled: inactive")
+    where = op.board.mpos()
+    assert where[0] < HOMED[0] + 290 and where[2] == pytest.approx(HOMED[2], abs=0.02), "held, and the stylus lifted"
+    op.go((0.0, 0.0, 0.0))
+    op.until(lambda: op.results[-1].outcome.value == "rejected")
+    assert change("activate")
+    op.state("idle")
+
+    assert change("deactivate") and change("cleanup") and lifecycle() == "unconfigured"
+    op.state("disconnected: not opened yet")
+    assert not op.board.ask("state")["open"], "another program can have the port"
+    assert change("configure") and change("activate")
+    op.state("unhomed")
+    assert change("shutdown") and lifecycle() == "finalized"
+    op.state("disconnected")
+    assert op.call("home").success is False

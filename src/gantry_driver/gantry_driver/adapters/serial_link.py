@@ -77,9 +77,14 @@ class SerialLink:
         return self._wake_write
 
     def call(self, action: Callable[[Machine, float], T]) -> T:
-        """Run ``action(machine, now)`` under the lock and let the thread send what follows from it."""
+        """Run ``action(machine, now)`` under the lock and let the thread send what follows from it.
+
+        Before :meth:`start` there is no port, and what follows is said at once.
+        """
         with self._changed:
             result = action(self._machine, time.monotonic())
+        if self._thread.ident is None:
+            self._publish()
         self._wake()
         return result
 
@@ -113,7 +118,8 @@ class SerialLink:
         if self._thread.ident is not None:
             self._thread.join(2.0)
         self._close_port()
-        os.close(self._wake_write)
+        wake_write, self._wake_write = self._wake_write, -1
+        os.close(wake_write)
         os.close(self._wake_read)
 
     def _wake(self, code: bytes = b"\0") -> None:

@@ -164,8 +164,9 @@ class Machine:
     refusal, at once; what follows is seen in :meth:`take_events`.
     """
 
-    def __init__(self, config: DriverConfig) -> None:
+    def __init__(self, config: DriverConfig, *, active: bool = True) -> None:
         self.config = config
+        self.active = active
         self.counts = Counts()
         self.session = GrblSession(self.counts)
         self.phase = Phase.CLOSED
@@ -200,13 +201,14 @@ class Machine:
 
     @property
     def state(self) -> str:
-        """The published state without its reason; a machine that could move if it were enabled is ``disabled``."""
-        return "disabled" if self.phase is Phase.IDLE and not self.enabled else self.phase.state
+        """The published state without its reason; one that could move if it were enabled and active is ``disabled``."""
+        return "disabled" if self.phase is Phase.IDLE and not (self.enabled and self.active) else self.phase.state
 
     @property
     def state_text(self) -> str:
         """The published state: ``state`` or ``state: reason``."""
-        return f"{self.state}: {self.reason}" if self.reason else self.state
+        reason = "inactive" if self.phase is Phase.IDLE and not self.active else self.reason
+        return f"{self.state}: {reason}" if reason else self.state
 
     @property
     def at_rest(self) -> bool:
@@ -254,6 +256,7 @@ class Machine:
             "firmware": self.firmware,
             "homed": self.homed,
             "enabled": self.enabled,
+            "active": self.active,
         }
         return [(name, str(value)) for name, value in values.items()]
 
@@ -335,12 +338,24 @@ class Machine:
 
     def enable(self, on: bool, now: float) -> str:
         """Allow or forbid motion; forbidding it while moving or with the stylus extended is a stop."""
-        if not on and (self.phase in (Phase.MOVING, Phase.HOMING) or self._rests_extended()):
-            self.stop("disabled", now)
+        if not on:
+            self._stop_what_moves("disabled", now)
         before = self.state_text
         self.enabled = on
         self._say_if_changed(before)
         return ""
+
+    def activate(self, on: bool, now: float) -> None:
+        """Let the machine move, or end what moves and only watch the board: the lifecycle of its node."""
+        if not on:
+            self._stop_what_moves("deactivated", now)
+        before = self.state_text
+        self.active = on
+        self._say_if_changed(before)
+
+    def _stop_what_moves(self, reason: str, now: float) -> None:
+        if self.phase in (Phase.MOVING, Phase.HOMING) or self._rests_extended():
+            self.stop(reason, now)
 
     def accept_settings(self, now: float) -> str:
         """Accept that the board's settings differ from the configuration; holds for these differences only."""
@@ -497,6 +512,8 @@ class Machine:
         return self._permission(now)
 
     def _permission(self, now: float) -> str:
+        if not self.active:
+            return "the driver is inactive"
         return "not enabled" if not self.enabled else self._heartbeat_refusal(now)
 
     def _heartbeat_refusal(self, now: float) -> str:

@@ -108,6 +108,11 @@ class DriverConfig(Config):
 
     port: str = setting("/dev/ttyUSB0", "Device of the controller board", read_only=True)
     baud: int = setting(115200, "Line rate", minimum=9600, maximum=4_000_000, unit="bit/s", read_only=True)
+    autostart: bool = setting(
+        True,
+        "Configure and activate at start; without it the node waits for its lifecycle's transitions",
+        read_only=True,
+    )
     enabled_at_start: bool = setting(False, "Motion is allowed without a call of enable", read_only=True)
     heartbeat_timeout_s: float = setting(
         0.6, "Motion stops when the operator's heartbeat is older", minimum=0.1, maximum=5.0, unit="s"

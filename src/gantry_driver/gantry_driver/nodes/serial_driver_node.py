@@ -2,6 +2,9 @@
 
 Callbacks convert and call; the link's thread does the protocol and publishes what comes of it, so a busy executor
 delays neither a status report nor the hold after a lost heartbeat.
+
+A lifecycle node: configured, it has the port and watches the board; active, it moves what it is asked to. With the
+parameter ``autostart`` it takes both steps by itself. Its topics and services are there in every state and say why not.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ import threading
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Header, String
 from std_srvs.srv import SetBool, Trigger
@@ -41,7 +44,7 @@ LEVELS = {
 }
 
 
-class SerialDriverNode(Node):
+class SerialDriverNode(LifecycleNode):
     """Drives one gantry; see docs/architecture.md for topics, services and states."""
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -52,7 +55,9 @@ class SerialDriverNode(Node):
         self._state = self.create_publisher(String, "driver_state", LATCHED)
         self._results = self.create_publisher(DiagnosticArray, "trajectory_result", RESULTS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RESULTS)
-        self._link = SerialLink(Machine(config), config.port, config.baud, self._on_events)
+        self._old_wakeup_fd: int | None = None
+        self._configured = False
+        self._link = self._make_link()
         self.create_subscription(JointTrajectory, "trajectory", self._on_trajectory, COMMAND)
         self.create_subscription(Empty, "stop_request", lambda _: self._link.stop("stop requested"), RESULTS)
         self.create_subscription(Header, "heartbeat", self._on_heartbeat, SENSOR)
@@ -63,16 +68,53 @@ class SerialDriverNode(Node):
         self.create_service(SetBool, "enable", self._on_enable)
         self.create_timer(1.0, self._publish_diagnostics)
         self.create_timer(LINK_CHECK_S, self._check_link)
-        self._old_wakeup_fd: int | None = None
-        if threading.current_thread() is threading.main_thread():
-            self._old_wakeup_fd = signal.set_wakeup_fd(self._link.wakeup_fd, warn_on_full_buffer=False)
-        self._link.start()
+        if config.autostart:
+            self.trigger_configure()
+            self.trigger_activate()
 
     def close(self) -> None:
         """Hold, lift the stylus, say so, and close the port."""
         if self._old_wakeup_fd is not None:
             signal.set_wakeup_fd(self._old_wakeup_fd)
+            self._old_wakeup_fd = None
+        self._configured = False
         self._link.close("the driver is ending")
+
+    # --- lifecycle -------------------------------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open the port, or keep trying to, and watch the board."""
+        if threading.current_thread() is threading.main_thread():
+            self._old_wakeup_fd = signal.set_wakeup_fd(self._link.wakeup_fd, warn_on_full_buffer=False)
+        self._link.start()
+        self._configured = True
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let the machine move."""
+        self._link.call(lambda machine, now: machine.activate(True, now))
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop what moves; go on watching the board."""
+        self._link.call(lambda machine, now: machine.activate(False, now))
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Bring the machine to rest and give the port back."""
+        self.close()
+        self._link = self._make_link()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Do as for cleanup; there is no way back from here."""
+        return self.on_cleanup(state)
+
+    def _make_link(self) -> SerialLink:
+        config = self._live.config
+        link = SerialLink(Machine(config, active=False), config.port, config.baud, self._on_events)
+        link.call(lambda machine, now: None)  # says that there is no port
+        return link
 
     # --- from the graph ------------------------------------------------------------------------------------------
 
@@ -134,7 +176,7 @@ class SerialDriverNode(Node):
         self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
 
     def _check_link(self) -> None:
-        if not self._link.alive:
+        if self._configured and not self._link.alive:
             self._state.publish(String(data=f"disconnected: {LINK_ENDED}"))
             raise RuntimeError(f"{LINK_ENDED}; the driver ends too, so that bring-up starts it anew")
 
