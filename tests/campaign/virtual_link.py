@@ -11,8 +11,9 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from gantry_driver.core.machine import Answered, CloseRequested, Machine, Note, StateChanged
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine_states import Answered, CloseRequested, Note, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
 from gantry_driver.mock.machine import Machine as MockMachine
 from gantry_driver.mock.settings import make_eeprom

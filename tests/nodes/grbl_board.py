@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from gantry_driver.adapters.serial_link import SerialLink
-from gantry_driver.core.machine import Answered, CloseRequested, Event, Machine, Note, Position, StateChanged
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
 from icu_common.core.frames import JOINTS
 from icu_common.core.results import GoalResult

@@ -10,8 +10,9 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from gantry_driver.core.machine import Answered, Event, Machine, Position, StateChanged
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine_states import Answered, Event, Position, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
 from icu_common.core.results import GoalResult
 

@@ -19,7 +19,8 @@ from typing import TypeVar
 
 import serial
 
-from gantry_driver.core.machine import CloseRequested, Event, Machine
+from gantry_driver.core.machine import Machine
+from gantry_driver.core.machine_states import CloseRequested, Event
 from gantry_driver.core.session import HOLD
 
 T = TypeVar("T")

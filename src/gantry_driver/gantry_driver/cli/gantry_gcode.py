@@ -28,8 +28,9 @@ from gantry_driver.adapters.check_mode import CheckFailed, dry_run
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.core.gcode_check import CheckedLine, GcodeError, ProgramChecker
 from gantry_driver.core.grbl_messages import error_text
-from gantry_driver.core.machine import Answered, Event, Machine, Note, StateChanged
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine_states import Answered, Event, Note, StateChanged
 from gantry_driver.core.progress import duration_text, progress_text
 from icu_common.core.config import ConfigError, from_mapping
 from icu_common.core.results import GoalResult, Outcome

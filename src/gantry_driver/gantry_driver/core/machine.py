@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import Enum
 
 from gantry_driver.core.gcode_check import Bounds, GcodeError, ProgramChecker
 from gantry_driver.core.grbl_messages import (
@@ -24,6 +23,17 @@ from gantry_driver.core.grbl_messages import (
     error_text,
 )
 from gantry_driver.core.machine_config import DriverConfig, close_enough
+from gantry_driver.core.machine_states import (
+    OPEN_ENDS,
+    TRANSITIONS,
+    Answered,
+    CloseRequested,
+    Event,
+    Note,
+    Phase,
+    Position,
+    StateChanged,
+)
 from gantry_driver.core.session import (
     HOLD,
     RESUME,
@@ -57,94 +67,6 @@ PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """What a program may rely on at its first line."""
 
 Reading = tuple[float, float, float]
-
-
-class Phase(Enum):
-    """Where the driver is; the value is the published state, but see :attr:`Machine.state`."""
-
-    CLOSED = ("disconnected", 0)
-    SYNCHRONISE = ("connecting", 1)
-    IDENTIFY = ("connecting", 2)
-    SETTINGS = ("connecting", 3)
-    MISMATCH = ("mismatch", 0)
-    UNHOMED = ("unhomed", 0)
-    HOMING = ("homing", 0)
-    IDLE = ("idle", 0)
-    MOVING = ("moving", 0)
-    HOLDING = ("stopped", 1)
-    RESETTING = ("stopped", 2)
-    LIFTING = ("stopped", 3)
-    STOPPED = ("stopped", 4)
-    ALARM = ("alarm", 0)
-    ALARM_RESET = ("alarm", 1)
-
-    @property
-    def state(self) -> str:
-        return self.value[0]
-
-
-_P = Phase
-_OPEN_ENDS = frozenset({_P.CLOSED, _P.SYNCHRONISE, _P.IDENTIFY, _P.ALARM})
-"""Always possible: the port goes, the board resets by itself, an alarm."""
-TRANSITIONS: dict[Phase, frozenset[Phase]] = {
-    _P.CLOSED: frozenset({_P.SYNCHRONISE}),
-    _P.SYNCHRONISE: frozenset(),
-    _P.IDENTIFY: frozenset({_P.SETTINGS, _P.MISMATCH}),
-    _P.SETTINGS: frozenset({_P.MISMATCH, _P.UNHOMED, _P.STOPPED}),
-    _P.MISMATCH: frozenset({_P.UNHOMED, _P.HOMING, _P.HOLDING}),
-    _P.UNHOMED: frozenset({_P.HOMING, _P.HOLDING}),
-    _P.HOMING: frozenset({_P.IDLE, _P.UNHOMED, _P.MISMATCH, _P.RESETTING}),
-    _P.IDLE: frozenset({_P.MOVING, _P.HOMING, _P.HOLDING}),
-    _P.MOVING: frozenset({_P.IDLE, _P.HOLDING}),
-    _P.HOLDING: frozenset({_P.RESETTING}),
-    _P.RESETTING: frozenset({_P.LIFTING, _P.STOPPED}),
-    _P.LIFTING: frozenset({_P.STOPPED, _P.HOLDING}),
-    _P.STOPPED: frozenset({_P.IDLE, _P.UNHOMED, _P.MISMATCH, _P.HOLDING}),
-    _P.ALARM: frozenset({_P.ALARM_RESET}),
-    _P.ALARM_RESET: frozenset({_P.UNHOMED, _P.MISMATCH}),
-}
-"""All transitions; what is not here and not in the open ends is a bug and raises."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
-    """Base of what the machine tells the node."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StateChanged(Event):
-    """``state`` or ``state: reason``."""
-
-    text: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Position(Event):
-    """Readings in metres, at the time the report was received."""
-
-    reading_m: tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answered(Event):
-    """A goal's answer."""
-
-    result: GoalResult
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Note(Event):
-    """Something for the log; ``level`` is info, warn or error."""
-
-    level: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CloseRequested(Event):
-    """The port must be closed, after the last output has been written, and opened anew."""
-
-    reason: str
 
 
 @dataclass(slots=True, kw_only=True)
@@ -530,7 +452,7 @@ class Machine:
     # --- transitions ---------------------------------------------------------------------------------------------
 
     def _enter(self, phase: Phase, now: float, reason: str = "") -> None:
-        if phase is not self.phase and phase not in TRANSITIONS[self.phase] and phase not in _OPEN_ENDS:
+        if phase is not self.phase and phase not in TRANSITIONS[self.phase] and phase not in OPEN_ENDS:
             raise AssertionError(f"{self.phase.name} to {phase.name} is not in the table")
         before = self.state_text
         self.phase, self.reason, self._since = phase, reason, now
@@ -941,6 +863,3 @@ def _three(values: Sequence[float]) -> Reading:
 
 def _metres(reading: tuple[float, float, float]) -> str:
     return "(" + ", ".join(f"{v:.4f}" for v in reading) + ") m"
-
-
-__all__ = ["Answered", "CloseRequested", "Event", "Machine", "Note", "Phase", "Position", "StateChanged", "mpos_mm"]

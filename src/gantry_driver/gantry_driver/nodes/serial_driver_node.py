@@ -21,8 +21,9 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from gantry_driver.adapters.serial_link import SerialLink
-from gantry_driver.core.machine import Answered, Event, Machine, Note, Position, StateChanged
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine_states import Answered, Event, Note, Position, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
 from icu_common.core.frames import JOINTS
 from icu_common.nodes.conversions import (
