@@ -37,6 +37,7 @@ class Rig(Protocol):
 
     def home(self) -> None: ...
     def go(self, points: Sequence[Point], goal_id: str) -> GoalResult: ...
+    def call(self, action: Callable[[Machine, float], str]) -> str: ...
     def stop(self, reason: str) -> None: ...
     def fault(self, kind: str, **arguments: Any) -> None: ...
     def until(self, condition: Callable[[], Any], within_s: float) -> None: ...
@@ -63,6 +64,22 @@ class Fault:
     """The board loses its power, and with it the lines that it has not executed."""
 
 
+def write_settings(rig: Rig, rng: random.Random) -> None:
+    """Write a setting to a board that is deaf for long while it stores it; then home anew."""
+    rig.fault("eeprom_pause", seconds=rng.uniform(0.02, 1.2), tail_s=rng.uniform(0.0, 0.045))
+    refusal = rig.call(lambda machine, now: machine.write_settings(now, {12: rng.choice([0.001, 0.003])}))
+    assert not refusal, refusal
+    rig.home()
+    assert rig.machine.settings[12] in ("0.001", "0.003"), rig.machine.settings
+
+
+def vanish_while_writing(rig: Rig, rng: random.Random) -> None:
+    """The port takes no bytes for a while, and then it is gone with those that wait in it."""
+    rig.fault("stop_reading", seconds=1.0)
+    rig.run_for(rng.uniform(0.0, 0.9))
+    rig.fault("unplug", seconds=rng.uniform(0.05, 5.0))
+
+
 FAULTS = (
     Fault(name="none", do=lambda rig, rng: None, must_reach=True),
     Fault(name="unplug", do=lambda r, g: r.fault("unplug", seconds=g.uniform(0.05, 5.0)), powerless=True),
@@ -79,6 +96,8 @@ FAULTS = (
     ),
     Fault(name="split", do=lambda r, g: r.fault("answers", how="split", count=5), before=True, must_reach=True),
     Fault(name="merged", do=lambda r, g: r.fault("answers", how="merged", count=3), before=True, must_reach=True),
+    Fault(name="EEPROM pause", do=lambda r, g: write_settings(r, g), before=True, must_reach=True),
+    Fault(name="vanishes", do=lambda r, g: vanish_while_writing(r, g), powerless=True),
     Fault(name="alarm", do=lambda r, g: r.fault("alarm", number=g.choice([1, 2]))),
     Fault(name="hang", do=lambda r, g: r.fault("hang", seconds=g.uniform(0.2, 20.0))),
     Fault(name="full", do=lambda r, g: r.fault("stop_reading", seconds=g.uniform(0.1, 12.0))),
@@ -124,6 +143,7 @@ def run_seed(seed: int, rig: Rig) -> str:
     assert reached or not fault.must_reach, answer
     judge(rig, fault, way, since, reached=reached)
     assert rig.counter("bytes_lost_overflow") == 0, "more bytes than the buffer holds"
+    assert rig.counter("bytes_lost_eeprom") == 0, "bytes to a board that stores a setting"
     assert [r.goal_id for r in rig.results] == [str(seed)] * 2, "one acceptance and one final answer"
     return f"{fault.name}: {answer.outcome.value}"
 

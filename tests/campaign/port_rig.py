@@ -9,6 +9,7 @@ from typing import Any
 
 from nodes.grbl_board import GrblBoard, LinkRig
 
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from icu_common.core.results import GoalResult
 
@@ -36,6 +37,9 @@ class PortRig:
 
     def go(self, points: Sequence[tuple[float, float, float]], goal_id: str) -> GoalResult:
         return self._rig.go(*points, goal_id=goal_id)
+
+    def call(self, action: Callable[[Machine, float], str]) -> str:
+        return self._rig.link.call(action)
 
     def stop(self, reason: str) -> None:
         self._rig.link.stop(reason)

@@ -14,7 +14,7 @@ from campaign.faults import CONFIG, FAULTS, fault_of, run_seed
 from campaign.port_rig import PortRig
 from campaign.virtual_link import VirtualRig
 
-LINK_FAULTS = ("unplug", "brown-out", "soft reset", "full", "operator stop")
+LINK_FAULTS = ("unplug", "brown-out", "soft reset", "full", "vanishes", "EEPROM pause", "operator stop")
 """Those that go through the port's own code, worth their real time."""
 
 

@@ -15,7 +15,7 @@ from gantry_driver.core.machine import Machine
 from icu_common.core.results import Outcome
 
 SHORT = 6 * len(FAULTS)
-LINK_FAULTS = ("unplug", "full", "operator stop")
+LINK_FAULTS = ("unplug", "full", "vanishes", "operator stop")
 
 
 @pytest.mark.parametrize("seed", range(SHORT))

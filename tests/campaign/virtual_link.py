@@ -62,6 +62,9 @@ class VirtualRig:
         else:
             self._reading = False
 
+    def call(self, action: Callable[[Machine, float], str]) -> str:
+        return action(self.machine, self.now)
+
     def stop(self, reason: str) -> None:
         """Write a hold past all queues, as the link does from the caller's thread."""
         if self._open:

@@ -72,10 +72,14 @@ class Terminal:
             os.close(self._master)
 
 
-def run(*arguments: str) -> tuple[int, str]:
-    command = [sys.executable, "-m", "gantry_driver.cli.gantry_gcode", "run", *arguments]
+def run(*arguments: str, what: str = "run") -> tuple[int, str]:
     done = subprocess.run(
-        command, env=python_environment(), text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=60.0
+        [sys.executable, "-m", "gantry_driver.cli.gantry_gcode", what, *arguments],
+        env=python_environment(),
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        timeout=60.0,
     )
     return done.returncode, done.stdout
 
@@ -151,3 +155,20 @@ def test_space_pauses_and_resumes_and_ctrl_c_ends_safely(board: GrblBoard, progr
     x, _, z = board.mpos()
     assert -359.0 < x < -199.9 and z == pytest.approx(-1.0, abs=0.02), "held on the way, and the stylus is up"
     assert not [entry for entry in board.log() if entry["kind"] == "alarm"], "the position is kept"
+
+
+def test_settings_are_kept_in_a_file_compared_and_written_back(board: GrblBoard, tmp_path: Path) -> None:
+    port, kept, wrong = str(board.port), tmp_path / "kept.txt", tmp_path / "wrong.txt"
+    code, output = run("--port", port, "--save", str(kept), what="settings")
+    assert code == 0 and "settings" in output and "$110=12000.000\n" in kept.read_text()
+    wrong.write_text("; slow\n$110=500\n$12=0.003 (arcs)\n")
+    assert run("--port", port, "--write-file", str(wrong), what="settings")[0] == 0
+    code, output = run("--port", port, what="settings")
+    assert code == 1 and output.splitlines()[-1] == "$110 is 500.000, the configuration says 12000"
+    code, output = run("--port", port, "--write", what="settings")
+    assert code == 0 and output.splitlines()[-1] == "all 17 settings are as they should be"
+    written = [e["text"] for e in board.lines() if "=" in e["text"]]
+    assert written == ["$12=0.003", "$110=500", "$110=12000"] and board.counters().get("bytes_lost_eeprom", 0) == 0
+    wrong.write_text("$110=fast\n")
+    code, output = run("--port", port, "--write-file", str(wrong), what="settings")
+    assert code == 2 and "line 1: '$110=fast' is not $number=value" in output

@@ -65,6 +65,7 @@ class Board:
         self.feed = 1000.0
         self.refuse: dict[str, int] = {}
         self.drop_answers = 0
+        self.stubborn: set[int] = set()
         self.hold_s = 0.05
         self._hold_done = math.inf
 
@@ -186,6 +187,9 @@ class Board:
         elif text == "$$":
             for number, value in self.settings.items():
                 self.say(f"${number}={value}")
+        elif match := re.fullmatch(r"\$(\d+)=(.+)", text):
+            if int(match[1]) not in self.stubborn:
+                self.settings[int(match[1])] = f"{float(match[2]):.3f}"
         elif self.state == "Alarm" and text != "$X":
             self.say("error:9")
             return

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
 from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
 
 from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
+from gantry_driver.core.machine_states import Note
 from icu_common.core.config import settings_of
 
 
@@ -562,3 +564,58 @@ def test_a_stop_and_a_lost_operator_end_a_pause() -> None:
         rig.until(lambda rig=rig: rig.machine.phase.name == "STOPPED")
         assert rig.outcomes() == ["accepted", "aborted"] and rig.board.mpos[2] == pytest.approx(HOMED[2])
         assert rig.machine.homed
+
+
+def test_settings_are_written_alone_and_read_back() -> None:
+    board = Board()
+    board.settings |= {20: "0", 22: "0", 110: "500.000"}
+    rig = Rig(board=board).connect()
+    assert rig.state == "mismatch"
+    began = rig.now
+    assert rig.machine.write_settings(rig.now) == ""
+    rig.until(lambda: rig.state == "unhomed")
+    assert "connecting: writing $22, $20, $110" in rig.states
+    assert [t for t in board.received if "=" in t] == ["$22=1", "$20=1", "$110=12000"], "homing before soft limits"
+    sent = [(t, data) for t, data in rig.trace if b"=" in data or b"$$" in data]
+    times = [t for t, data in sent if t > began]
+    assert all(b - a >= 0.05 for a, b in itertools.pairwise(times)) and len(times) == 4
+    assert all(data.count(b"\n") == 1 for _, data in sent), "nothing else under way with one"
+    assert rig.machine.write_settings(rig.now) == "nothing to write: it has these settings"
+
+
+def test_a_setting_that_the_board_does_not_keep_is_named() -> None:
+    board = Board()
+    board.settings |= {110: "500.000", 111: "500.000"}
+    board.stubborn, board.refuse = {110}, {"$111=12000": 3}
+    rig = Rig(board=board).connect()
+    assert rig.machine.write_settings(rig.now) == ""
+    rig.until(lambda: rig.state == "mismatch")
+    assert rig.states[-1] == (
+        "mismatch: $110 is 500.000, the configuration says 12000; $111 is 500.000, the configuration says 12000"
+    )
+    notes = [event.text for event in rig.events if isinstance(event, Note)]
+    assert "the board did not keep a setting: $110 is 500.000, what was written says 12000" in notes
+    assert any("error:3" in text and "$111=12000" in text for text in notes)
+
+
+def test_settings_are_not_written_while_something_moves_and_unhome_the_machine() -> None:
+    rig = Rig().homed()
+    rig.go((0.1, 0.1, 0.0))
+    assert "at rest with the stylus up, the driver is moving" in rig.machine.write_settings(rig.now, {12: 0.01})
+    rig.until(lambda: "reached" in rig.outcomes())
+    rig.go((0.1, 0.1, 0.01))
+    rig.until(lambda: rig.outcomes().count("reached") == 2)
+    assert "at rest with the stylus up" in rig.machine.write_settings(rig.now, {12: 0.01})
+    rig.go((0.1, 0.1, 0.0))
+    rig.until(lambda: rig.outcomes().count("reached") == 3)
+    assert rig.machine.write_settings(rig.now, {12: 0.01}) == ""
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.board.settings[12] == "0.010" and not rig.machine.homed
+
+
+def test_a_stop_while_settings_are_written_is_a_stop() -> None:
+    rig = Rig().homed()
+    assert rig.machine.write_settings(rig.now, {12: 0.01, 11: 0.02}) == ""
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.state == "stopped", 20.0)
+    assert rig.states[-1] == "stopped: stop requested"

@@ -1,5 +1,8 @@
 """Run a G-code program directly on the board's port, without ROS: checked first, paused and resumed by keys.
 
+``gantry_gcode settings --port /dev/ttyUSB0`` compares the board's settings with the configured machine, keeps them in a
+file, or writes those of the configuration or of a file to the board and reads them back; nothing moves.
+
 ``gantry_gcode run FILE --port /dev/ttyUSB0`` checks the whole file against the machine, says how long it takes, opens
 the port for itself alone (a driver that has it makes that fail), homes, and streams. Space pauses (the stylus stays
 where it is) and resumes; Ctrl-C holds, lifts the stylus, keeps the position, and ends. ``--dry-run`` lets the board's
@@ -32,6 +35,7 @@ from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, StateChanged
 from gantry_driver.core.progress import duration_text, progress_text
+from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile
 from icu_common.core.config import ConfigError, from_mapping
 from icu_common.core.results import GoalResult, Outcome
 
@@ -127,7 +131,7 @@ class Runner:
         ------
         Failed, KeyboardInterrupt
         """
-        self._turn_until(lambda: self._machine.state not in ("connecting", "disconnected"), key)
+        self._connect(key)
         self._need("unhomed")
         if refusal := self._link.call(lambda machine, now: machine.home(now)):
             raise Failed(f"homing was refused: {refusal}")
@@ -146,6 +150,30 @@ class Runner:
         self._turn_until(over, key)
         assert self._result is not None
         return self._result
+
+    def settings(self) -> dict[int, str]:
+        """Connect and return the board's settings.
+
+        Raises
+        ------
+        Failed, KeyboardInterrupt
+        """
+        self._connect(lambda: "")
+        return self._machine.settings
+
+    def write(self, profile: Mapping[int, float]) -> list[str]:
+        """Write what differs from a profile and read it back; return what the board did not keep.
+
+        Raises
+        ------
+        Failed, KeyboardInterrupt
+        """
+        if refusal := self._link.call(lambda machine, now: machine.write_settings(now, profile)):
+            raise Failed(refusal)
+        return differences(self.settings(), profile, "what was written")
+
+    def _connect(self, key: Callable[[], str]) -> None:
+        self._turn_until(lambda: self._machine.state not in ("connecting", "disconnected"), key)
 
     def close(self) -> None:
         """Hold if anything moves, lift the stylus, and close the port."""
@@ -218,6 +246,33 @@ def run_program(source: Sequence[str], lines: Sequence[CheckedLine], config: Dri
     return DONE if result.outcome is Outcome.REACHED else FAILED
 
 
+def run_settings(config: DriverConfig, *, save: Path | None, profile: Mapping[int, float] | None) -> int:
+    """Compare, keep or write the board's settings; ``profile`` is what to write."""
+    runner = Runner(config, Display())
+    try:
+        found = runner.settings()
+        if not found:
+            raise Failed("the board has no settings")
+        if save is not None:
+            text = "".join(f"${number}={value}\n" for number, value in sorted(found.items()))
+            save.write_text(f"; settings of the board at {config.port}\n{text}", encoding="ascii")
+            print(f"{save}: {len(found)} settings")
+            return DONE
+        wanted = config.machine.expected_settings() if profile is None else profile
+        wrong = differences(found, wanted)
+        if profile is not None and wrong:
+            wrong = runner.write(profile)
+    except (Failed, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt:
+        return FAILED
+    finally:
+        runner.close()
+    print("\n".join(wrong) or f"all {len(wanted)} settings are as they should be")
+    return FAILED if wrong else DONE
+
+
 def run_dry(name: str, source: Sequence[str], lines: Sequence[CheckedLine], config: DriverConfig) -> int:
     display, refused = Display(), 0
     seconds = [0.0] * len(lines)
@@ -239,13 +294,20 @@ def run_dry(name: str, source: Sequence[str], lines: Sequence[CheckedLine], conf
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(prog="gantry_gcode", description=__doc__)
-    run = parser.add_subparsers(required=True, metavar="run").add_parser("run", help="check and run a program")
+    board = argparse.ArgumentParser(add_help=False)
+    board.add_argument("--port", help="device of the board (from --params, else /dev/ttyUSB0)")
+    board.add_argument("--params", type=Path, metavar="YAML", help="ROS parameter file of the serial driver")
+    commands = parser.add_subparsers(required=True, metavar="run | settings", dest="command")
+    run = commands.add_parser("run", parents=[board], help="check and run a program")
     run.add_argument("file", type=Path, metavar="FILE")
-    run.add_argument("--port", help="device of the board (from --params, else /dev/ttyUSB0)")
-    run.add_argument("--params", type=Path, metavar="YAML", help="ROS parameter file of the serial driver")
     only = run.add_mutually_exclusive_group()
     only.add_argument("--check", action="store_true", help="check the file only; the port is not opened")
     only.add_argument("--dry-run", action="store_true", help="let the board check it in $C mode; nothing moves")
+    settings = commands.add_parser("settings", parents=[board], help="compare, keep or write the board's settings")
+    what = settings.add_mutually_exclusive_group()
+    what.add_argument("--save", type=Path, metavar="FILE", help="keep the board's settings in a file")
+    what.add_argument("--write", action="store_true", help="write the configured machine's, and read them back")
+    what.add_argument("--write-file", type=Path, metavar="FILE", help="write those of a file, and read them back")
     return parser
 
 
@@ -258,10 +320,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = make_parser().parse_args(arguments)
     try:
         config = read_config(given.params, given.port)
-        source = given.file.read_text(encoding="ascii", errors="replace").splitlines()
-    except (ConfigError, OSError) as error:
+        name = given.file if given.command == "run" else given.write_file
+        source = name.read_text(encoding="ascii", errors="replace").splitlines() if name else []
+        profile = parse_profile(source) if given.command == "settings" and name else None
+    except (ConfigError, OSError, ProfileError) as error:
         print(f"error: {error}", file=sys.stderr)
         return USAGE
+    # A shell that starts a program in the background lets it ignore SIGINT; one that moves a machine must not.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+    if given.command == "settings":
+        if given.write:
+            profile = config.machine.expected_settings()
+        return run_settings(config, save=given.save, profile=profile)
     try:
         lines = check(source, config)
     except GcodeError as error:
@@ -273,9 +344,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{given.file}: {len(lines)} lines, about {duration_text(sum(line.seconds for line in lines))}", flush=True)
     if given.check:
         return DONE
-    # A shell that starts a program in the background lets it ignore SIGINT; one that moves a machine must not.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
     return run_dry(str(given.file), source, lines, config) if given.dry_run else run_program(source, lines, config)
 
 

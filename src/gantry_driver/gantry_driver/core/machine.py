@@ -7,7 +7,7 @@ why, a goal gets exactly one final answer, and nothing that was buffered runs af
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from gantry_driver.core.gcode_check import Bounds, GcodeError, ProgramChecker
@@ -22,7 +22,7 @@ from gantry_driver.core.grbl_messages import (
     alarm_text,
     error_text,
 )
-from gantry_driver.core.machine_config import DriverConfig, close_enough
+from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import (
     OPEN_ENDS,
     TRANSITIONS,
@@ -44,6 +44,7 @@ from gantry_driver.core.session import (
     Refused,
     WasReset,
 )
+from gantry_driver.core.settings_profile import differences, lines_to_write
 from gantry_driver.core.trajectory_gcode import (
     SYNCHRONISE,
     TrajectoryError,
@@ -100,6 +101,7 @@ class Machine:
         self.connects = 0
         self.reading_m: tuple[float, float, float] | None = None
         self._settings: dict[int, str] = {}
+        self._profile: dict[int, float] = {}
         self._latched = ""
         self._mismatch = ""
         self._misplaced = False
@@ -209,7 +211,7 @@ class Machine:
         """Let time-outs happen."""
         age = now - self._since
         phase = self.phase
-        if phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS):
+        if phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
             if age > self.config.connect_timeout_s:
                 self._close(f"no answer in {self.config.connect_timeout_s:g} s while {self._waiting_for()}", now)
                 return
@@ -287,6 +289,29 @@ class Machine:
         self._enter(Phase.UNHOMED, now)
         return ""
 
+    @property
+    def settings(self) -> dict[int, str]:
+        """The board's settings as it printed them."""
+        return dict(self._settings)
+
+    def write_settings(self, now: float, profile: Mapping[int, float] | None = None) -> str:
+        """Write the configured machine's settings to the board, or those of a profile, and read all of them back.
+
+        Only those that differ are written. The machine is unhomed after it: steps or travel may be others.
+        """
+        if self.phase not in (Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE) or self._rests_extended():
+            return f"settings are written to a board at rest with the stylus up, the driver is {self.state_text}"
+        wanted = dict(profile if profile is not None else self.config.machine.expected_settings())
+        lines = lines_to_write(self._settings, wanted) if self._settings else []
+        if not lines:
+            return "nothing to write: " + ("it has these settings" if self._settings else "the board has no settings")
+        self._forget_position()
+        self._profile = wanted
+        self._enter(Phase.WRITING, now, f"writing {', '.join(text.partition('=')[0] for text in lines)}")
+        for text in lines:
+            self._marker = self.session.queue(text).number
+        return ""
+
     def home(self, now: float) -> str:
         """Begin a homing cycle."""
         if self.phase not in (Phase.UNHOMED, Phase.IDLE) and not self._misplaced:
@@ -316,7 +341,7 @@ class Machine:
         if self.phase in (Phase.ALARM, Phase.ALARM_RESET) or self.dialect is Dialect.MARLIN:
             return
         self._latched = self._latched or reason
-        if self.phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS):
+        if self.phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
             self._synchronise(now, "")
             if not hold_written:
                 self.session.realtime(HOLD)
@@ -563,6 +588,7 @@ class Machine:
             Phase.SYNCHRONISE: "waiting for a banner",
             Phase.IDENTIFY: "asking for the build",
             Phase.SETTINGS: "reading the settings",
+            Phase.WRITING: "writing the settings",
         }.get(self.phase, self.phase.state)
 
     # --- what the board says -------------------------------------------------------------------------------------
@@ -637,13 +663,19 @@ class Machine:
         if number != self._marker:
             return
         if self.phase is Phase.IDENTIFY:
-            self._enter(Phase.SETTINGS, now, self.reason)
-            self._marker = self.session.queue("$$").number
+            self._read_settings(now, self.reason)
+        elif self.phase is Phase.WRITING:
+            self._read_settings(now, "")
         elif self.phase is Phase.SETTINGS:
             self._check_settings(now)
         elif self.phase in (Phase.HOMING, Phase.LIFTING):
             self._marker_done = True
             self.session.poll_now()
+
+    def _read_settings(self, now: float, reason: str) -> None:
+        self._settings = {}
+        self._enter(Phase.SETTINGS, now, reason)
+        self._marker = self.session.queue("$$").number
 
     def _on_refused(self, event: Refused, now: float) -> None:
         text = f"{error_text(event.code)} at line {event.line.number} {event.line.text!r}"
@@ -654,6 +686,8 @@ class Machine:
             self._halt(f"homing refused: {text}", now)
         elif self.phase is Phase.LIFTING:
             self._enter(Phase.STOPPED, now, f"{self.reason}; the stylus was not lifted: {text}")
+        elif self.phase is Phase.WRITING and event.line.number == self._marker:
+            self._read_settings(now, "")
         elif self.phase in (Phase.IDENTIFY, Phase.SETTINGS) and event.line.number == self._marker:
             self._close(f"{event.line.text} was refused: {text}", now)
 
@@ -680,20 +714,16 @@ class Machine:
 
     def _on_count_broken(self, event: CountBroken, now: float) -> None:
         self._events.append(Note(level="error", text=event.reason))
-        if self.phase in (Phase.IDENTIFY, Phase.SETTINGS, Phase.MISMATCH, Phase.UNHOMED):
+        if self.phase in (Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING, Phase.MISMATCH, Phase.UNHOMED):
             self._synchronise(now, event.reason)
         elif self.phase in (Phase.MOVING, Phase.IDLE, Phase.HOMING, Phase.LIFTING):
             self._halt(event.reason, now)
 
     def _check_settings(self, now: float) -> None:
-        differences = []
-        for number, value in self.config.machine.expected_settings().items():
-            text = self._settings.get(number)
-            if text is None:
-                differences.append(f"${number} is missing, the configuration says {value:g}")
-            elif not _equal(text, value):
-                differences.append(f"${number} is {text}, the configuration says {value:g}")
-        self._mismatch = "; ".join(differences)
+        self._mismatch = "; ".join(differences(self._settings, self.config.machine.expected_settings()))
+        profile, self._profile = self._profile, {}
+        for text in differences(self._settings, profile, "what was written"):
+            self._events.append(Note(level="error", text=f"the board did not keep a setting: {text}"))
         if self._latched:
             # Neither a lost link nor a reset of the board lifts a stop.
             self._enter(Phase.STOPPED, now, self._latched)
@@ -847,13 +877,6 @@ class Machine:
     def _report_alarm_reset(self, report: Report, now: float) -> None:
         if self._marker == -1 and not self.session.awaiting_banner:
             self._enter(self._resting_phase(), now, self._mismatch if self._blocked() else "")
-
-
-def _equal(text: str, value: float) -> bool:
-    try:
-        return close_enough(float(text), value)
-    except ValueError:
-        return False
 
 
 def _three(values: Sequence[float]) -> Reading:

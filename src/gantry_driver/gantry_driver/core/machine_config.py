@@ -6,7 +6,6 @@ the configuration is what the board prints.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from icu_common.core.config import Config, ConfigError, nested, setting
@@ -163,8 +162,3 @@ class DriverConfig(Config):
         """Return the largest readings of x, y and stylus in metres."""
         x, y, _ = self.machine.reading_limits_m()
         return x, y, self.stylus_limit_m()
-
-
-def close_enough(actual: float, expected: float) -> bool:
-    """Return whether a setting equals the configured value; boards print three decimals."""
-    return math.isclose(actual, expected, rel_tol=1e-5, abs_tol=6e-4)

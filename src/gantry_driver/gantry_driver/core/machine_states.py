@@ -15,6 +15,7 @@ class Phase(Enum):
     SYNCHRONISE = ("connecting", 1)
     IDENTIFY = ("connecting", 2)
     SETTINGS = ("connecting", 3)
+    WRITING = ("connecting", 4)
     MISMATCH = ("mismatch", 0)
     UNHOMED = ("unhomed", 0)
     HOMING = ("homing", 0)
@@ -40,10 +41,11 @@ TRANSITIONS: dict[Phase, frozenset[Phase]] = {
     _P.SYNCHRONISE: frozenset(),
     _P.IDENTIFY: frozenset({_P.SETTINGS, _P.MISMATCH}),
     _P.SETTINGS: frozenset({_P.MISMATCH, _P.UNHOMED, _P.STOPPED}),
-    _P.MISMATCH: frozenset({_P.UNHOMED, _P.HOMING, _P.HOLDING}),
-    _P.UNHOMED: frozenset({_P.HOMING, _P.HOLDING}),
+    _P.WRITING: frozenset({_P.SETTINGS}),
+    _P.MISMATCH: frozenset({_P.UNHOMED, _P.HOMING, _P.HOLDING, _P.WRITING}),
+    _P.UNHOMED: frozenset({_P.HOMING, _P.HOLDING, _P.WRITING}),
     _P.HOMING: frozenset({_P.IDLE, _P.UNHOMED, _P.MISMATCH, _P.RESETTING}),
-    _P.IDLE: frozenset({_P.MOVING, _P.HOMING, _P.HOLDING}),
+    _P.IDLE: frozenset({_P.MOVING, _P.HOMING, _P.HOLDING, _P.WRITING}),
     _P.MOVING: frozenset({_P.IDLE, _P.HOLDING}),
     _P.HOLDING: frozenset({_P.RESETTING}),
     _P.RESETTING: frozenset({_P.LIFTING, _P.STOPPED}),

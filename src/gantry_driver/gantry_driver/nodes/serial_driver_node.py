@@ -66,6 +66,7 @@ class SerialDriverNode(LifecycleNode):
         self.create_service(Trigger, "stop", self._on_stop)
         self.create_service(Trigger, "reset", self._on_reset)
         self.create_service(Trigger, "accept_settings", self._on_accept)
+        self.create_service(Trigger, "write_settings", self._on_write)
         self.create_service(SetBool, "enable", self._on_enable)
         self.create_timer(1.0, self._publish_diagnostics)
         self.create_timer(LINK_CHECK_S, self._check_link)
@@ -144,6 +145,10 @@ class SerialDriverNode(LifecycleNode):
 
     def _on_accept(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return _fill(response, self._link.call(lambda machine, now: machine.accept_settings(now)), "accepted")
+
+    def _on_write(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        refusal = self._link.call(lambda machine, now: machine.write_settings(now))
+        return _fill(response, refusal, "accepted: writing the configured settings; they are read back")
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         text = "enabled" if request.data else "disabled"

@@ -1,0 +1,76 @@
+"""A board's ``$`` settings against those that it should have: what differs, what puts it right, profiles as text."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+
+_LINE = re.compile(r"\$(\d{1,3})\s*=\s*([-+]?\d+\.?\d*)\s*(?:[;(].*)?\Z")
+_NEEDED_FIRST = 22
+"""Homing: a board refuses soft limits ($20) without it."""
+
+
+class ProfileError(ValueError):
+    """A profile's text cannot be read; the message names the line."""
+
+
+def differences(found: Mapping[int, str], wanted: Mapping[int, float], who: str = "the configuration") -> list[str]:
+    """Return a sentence for each setting of ``wanted`` that a board's ``found`` texts do not have."""
+    texts = []
+    for number, value in wanted.items():
+        text = found.get(number)
+        if text is None:
+            texts.append(f"${number} is missing, {who} says {value:g}")
+        elif not _equal(text, value):
+            texts.append(f"${number} is {text}, {who} says {value:g}")
+    return texts
+
+
+def lines_to_write(found: Mapping[int, str], wanted: Mapping[int, float]) -> list[str]:
+    """Return the ``$n=value`` lines for what differs, in an order that the board takes."""
+    numbers = [n for n, value in wanted.items() if n not in found or not _equal(found[n], value)]
+    return [f"${n}={_plain(wanted[n])}" for n in sorted(numbers, key=lambda n: (n != _NEEDED_FIRST, n))]
+
+
+def parse_profile(lines: Iterable[str]) -> dict[int, float]:
+    """Return the settings of a profile: ``$n=value`` lines as a board prints them, ``;`` and ``()`` comments.
+
+    Raises
+    ------
+    ProfileError
+        For a line that is none, a number that comes twice, and a profile without settings.
+
+    Examples
+    --------
+    >>> parse_profile(["; my stage", "$110=12000.000 (x max rate)"])
+    {110: 12000.0}
+    """
+    profile: dict[int, float] = {}
+    for place, raw in enumerate(lines, 1):
+        text = raw.strip()
+        if not text or text[0] in ";(":
+            continue
+        match = _LINE.match(text)
+        if match is None:
+            raise ProfileError(f"line {place}: {text!r} is not $number=value")
+        number = int(match[1])
+        if number in profile:
+            raise ProfileError(f"line {place}: ${number} is given twice")
+        profile[number] = float(match[2])
+    if not profile:
+        raise ProfileError("the profile has no setting")
+    return profile
+
+
+def _equal(text: str, value: float) -> bool:
+    try:
+        return math.isclose(float(text), value, rel_tol=1e-5, abs_tol=6e-4)  # boards print three decimals
+    except ValueError:
+        return False
+
+
+def _plain(value: float) -> str:
+    if not math.isfinite(value):
+        raise ProfileError(f"{value} cannot be written")
+    return f"{value:.3f}".rstrip("0").rstrip(".")
