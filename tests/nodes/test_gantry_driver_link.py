@@ -85,6 +85,25 @@ def test_stop_in_mid_path_keeps_the_position_and_lifts_the_stylus(start: Start) 
     assert board.mpos()[:2] == pytest.approx((HOMED[0] + 300, HOMED[1] + 100), abs=0.02)
 
 
+def test_a_hold_that_shows_before_its_stop_has_the_lock_is_that_stop(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, rig = start()
+    rig.home()
+    rig.go((0.35, 0.0, 0.0))
+    rig.until(lambda: bool(rig.positions) and rig.positions[-1][0] > 0.05)
+    call = rig.link.call
+
+    def late(action: Callable[..., None]) -> None:
+        rig.until(lambda: rig.state.startswith("stopped"))
+        call(action)
+
+    monkeypatch.setattr(rig.link, "call", late)
+    rig.link.stop("asked for")
+    assert rig.machine.reason == "asked for"
+    assert rig.results[-1].reason == "asked for"
+
+
 def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:
     board, rig = start(time_scale=2.0)
     rig.home()

@@ -61,6 +61,7 @@ class SerialLink:
         self._poller.register(self._wake_read, select.POLLIN)
         self._writing = False
         self._thread = threading.Thread(target=self._run, name="serial-link", daemon=True)
+        self._stop_asked = ""
         self.stop_writes: int = 0
 
     def start(self) -> None:
@@ -95,8 +96,9 @@ class SerialLink:
         Only a retreat of the stylus that is under way is not held but finishes.
         """
         # Read without the lock, which may be busy: where the two cross, the machine holds, resets and lifts once more.
+        self._stop_asked = reason
         written = not self._machine.retreating and self._write_hold()
-        self.call(lambda machine, now: machine.stop(reason, now, hold_written=written))
+        self.call(lambda machine, now: self._take_stop(machine, now, hold_written=written))
 
     def wait_for(self, condition: Callable[[Machine], bool], within_s: float) -> bool:
         """Wait until ``condition(machine)`` holds; return whether it did in time."""
@@ -127,6 +129,11 @@ class SerialLink:
         # A full pipe has a wake-up in it already.
         with contextlib.suppress(BlockingIOError, OSError):
             os.write(self._wake_write, code)
+
+    def _take_stop(self, machine: Machine, now: float, *, hold_written: bool) -> None:
+        reason, self._stop_asked = self._stop_asked, ""
+        if reason:
+            machine.stop(reason, now, hold_written=hold_written)
 
     def _write_hold(self) -> bool:
         fd = self._fd
@@ -201,6 +208,8 @@ class SerialLink:
         with self._changed:
             now = time.monotonic()
             if data:
+                # The board may show the hold before who asked for it had the lock; it is no hold of the board's own.
+                self._take_stop(self._machine, now, hold_written=False)
                 self._machine.receive(data, now)
             self._machine.tick(now)
             self._pending += self._machine.output(now)
