@@ -63,10 +63,10 @@ if [ $jazzy = no ]; then
 else
   "$python" -c 'import cv2, numpy, serial, yaml, aiohttp' 2>/dev/null \
     || fail "libraries are missing; install them with: rosdep install --from-paths src --ignore-src -y --skip-keys python3-numba"
-  # Ubuntu 24.04 has no package of numba.
-  "$venv/bin/python" -c 'import numba' 2>/dev/null \
-    || { echo "[2/4] numba"; "$venv/bin/pip" install --quiet numba "numpy==$("$python" -c 'import numpy; print(numpy.__version__)')"; } \
-    || fail "pip could not install numba into .venv; see the lines above"
+  # Ubuntu 24.04 has no package of numba and rosbags.
+  "$venv/bin/python" -c 'import numba, rosbags' 2>/dev/null \
+    || { echo "[2/4] numba, rosbags"; "$venv/bin/pip" install --quiet numba "$(grep rosbags requirements-python.txt)" "numpy==$("$python" -c 'import numpy; print(numpy.__version__)')"; } \
+    || fail "pip could not install numba and rosbags into .venv; see the lines above"
 fi
 if [ "$want" = dev ]; then install requirements-dev.txt "tools for tests and checks"; fi
 

@@ -25,6 +25,9 @@ setup(
         "console_scripts": [
             "bench = scope_bench.nodes.bench_node:main",
             "bench_render = scope_bench.cli.render:main",
+            "bag_record = scope_bench.cli.bag_record:main",
+            "bag_play = scope_bench.cli.bag_play:main",
+            "bag_info = scope_bench.cli.bag_info:main",
             "bring_up = scope_bench.cli.bring_up:main",
         ],
     },

@@ -11,7 +11,7 @@ import ctypes
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
 from types import FrameType
 from typing import Protocol
@@ -47,36 +47,63 @@ def prepare_transport() -> None:
         libc.mallopt(_M_TRIM_THRESHOLD, (1 << 31) - 1)
 
 
+class Session:
+    """rclpy between its start and its end: an executor, and whether SIGINT or SIGTERM has come."""
+
+    def __init__(self) -> None:
+        self.executor = EventsExecutor()
+        self.stopping = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._stop)
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self.stopping = True
+
+    @property
+    def goes_on(self) -> bool:
+        """False once the process is to end."""
+        return rclpy.ok() and not self.stopping
+
+    def spin(self, timeout_s: float = 0.1) -> None:
+        """Serve what is due; EventsExecutor.spin() does not see signals, short turns do."""
+        self.executor.spin_once(timeout_sec=timeout_s)
+
+    def end(self, node: Node) -> None:
+        """Close a node, if it can be closed, and destroy it."""
+        if hasattr(node, "close"):
+            node.close()
+        node.destroy_node()
+
+
+@contextlib.contextmanager
+def ros_session(arguments: Sequence[str] | None = None) -> Iterator[Session]:
+    """Start rclpy with the graph's transport, and shut it down at the end."""
+    prepare_transport()
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield Session()
+    finally:
+        rclpy.shutdown()
+
+
 def run(make_node: Callable[[], Node], arguments: Sequence[str] | None = None) -> int:
     """Start rclpy, make the node, spin until SIGINT or SIGTERM, close it, and return the exit code.
 
     The node's ``close`` (if it has one) runs while topics still work, so that a last state can be published.
     """
-    prepare_transport()
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    stopping = False
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal stopping
-        stopping = True
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-    node: Node | None = None
-    try:
-        node = make_node()
-        executor = EventsExecutor()
-        executor.add_node(node)
-        # EventsExecutor.spin() does not see signals; short turns do.
-        while rclpy.ok() and not stopping:
-            executor.spin_once(timeout_sec=0.1)
-        return 0
-    except ConfigError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    finally:
-        if node is not None:
-            if hasattr(node, "close"):
-                node.close()
-            node.destroy_node()
-        rclpy.shutdown()
+    with ros_session(arguments) as session:
+        try:
+            node = make_node()
+        except ConfigError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 2
+        try:
+            session.executor.add_node(node)
+            while session.goes_on:
+                session.spin()
+        except ConfigError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 2
+        finally:
+            session.end(node)
+    return 0

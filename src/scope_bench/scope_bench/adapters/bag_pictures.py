@@ -1,0 +1,78 @@
+"""Pictures of a recording as JPEG or PNG, as image_transport has them: CompressedImage on topic/compressed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+SUFFIX = "/compressed"
+_CHANNELS = {"bgr8": 3, "rgb8": 3, "mono8": 1}
+
+
+class PictureCodec:
+    """Packs and unpacks pictures as CDR bytes.
+
+    Parameters
+    ----------
+    form
+        ``jpeg`` or ``png``.
+    quality
+        Of JPEG, 1 to 100.
+    """
+
+    def __init__(self, form: str = "jpeg", quality: int = 85) -> None:
+        if form not in ("jpeg", "png"):
+            raise ValueError(f"form {form!r} is none of jpeg, png")
+        if not 1 <= quality <= 100:
+            raise ValueError(f"quality = {quality}: 1 to 100 is possible")
+        self._types, self._form = get_typestore(Stores.ROS2_JAZZY), form
+        self._options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1] if form == "jpeg" else []
+
+    def pack(self, data: bytes) -> bytes:
+        """Return the CompressedImage of an Image, with its header.
+
+        Raises
+        ------
+        ValueError
+            For encodings other than bgr8, rgb8 and mono8.
+        """
+        image: Any = self._types.deserialize_cdr(data, IMAGE)
+        if image.encoding not in _CHANNELS:
+            raise ValueError(f"pictures in {image.encoding!r} cannot be compressed, only {', '.join(_CHANNELS)}")
+        rows = np.asarray(image.data, np.uint8).reshape(image.height, image.step)
+        pixels = rows[:, : image.width * _CHANNELS[image.encoding]].reshape(image.height, image.width, -1)
+        if image.encoding == "rgb8":
+            pixels = pixels[:, :, ::-1]
+        done, packed = cv2.imencode("." + self._form, np.ascontiguousarray(pixels), self._options)
+        assert done
+        name = f"{image.encoding}; {self._form} compressed {'bgr8' if image.encoding != 'mono8' else ''}".rstrip()
+        message = self._types.types[COMPRESSED](header=image.header, format=name, data=packed.ravel())
+        return bytes(self._types.serialize_cdr(message, COMPRESSED))
+
+    def unpack(self, data: bytes) -> bytes:
+        """Return the Image (bgr8 or mono8) of a CompressedImage, with its header.
+
+        Raises
+        ------
+        ValueError
+            If the picture cannot be decoded.
+        """
+        message: Any = self._types.deserialize_cdr(data, COMPRESSED)
+        pixels = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
+        if pixels is None:
+            raise ValueError(f"a picture with the format {message.format!r} cannot be decoded")
+        height, width = pixels.shape[:2]
+        image = self._types.types[IMAGE](
+            header=message.header,
+            height=height,
+            width=width,
+            encoding="mono8" if pixels.ndim == 2 else "bgr8",
+            is_bigendian=0,
+            step=width * (1 if pixels.ndim == 2 else 3),
+            data=pixels.reshape(-1),
+        )
+        return bytes(self._types.serialize_cdr(image, IMAGE))

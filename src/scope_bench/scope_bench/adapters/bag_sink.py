@@ -1,0 +1,120 @@
+"""Writes a bag in a thread of its own, so that a slow disk holds nobody up; what does not fit is counted."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+
+from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX, PictureCodec
+from scope_bench.adapters.bags import BagError, BagTopic, BagWriter
+
+
+class BagSink:
+    """A queue in front of a :class:`BagWriter`, which lives in the thread (a sqlite3 connection belongs to one).
+
+    Parameters
+    ----------
+    open_writer
+        Makes the bag.
+    codec
+        Compresses pictures; None: they are written as they are.
+    limit_bytes
+        The most that may wait.
+
+    Attributes
+    ----------
+    failure
+        Why nothing is written any more, else empty.
+    dropped
+        Messages for which there was no room.
+    messages, bytes
+        What is in the bag.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be made.
+    """
+
+    def __init__(
+        self, open_writer: Callable[[], BagWriter], codec: PictureCodec | None = None, *, limit_bytes: int = 256 << 20
+    ) -> None:
+        self._open, self._codec, self._limit = open_writer, codec, limit_bytes
+        self._waiting: deque[BagTopic | tuple[str, int, bytes]] = deque()
+        self._size = self.dropped = self.messages = self.bytes = 0
+        self.failure = ""
+        self._ending = self._opened = False
+        self._pictures: set[str] = set()
+        self._change = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name="bag")
+        self._thread.start()
+        with self._change:
+            self._change.wait_for(lambda: self._opened or self.failure)
+        if self.failure:
+            self._thread.join()
+            raise BagError(self.failure)
+
+    def add_topic(self, topic: BagTopic) -> None:
+        """Announce a topic; an unknown type becomes the failure."""
+        with self._change:
+            self._waiting.append(topic)
+            self._change.notify()
+
+    def put(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Hand over a message."""
+        with self._change:
+            if self._size + len(data) > self._limit or self.failure:
+                self.dropped += 1
+                return
+            self._waiting.append((topic, stamp_ns, data))
+            self._size += len(data)
+            self._change.notify()
+
+    def close(self) -> None:
+        """Write what is waiting, and end the bag; ``failure`` says whether that worked."""
+        with self._change:
+            self._ending = True
+            self._change.notify()
+        self._thread.join()
+
+    def _work(self) -> None:
+        try:
+            writer = self._open()
+        except BagError as error:
+            self._fail(error)
+            return
+        with self._change:
+            self._opened = True
+            self._change.notify()
+        try:
+            with writer:
+                while (item := self._next()) is not None:
+                    self._write(writer, item)
+        except (BagError, ValueError) as error:
+            self._fail(error)
+
+    def _next(self) -> BagTopic | tuple[str, int, bytes] | None:
+        with self._change:
+            self._change.wait_for(lambda: self._waiting or self._ending)
+            return self._waiting.popleft() if self._waiting else None
+
+    def _write(self, writer: BagWriter, item: BagTopic | tuple[str, int, bytes]) -> None:
+        if isinstance(item, BagTopic):
+            if self._codec is not None and item.type == IMAGE:
+                self._pictures.add(item.name)
+                item = BagTopic(name=item.name + SUFFIX, type=COMPRESSED, qos=item.qos)
+            writer.add_topic(item)
+            return
+        topic, stamp_ns, data = item
+        with self._change:
+            self._size -= len(data)
+        if topic in self._pictures and self._codec is not None:
+            topic, data = topic + SUFFIX, self._codec.pack(data)
+        writer.write(topic, stamp_ns, data)
+        self.messages, self.bytes = writer.messages, writer.bytes
+
+    def _fail(self, error: Exception) -> None:
+        with self._change:
+            self.failure = str(error)
+            self._change.notify()

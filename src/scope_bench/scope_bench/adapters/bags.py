@@ -1,0 +1,378 @@
+"""Reads and writes standard rosbag2 bags (sqlite3 and MCAP) by the rosbags library, with errors that say what to do.
+
+Messages stay the bytes that the middleware delivered (CDR). A bag is written so that it can be read whenever its writer
+ends: the disk is watched and the bag closed before it is full, and once a second all that was received is handed to
+the operating system. What was cut off nevertheless is made whole by :func:`repair`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import shutil
+import sqlite3
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+import apsw
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
+from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2.metadata import parse_qos
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, McapWriter
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from scope_bench.core.mcap_records import whole_messages
+
+STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
+_CHECKPOINT_S = 1.0
+_BETWEEN_DISK_CHECKS = 1 << 20
+_READ_ERRORS = (ReaderError, apsw.Error, OSError, ValueError, KeyError, TypeError, AssertionError, EOFError)
+T = TypeVar("T")
+
+
+class BagError(Exception):
+    """A bag cannot be read or written; the text says why, and what can be done."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagTopic:
+    """One topic of a bag.
+
+    Parameters
+    ----------
+    name, type
+        As in ROS, the type as ``package/msg/Name``.
+    count
+        Messages.
+    qos
+        The profiles that its publishers offered.
+    """
+
+    name: str
+    type: str
+    count: int = 0
+    qos: tuple[Qos, ...] = ()
+
+
+class BagWriter:
+    """Writes one bag; ``close`` makes it complete.
+
+    Parameters
+    ----------
+    path
+        Folder that will be made.
+    storage
+        ``sqlite3`` or ``mcap``.
+    keep_free
+        Bytes that stay free on the disk: with less the writer refuses, and the bag can still be closed properly.
+    types
+        Definitions of the message types; those of Jazzy's common interfaces are known.
+
+    Raises
+    ------
+    BagError
+        If the folder exists or cannot be made, and from :meth:`write` when the disk is full.
+    """
+
+    def __init__(
+        self, path: Path, storage: str = "mcap", *, keep_free: int = 64 << 20, types: Typestore | None = None
+    ) -> None:
+        self.path, self._keep_free = path, keep_free
+        self.types = types or get_typestore(Stores.ROS2_JAZZY)
+        self._connections: dict[str, Connection] = {}
+        self.messages = self.bytes = 0
+        self._unchecked, self._flushed_s = 0, time.monotonic()
+        self._check_disk(next(place for place in path.absolute().parents if place.is_dir()))
+        try:
+            # The version of metadata.yaml that Jazzy writes.
+            self._writer = Writer(path, version=9, storage_plugin=STORAGES[storage])
+            self._writer.open()
+        except (OSError, WriterError, sqlite3.Error) as error:
+            raise BagError(f"{path} cannot be made: {error}") from error
+
+    def add_topic(self, topic: BagTopic) -> None:
+        """Announce a topic.
+
+        Raises
+        ------
+        BagError
+            If the definition of its type is not known.
+        """
+        if topic.type not in self.types.types:
+            raise BagError(f"{topic.name}: the definition of {topic.type} is not known")
+        with self._explaining():
+            self._connections[topic.name] = self._writer.add_connection(
+                topic.name, topic.type, typestore=self.types, offered_qos_profiles=topic.qos
+            )
+
+    def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Append a message that was received at ``stamp_ns``.
+
+        Raises
+        ------
+        BagError
+            If it could not be written; the bag was ended before it and stays readable.
+        """
+        self._unchecked += len(data)
+        if self._unchecked >= _BETWEEN_DISK_CHECKS:
+            self._check_disk(self.path)
+            self._unchecked = 0
+        with self._explaining():
+            self._writer.write(self._connections[topic], stamp_ns, data)
+        if time.monotonic() - self._flushed_s > _CHECKPOINT_S:
+            self.checkpoint()
+        self.messages += 1
+        self.bytes += len(data)
+
+    def close(self) -> None:
+        """Write the index and metadata.yaml.
+
+        Raises
+        ------
+        BagError
+            If that fails; ``repair`` makes the bag whole.
+        """
+        if self._writer.storage is not None:
+            with self._explaining():
+                self._writer.close()
+
+    def checkpoint(self) -> None:
+        """Give everything to the operating system, so that it outlives this process; done once a second anyway."""
+        self._flushed_s = time.monotonic()
+        storage = self._writer.storage
+        with self._explaining():
+            if isinstance(storage, Sqlite3Writer):
+                storage.conn.commit()
+            elif isinstance(storage, McapWriter):
+                if storage.chunk.bio.tell():
+                    storage.close_chunk()
+                storage.bio.flush()
+
+    def _check_disk(self, place: Path) -> None:
+        free = shutil.disk_usage(place).free
+        if free < self._keep_free:
+            raise BagError(
+                f"the disk is full: {free / 1e6:.0f} MB are free at {place}, {self._keep_free / 1e6:.0f} MB are kept"
+            )
+
+    @contextlib.contextmanager
+    def _explaining(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, WriterError, sqlite3.Error) as error:
+            with contextlib.suppress(OSError, sqlite3.Error):
+                self._writer.abort()
+            raise BagError(f"{self.path} cannot be written: {error}; {_advice(self.path)}") from error
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+class BagReader:
+    """An open bag, as a context manager.
+
+    Parameters
+    ----------
+    path
+        The folder with metadata.yaml, or a single .db3 or .mcap file.
+
+    Raises
+    ------
+    BagError
+        If it cannot be read; with advice where it was only cut off.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if not path.exists():
+            raise BagError(f"{path} does not exist")
+        if path.is_dir() and not (path / "metadata.yaml").is_file():
+            raise BagError(f"{path} has no metadata.yaml: its recording was cut off; {_advice(path)}")
+        self._reader = self._explained(lambda: Reader(path))
+        self._explained(self._reader.open)
+        self.types = _types_of(self._reader)
+
+    def _explained(self, call: Callable[[], T]) -> T:
+        try:
+            return call()
+        except _READ_ERRORS as error:
+            raise BagError(f"{self.path} is broken: {error}; {_advice(self.path)}") from error
+
+    @property
+    def topics(self) -> list[BagTopic]:
+        """All topics, by name."""
+        found = [
+            BagTopic(name=c.topic, type=c.msgtype, count=c.msgcount, qos=_qos_of(c)) for c in self._reader.connections
+        ]
+        return sorted(found, key=lambda topic: topic.name)
+
+    @property
+    def start_ns(self) -> int:
+        """When the first message was received."""
+        return self._reader.start_time if self._reader.message_count else 0
+
+    @property
+    def duration_ns(self) -> int:
+        """Time from the first to the last message."""
+        return max(0, self._reader.duration - 1)
+
+    @property
+    def count(self) -> int:
+        """Messages."""
+        return self._reader.message_count
+
+    def messages(self, topics: Sequence[str] | None = None, start_ns: int = 0) -> Iterator[tuple[str, int, bytes]]:
+        """Yield (topic, time of reception in ns, CDR bytes) in the order of time, of all topics or the named ones.
+
+        Raises
+        ------
+        BagError
+            Where the bag is broken, after the messages before that place.
+        """
+        wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
+        if not wanted:
+            return
+        rows = self._reader.messages(wanted, start=start_ns or None)
+        done = 0
+        while True:
+            try:
+                connection, stamp_ns, data = next(rows)
+            except StopIteration:
+                return
+            except _READ_ERRORS as error:
+                raise BagError(f"{self.path} is broken after {done} messages: {error}; {_advice(self.path)}") from error
+            done += 1
+            yield connection.topic, stamp_ns, bytes(data)
+
+    def decode(self, data: bytes, msgtype: str) -> Any:
+        """Return the message as rosbags' own object, without ROS."""
+        return self.types.deserialize_cdr(data, msgtype)
+
+    def close(self) -> None:
+        self._reader.close()
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+def repair(path: Path, out: Path) -> tuple[int, str]:
+    """Write all that can be read of a broken bag into a new one.
+
+    Parameters
+    ----------
+    path
+        The bag's folder, or its .db3 or .mcap file.
+    out
+        The new bag.
+
+    Returns
+    -------
+    count, end
+        Messages that were saved, and why there are no more (empty if the rest was whole).
+
+    Raises
+    ------
+    BagError
+        If there is nothing to read, or ``out`` cannot be written.
+    """
+    files = [path] if path.is_file() else sorted(p for p in path.glob("*") if p.suffix in (".db3", ".mcap"))
+    if not files:
+        raise BagError(f"{path} has no .db3 or .mcap file")
+    end = ""
+    with BagWriter(out, "sqlite3" if files[0].suffix == ".db3" else "mcap", types=_types_in(files)) as writer:
+        known: set[str] = set()
+        for file in files:
+            try:
+                for topic, stamp_ns, data in _salvaged(file):
+                    if topic.name not in known:
+                        writer.add_topic(topic)
+                        known.add(topic.name)
+                    writer.write(topic.name, stamp_ns, data)
+            except (*_READ_ERRORS, sqlite3.Error) as error:
+                end = f"{file.name}: {error}"
+        count = writer.messages
+    return count, end
+
+
+def _salvaged(file: Path) -> Iterator[tuple[BagTopic, int, bytes]]:
+    if file.suffix == ".mcap":
+        with file.open("rb") as stream:
+            for channel, stamp_ns, data in whole_messages(stream, _UNPACK):
+                yield _topic(channel.topic, channel.msgtype, channel.qos), stamp_ns, data
+        return
+    with contextlib.closing(_rolled_back(file)) as database:
+        rows = database.execute(
+            "SELECT name, type, offered_qos_profiles, timestamp, data "
+            "FROM messages JOIN topics ON topics.id = messages.topic_id ORDER BY messages.id"
+        )
+        for name, kind, qos, stamp_ns, data in rows:
+            yield _topic(name, kind, qos), stamp_ns, data
+
+
+@functools.cache
+def _topic(name: str, kind: str, qos: str) -> BagTopic:
+    return BagTopic(name=name, type=kind, qos=tuple(parse_qos(qos)))
+
+
+_UNPACK: dict[str, Callable[[bytes], bytes]] = {
+    "": bytes,
+    "lz4": lambda data: DECOMPRESSORS["lz4"](data, 0),
+    "zstd": lambda data: DECOMPRESSORS["zstd"](data, 0),
+}
+
+
+def _rolled_back(file: Path) -> sqlite3.Connection:
+    # Opening for writing lets sqlite undo what a dead writer had begun (its journal lies beside the file).
+    database = sqlite3.connect(f"{file.absolute().as_uri()}?mode=rw", uri=True)
+    database.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    return database
+
+
+def _types_in(files: Sequence[Path]) -> Typestore:
+    """Return the known types and those that the files define themselves."""
+    definitions: dict[str, str] = {}
+    for file in files:
+        with contextlib.suppress(*_READ_ERRORS, sqlite3.Error):
+            if file.suffix == ".mcap":
+                with file.open("rb") as stream:
+                    definitions |= {c.msgtype: c.definition for c, _, _ in whole_messages(stream, _UNPACK)}
+            else:
+                with contextlib.closing(_rolled_back(file)) as database:
+                    rows = database.execute("SELECT topic_type, encoded_message_definition FROM message_definitions")
+                    definitions |= dict(rows.fetchall())
+    return _with_definitions(definitions)
+
+
+def _types_of(reader: Reader) -> Typestore:
+    texts = {c.msgtype: c.msgdef.data for c in reader.connections if c.msgdef.format is MessageDefinitionFormat.MSG}
+    return _with_definitions(texts)
+
+
+def _with_definitions(definitions: dict[str, str]) -> Typestore:
+    types = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in definitions.items():
+        if name not in types.types and text:
+            new = get_types_from_msg(text, name)
+            types.register({key: value for key, value in new.items() if key not in types.types})
+    return types
+
+
+def _qos_of(connection: Connection) -> tuple[Qos, ...]:
+    assert isinstance(connection.ext, ConnectionExtRosbag2)
+    return tuple(connection.ext.offered_qos_profiles)
+
+
+def _advice(path: Path) -> str:
+    return f"save what can be read with: bag_info {path} --repair NEW_BAG"

@@ -1,0 +1,59 @@
+"""Show what is in a rosbag2 bag, or save what can be read of a broken one."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+
+from scope_bench.adapters.bags import BagError, BagReader, repair
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the command line's description."""
+    result = argparse.ArgumentParser(prog="bag_info", description=__doc__)
+    result.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
+    result.add_argument("--check", action="store_true", help="read every message")
+    result.add_argument("--repair", type=Path, metavar="NEW_BAG", help="save all whole messages into a new bag")
+    return result
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 1 if the bag is broken."""
+    options = parser().parse_args(arguments)
+    try:
+        if options.repair is not None:
+            count, end = repair(options.bag, options.repair)
+            print(f"{count} messages saved in {options.repair}" + (f"; then {end}" if end else ""))
+            return 0
+        with BagReader(options.bag) as bag:
+            print(description(bag))
+            if options.check:
+                print(f"{sum(1 for _ in bag.messages())} messages can be read")
+    except BagError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def description(bag: BagReader) -> str:
+    """Return what is in a bag, a line for each topic."""
+    files = [bag.path] if bag.path.is_file() else [p for p in bag.path.iterdir() if p.is_file()]
+    start = datetime.fromtimestamp(bag.start_ns / 1e9, timezone.utc)
+    seconds = bag.duration_ns / 1e9
+    lines = [
+        f"{bag.path}: {sum(p.stat().st_size for p in files) / 1e6:.1f} MB, {bag.count} messages, "
+        f"{seconds:.2f} s from {start:%Y-%m-%d %H:%M:%S} UTC"
+    ]
+    width = max((len(topic.name) for topic in bag.topics), default=0)
+    for topic in bag.topics:
+        rate = f"{topic.count / seconds:8.1f} Hz" if seconds else " " * 11
+        kinds = {f"{qos.reliability.name.lower()}, {qos.durability.name.lower()}" for qos in topic.qos}
+        lines.append(f"  {topic.name:<{width}} {topic.count:7d} {rate}  {topic.type}  {'; '.join(sorted(kinds))}")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,161 @@
+"""Play a rosbag2 bag, of this project or of `ros2 bag`; space pauses, Ctrl-C ends it.
+
+Topics that move a machine are only played with --moving: beside a real robot they would be orders.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import select
+import sys
+import termios
+import time
+import tty
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from icu_common.nodes.runtime import Session, ros_session
+from scope_bench.adapters.bags import BagError, BagReader, BagTopic
+from scope_bench.cli.progress import ProgressLine
+from scope_bench.core.play_clock import PlayClock, progress_bar
+from scope_bench.nodes.bag_player import MOVING, BagPlayer
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the command line's description."""
+    result = argparse.ArgumentParser(prog="bag_play", description=__doc__, epilog="--ros-args ... as for every node")
+    result.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
+    result.add_argument("-r", "--rate", type=float, default=1.0, help="speed (default: %(default)s)")
+    result.add_argument("-l", "--loop", action="store_true", help="begin anew at the end")
+    result.add_argument("-p", "--start-paused", action="store_true", help="wait for space, or ~/toggle_paused")
+    result.add_argument("--topics", nargs="+", metavar="NAME", help="only these")
+    result.add_argument("--exclude", nargs="+", default=[], metavar="NAME", help="all but these")
+    result.add_argument("--start-offset", type=float, default=0.0, metavar="S", help="leave out the beginning")
+    result.add_argument("--clock", type=float, default=0.0, metavar="HZ", help="publish /clock so often")
+    result.add_argument("--keep-compressed", action="store_true", help="do not unpack compressed pictures")
+    result.add_argument("--moving", action="store_true", help=f"play also {', '.join(MOVING)}")
+    result.add_argument("--wait", type=float, default=1.0, metavar="S", help="at most so long for subscribers")
+    return result
+
+
+def chosen(bag: BagReader, options: argparse.Namespace) -> list[BagTopic]:
+    """Return the topics that are to be played.
+
+    Raises
+    ------
+    BagError
+        If one that was named is not in the bag.
+    """
+    names = {topic.name for topic in bag.topics}
+    unknown = {*(options.topics or ()), *options.exclude} - names
+    if unknown:
+        raise BagError(f"{bag.path} has no {', '.join(sorted(unknown))}; it has {', '.join(sorted(names))}")
+    return [
+        topic
+        for topic in bag.topics
+        if (options.topics is None or topic.name in options.topics)
+        and topic.name not in options.exclude
+        and (options.moving or not topic.name.endswith(MOVING))
+    ]
+
+
+class Playing:
+    """One run of the command."""
+
+    def __init__(self, bag: BagReader, options: argparse.Namespace, session: Session) -> None:
+        self._bag, self._options, self._session = bag, options, session
+        self._topics = chosen(bag, options)
+        self._names = [topic.name for topic in self._topics]
+        self._start_ns = bag.start_ns + round(options.start_offset * 1e9)
+        self._clock = PlayClock(self._start_ns, options.rate, time.monotonic(), paused=True)
+        self._node = BagPlayer(self._topics, unpack=not options.keep_compressed, toggle=self._toggle)
+        session.executor.add_node(self._node)
+        self._line = ProgressLine()
+        self._next_clock_s = 0.0
+        self.played = 0
+
+    def run(self) -> None:
+        """Play until the end or a signal."""
+        try:
+            left_out = sorted({t.name for t in self._bag.topics} - set(self._names))
+            if left_out:
+                print(f"not played: {', '.join(left_out)}")
+            self._wait_for_subscribers()
+            paused = self._options.start_paused
+            while self._session.goes_on:
+                self._clock = PlayClock(self._start_ns, self._options.rate, time.monotonic(), paused=paused)
+                self._play_once()
+                paused = False
+                if not self._options.loop:
+                    break
+            self._node.settle()
+        finally:
+            self._line.end()
+            self._session.end(self._node)
+
+    def _wait_for_subscribers(self) -> None:
+        deadline_s = time.monotonic() + self._options.wait
+        while self._session.goes_on and self._node.unheard and time.monotonic() < deadline_s:
+            self._session.spin(0.02)
+
+    def _play_once(self) -> None:
+        for topic, stamp_ns, data in self._bag.messages(self._names, self._start_ns):
+            while self._session.goes_on and (wait_s := self._clock.wall_s_until(stamp_ns, time.monotonic())) > 0:
+                self._serve(min(wait_s, 0.05))
+            if not self._session.goes_on:
+                return
+            self._node.play(topic, data)
+            self.played += 1
+            self._serve(0.0)
+
+    def _serve(self, timeout_s: float) -> None:
+        self._session.spin(timeout_s)
+        now_s = time.monotonic()
+        bag_ns = self._clock.bag_ns(now_s)
+        if self._options.clock and now_s >= self._next_clock_s:
+            self._next_clock_s = now_s + 1.0 / self._options.clock
+            self._node.show_time(bag_ns)
+        if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0] and sys.stdin.read(1) == " ":
+            self._toggle()
+        done_s, whole_s = (bag_ns - self._bag.start_ns) / 1e9, self._bag.duration_ns / 1e9
+        state = "  paused" if self._clock.paused else ""
+        bar = progress_bar(done_s / whole_s if whole_s else 1.0)
+        self._line.show(now_s, f"{bar} {done_s:.1f} of {whole_s:.1f} s, {self.played} messages{state}")
+
+    def _toggle(self) -> bool:
+        return self._clock.toggle(time.monotonic())
+
+
+@contextlib.contextmanager
+def single_keys() -> Iterator[None]:
+    """Let the terminal hand over each key at once."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    split = given.index("--ros-args") if "--ros-args" in given else len(given)
+    options = parser().parse_args(given[:split])
+    try:
+        with BagReader(options.bag) as bag, ros_session(given[split:]) as session, single_keys():
+            playing = Playing(bag, options, session)
+            playing.run()
+    except (BagError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(f"{playing.played} messages played")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,78 @@
+"""Record topics into a standard rosbag2 bag (MCAP or sqlite3); Ctrl-C ends it. `ros2 bag` of Jazzy reads the result."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from icu_common.nodes.runtime import ros_session
+from scope_bench.adapters.bag_pictures import PictureCodec
+from scope_bench.adapters.bag_sink import BagSink
+from scope_bench.adapters.bags import STORAGES, BagError, BagWriter
+from scope_bench.cli.progress import ProgressLine
+from scope_bench.nodes.bag_recorder import BagRecorder
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the command line's description."""
+    result = argparse.ArgumentParser(prog="bag_record", description=__doc__, epilog="--ros-args ... as for every node")
+    result.add_argument("topics", nargs="*", help="names; without any, all topics as they appear")
+    result.add_argument("-o", "--output", type=Path, help="folder to be made (default: the date and time)")
+    result.add_argument("-s", "--storage", choices=STORAGES, default="mcap", help="default: %(default)s")
+    result.add_argument("-x", "--exclude", default="", metavar="REGEX", help="leave these out when all are recorded")
+    result.add_argument("--compress", choices=("jpeg", "png"), help="pictures as topic/compressed")
+    result.add_argument("--quality", type=int, default=85, help="of JPEG, 1 to 100 (default: %(default)s)")
+    result.add_argument("--duration", type=float, default=float("inf"), metavar="S", help="end after so long")
+    result.add_argument("--keep-free", type=float, default=64.0, metavar="MB", help="end when the disk has less")
+    return result
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 1 if the recording ended by an error."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    split = given.index("--ros-args") if "--ros-args" in given else len(given)
+    options = parser().parse_args(given[:split])
+    path = options.output or Path(f"bag_{datetime.now():%Y_%m_%d-%H_%M_%S}")
+    keep_free = round(options.keep_free * 1e6)
+    try:
+        codec = PictureCodec(options.compress, options.quality) if options.compress else None
+        sink = BagSink(lambda: BagWriter(path, options.storage, keep_free=keep_free), codec)
+    except (BagError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    try:
+        _record(sink, options, given[split:])
+    finally:
+        sink.close()
+    print(f"{path}: {sink.messages} messages, {sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped")
+    if sink.failure:
+        print(f"error: the recording has ended: {sink.failure}", file=sys.stderr)
+    return 1 if sink.failure else 0
+
+
+def _record(sink: BagSink, options: argparse.Namespace, ros_arguments: Sequence[str]) -> None:
+    line = ProgressLine()
+    with ros_session(ros_arguments) as session:
+        node = BagRecorder(sink, options.topics, options.exclude)
+        session.executor.add_node(node)
+        start_s = time.monotonic()
+        try:
+            while session.goes_on and not sink.failure and (now_s := time.monotonic()) - start_s < options.duration:
+                session.spin()
+                waiting = f", nobody publishes {', '.join(node.missing)}" if node.missing else ""
+                line.show(
+                    now_s,
+                    f"recording {now_s - start_s:.1f} s: {len(node.recorded)} topics, {sink.messages} messages, "
+                    f"{sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped{waiting}",
+                )
+        finally:
+            line.end()
+            session.end(node)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

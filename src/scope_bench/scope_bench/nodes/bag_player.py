@@ -1,0 +1,85 @@
+"""Node that publishes a bag's messages as they were serialized, unpacked pictures included."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from icu_common.nodes import qos
+from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX, PictureCodec
+from scope_bench.adapters.bags import BagTopic
+from scope_bench.nodes.bag_qos import message_class, playing_qos
+
+_LAST_WORDS = Duration(seconds=2)
+MOVING = ("gantry/goal", "gantry/command", "gantry/trajectory", "gantry/stop_request", "operator/heartbeat")
+"""Topics that move a machine, or let it move."""
+
+
+class BagPlayer(Node):
+    """Publishes messages of a bag.
+
+    Parameters
+    ----------
+    topics
+        What is played.
+    unpack
+        Publish pictures that were recorded compressed as ``Image`` on the topic that they came from.
+    toggle
+        Called by the service ``toggle_paused``; returns whether it is paused now.
+    """
+
+    def __init__(
+        self,
+        topics: Iterable[BagTopic],
+        *,
+        unpack: bool = True,
+        toggle: Callable[[], bool] = lambda: False,
+        **options: Any,
+    ) -> None:
+        super().__init__("bag_player", **options)
+        self._codec = PictureCodec()
+        self._packed: set[str] = set()
+        # Not the name that rclpy keeps its own publishers under.
+        self._outputs: dict[str, Any] = {}
+        for topic in topics:
+            name, kind = topic.name, topic.type
+            if unpack and kind == COMPRESSED and name.endswith(SUFFIX):
+                self._packed.add(name)
+                name, kind = name.removesuffix(SUFFIX), IMAGE
+            self._outputs[topic.name] = self.create_publisher(message_class(kind), name, playing_qos(topic.qos))
+        self._clock_out: Any = None
+        self._toggle = toggle
+        self.create_service(Trigger, "~/toggle_paused", self._on_toggle)
+
+    def _on_toggle(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = True, "paused" if self._toggle() else "playing"
+        return response
+
+    def show_time(self, bag_ns: int) -> None:
+        """Publish the bag's time on /clock."""
+        if self._clock_out is None:
+            self._clock_out = self.create_publisher(Clock, "/clock", qos.RESULTS)
+        seconds, nanoseconds = divmod(bag_ns, 1_000_000_000)
+        self._clock_out.publish(Clock(clock=Time(sec=seconds, nanosec=nanoseconds)))
+
+    def play(self, topic: str, data: bytes) -> None:
+        """Publish one message; raises ValueError for a picture that cannot be unpacked."""
+        self._outputs[topic].publish(self._codec.unpack(data) if topic in self._packed else data)
+
+    @property
+    def unheard(self) -> list[str]:
+        """Topics without a subscriber."""
+        return [name for name, publisher in self._outputs.items() if publisher.get_subscription_count() == 0]
+
+    def settle(self) -> None:
+        """Wait until every reliable subscriber has the last messages, for at most two seconds."""
+        for publisher in self._outputs.values():
+            if publisher.qos_profile.reliability is ReliabilityPolicy.RELIABLE:
+                publisher.wait_for_all_acked(_LAST_WORDS)

@@ -1,0 +1,80 @@
+"""QoS profiles and message classes between rclpy and bags."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+_DEPTH = 50
+
+
+def message_class(name: str) -> Any:
+    """Return the class of ``package/msg/Name``.
+
+    Raises
+    ------
+    ModuleNotFoundError, AttributeError, ValueError
+        If it is not installed here.
+    """
+    package, _, kind = name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), kind)
+
+
+def recorded_qos(profile: QoSProfile) -> Qos:
+    """Return a publisher's profile as bags keep it."""
+
+    def time(duration: Duration) -> QosTime:
+        return QosTime(*divmod(duration.nanoseconds, 1_000_000_000))
+
+    return Qos(
+        QosHistory(profile.history.value),
+        profile.depth,
+        QosReliability(profile.reliability.value),
+        QosDurability(profile.durability.value),
+        time(profile.deadline),
+        time(profile.lifespan),
+        QosLiveliness(profile.liveliness.value),
+        time(profile.liveliness_lease_duration),
+        profile.avoid_ros_namespace_conventions,
+    )
+
+
+def listening_qos(offers: Sequence[QoSProfile]) -> QoSProfile:
+    """Return what a recorder asks for: the strictest that all publishers of a topic offer, as ros2 bag does."""
+    reliable = all(offer.reliability is ReliabilityPolicy.RELIABLE for offer in offers)
+    latched = all(offer.durability is DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+    return QoSProfile(
+        depth=_DEPTH,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def playing_qos(offers: Sequence[Qos]) -> QoSProfile:
+    """Return what a player offers: what all of the recorded publishers offered, else reliable and volatile.
+
+    Bags of Jazzy do not know the publishers' history; a depth of 50 takes its place.
+    """
+    same = offers[0] if len(set(offers)) == 1 else None
+    if same is None:
+        return QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+    profile = QoSProfile(depth=same.depth or _DEPTH, history=HistoryPolicy.KEEP_LAST)
+    if same.reliability in (QosReliability.RELIABLE, QosReliability.BEST_EFFORT):
+        profile.reliability = ReliabilityPolicy(same.reliability.value)
+    if same.durability in (QosDurability.TRANSIENT_LOCAL, QosDurability.VOLATILE):
+        profile.durability = DurabilityPolicy(same.durability.value)
+    if same.liveliness in (QosLiveliness.AUTOMATIC, QosLiveliness.MANUAL_BY_TOPIC):
+        profile.liveliness = LivelinessPolicy(same.liveliness.value)
+    return profile

@@ -1,0 +1,172 @@
+"""Recorder and player in front of live topics: the same bytes come out, in the same order, latched ones included."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from ros_rig import Ros
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header, String
+from std_srvs.srv import Trigger
+
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import header, image_array, image_message
+from scope_bench.adapters.bag_pictures import PictureCodec
+from scope_bench.adapters.bag_sink import BagSink
+from scope_bench.adapters.bags import BagReader, BagWriter
+from scope_bench.nodes.bag_recorder import BagRecorder
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Command:
+    """One of the bag programs as a process on the rig's domain."""
+
+    def __init__(self, ros: Ros, folder: Path, name: str, *arguments: str) -> None:
+        path = os.pathsep.join(str(p) for p in (ROOT / "src").iterdir() if p.is_dir())
+        environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.context.get_domain_id()))
+        environment |= {"PYTHONPATH": path, "ROS_LOG_DIR": str(folder / "log"), "PYTHONUNBUFFERED": "1"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", f"scope_bench.cli.{name}", *arguments],
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+    def end(self, number: int | None = None, within_s: float = 20.0) -> str:
+        if number is not None:
+            self.process.send_signal(number)
+        output, _ = self.process.communicate(timeout=within_s)
+        assert self.process.returncode == 0, output
+        return output
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_what_is_recorded_is_played_again(ros: Ros, tmp_path: Path, storage: str) -> None:
+    talker = ros.plain("talker")
+    state = talker.create_publisher(String, "robot/state", qos.LATCHED)
+    words = talker.create_publisher(String, "words", qos.RESULTS)
+    state.publish(String(data="ready"))
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", storage, keep_free=0))
+    recorder = ros.node(lambda **options: BagRecorder(sink, ["robot/state", "words", "silent"], **options))
+    ros.spin_until(lambda: words.get_subscription_count() and state.get_subscription_count(), 10.0)
+    for i in range(50):
+        words.publish(String(data=f"word {i}"))
+    ros.spin_until(lambda: sink.messages == 51, 10.0, lambda: (sink.messages, sink.failure))
+    assert recorder.missing == ["/silent"]
+    sink.close()
+    assert (sink.failure, sink.dropped) == ("", 0)
+    with BagReader(tmp_path / "bag") as bag:
+        kinds = {t.name: [(q.reliability.name, q.durability.name) for q in t.qos] for t in bag.topics}
+        spoken = [bag.decode(d, "std_msgs/msg/String").data for t, _, d in bag.messages(["/words"])]
+        recorded = bag.duration_ns
+    assert kinds == {"/robot/state": [("RELIABLE", "TRANSIENT_LOCAL")], "/words": [("RELIABLE", "VOLATILE")]}
+    assert spoken == [f"word {i}" for i in range(50)]
+    ros.executor.remove_node(talker)
+    ros.nodes.remove(talker)
+    talker.destroy_node()
+
+    listener = ros.plain("listener")
+    heard = ros.collect(listener, String, "/words", qos.RESULTS)
+    latched = ros.collect(listener, String, "/robot/state", qos.LATCHED)
+    times = ros.collect(listener, Clock, "/clock", qos.RESULTS)
+    player = Command(
+        ros, tmp_path, "bag_play", str(tmp_path / "bag"), "--clock", "100", "--wait", "10", "--rate", "0.5"
+    )
+    ros.spin_until(lambda: len(heard) == 50 and latched, 20.0, lambda: (len(heard), len(latched)))
+    assert "51 messages played" in player.end()
+    assert [m.data for m in heard] == spoken and latched[-1].data == "ready"
+    stamps = [m.clock.sec * 10**9 + m.clock.nanosec for m in times]
+    assert stamps == sorted(stamps) and stamps[-1] - stamps[0] <= recorded + 1e9
+
+
+def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", keep_free=0) as bag:
+        from rclpy.serialization import serialize_message
+
+        from scope_bench.adapters.bags import BagTopic
+
+        for name, kind in (("/a", "String"), ("/b", "String"), ("/operator/heartbeat", "Header")):
+            bag.add_topic(BagTopic(name=name, type=f"std_msgs/msg/{kind}"))
+        for i in range(4):
+            bag.write("/a", 10**9 + i, serialize_message(String(data=f"{i}")))
+            bag.write("/b", 10**9 + i, serialize_message(String(data=f"{i}")))
+            bag.write("/operator/heartbeat", 10**9 + i, serialize_message(Header(stamp=Time(sec=i))))
+    listener = ros.plain("listener")
+    a = ros.collect(listener, String, "/a", qos.RESULTS)
+    b = ros.collect(listener, String, "/b", qos.RESULTS)
+    beats = ros.collect(listener, Header, "/operator/heartbeat", qos.RESULTS)
+    player = Command(ros, tmp_path, "bag_play", str(tmp_path / "bag"), "--loop", "--start-paused", "--exclude", "/b")
+    toggle = listener.create_client(Trigger, "/bag_player/toggle_paused")
+    ros.spin_until(toggle.service_is_ready, 15.0)
+    assert a == []
+    future = toggle.call_async(Trigger.Request())
+    ros.spin_until(lambda: future.done() and len(a) >= 9, 15.0, lambda: len(a))
+    assert future.result().message == "playing"
+    output = player.end(signal.SIGINT)
+    assert [m.data for m in a[:9]] == ["0", "1", "2", "3", "0", "1", "2", "3", "0"]
+    assert b == [] and beats == []
+    assert "not played: /b, /operator/heartbeat" in output
+
+
+def test_recorded_pictures_come_back_as_pictures(ros: Ros, tmp_path: Path) -> None:
+    talker = ros.plain("talker")
+    publisher = talker.create_publisher(Image, "eye/image_raw", qos.IMAGES)
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0), PictureCodec("png"))
+    ros.node(lambda **options: BagRecorder(sink, ["eye/image_raw"], **options))
+    ros.spin_until(publisher.get_subscription_count, 10.0)
+    pixels = np.random.default_rng(5).integers(0, 256, (48, 64, 3), np.uint8)
+    publisher.publish(image_message(pixels, "bgr8", header(77, "eye")))
+    ros.spin_until(lambda: sink.messages == 1, 10.0, lambda: sink.failure)
+    sink.close()
+    with BagReader(tmp_path / "bag") as bag:
+        assert [(t.name, t.type) for t in bag.topics] == [
+            ("/eye/image_raw/compressed", "sensor_msgs/msg/CompressedImage")
+        ]
+    listener = ros.plain("listener")
+    seen = ros.collect(listener, Image, "/again", qos.IMAGES)
+    arguments = [str(tmp_path / "bag"), "--wait", "10", "--ros-args", "-r", "/eye/image_raw:=/again"]
+    player = Command(ros, tmp_path, "bag_play", *arguments)
+    ros.spin_until(lambda: seen, 20.0)
+    player.end()
+    assert np.array_equal(image_array(seen[0]), pixels)
+    assert (seen[0].header.stamp.nanosec, seen[0].header.frame_id, seen[0].encoding) == (77, "eye", "bgr8")
+
+
+def test_the_recorder_as_a_program_keeps_the_bag_whole_when_it_is_killed(ros: Ros, tmp_path: Path) -> None:
+    talker = ros.plain("talker")
+    publisher = talker.create_publisher(String, "words", qos.RESULTS)
+    program = Command(ros, tmp_path, "bag_record", "/words", "-o", str(tmp_path / "bag"), "-s", "sqlite3")
+    ros.spin_until(publisher.get_subscription_count, 15.0)
+    publisher.publish(String(data="first"))
+    start_s, sent = time.monotonic(), 0
+    while time.monotonic() - start_s < 2.5:
+        publisher.publish(String(data=f"{sent}"))
+        sent += 1
+        ros.executor.spin_once(timeout_sec=0.01)
+    program.process.kill()
+    program.process.communicate()
+    saved = subprocess.run(
+        [sys.executable, "-m", "scope_bench.cli.bag_info", str(tmp_path / "bag"), "--repair", str(tmp_path / "new")],
+        env=dict(os.environ, PYTHONPATH=str(ROOT / "src" / "scope_bench")),
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=True,
+    )
+    print(saved.stdout, sent)
+    with BagReader(tmp_path / "new") as bag:
+        words = [bag.decode(d, "std_msgs/msg/String").data for _, _, d in bag.messages()]
+    assert words[0] == "first" and words[1:] == [f"{i}" for i in range(len(words) - 1)]
+    assert len(words) > sent / 4, "at most about a second was lost"

@@ -1,0 +1,391 @@
+"""Bags against other implementations: the official MCAP reader, sqlite itself, and files in the form of Jazzy."""
+
+from __future__ import annotations
+
+import random
+import resource
+import signal
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from mcap.reader import make_reader
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.typesys import Stores, get_typestore
+
+from scope_bench.adapters.bag_pictures import IMAGE, PictureCodec
+from scope_bench.adapters.bag_sink import BagSink
+from scope_bench.adapters.bags import BagError, BagReader, BagTopic, BagWriter, repair
+from scope_bench.cli import bag_info
+from scope_bench.core.play_clock import PlayClock, progress_bar
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+STRING = "std_msgs/msg/String"
+STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+ENDLESS = QosTime(9223372036, 854775807)
+LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    ENDLESS,
+    ENDLESS,
+    QosLiveliness.AUTOMATIC,
+    ENDLESS,
+    False,
+)
+both = pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+
+
+def text(value: str) -> bytes:
+    return bytes(TYPES.serialize_cdr(TYPES.types[STRING](data=value), STRING))
+
+
+def write(path: Path, storage: str, count: int = 20) -> list[tuple[str, int, bytes]]:
+    rows = [("/a" if i % 3 else "/b", 1_700_000_000_000_000_000 + i * 10_000_000, text(f"{i}")) for i in range(count)]
+    with BagWriter(path, storage, keep_free=0) as bag:
+        bag.add_topic(BagTopic(name="/a", type=STRING, qos=(LATCHED,)))
+        bag.add_topic(BagTopic(name="/b", type=STRING))
+        for row in rows:
+            bag.write(*row)
+    return rows
+
+
+def storage_file(path: Path) -> Path:
+    return next(p for p in path.iterdir() if p.suffix in (".mcap", ".db3"))
+
+
+@both
+def test_what_is_written_is_read(tmp_path: Path, storage: str) -> None:
+    rows = write(tmp_path / "bag", storage)
+    with BagReader(tmp_path / "bag") as bag:
+        assert list(bag.messages()) == rows
+        assert list(bag.messages(["/b"], rows[10][1])) == [r for r in rows[10:] if r[0] == "/b"]
+        assert [(t.name, t.type, t.count) for t in bag.topics] == [("/a", STRING, 13), ("/b", STRING, 7)]
+        assert bag.topics[0].qos == (LATCHED,)
+        assert (bag.start_ns, bag.duration_ns, bag.count) == (rows[0][1], 190_000_000, 20)
+
+
+@both
+def test_metadata_is_what_rosbag2_of_jazzy_decodes(tmp_path: Path, storage: str) -> None:
+    """The keys that rosbag2_storage/yaml.hpp of Jazzy reads without a default, with the values that it understands."""
+    write(tmp_path / "bag", storage)
+    info = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (info["version"], info["storage_identifier"]) == (9, storage)
+    assert info["relative_file_paths"] == [storage_file(tmp_path / "bag").name]
+    assert info["duration"] == {"nanoseconds": 190_000_000}
+    assert info["starting_time"] == {"nanoseconds_since_epoch": 1_700_000_000_000_000_000}
+    assert info["message_count"] == 20 and info["compression_format"] == info["compression_mode"] == ""
+    assert [f["message_count"] for f in info["files"]] == [20]
+    first = info["topics_with_message_count"][0]
+    assert first["message_count"] == 13
+    topic = first["topic_metadata"]
+    assert (topic["name"], topic["type"], topic["serialization_format"]) == ("/a", STRING, "cdr")
+    assert topic["type_description_hash"] == STRING_HASH
+    assert topic["offered_qos_profiles"] == [
+        {
+            "history": "keep_last",
+            "depth": 1,
+            "reliability": "reliable",
+            "durability": "transient_local",
+            "deadline": {"sec": 9223372036, "nsec": 854775807},
+            "lifespan": {"sec": 9223372036, "nsec": 854775807},
+            "liveliness": "automatic",
+            "liveliness_lease_duration": {"sec": 9223372036, "nsec": 854775807},
+            "avoid_ros_namespace_conventions": False,
+        }
+    ]
+
+
+def test_the_official_reader_reads_our_mcap(tmp_path: Path) -> None:
+    rows = write(tmp_path / "bag", "mcap")
+    with storage_file(tmp_path / "bag").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        seen = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
+        summary = reader.get_summary()
+        header = reader.get_header()
+    assert seen == rows
+    assert header.profile == "ros2" and summary is not None and summary.statistics is not None
+    assert summary.statistics.message_count == 20
+    schema = next(iter(summary.schemas.values()))
+    assert (schema.name, schema.encoding, schema.data.decode().splitlines()[0]) == (STRING, "ros2msg", "string data")
+
+
+def test_our_sqlite_has_the_tables_of_jazzy(tmp_path: Path) -> None:
+    rows = write(tmp_path / "bag", "sqlite3")
+    database = sqlite3.connect(storage_file(tmp_path / "bag"))
+    query = "SELECT name, timestamp, data FROM messages JOIN topics ON topics.id = topic_id ORDER BY timestamp"
+    assert database.execute(query).fetchall() == rows
+    assert database.execute("SELECT schema_version FROM schema").fetchone() == (4,)
+    assert database.execute("SELECT DISTINCT type_description_hash FROM topics").fetchall() == [(STRING_HASH,)]
+    database.close()
+
+
+def jazzy_bag(folder: Path) -> list[tuple[str, int, bytes]]:
+    """Write a bag as `ros2 bag record -s sqlite3` of Jazzy does: its tables, its metadata, two files."""
+    folder.mkdir()
+    rows = [("/chatter", 1_720_000_000_000_000_000 + i, text(f"hello {i}")) for i in range(6)]
+    for number, part in enumerate((rows[:4], rows[4:])):
+        database = sqlite3.connect(folder / f"talk_{number}.db3")
+        database.executescript(
+            "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY,ros_distro TEXT NOT NULL);"
+            "CREATE TABLE metadata(id INTEGER PRIMARY KEY,metadata_version INTEGER NOT NULL,metadata TEXT NOT NULL);"
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT NOT NULL,type TEXT NOT NULL,serialization_format TEXT"
+            " NOT NULL,offered_qos_profiles TEXT NOT NULL,type_description_hash TEXT NOT NULL);"
+            "CREATE TABLE message_definitions(id INTEGER PRIMARY KEY,topic_type TEXT NOT NULL,encoding TEXT NOT NULL,"
+            "encoded_message_definition TEXT NOT NULL,type_description_hash TEXT NOT NULL);"
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp INTEGER NOT NULL,data"
+            " BLOB NOT NULL);CREATE INDEX timestamp_idx ON messages (timestamp ASC);"
+            "INSERT INTO schema VALUES(4,'jazzy');"
+        )
+        qos = "- history: unknown\n  depth: 0\n  reliability: reliable\n  durability: volatile\n" + "".join(
+            f"  {name}:\n    sec: 9223372036\n    nsec: 854775807\n"
+            for name in ("deadline", "lifespan", "liveliness_lease_duration")
+        )
+        qos += "  liveliness: automatic\n  avoid_ros_namespace_conventions: false\n"
+        database.execute("INSERT INTO topics VALUES(1,'/chatter',?,'cdr',?,?)", (STRING, qos, STRING_HASH))
+        database.execute(
+            "INSERT INTO message_definitions VALUES(1,?,'ros2msg','string data\n',?)", (STRING, STRING_HASH)
+        )
+        database.executemany("INSERT INTO messages(topic_id,timestamp,data) VALUES(1,?,?)", [r[1:] for r in part])
+        database.commit()
+        database.close()
+    files = [
+        {
+            "path": f"talk_{number}.db3",
+            "starting_time": {"nanoseconds_since_epoch": part[0][1]},
+            "duration": {"nanoseconds": part[-1][1] - part[0][1]},
+            "message_count": len(part),
+        }
+        for number, part in enumerate((rows[:4], rows[4:]))
+    ]
+    topic = {
+        "name": "/chatter",
+        "type": STRING,
+        "serialization_format": "cdr",
+        "offered_qos_profiles": yaml.safe_load(qos),
+        "type_description_hash": STRING_HASH,
+    }
+    info = {
+        "version": 9,
+        "storage_identifier": "sqlite3",
+        "duration": {"nanoseconds": 5},
+        "starting_time": {"nanoseconds_since_epoch": rows[0][1]},
+        "message_count": 6,
+        "topics_with_message_count": [{"topic_metadata": topic, "message_count": 6}],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [f["path"] for f in files],
+        "files": files,
+        "custom_data": None,
+        "ros_distro": "jazzy",
+    }
+    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": info}))
+    return rows
+
+
+def test_a_bag_of_jazzy_in_two_files_is_read(tmp_path: Path) -> None:
+    rows = jazzy_bag(tmp_path / "talk")
+    with BagReader(tmp_path / "talk") as bag:
+        assert list(bag.messages()) == rows
+        assert bag.decode(rows[2][2], STRING).data == "hello 2"
+        assert bag.topics[0].qos[0].history is QosHistory.UNKNOWN
+
+
+@both
+def test_a_bag_that_was_cut_off_is_refused_with_advice_and_repaired(
+    tmp_path: Path, storage: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = write(tmp_path / "bag", storage, 3000)
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    if storage == "mcap":
+        file = storage_file(tmp_path / "bag")
+        # The summary and the end of the only chunk are gone.
+        file.write_bytes(file.read_bytes()[:-400])
+    assert bag_info.main([str(tmp_path / "bag")]) == 1
+    message = capsys.readouterr().err
+    assert "cut off" in message and "--repair NEW_BAG" in message
+    assert bag_info.main([str(tmp_path / "bag"), "--repair", str(tmp_path / "new")]) == 0
+    print(capsys.readouterr().out)
+    with BagReader(tmp_path / "new") as bag:
+        assert list(bag.messages()) == rows
+        assert bag.topics[0].qos == (LATCHED,)
+
+
+def test_every_cut_of_an_mcap_file_leaves_the_whole_records(tmp_path: Path) -> None:
+    seed = 7
+    chance = random.Random(seed)
+    path = tmp_path / "bag"
+    with BagWriter(path, "mcap", keep_free=0) as bag:
+        bag.add_topic(BagTopic(name="/a", type=STRING))
+        for i in range(60):
+            bag.write("/a", i + 1, text(f"{i}"))
+            if i % 10 == 9:
+                bag.checkpoint()  # a chunk for each ten messages
+    whole = storage_file(path).read_bytes()
+    last = 0
+    for number, size in enumerate(sorted(chance.sample(range(300, len(whole)), 40))):
+        cut = tmp_path / f"{number}.mcap"
+        cut.write_bytes(whole[:size])
+        count, end = repair(cut, tmp_path / f"{number}")
+        assert count % 10 == 0 and count >= last and end == "", (seed, size)
+        if count:
+            with BagReader(tmp_path / f"{number}") as bag:
+                assert [bag.decode(d, STRING).data for _, _, d in bag.messages()] == [f"{i}" for i in range(count)]
+        last = count
+    assert last == 60
+
+
+def test_damage_in_the_middle_is_named_and_the_rest_is_saved(tmp_path: Path) -> None:
+    rows = write(tmp_path / "bag", "sqlite3", 3000)
+    file = storage_file(tmp_path / "bag")
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 8192] = bytes(8192)
+    file.write_bytes(data)
+    with pytest.raises(BagError, match=r"broken.* malformed.*--repair"), BagReader(tmp_path / "bag") as bag:
+        list(bag.messages())
+    count, end = repair(tmp_path / "bag", tmp_path / "new")
+    assert 100 < count < 3000 and "malformed" in end
+    with BagReader(tmp_path / "new") as bag:
+        saved = list(bag.messages())
+    assert len(saved) == count and set(saved) <= set(rows)
+
+
+def test_other_files_and_names_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"nothing does not exist"):
+        BagReader(tmp_path / "nothing")
+    (tmp_path / "x.mcap").write_bytes(b"no bag at all")
+    with pytest.raises(BagError, match="broken"):
+        BagReader(tmp_path / "x.mcap")
+    assert repair(tmp_path / "x.mcap", tmp_path / "y")[1] == "x.mcap: it does not begin as an MCAP file does"
+    with BagWriter(tmp_path / "z", keep_free=0) as bag, pytest.raises(BagError, match="/q: the definition of a/msg/B"):
+        bag.add_topic(BagTopic(name="/q", type="a/msg/B"))
+    with pytest.raises(BagError, match=r"z cannot be made: .* exists already"):
+        BagWriter(tmp_path / "z", keep_free=0)
+
+
+def test_a_nearly_full_disk_ends_the_recording_with_a_whole_bag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = [1 << 30]
+    monkeypatch.setattr(
+        "scope_bench.adapters.bags.shutil.disk_usage", lambda place: type("Usage", (), {"free": free[0]})
+    )
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", "mcap", keep_free=100_000_000))
+    sink.add_topic(BagTopic(name="/a", type=STRING))
+    sink.put("/a", 1, text("before"))
+    free[0] = 99_000_000
+    sink.put("/a", 2, text("x" * (1 << 20)))
+    sink.close()
+    assert sink.failure.startswith("the disk is full: 99 MB are free at") and "100 MB are kept" in sink.failure
+    with BagReader(tmp_path / "bag") as bag:
+        assert [bag.decode(d, STRING).data for _, _, d in bag.messages()] == ["before"]
+
+
+FULL = """
+import resource, signal, sys
+from pathlib import Path
+from scope_bench.adapters.bags import BagError, BagTopic, BagWriter
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
+bag = BagWriter(Path(sys.argv[1]), sys.argv[2], keep_free=0)
+bag.add_topic(BagTopic(name="/a", type="std_msgs/msg/String"))
+try:
+    for i in range(1000):
+        bag.write("/a", i + 1, bytes([0, 1, 0, 0]) + (9996).to_bytes(4, "little") + b"x" * 9995 + b"\\0")
+        if i % 20 == 0:
+            bag.checkpoint()
+except BagError as error:
+    print(error)
+"""
+
+
+@both
+def test_a_write_that_fails_leaves_a_bag_that_can_be_repaired(tmp_path: Path, storage: str) -> None:
+    """A limit of the file's size stands for a disk that another program fills between two checks."""
+    assert signal.SIGXFSZ and resource.RLIMIT_FSIZE
+    environment = {"PYTHONPATH": ":".join(p for p in sys.path if p)}
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path / "bag"), storage],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=environment,
+        check=False,
+    )
+    assert "cannot be written" in done.stdout and "--repair" in done.stdout, done.stdout + done.stderr
+    count, _ = repair(tmp_path / "bag", tmp_path / "new")
+    assert 200 < count < 300
+    with BagReader(tmp_path / "new") as bag:
+        assert [stamp for _, stamp, _ in bag.messages()] == list(range(1, count + 1))
+
+
+def test_a_slow_disk_drops_and_counts() -> None:
+    class Slow:
+        messages = bytes = 0
+
+        def __enter__(self) -> Slow:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def add_topic(self, topic: BagTopic) -> None:
+            gate.wait()
+
+    import threading
+
+    gate = threading.Event()
+    sink = BagSink(Slow, limit_bytes=25)  # type: ignore[arg-type]
+    Slow.write = lambda self, *row: written.append(row)  # type: ignore[attr-defined]
+    written: list[tuple[str, int, bytes]] = []
+    sink.add_topic(BagTopic(name="/a", type=STRING))
+    for i in range(5):
+        sink.put("/a", i, b"0123456789")
+    gate.set()
+    sink.close()
+    assert [row[1] for row in written] == [0, 1] and sink.dropped == 3 and not sink.failure
+
+
+@pytest.mark.parametrize(("encoding", "channels"), [("bgr8", 3), ("rgb8", 3), ("mono8", 1)])
+def test_pictures_survive_png_and_nearly_jpeg(encoding: str, channels: int) -> None:
+    pixels = cv2.GaussianBlur(np.random.default_rng(3).integers(0, 256, (40, 60, channels), np.uint8), (0, 0), 3)
+    pixels = pixels.reshape(40, 60, channels)
+    header = TYPES.types["std_msgs/msg/Header"](
+        stamp=TYPES.types["builtin_interfaces/msg/Time"](sec=12, nanosec=34), frame_id="eye"
+    )
+    image = TYPES.types[IMAGE](
+        header=header,
+        height=40,
+        width=60,
+        encoding=encoding,
+        is_bigendian=0,
+        step=60 * channels,
+        data=pixels.reshape(-1),
+    )
+    raw = bytes(TYPES.serialize_cdr(image, IMAGE))
+    bgr = pixels[:, :, ::-1] if encoding == "rgb8" else pixels
+    for codec, tolerance in ((PictureCodec("png"), 0), (PictureCodec("jpeg", 95), 6)):
+        back = TYPES.deserialize_cdr(codec.unpack(codec.pack(raw)), IMAGE)
+        assert (back.header.stamp.nanosec, back.header.frame_id, back.step) == (34, "eye", 60 * channels)
+        assert back.encoding == ("mono8" if channels == 1 else "bgr8")
+        assert np.abs(back.data.reshape(bgr.shape).astype(int) - bgr).max() <= tolerance
+    with pytest.raises(ValueError, match="quality = 101: 1 to 100"):
+        PictureCodec("jpeg", 101)
+
+
+def test_the_play_clock_pauses_and_runs_at_its_rate() -> None:
+    clock = PlayClock(1000, 2.0, 10.0, paused=True)
+    assert clock.bag_ns(50.0) == 1000 and clock.wall_s_until(2000, 50.0) == float("inf")
+    assert clock.toggle(50.0) is False
+    assert clock.bag_ns(51.0) == 2_000_001_000
+    assert clock.wall_s_until(4_000_001_000, 51.0) == pytest.approx(1.0)
+    assert clock.toggle(51.5) is True and clock.bag_ns(99.0) == 3_000_001_000
+    with pytest.raises(ValueError, match=r"rate = 0: 0\.001 to 1000"):
+        PlayClock(0, 0, 0.0)
+    assert progress_bar(0.5, 4) == "[##..]"
