@@ -101,7 +101,7 @@ def test_a_hold_that_shows_before_its_stop_has_the_lock_is_that_stop(
     monkeypatch.setattr(rig.link, "call", late)
     rig.link.stop("asked for")
     assert rig.machine.reason == "asked for"
-    assert rig.results[-1].reason == "asked for"
+    rig.until(lambda: rig.results[-1].reason == "asked for")
 
 
 def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:
