@@ -148,7 +148,10 @@ def test_run_calibrates_publishes_and_saves(ros: Any, tmp_path: Path) -> None:
     assert 0 < kept.held_out_m < 0.001
     heights = {round(g.point.z, 4) for g in rig.goals}
     assert heights == {0.0, -0.012, -0.006}
-    assert all(g.point.x >= 0.02 and g.point.y >= 0.02 for g in rig.goals)
+    # Two places at the lower end of each axis, which the controller enters from above, tell the backlash; then it parks.
+    assert [sum(value(g.point) == 0.0 for g in rig.goals) for value in (lambda p: p.x, lambda p: p.y)] == [2, 3]
+    assert np.abs(kept.backlash_m).max() < 0.0002, "this machine has none"
+    assert (kept.backlash_sigma_m > 0).all()
 
 
 def test_stop_of_the_driver_fails_the_run(ros: Any) -> None:
@@ -265,4 +268,4 @@ def test_broken_file_is_named(ros: Any, tmp_path: Path) -> None:
     path = tmp_path / "c.yaml"
     path.write_text("nonsense")
     rig = Rig(ros, calibration_file=str(path))
-    assert rig.state == f"failed: {path}: not a hand-eye calibration: format 1 is needed"
+    assert rig.state == f"failed: {path}: not a hand-eye calibration: format 2 is needed"

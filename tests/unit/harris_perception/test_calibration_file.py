@@ -85,7 +85,7 @@ def test_other_cameras_and_machines_are_refused(
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        ({"format": 9}, "format 1 is needed"),
+        ({"format": 9}, "format 2 is needed"),
         (
             {"base_from_reading": [[1.0, 0.0]]},
             r"base_from_reading = \[\[1\.0, 0\.0\]\]: finite numbers of shape \(2, 2\)",

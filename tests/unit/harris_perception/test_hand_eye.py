@@ -49,8 +49,8 @@ def test_exact_data_give_pose_scale_skew_and_stylus_direction() -> None:
     result = calibrate(samples(grid()))
     assert_exact(result)
     np.testing.assert_allclose(result.stylus_direction, TILTED, atol=1e-12)
-    assert result.rms_m < 1e-12
-    assert result.used.all()
+    assert result.fit.rms_m < 1e-12
+    assert result.fit.used.all()
     np.testing.assert_allclose(result.tip_in_base(np.array([[0.1, 0.2, 0.03]])), [[0.0998, 0.1994, -0.03]], atol=1e-12)
 
 
@@ -66,16 +66,16 @@ def test_error_is_as_predicted_over_seeds() -> None:
     readings = grid()
     query = np.array([(0.02, 0.02, 0.0), (0.34, 0.19, 0.012), (0.18, 0.1, 0.006), (0.3, 0.05, 0.0)])
     distances, factors, errors, sigmas = [], [], [], []
-    exact = HandEyeConfig(tip_sigma_m=1e-7)
+    exact = HandEyeConfig(tip_sigma_m=1e-7, depth_sigma_m=1e-7, common_error=0.0)
     for seed in range(200):
         # The solver is told three times the true covariance: the residuals must correct it.
         result = calibrate(samples(readings, np.random.default_rng(seed), 3.0 * NOISE), exact)
-        assert result.used.all(), seed
+        assert result.fit.used.all(), seed
         design = np.column_stack([query, np.ones(len(query))])
-        error = design @ result.regression - true_tips(query)
+        error = design @ result.fit.regression - true_tips(query)
         covariance = result.covariance(query)
         distances += [e @ np.linalg.solve(c, e) / 3 for e, c in zip(error, covariance)]
-        factors.append(3.0 * result.variance_factor)
+        factors.append(3.0 * result.fit.variance_factor)
         errors.append(np.mean(np.sum(error**2, axis=1)))
         sigmas.append(result.sigma_m(query) ** 2)
     print(f"chi-square/dof {np.mean(distances):.3f}, factor {np.mean(factors):.3f}")
@@ -96,7 +96,7 @@ def test_wrong_detections_are_left_out(wrong: int) -> None:
             shift *= rng.uniform(0.002, 0.2) / np.linalg.norm(shift)
             data[i] = Sample(reading=data[i].reading, tip=data[i].tip + shift, covariance=NOISE)
         result = calibrate(data)
-        assert set(np.flatnonzero(~result.used)) == set(bad), seed
+        assert set(np.flatnonzero(~result.fit.used)) == set(bad), seed
         np.testing.assert_allclose(result.camera_from_base.translation, TRUE_POSE.translation, atol=0.0004)
 
 

@@ -17,7 +17,7 @@ from icu_common.core.config import from_mapping, settings_of
 from scope_bench.core.graph_description import Program, load_graph
 
 ROOT = Path(__file__).resolve().parents[3]
-PROFILES = ("bench", "test", "hardware")
+PROFILES = ("bench", "test", "carriage", "hardware")
 
 
 def programs(profile: str) -> list[Program]:

@@ -169,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--home", action="store_true", help="home even if the machine is homed")
     parser.add_argument("--calibrate", action="store_true", help="calibrate even if a calibration is loaded")
-    parser.add_argument("--timeout", type=float, default=180.0, metavar="S", help="whole time allowed (default 180)")
+    parser.add_argument("--timeout", type=float, default=400.0, metavar="S", help="whole time allowed (default 400)")
     given = parser.parse_args(own_arguments(arguments))
     if not (math.isfinite(given.timeout) and given.timeout > 0):
         parser.error(f"--timeout {given.timeout:g}: above 0 is needed")

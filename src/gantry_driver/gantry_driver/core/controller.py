@@ -32,6 +32,8 @@ NANO = 1_000_000_000
 EXTENDED_M = 0.0005
 """Extension above which a stylus that was left behind may be pressing something."""
 ASK_AGAIN_S = 0.5
+CROSSED_M = 2e-5
+"""Readings of x and y that differ more are motion."""
 CLOCK_JUMP_S = 0.5
 """Time that runs back farther than this between two events ends the goal: no deadline would hold any more."""
 
@@ -90,6 +92,9 @@ class ControllerConfig(Config):
     )
     min_confidence: float = setting(0.3, "Recognition needed for a touch", minimum=0.0, maximum=1.0)
     panel_max_age_s: float = setting(2.0, "Age of the panel's pose for a touch", minimum=0.1, maximum=60.0, unit="s")
+    camera_on_carriage: bool = setting(
+        False, "The cameras ride on the carriage: the panel is seen anew at each place, and errors are seen in it"
+    )
     panel_moved_m: float = setting(
         0.0015, "Shift of the target in the picture that ends a goal", minimum=1e-4, maximum=0.05, unit="m"
     )
@@ -152,6 +157,8 @@ class _World:
     driver: str = "disconnected: nothing heard from the driver"
     readings: Array | None = None
     readings_ns: int = 0
+    crossed_ns: int = 0
+    """When x or y was last seen to change, or heard of first."""
     heartbeat_ns: int | None = None
     camera: CameraModel | None = None
     camera_stamp_ns: int | None = None
@@ -317,6 +324,8 @@ class Controller:
             case msg.DriverState():
                 self._take_driver(event.text)
             case msg.Joints():
+                if world.readings is None or np.abs(event.readings - world.readings)[:2].max() > CROSSED_M:
+                    world.crossed_ns = self._now_ns
                 world.readings, world.readings_ns = event.readings, self._now_ns
                 self._check_left_behind()
             case msg.MotionResult():
@@ -381,6 +390,12 @@ class Controller:
             cause = f"the driver {result.outcome.value} the motion: {result.reason or 'no reason given'}"
             self._break_off(self._job, _Fault(cause=cause, lift=False))
 
+    def _panel_is_still(self) -> bool:
+        """Whether the panel's pose was seen from where the cameras are now."""
+        world = self._world
+        settled_ns = world.crossed_ns + _nanoseconds(self.config.settle_s)
+        return not self.config.camera_on_carriage or world.panel_stamp_ns > settled_ns
+
     def _forget_times(self) -> None:
         self._world.heartbeat_ns = None
         self._world.camera_stamp_ns = None
@@ -430,7 +445,7 @@ class Controller:
 
     def _panel_obstacles(self) -> Iterator[_Obstacle]:
         world, config = self._world, self.config
-        pose_age = self._age_s(world.panel_stamp_ns)
+        pose_age = self._age_s(world.panel_stamp_ns if self._panel_is_still() else None)
         if not world.confidence >= config.min_confidence:
             yield _Obstacle(
                 state="waiting: panel not recognised",
@@ -667,7 +682,13 @@ class Controller:
         if len(self._tips) < self._tips_needed:
             return None
         assert job.scene is not None
-        tips = job.scene.camera_from_base.inverse().apply(np.array(self._tips))
+        base_from_camera = job.scene.camera_from_base.inverse()
+        if self.config.camera_on_carriage:
+            # The tip rests in these pictures; it is the panel that shows how far it is from its place.
+            if not self._panel_is_still() or self._world.camera_from_panel is None:
+                return None
+            base_from_camera = job.scene.base_from_panel @ self._world.camera_from_panel.inverse()
+        tips = base_from_camera.apply(np.array(self._tips))
         mean: Array = tips.mean(axis=0)
         spread = float(np.linalg.norm((tips - mean)[:, :2], axis=1).max())
         return mean if spread <= self.config.tip_spread_m else None
@@ -810,8 +831,12 @@ class Controller:
         assert job.scene is not None
         # A dip of the confidence alone means nothing: the arm hides a part of the panel.
         if world.confidence >= config.min_confidence and world.camera_from_panel is not None:
-            before = job.scene.camera_from_panel.apply(job.touch.in_panel)
-            moved = float(np.linalg.norm(world.camera_from_panel.apply(job.touch.in_panel) - before))
+            before, now = job.scene.camera_from_panel, world.camera_from_panel
+            if config.camera_on_carriage:
+                if not self._panel_is_still() or world.camera_from_base is None:
+                    return None
+                before, now = job.scene.base_from_panel, world.camera_from_base.inverse() @ now
+            moved = float(np.linalg.norm(now.apply(job.touch.in_panel) - before.apply(job.touch.in_panel)))
             if moved > config.panel_moved_m:
                 return _Fault(
                     cause=f"the panel has moved by {1000 * moved:.1f} mm at the target, "

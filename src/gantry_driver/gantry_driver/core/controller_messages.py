@@ -71,7 +71,7 @@ class CameraFromBase:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Axes:
-    """``base_from_reading`` (2, 2), close to the identity.
+    """``base_from_reading`` (2, 2), close to the identity; None: the calibration was withdrawn.
 
     Raises
     ------
@@ -79,10 +79,12 @@ class Axes:
         If the matrix is not finite or farther from the identity than any machine that deserves the name.
     """
 
-    base_from_reading: Array
+    base_from_reading: Array | None
 
     def __post_init__(self) -> None:
         matrix = self.base_from_reading
+        if matrix is None:
+            return
         if matrix.shape != (2, 2) or not abs(matrix - ((1.0, 0.0), (0.0, 1.0))).max() <= 0.1:
             raise ValueError(f"axes {matrix.tolist()}: 2 x 2 values within 0.1 of the identity are needed")
 

@@ -64,6 +64,8 @@ CRITICAL_ALARM_PAUSE_S = 0.6
 STYLUS_DOWN_M = 0.0005
 """Extension above which the stylus may touch something and is lifted after a stop."""
 TICK_S = 0.05
+READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
+"""Directions, homing corner, pull-off, steps and travel: with others a calibration of the readings is void."""
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """What a program may rely on at its first line."""
 
@@ -183,6 +185,12 @@ class Machine:
             "active": self.active,
         }
         return [(name, str(value)) for name, value in values.items()]
+
+    def settings_text(self) -> str:
+        """Return the board's settings that readings depend on, ``$100=80 ...``; empty until they are known."""
+        if not all(number in self._settings for number in READING_SETTINGS):
+            return ""
+        return " ".join(f"${number}={self._settings[number].split()[0]}" for number in READING_SETTINGS)
 
     # --- what the link says ------------------------------------------------------------------------------------
 

@@ -189,6 +189,8 @@ def _camera_from_base(message: TransformStamped) -> msg.Event:
 
 
 def _axes(message: Float64MultiArray) -> msg.Event:
+    if not message.data:
+        return msg.Axes(base_from_reading=None)  # the calibration was withdrawn
     if len(message.data) != 4:
         raise ValueError(f"{len(message.data)} values, 4 are needed (2 x 2, row by row)")
     return msg.Axes(base_from_reading=np.array(message.data).reshape(2, 2))

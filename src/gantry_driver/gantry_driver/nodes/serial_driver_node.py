@@ -54,6 +54,7 @@ class SerialDriverNode(LifecycleNode):
         config = self._live.config
         self._joint_states = self.create_publisher(JointState, "joint_states", RESULTS)
         self._state = self.create_publisher(String, "driver_state", LATCHED)
+        self._settings, self._settings_told = self.create_publisher(String, "machine_settings", LATCHED), ""
         self._results = self.create_publisher(DiagnosticArray, "trajectory_result", RESULTS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RESULTS)
         self._old_wakeup_fd: int | None = None
@@ -176,7 +177,12 @@ class SerialDriverNode(LifecycleNode):
                 (self.get_logger().error if event.level == "error" else self.get_logger().warning)(event.text)
 
     def _publish_diagnostics(self) -> None:
-        state, values = self._link.call(lambda machine, now: (machine.state_text, machine.diagnostics()))
+        state, values, settings = self._link.call(
+            lambda machine, now: (machine.state_text, machine.diagnostics(), machine.settings_text())
+        )
+        if settings and settings != self._settings_told:
+            self._settings_told = settings
+            self._settings.publish(String(data=settings))
         level = LEVELS.get(state.partition(":")[0], "error")
         status = diagnostic_status(f"{self.get_name()}: board", level, state, values)
         self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from harris_perception.core.carriage_camera import shifted
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 
-FORMAT = 1
+FORMAT = 2
 
 
 class CalibrationFileError(ValueError):
@@ -36,6 +37,16 @@ class StoredCalibration:
         The cameras; ``right`` may be unknown.
     machine
         Name of the machine's configuration.
+    settings
+        The board's settings that the readings depend on, as the driver tells them; empty: unknown.
+    mounting
+        Where the cameras are: ``fixed`` or ``carriage``. For the latter ``camera_from_base`` is that at readings zero.
+    backlash_m, backlash_sigma_m
+        (2,) of x and y, and their standard deviations (NaN: not measured).
+    base_from_panel
+        Where the panel stood; None: unknown.
+    contact_offset_m
+        (3,) in base_link, touched minus seen place of the tip (NaN: nothing was touched).
     rms_m, sigma_m, held_out_m
         Misfit of the samples, predicted error, and greatest error at held-out positions (NaN: not measured).
     samples
@@ -55,13 +66,36 @@ class StoredCalibration:
     held_out_m: float
     samples: int
     made_at: str
+    settings: str = ""
+    mounting: str = "fixed"
+    backlash_m: Array = field(default_factory=lambda: np.full(2, np.nan))
+    backlash_sigma_m: Array = field(default_factory=lambda: np.full(2, np.nan))
+    base_from_panel: Transform | None = None
+    contact_offset_m: Array = field(default_factory=lambda: np.full(3, np.nan))
+
+    @property
+    def on_carriage(self) -> bool:
+        """Whether the cameras move with the carriage."""
+        return self.mounting == "carriage"
+
+    def camera_from_base_at(self, reading: Array) -> Transform:
+        """Return camera_from_base for one reading (3,) m."""
+        if not self.on_carriage:
+            return self.camera_from_base
+        return shifted(self.camera_from_base, self.base_from_reading, reading)
+
+    def tip_in_camera(self, reading: Array) -> Array:
+        """Return (3,) m: where the tip is seen for one reading (3,) m."""
+        base = np.array([*(self.base_from_reading @ reading[:2]), 0.0]) + reading[2] * self.stylus_direction
+        return self.camera_from_base_at(reading).apply(base)
 
     def summary(self) -> str:
         """Return one line for people."""
         held = "" if np.isnan(self.held_out_m) else f", held-out {self.held_out_m * 1e3:.2f} mm"
+        where = ", cameras on the carriage" if self.on_carriage else ""
         return (
-            f"{self.samples} samples, rms {self.rms_m * 1e3:.3f} mm{held}, predicted {self.sigma_m * 1e3:.3f} mm, "
-            f"{self.made_at}"
+            f"{self.samples} samples{where}, rms {self.rms_m * 1e3:.3f} mm{held}, "
+            f"predicted {self.sigma_m * 1e3:.3f} mm, {self.made_at}"
         )
 
 
@@ -77,12 +111,17 @@ def save(calibration: StoredCalibration, path: Path) -> None:
         "format": FORMAT,
         "made_at": calibration.made_at,
         "machine": calibration.machine,
-        "camera_from_base": {
-            "rotation": [[float(v) for v in row] for row in calibration.camera_from_base.rotation],
-            "translation_m": [float(v) for v in calibration.camera_from_base.translation],
-        },
+        "settings": calibration.settings,
+        "mounting": calibration.mounting,
+        "camera_from_base": _pose(calibration.camera_from_base),
         "base_from_reading": [[float(v) for v in row] for row in calibration.base_from_reading],
         "stylus_direction": [float(v) for v in calibration.stylus_direction],
+        "scale_xy": axes_scale(calibration.base_from_reading).tolist(),
+        "skew_rad": axes_skew(calibration.base_from_reading),
+        "backlash_m": calibration.backlash_m.tolist(),
+        "backlash_sigma_m": calibration.backlash_sigma_m.tolist(),
+        "base_from_panel": None if calibration.base_from_panel is None else _pose(calibration.base_from_panel),
+        "contact_offset_m": calibration.contact_offset_m.tolist(),
         "samples": calibration.samples,
         "rms_m": calibration.rms_m,
         "predicted_sigma_m": calibration.sigma_m,
@@ -113,13 +152,12 @@ def load(path: Path) -> StoredCalibration:
         document: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise CalibrationFileError(f"format {FORMAT} is needed")
-        pose = document["camera_from_base"]
         axes = _numbers(document, "base_from_reading", (2, 2))
         if not np.linalg.det(axes) > 0:
             raise CalibrationFileError(f"base_from_reading {axes.tolist()} cannot be inverted")
         right = document["right_camera"]
         return StoredCalibration(
-            camera_from_base=Transform(_numbers(pose, "rotation", (3, 3)), _numbers(pose, "translation_m", (3,))),
+            camera_from_base=_pose_of(document["camera_from_base"]),
             base_from_reading=axes,
             stylus_direction=_numbers(document, "stylus_direction", (3,)),
             left=CameraModel.from_mapping(document["left_camera"]),
@@ -130,15 +168,27 @@ def load(path: Path) -> StoredCalibration:
             held_out_m=float(document["held_out_max_m"]),
             samples=int(document["samples"]),
             made_at=str(document["made_at"]),
+            settings=str(document["settings"]),
+            mounting=_mounting(document),
+            backlash_m=_numbers(document, "backlash_m", (2,), known=False),
+            backlash_sigma_m=_numbers(document, "backlash_sigma_m", (2,), known=False),
+            base_from_panel=None if document["base_from_panel"] is None else _pose_of(document["base_from_panel"]),
+            contact_offset_m=_numbers(document, "contact_offset_m", (3,), known=False),
         )
     except (KeyError, TypeError, ValueError, yaml.YAMLError) as error:
         raise CalibrationFileError(f"{path}: not a hand-eye calibration: {error}") from error
 
 
 def check_fits(
-    calibration: StoredCalibration, left: CameraModel, right: CameraModel | None, machine: str, limit_px: float = 0.05
+    calibration: StoredCalibration,
+    left: CameraModel,
+    right: CameraModel | None,
+    machine: str,
+    settings: str = "",
+    mounting: str = "",
+    limit_px: float = 0.05,
 ) -> None:
-    """Refuse a calibration made with other cameras, another resolution or another machine.
+    """Refuse a calibration made with other cameras, another resolution, mounting, machine or its other settings.
 
     Parameters
     ----------
@@ -148,6 +198,8 @@ def check_fits(
         The cameras in use; ``right`` may be unknown.
     machine
         Name of the machine's configuration in use.
+    settings, mounting
+        In use; empty: unknown.
     limit_px
         Cameras are the same while they project alike to this, over the whole picture.
 
@@ -158,6 +210,13 @@ def check_fits(
     """
     if machine != calibration.machine:
         raise CalibrationFileError(f"it was made for machine {calibration.machine!r}, this one is {machine!r}")
+    if settings and calibration.settings and settings != calibration.settings:
+        old_values, new_values = (dict(part.split("=") for part in t.split()) for t in (calibration.settings, settings))
+        changed = [k for k in sorted({*old_values, *new_values}) if old_values.get(k) != new_values.get(k)]
+        texts = [f"{k} was {old_values.get(k, 'unknown')}, now {new_values.get(k, 'unknown')}" for k in changed]
+        raise CalibrationFileError(f"the machine's settings have changed since it was made: {'; '.join(texts)}")
+    if mounting and mounting != calibration.mounting:
+        raise CalibrationFileError(f"it was made with cameras mounted {calibration.mounting!r}, now it is {mounting!r}")
     for name, old, new in (("left", calibration.left, left), ("right", calibration.right, right)):
         if old is None or new is None:
             continue
@@ -181,8 +240,33 @@ def _difference_px(old: CameraModel, new: CameraModel) -> float:
     return max(turned, float(np.abs(old.p - new.p).max()))
 
 
-def _numbers(document: Any, key: str, shape: tuple[int, ...]) -> Array:
+def axes_scale(base_from_reading: Array) -> Array:
+    """Return (2,) how many metres the x and the y axis move per metre of reading."""
+    return np.asarray(np.linalg.norm(base_from_reading, axis=0))
+
+
+def axes_skew(base_from_reading: Array) -> float:
+    """Return the angle, rad, that the axes miss at 90 degrees; positive where y leans towards x."""
+    return float(np.arctan2(base_from_reading[0, 1], base_from_reading[1, 1]))
+
+
+def _pose(transform: Transform) -> dict[str, Any]:
+    return {"rotation": transform.rotation.tolist(), "translation_m": transform.translation.tolist()}
+
+
+def _pose_of(document: Any) -> Transform:
+    return Transform(_numbers(document, "rotation", (3, 3)), _numbers(document, "translation_m", (3,)))
+
+
+def _mounting(document: Any) -> str:
+    mounting = str(document["mounting"])
+    if mounting not in ("fixed", "carriage"):
+        raise CalibrationFileError(f"mounting {mounting!r}: 'fixed' or 'carriage' is needed")
+    return mounting
+
+
+def _numbers(document: Any, key: str, shape: tuple[int, ...], *, known: bool = True) -> Array:
     value = np.array(document[key], dtype=np.float64)
-    if value.shape != shape or not np.isfinite(value).all():
+    if value.shape != shape or (known and not np.isfinite(value).all()):
         raise CalibrationFileError(f"{key} = {document[key]!r}: finite numbers of shape {shape} are needed")
     return value

@@ -7,15 +7,24 @@ whatever goes wrong ends the run with a reason; it never starts again by itself.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
+from harris_perception.core.backlash import Backlash, measure_backlash
+from harris_perception.core.carriage_camera import (
+    Contact,
+    PanelSample,
+    calibrate_on_carriage,
+    held_out_on_carriage,
+    mean_rotation,
+    panel_origin,
+)
 from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate
 from icu_common.core.config import Config, ConfigError, setting
-from icu_common.core.geometry import Array
+from icu_common.core.geometry import Array, Transform, nearest_rotation
 from icu_common.core.results import GoalResult, Outcome
 
 
@@ -30,12 +39,14 @@ class StillConfig(Config):
     )
     tips: int = setting(8, "Sightings that make one sample", minimum=3, maximum=200)
     scatter_m: float = setting(0.0008, "Their greatest rms scatter", minimum=1e-6, maximum=0.05, unit="m")
+    panels: int = setting(3, "Poses of the panel that make one sample", minimum=1, maximum=200)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig(Config):
     """Where the run goes and how long it waits."""
 
+    mounting: str = setting("fixed", "Where the cameras are mounted", choices=("fixed", "carriage"), read_only=True)
     x_min_m: float = setting(0.03, "Least x reading", minimum=0.0, maximum=5.0, unit="m")
     x_max_m: float = setting(0.33, "Greatest x reading", minimum=0.0, maximum=5.0, unit="m")
     y_min_m: float = setting(0.03, "Least y reading", minimum=0.0, maximum=5.0, unit="m")
@@ -47,6 +58,9 @@ class RunConfig(Config):
     )
     held_out: int = setting(4, "Places between the others that check the result", minimum=2, maximum=50)
     held_out_height_m: float = setting(-0.006, "Their height", minimum=-0.5, maximum=0.0, unit="m")
+    backlash_places: int = setting(
+        2, "Places at the lower end of each axis, entered from above, that tell the backlash", minimum=0, maximum=20
+    )
     approach_m: float = setting(
         0.003, "Each row is entered from so far left and below, which takes up the backlash", minimum=0.0, maximum=0.05
     )
@@ -68,18 +82,20 @@ class RunConfig(Config):
 
 
 class StillWatch:
-    """Collects sightings of the tip while the readings do not change."""
+    """Collects sightings of the tip, and of the panel, while the readings do not change."""
 
     def __init__(self, config: StillConfig) -> None:
         self._config = config
         self._reading: Array | None = None
         self._reading_ns = self._since_ns = 0
         self._tips: deque[tuple[int, Array]] = deque(maxlen=config.tips)
+        self._panels: deque[Transform] = deque(maxlen=config.panels)
 
     def restart(self, now_ns: int) -> None:
         """Forget what was seen before ``now_ns``."""
         self._since_ns = now_ns
         self._tips.clear()
+        self._panels.clear()
 
     def reading(self, stamp_ns: int, reading: Array) -> None:
         """Take the readings (3,) m of ``stamp_ns``."""
@@ -92,6 +108,22 @@ class StillWatch:
         """Take a sighting (3,) m of ``stamp_ns``; those of a moving or settling machine are dropped."""
         if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
             self._tips.append((stamp_ns, np.array(tip, dtype=np.float64)))
+
+    def panel(self, stamp_ns: int, camera_from_panel: Transform) -> None:
+        """Take a pose of the panel of ``stamp_ns``; as for the tip."""
+        if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
+            self._panels.append(camera_from_panel)
+
+    def panel_sample(self, now_ns: int) -> PanelSample | str:
+        """Return the mean of the poses, or why there is none yet."""
+        if self._reading is None or now_ns - self._reading_ns > self._config.fresh_s * 1e9:
+            return "no joint_states arrive"
+        poses = list(self._panels)
+        if len(poses) < self._config.panels:
+            return f"the panel was seen {len(poses)} of {self._config.panels} times while the machine stood still"
+        rotation = nearest_rotation(np.mean([p.rotation for p in poses], axis=0))
+        pose = Transform(rotation, np.mean([p.translation for p in poses], axis=0))
+        return PanelSample(reading=self._reading, camera_from_panel=pose)
 
     def sample(self, now_ns: int) -> Sample | str:
         """Return a sample, or why there is none yet."""
@@ -119,12 +151,17 @@ class Purpose(str, Enum):
     APPROACH = "approach"
     FIT = "fit"
     CHECK = "check"
+    BACK_X = "backlash of x"
+    BACK_Y = "backlash of y"
     PARK = "park"
+
+
+_SAMPLED = (Purpose.FIT, Purpose.CHECK, Purpose.BACK_X, Purpose.BACK_Y)
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """One goal of the run, metres in base_link."""
+    """One goal of the run: readings x and y, and the height z in base_link; metres."""
 
     x: float
     y: float
@@ -148,8 +185,25 @@ def plan(config: RunConfig) -> list[Stop]:
     for x, y in (between[i] for i in chosen):
         stops.append(Stop(x - back, y - back, 0.0, Purpose.APPROACH))
         stops.append(Stop(x, y, config.held_out_height_m, Purpose.CHECK))
+    stops += _from_above(config)
     last = stops[-1]
     return [*stops, Stop(last.x, last.y, 0.0, Purpose.PARK)]
+
+
+def _from_above(config: RunConfig) -> list[Stop]:
+    """Return the places that tell the backlash.
+
+    The controller enters every place from below, except at the lower end of an axis, where there is no room for it:
+    reading 0 is entered from above. There the carriage lags the other way.
+    """
+    stops = []
+    back, room = config.approach_m, 0.01
+    for share in (np.arange(config.backlash_places) + 1.0) / (config.backlash_places + 1):
+        y = float(config.y_min_m + share * (config.y_max_m - config.y_min_m))
+        stops += [Stop(room, y - back, 0.0, Purpose.APPROACH), Stop(0.0, y, 0.0, Purpose.BACK_X)]
+        x = float(config.x_min_m + share * (config.x_max_m - config.x_min_m))
+        stops += [Stop(x - back, room, 0.0, Purpose.APPROACH), Stop(x, 0.0, 0.0, Purpose.BACK_Y)]
+    return stops
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,10 +225,15 @@ class Progress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finished:
-    """The calibration, and the errors (N,) m at the held-out places."""
+    """The calibration, the errors (N,) m at the held-out places, and the backlash of x and y where it was measured.
+
+    ``camera_from_panel`` is where the panel was, for cameras on the carriage at readings zero; None for fixed ones.
+    """
 
     calibration: HandEye
     held_out_m: Array
+    backlash: tuple[Backlash | None, Backlash | None] = (None, None)
+    camera_from_panel: Transform | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,18 +256,36 @@ class CalibrationRun:
         See the classes.
     now_ns
         ROS time.
+    base_from_reading
+        (2, 2) by which the controller turns goals into readings now; None: one to one.
+    contacts
+        Touches of known points, for cameras on the carriage that do not see the tip.
     """
 
-    def __init__(self, config: RunConfig, still: StillConfig, solver: HandEyeConfig, now_ns: int) -> None:
+    def __init__(
+        self,
+        config: RunConfig,
+        still: StillConfig,
+        solver: HandEyeConfig,
+        now_ns: int,
+        base_from_reading: Array | None = None,
+        contacts: Sequence[Contact] = (),
+    ) -> None:
         self._config, self._solver = config, solver
+        self._axes = np.eye(2) if base_from_reading is None else base_from_reading
+        self._contacts = tuple(contacts)
+        self._see_panel = config.mounting == "carriage"
+        self._see_tip = not (self._see_panel and contacts)
         self._watch = StillWatch(still)
         self._stops = plan(config)
-        self._places = sum(s.purpose in (Purpose.FIT, Purpose.CHECK) for s in self._stops)
+        self._places = sum(s.purpose in _SAMPLED for s in self._stops)
         self._index = -1
         self._goal_id = ""
         self._accepted = self._arrived = False
         self._deadline_ns = now_ns
-        self._samples: dict[Purpose, list[Sample]] = {Purpose.FIT: [], Purpose.CHECK: []}
+        self._samples: dict[Purpose, list[Sample]] = {purpose: [] for purpose in _SAMPLED}
+        self._panels: dict[Purpose, list[PanelSample]] = {purpose: [] for purpose in _SAMPLED}
+        self._done = 0
         self._missed: list[str] = []
         self.over = False
 
@@ -246,12 +323,26 @@ class CalibrationRun:
     def tip(self, stamp_ns: int, tip: Array, now_ns: int) -> list[Action]:
         """Take a sighting (3,) m in the camera's frame."""
         self._watch.tip(stamp_ns, tip)
+        return self._look(now_ns)
+
+    def panel(self, stamp_ns: int, camera_from_panel: Transform, now_ns: int) -> list[Action]:
+        """Take a pose of the panel; fixed cameras do not need it."""
+        self._watch.panel(stamp_ns, camera_from_panel)
+        return self._look(now_ns)
+
+    def _look(self, now_ns: int) -> list[Action]:
         if self.over or not self._arrived:
             return []
-        sample = self._watch.sample(now_ns)
-        if isinstance(sample, str):
+        sample = self._watch.sample(now_ns) if self._see_tip else None
+        panel = self._watch.panel_sample(now_ns) if self._see_panel else None
+        if isinstance(sample, str) or isinstance(panel, str):
             return []
-        self._samples[self._stops[self._index].purpose].append(sample)
+        purpose = self._stops[self._index].purpose
+        if sample is not None:
+            self._samples[purpose].append(sample)
+        if panel is not None:
+            self._panels[purpose].append(panel)
+        self._done += 1
         return list(self._next(now_ns))
 
     def tick(self, now_ns: int) -> list[Action]:
@@ -263,15 +354,16 @@ class CalibrationRun:
             waited = config.move_timeout_s if self._accepted else config.accept_timeout_s
             what = "reached" if self._accepted else "answered"
             return self._fail(f"the goal was not {what} within {waited:g} s")
-        why = self._watch.sample(now_ns)
-        self._missed.append(why if isinstance(why, str) else "the tip came too late")
+        tip = self._watch.sample(now_ns) if self._see_tip else None
+        panel = self._watch.panel_sample(now_ns) if self._see_panel else None
+        self._missed.append(next((why for why in (tip, panel) if isinstance(why, str)), "it was seen too late"))
         if len(self._missed) > self._config.max_missed * self._places:
             return self._fail(f"{len(self._missed)} of {self._places} places gave no sample; last: {self._missed[-1]}")
         return list(self._next(now_ns))
 
     def _next(self, now_ns: int) -> Iterator[Action]:
         self._index += 1
-        done = len(self._samples[Purpose.FIT]) + len(self._samples[Purpose.CHECK]) + len(self._missed)
+        done = self._done + len(self._missed)
         yield Progress(done, self._places, f"{len(self._missed)} missed" if self._missed else "")
         if self._index == len(self._stops):
             yield self._solve()
@@ -279,24 +371,46 @@ class CalibrationRun:
         stop = self._stops[self._index]
         self._goal_id, self._accepted, self._arrived = str(now_ns), False, False
         self._deadline_ns = now_ns + int(self._config.accept_timeout_s * 1e9)
-        yield SendGoal((stop.x, stop.y, stop.z), now_ns)
+        x, y = (float(v) for v in self._axes @ np.array([stop.x, stop.y]))
+        yield SendGoal((x, y, stop.z), now_ns)
 
     def _solve(self) -> Action:
         self.over = True
-        checks = self._samples[Purpose.CHECK]
-        if len(checks) < 2:
-            return Failed(f"only {len(checks)} held-out places gave a sample, 2 are needed to check the result")
+        checks = max(len(kept[Purpose.CHECK]) for kept in (self._samples, self._panels))
+        if checks < 2:
+            return Failed(f"only {checks} held-out places gave a sample, 2 are needed to check the result")
         try:
-            calibration = calibrate(self._samples[Purpose.FIT], self._solver)
+            calibration, errors, seen = self._on_carriage() if self._see_panel else self._fixed()
         except DegenerateError as error:
             return Failed(str(error))
-        errors = held_out_errors(calibration, checks)
         if errors.max() > self._config.max_held_out_m:
+            what = "panel" if self._see_panel else "tip"
             return Failed(
-                f"at a held-out place the tip was {errors.max() * 1e3:.2f} mm off, "
+                f"at a held-out place the {what} was {errors.max() * 1e3:.2f} mm off, "
                 f"{self._config.max_held_out_m * 1e3:.2f} mm are accepted"
             )
-        return Finished(calibration, errors)
+        back = [self._backlash(calibration, axis, p) for axis, p in enumerate((Purpose.BACK_X, Purpose.BACK_Y))]
+        return Finished(calibration, errors, (back[0], back[1]), seen)
+
+    def _fixed(self) -> tuple[HandEye, Array, None]:
+        calibration = calibrate(self._samples[Purpose.FIT], self._solver)
+        return calibration, held_out_errors(calibration, self._samples[Purpose.CHECK]), None
+
+    def _on_carriage(self) -> tuple[HandEye, Array, Transform]:
+        panels = self._panels[Purpose.FIT]
+        tips = [sample for purpose in _SAMPLED for sample in self._samples[purpose]]
+        calibration = calibrate_on_carriage(panels, tips, self._contacts, self._solver)
+        errors = held_out_on_carriage(calibration, panels, self._panels[Purpose.CHECK])
+        return calibration, errors, Transform(mean_rotation(panels), calibration.fit.regression[-1])
+
+    def _backlash(self, calibration: HandEye, axis: int, purpose: Purpose) -> Backlash | None:
+        """Compare where the carriage is after coming from above with where it would be from below."""
+        if self._see_panel:
+            rotation = mean_rotation(self._panels[Purpose.FIT])
+            kept: list[tuple[Array, Array]] = [(p.reading, panel_origin(p, rotation)) for p in self._panels[purpose]]
+        else:
+            kept = [(s.reading, s.tip) for s in self._samples[purpose]]
+        return measure_backlash(calibration, axis, kept) if kept else None
 
     def _fail(self, reason: str) -> list[Action]:
         self.over = True

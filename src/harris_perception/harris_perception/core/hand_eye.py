@@ -4,6 +4,8 @@ A carriage that never turns makes AX = XB degenerate, so what can be observed is
 the fixed stereo camera at readings q is ``X = N q + b``, a linear regression. Its columns are split as ``N = R M``: R
 turns base_link into the camera's frame, M (upper triangular, close to identity) holds the axes' scale and skew.
 
+Cameras that ride on the carriage are solved in :mod:`harris_perception.core.carriage_camera`.
+
 base_link: origin at the tip for readings zero, x along the x rail, y in the plane of both rails, z their normal towards
 the viewer; metric and orthogonal. ``base_xy = M q_xy``, ``base_z = -stylus``.
 """
@@ -15,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from icu_common.core.config import Config, setting
 from icu_common.core.geometry import Array, Transform, nearest_rotation
@@ -32,8 +35,20 @@ class HandEyeConfig(Config):
         0.004, "From this extent on the stylus's direction is fitted too", minimum=0.0001, maximum=1.0, unit="m"
     )
     tip_sigma_m: float = setting(
-        0.00002, "Least standard deviation of a sample that is believed", minimum=1e-7, maximum=0.01, unit="m"
+        0.000013,
+        "Least standard deviation of a sample that is believed, across the line of sight",
+        minimum=1e-7,
+        maximum=0.01,
+        unit="m",
     )
+    depth_sigma_m: float = setting(0.00006, "The same along the line of sight", minimum=1e-7, maximum=0.05, unit="m")
+    common_error: float = setting(
+        0.95,
+        "Error that all samples share (the ball's shading) and no number of them reduces, as a part of one sample's",
+        minimum=0.0,
+        maximum=2.0,
+    )
+    contact_sigma_m: float = setting(0.0003, "How well a touched point is known", minimum=1e-6, maximum=0.01, unit="m")
     outlier_sigmas: float = setting(4.5, "Samples beyond so many standard deviations are left out", minimum=2.0)
     max_outliers: float = setting(0.3, "Part of the samples that may be left out", minimum=0.0, maximum=0.49)
     max_rms_m: float = setting(0.0005, "Greatest misfit that is accepted", minimum=1e-6, maximum=0.1, unit="m")
@@ -65,23 +80,19 @@ class DegenerateError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class HandEye:
-    """A calibration.
+class Fit:
+    """A robust linear regression of points on readings.
 
     Attributes
     ----------
-    camera_from_base
-        Pose of base_link in the camera's rectified frame.
-    base_from_reading
-        (2, 2) upper triangular M.
-    stylus_direction
-        (3,) in base_link: motion of the tip per metre of extension; (0, 0, -1) when it was not fitted.
     regression
-        (P, 3) the fitted columns of N and b, tip = (x, y[, stylus], 1) @ regression.
+        (P, 3) columns of the model, point = design @ regression.
     spread
-        (P, P) inverse normal matrix of the regression.
+        (P, P) inverse normal matrix.
     noise
-        (3, 3) m^2, covariance of one sample in the camera's frame, a posteriori.
+        (3, 3) m^2, covariance of one sample, a posteriori.
+    common_error
+        See :class:`HandEyeConfig`.
     variance_factor
         Squared residuals over what the samples' own covariances predict (chi-square per degree of freedom).
     rms_m
@@ -90,15 +101,48 @@ class HandEye:
         (N,) bool, which samples those were.
     """
 
-    camera_from_base: Transform
-    base_from_reading: Array
-    stylus_direction: Array
     regression: Array
     spread: Array
     noise: Array
+    common_error: float
     variance_factor: float
     rms_m: float
-    used: Array
+    used: npt.NDArray[np.bool_]
+
+    def covariance(self, design: Array) -> Array:
+        """Return (N, 3, 3) m^2: how sure the fitted point of each row of ``design`` (N, P) is."""
+        leverage = np.einsum("ni,ij,nj->n", design, self.spread, design)
+        return np.asarray((leverage + self.common_error**2)[:, None, None] * self.noise)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class HandEye:
+    """A calibration.
+
+    Attributes
+    ----------
+    camera_from_base
+        Pose of base_link in the camera's rectified frame; for a camera on the carriage, that at readings zero.
+    base_from_reading
+        (2, 2) upper triangular M.
+    stylus_direction
+        (3,) in base_link: motion of the tip per metre of extension; (0, 0, -1) when it was not fitted.
+    fit
+        The regression on the readings: of the tip, or, for a camera on the carriage, of the panel's origin.
+    tip_fit
+        For a camera on the carriage, the regression of the tip on the extension; else None.
+    """
+
+    camera_from_base: Transform
+    base_from_reading: Array
+    stylus_direction: Array
+    fit: Fit
+    tip_fit: Fit | None = None
+
+    @property
+    def on_carriage(self) -> bool:
+        """Whether the camera moves with the carriage."""
+        return self.tip_fit is not None
 
     def tip_in_base(self, readings: Array) -> Array:
         """Return (N, 3) m in base_link for readings (N, 3) m, as the rest of the graph computes it."""
@@ -107,13 +151,19 @@ class HandEye:
 
     def tip_in_camera(self, readings: Array) -> Array:
         """Return (N, 3) m in the camera's frame for readings (N, 3) m."""
-        return self.camera_from_base.apply(self.tip_in_base(readings))
+        tips = self.tip_in_base(readings)
+        return self.camera_from_base.apply(tips * (0.0, 0.0, 1.0) if self.on_carriage else tips)
 
     def covariance(self, readings: Array) -> Array:
-        """Return (N, 3, 3) m^2, in the camera's frame: how sure the fitted tip position is for readings (N, 3)."""
-        design = _design(np.atleast_2d(readings), len(self.spread) == 4)
-        leverage = np.einsum("ni,ij,nj->n", design, self.spread, design)
-        return np.asarray(leverage[:, None, None] * self.noise)
+        """Return (N, 3, 3) m^2, in the camera's frame, for readings (N, 3).
+
+        How sure the fitted tip is or, for a camera on the carriage, the tip's place relative to the panel.
+        """
+        rows = np.atleast_2d(readings)
+        own = self.fit.covariance(_design(rows, len(self.fit.spread) == 4))
+        if self.tip_fit is None:
+            return own
+        return own + self.tip_fit.covariance(extension_design(rows, len(self.tip_fit.spread) == 2))
 
     def sigma_m(self, readings: Array) -> float:
         """Return the predicted rms distance, m, between fitted and true tip over readings (N, 3)."""
@@ -121,7 +171,7 @@ class HandEye:
 
 
 def calibrate(samples: Sequence[Sample], config: HandEyeConfig | None = None) -> HandEye:
-    """Solve the calibration; wrong detections are left out.
+    """Solve the calibration of cameras that stand still; wrong detections are left out.
 
     Raises
     ------
@@ -130,24 +180,65 @@ def calibrate(samples: Sequence[Sample], config: HandEyeConfig | None = None) ->
         and for axes that no such machine has.
     """
     config = config if config is not None else HandEyeConfig()
+    readings, tips = checked(samples, "the tip", config)
+    with_stylus = bool(np.ptp(readings[:, 2]) >= config.min_stylus_span_m)
+    if with_stylus:
+        _check_stylus(readings, config)
+    shape = np.mean([s.covariance for s in samples], axis=0) + least_covariance(tips, config)
+    fit = robust_fit(_design(readings, with_stylus), tips, shape, config)
+    _check_motion(readings[fit.used], tips[fit.used], "the tip", config)
+    rotation, axes = split_axes(fit.regression[0], fit.regression[1], config)
+    stylus, origin = np.array([0.0, 0.0, -1.0]), fit.regression[-1]
+    if with_stylus:
+        stylus = rotation.T @ fit.regression[2]
+    else:
+        origin = origin + rotation[:, 2] * readings[fit.used, 2].mean()  # all were taken at this extension
+    return HandEye(
+        camera_from_base=Transform(rotation, origin), base_from_reading=axes, stylus_direction=stylus, fit=fit
+    )
+
+
+def checked(samples: Sequence[Sample], what: str, config: HandEyeConfig) -> tuple[Array, Array]:
+    """Return readings (N, 3) and points (N, 3) of samples that are enough, finite and spread.
+
+    Raises
+    ------
+    DegenerateError
+        With the move that would help.
+    """
     if len(samples) < config.min_samples:
         raise DegenerateError(
             f"{len(samples)} samples, {config.min_samples} are needed: move to another place and add one"
         )
     readings = np.array([s.reading for s in samples], dtype=np.float64)
-    tips = np.array([s.tip for s in samples], dtype=np.float64)
-    if not (np.isfinite(readings).all() and np.isfinite(tips).all()):
+    points = np.array([s.tip for s in samples], dtype=np.float64)
+    if not (np.isfinite(readings).all() and np.isfinite(points).all()):
         raise DegenerateError("a sample is not finite")
-    _check_motion(readings, tips, config)
-    with_stylus = bool(np.ptp(readings[:, 2]) >= config.min_stylus_span_m)
-    design = _design(readings, with_stylus)
-    if with_stylus:
-        _check_stylus(readings, config)
-    shape = np.mean([s.covariance for s in samples], axis=0) + config.tip_sigma_m**2 * np.eye(3)
-    used = _consensus(design, tips, shape, config)
-    _check_motion(readings[used], tips[used], config)
-    regression, *_ = np.linalg.lstsq(design[used], tips[used], rcond=None)
-    residuals = tips[used] - design[used] @ regression
+    _check_motion(readings, points, what, config)
+    return readings, points
+
+
+def robust_fit(design: Array, points: Array, shape: Array, config: HandEyeConfig) -> Fit:
+    """Fit points (N, 3) by design (N, P), without those that do not fit.
+
+    Parameters
+    ----------
+    design, points
+        The regression.
+    shape
+        (3, 3) m^2 covariance of every sample up to one factor, which the residuals tell.
+    config
+        Limits.
+
+    Raises
+    ------
+    DegenerateError
+        If too many do not fit, or the rest misses by too much.
+    """
+    used = _consensus(design, points, shape, config)
+    regression: Array = np.linalg.lstsq(design[used], points[used], rcond=None)[0].astype(np.float64)
+    spread: Array = np.linalg.inv(design[used].T @ design[used]).astype(np.float64)
+    residuals = points[used] - design[used] @ regression
     freedom = 3 * (int(used.sum()) - design.shape[1])
     # Every sample has the same covariance up to one factor, so weighted and plain least squares agree; the factor is
     # estimated from the residuals (a posteriori variance of unit weight).
@@ -158,20 +249,11 @@ def calibrate(samples: Sequence[Sample], config: HandEyeConfig | None = None) ->
             f"the samples miss one another by {rms * 1e3:.2f} mm rms, {config.max_rms_m * 1e3:.2f} mm are accepted: "
             "check that the tip is seen well and that nothing slips"
         )
-    rotation, axes = _split(regression[0], regression[1])
-    _check_axes(axes, config)
-    stylus, origin = np.array([0.0, 0.0, -1.0]), regression[-1]
-    if with_stylus:
-        stylus = rotation.T @ regression[2]
-    else:
-        origin = origin + rotation[:, 2] * readings[used, 2].mean()  # all were taken at this extension
-    return HandEye(
-        camera_from_base=Transform(rotation, origin),
-        base_from_reading=axes,
-        stylus_direction=stylus,
+    return Fit(
         regression=regression,
-        spread=np.linalg.inv(design[used].T @ design[used]),
+        spread=spread,
         noise=shape * factor,
+        common_error=config.common_error,
         variance_factor=factor,
         rms_m=rms,
         used=used,
@@ -183,17 +265,37 @@ def _design(readings: Array, with_stylus: bool) -> Array:
     return np.column_stack([columns, np.ones(len(readings))])
 
 
-def _split(x_rail: Array, y_rail: Array) -> tuple[Array, Array]:
-    """Return R (3, 3) and upper triangular M (2, 2) with [x_rail, y_rail] = R[:, :2] M."""
+def extension_design(readings: Array, with_stylus: bool) -> Array:
+    """Return the design (N, 2) or (N, 1) of a point that only moves with the stylus."""
+    return np.column_stack([readings[:, 2:] if with_stylus else np.empty((len(readings), 0)), np.ones(len(readings))])
+
+
+def least_covariance(tips: Array, config: HandEyeConfig) -> Array:
+    """Return (3, 3) m^2: what the scatter of one place's sightings does not show, as light and background stay."""
+    ray = tips.mean(axis=0) / np.linalg.norm(tips.mean(axis=0))
+    along = np.outer(ray, ray)
+    return np.asarray(config.tip_sigma_m**2 * (np.eye(3) - along) + config.depth_sigma_m**2 * along)
+
+
+def split_axes(x_rail: Array, y_rail: Array, config: HandEyeConfig) -> tuple[Array, Array]:
+    """Return R (3, 3) and upper triangular M (2, 2) with [x_rail, y_rail] = R[:, :2] M.
+
+    Raises
+    ------
+    DegenerateError
+        If no such machine has these axes.
+    """
     x = x_rail / np.linalg.norm(x_rail)
     z = np.cross(x_rail, y_rail)
     z /= np.linalg.norm(z)
     y = np.cross(z, x)
     rotation = nearest_rotation(np.column_stack([x, y, z]))
-    return rotation, np.array([[np.linalg.norm(x_rail), x @ y_rail], [0.0, y @ y_rail]])
+    axes = np.array([[np.linalg.norm(x_rail), x @ y_rail], [0.0, y @ y_rail]])
+    _check_axes(axes, config)
+    return rotation, axes
 
 
-def _check_motion(readings: Array, tips: Array, config: HandEyeConfig) -> None:
+def _check_motion(readings: Array, tips: Array, what: str, config: HandEyeConfig) -> None:
     """Refuse what leaves one of the two directions unknown."""
     centre = readings[:, :2].mean(axis=0)
     _, _, directions = np.linalg.svd(readings[:, :2] - centre)
@@ -220,8 +322,9 @@ def _check_motion(readings: Array, tips: Array, config: HandEyeConfig) -> None:
     seen = float(np.linalg.norm(tips.max(axis=0) - tips.min(axis=0)))
     if seen < 0.2 * along:
         raise DegenerateError(
-            f"the gantry moved {along * 1e3:.0f} mm but the tip that was seen only {seen * 1e3:.1f} mm: what is "
-            "tracked is not the stylus, or the drive slips; look at the picture before moving again"
+            f"the gantry moved {along * 1e3:.0f} mm but {what} that was seen only {seen * 1e3:.1f} mm: what is "
+            "tracked is not it, the camera is mounted otherwise, or the drive slips; look at the picture before "
+            "moving again"
         )
 
 
@@ -238,7 +341,7 @@ def _check_stylus(readings: Array, config: HandEyeConfig) -> None:
         )
 
 
-def _consensus(design: Array, tips: Array, shape: Array, config: HandEyeConfig) -> Array:
+def _consensus(design: Array, tips: Array, shape: Array, config: HandEyeConfig) -> npt.NDArray[np.bool_]:
     """Return which samples fit together: least median of squares over small subsets, then re-fitted inliers."""
     count, unknown = design.shape
     whiten = np.linalg.cholesky(np.linalg.inv(shape))

@@ -10,15 +10,18 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, TransformStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
 
 from harris_perception.core.calibration_file import (
     CalibrationFileError,
     StoredCalibration,
+    axes_scale,
+    axes_skew,
     check_fits,
     load,
     save,
@@ -34,22 +37,35 @@ from harris_perception.core.calibration_run import (
     StillConfig,
     StillWatch,
 )
+from harris_perception.core.carriage_camera import (
+    MAX_CONTACTS,
+    Contact,
+    PanelSample,
+    calibrate_on_carriage,
+    mean_rotation,
+    stylus_offset,
+)
+from harris_perception.core.drift import DriftConfig, DriftWatch
 from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, nested, setting
-from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
-from icu_common.core.geometry import Array
+from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
+from icu_common.core.geometry import Array, Transform
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_model,
+    check_frame,
+    controls_of_message,
     diagnostic_status,
     header,
     joint_positions,
     point_array,
     point_message,
     result_of_message,
+    same_camera,
     stamp_ns,
     transform_message,
+    transform_of_pose,
 )
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -63,9 +79,13 @@ class HandEyeNodeConfig(Config):
 
     calibration_file: str = setting("", "Where the calibration is kept; empty: nowhere", read_only=True)
     machine: str = setting("default", "Name of the machine's configuration; a calibration is bound to it")
+    ball_radius_m: float = setting(
+        0.002, "Radius of the stylus's ball, for contacts", minimum=0.0, maximum=0.05, unit="m"
+    )
     run: RunConfig = nested(RunConfig)
     still: StillConfig = nested(StillConfig)
     solver: HandEyeConfig = nested(HandEyeConfig)
+    drift: DriftConfig = nested(DriftConfig)
 
 
 class HandEyeNode(Node):
@@ -77,10 +97,18 @@ class HandEyeNode(Node):
         self._watch = StillWatch(self._live.config.still)
         self._procedure: CalibrationRun | None = None
         self._samples: list[Sample] = []
+        self._panels: list[PanelSample] = []
+        self._contacts: list[Contact] = []
+        self._reading: Array | None = None
+        self._panel: Transform | None = None
+        self._controls: dict[str, Array] = {}
+        self._settings = ""
+        self._drift: DriftWatch | None = None
         self._stored: StoredCalibration | None = None
         self._unchecked: StoredCalibration | None = None
         self._solved: HandEye | None = None
         self._driver = "unknown"
+        self._infos: dict[str, CameraInfo] = {}
         self._cameras: dict[str, CameraModel] = {}
         self._goal = self.create_publisher(PointStamped, "goal", qos.COMMAND)
         self._transform = self.create_publisher(TransformStamped, "camera_from_base", qos.LATCHED)
@@ -92,6 +120,10 @@ class HandEyeNode(Node):
         self.create_subscription(PointStamped, "tip", self._on_tip, qos.SENSOR)
         self.create_subscription(JointState, "joint_states", self._on_joints, qos.SENSOR)
         self.create_subscription(String, "driver_state", self._on_driver, qos.LATCHED)
+        self.create_subscription(String, "machine_settings", self._on_settings, qos.LATCHED)
+        self.create_subscription(PoseStamped, "panel/pose", self._on_panel, qos.LATCHED)
+        self.create_subscription(MarkerArray, "panel/controls", self._on_controls, qos.LATCHED)
+        self.create_subscription(PointStamped, "contact", self._on_contact, qos.RESULTS)
         self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
         for side in ("left", "right"):
             self.create_subscription(CameraInfo, f"{side}/camera_info", self._camera_callback(side), qos.SENSOR)
@@ -120,12 +152,15 @@ class HandEyeNode(Node):
 
     def _camera_callback(self, side: str) -> Callable[[CameraInfo], None]:
         def callback(message: CameraInfo) -> None:
-            if side in self._cameras:
+            if same_camera(self._infos.get(side), message):
                 return
             try:
                 self._cameras[side] = camera_model(message, side)
             except ValueError as error:
                 self.get_logger().error(f"{side} camera_info: {error}", throttle_duration_sec=5.0)
+                return
+            self._infos[side] = message
+            self._check_used()
             self._check_loaded()
 
         return callback
@@ -137,6 +172,10 @@ class HandEyeNode(Node):
             self.get_logger().error(f"joint_states: {error}", throttle_duration_sec=5.0)
             return
         stamp = stamp_ns(message.header.stamp)
+        moved = self._reading is None or bool(np.abs(reading - self._reading).max() > 0)
+        self._reading = reading
+        if moved and self._stored is not None and self._stored.on_carriage:
+            self._publish_transform(self._stored, stamp)
         self._watch.reading(stamp, reading)
         if self._procedure is not None:
             self._procedure.reading(stamp, reading)
@@ -150,8 +189,55 @@ class HandEyeNode(Node):
         if self._procedure is not None:
             self._act(self._procedure.tip(stamp, tip, self._now_ns()))
 
+    def _on_panel(self, message: PoseStamped) -> None:
+        try:
+            check_frame(message.header, CAMERA_LEFT)
+            self._panel = transform_of_pose(message.pose)
+        except ValueError as error:
+            self.get_logger().error(f"panel/pose: {error}", throttle_duration_sec=5.0)
+            return
+        stamp = stamp_ns(message.header.stamp)
+        self._watch.panel(stamp, self._panel)
+        if self._procedure is not None:
+            self._act(self._procedure.panel(stamp, self._panel, self._now_ns()))
+
+    def _on_controls(self, message: MarkerArray) -> None:
+        try:
+            controls, _ = controls_of_message(message)
+        except ValueError as error:
+            self.get_logger().error(f"panel/controls: {error}", throttle_duration_sec=5.0)
+            return
+        self._controls = {c.name: np.array([*c.position_mm, c.height_mm]) / 1e3 for c in controls}
+
+    def _on_settings(self, message: String) -> None:
+        self._settings = message.data
+        self._check_used()
+        self._check_loaded()
+
+    def _on_contact(self, message: PointStamped) -> None:
+        """Keep that the stylus touches this point of the panel now."""
+        point = point_array(message)
+        if message.header.frame_id != PANEL or not np.isfinite(point).all():
+            why = f"{point.tolist()} in {message.header.frame_id!r}: a finite point in {PANEL!r} is needed"
+        elif self._reading is None:
+            why = "no joint_states arrive"
+        elif self._procedure is not None:
+            why = "a calibration is running"
+        elif len(self._contacts) >= MAX_CONTACTS:
+            why = f"there are {MAX_CONTACTS} already; solve"
+        else:
+            ball = np.array([0.0, 0.0, self._live.config.ball_radius_m])
+            self._contacts.append(Contact(reading=self._reading, in_panel=point + ball))
+            self.get_logger().info(f"contact {len(self._contacts)} at {point[0]:.4f}, {point[1]:.4f} m of the panel")
+            return
+        self.get_logger().error(f"contact refused: {why}")
+
     def _on_driver(self, message: String) -> None:
         self._driver = message.data
+        if message.data == "homing":
+            # Readings begin anew; what was collected before belongs to others.
+            for kept in (self._samples, self._panels, self._contacts):
+                kept.clear()
         if self._procedure is not None:
             self._act(self._procedure.driver_state(message.data))
 
@@ -187,30 +273,49 @@ class HandEyeNode(Node):
 
     def _finish(self, action: Finished) -> None:
         self._procedure = None
-        self._use(self._describe(action.calibration, action.held_out_m), action.calibration)
+        plays = [(float("nan"), float("nan")) if b is None else (b.play_m, b.sigma_m) for b in action.backlash]
+        panel = self._panel if action.camera_from_panel is None else action.camera_from_panel
+        found = self._describe(action.calibration, action.held_out_m, panel, np.array(plays))
+        self._contacts.clear()
+        self._use(found, action.calibration)
         if self._live.config.calibration_file:
             try:
                 self._save()
             except _Refused as error:
                 self.get_logger().error(str(error))
 
-    def _describe(self, solved: HandEye, held_out_m: Array) -> StoredCalibration:
+    def _describe(
+        self, solved: HandEye, held_out_m: Array, camera_from_panel: Transform | None, plays_m: Array
+    ) -> StoredCalibration:
+        """Return what is kept; ``camera_from_panel`` is that at readings zero when the cameras ride on the carriage."""
+        solver = self._live.config.solver
+        offset = np.full(3, np.nan)
+        if camera_from_panel is not None and self._contacts:
+            offset = stylus_offset(solved, camera_from_panel, self._contacts, solver).offset
+        panel = None if camera_from_panel is None else solved.camera_from_base.inverse() @ camera_from_panel
         return StoredCalibration(
+            settings=self._settings,
+            mounting="carriage" if solved.on_carriage else "fixed",
+            backlash_m=plays_m[:, 0],
+            backlash_sigma_m=plays_m[:, 1],
+            base_from_panel=panel,
+            contact_offset_m=offset,
             camera_from_base=solved.camera_from_base,
             base_from_reading=solved.base_from_reading,
             stylus_direction=solved.stylus_direction,
             left=self._cameras["left"],
             right=self._cameras.get("right"),
             machine=self._live.config.machine,
-            rms_m=solved.rms_m,
+            rms_m=solved.fit.rms_m,
             sigma_m=solved.sigma_m(_corners(self._live.config.run)),
             held_out_m=float(held_out_m.max()) if len(held_out_m) else float("nan"),
-            samples=int(solved.used.sum()),
+            samples=int(solved.fit.used.sum()),
             made_at=datetime.fromtimestamp(self._now_ns() * 1e-9, timezone.utc).isoformat(timespec="seconds"),
         )
 
     def _use(self, calibration: StoredCalibration, solved: HandEye | None = None) -> None:
         self._stored, self._solved = calibration, solved
+        self._drift = DriftWatch(self._live.config.drift, calibration)
         layout = MultiArrayLayout(
             dim=[
                 MultiArrayDimension(label="base", size=2, stride=4),
@@ -220,9 +325,37 @@ class HandEyeNode(Node):
         self._axes.publish(
             Float64MultiArray(layout=layout, data=[float(v) for v in calibration.base_from_reading.flat])
         )
-        head = header(self._now_ns(), CAMERA_LEFT)
-        self._transform.publish(transform_message(calibration.camera_from_base, head, BASE))
+        self._publish_transform(calibration, self._now_ns())
         self._set_state(f"calibrated: {calibration.summary()}")
+
+    def _publish_transform(self, calibration: StoredCalibration, stamp: int) -> None:
+        """Say where base_link is seen now; with cameras on the carriage that changes with every reading."""
+        if calibration.on_carriage and self._reading is None:
+            return
+        reading = np.zeros(3) if self._reading is None else self._reading
+        head = header(stamp, CAMERA_LEFT)
+        self._transform.publish(transform_message(calibration.camera_from_base_at(reading), head, BASE))
+
+    def _withdraw(self, reason: str) -> None:
+        """Take the calibration in use back: without axes nothing is touched any more."""
+        self._stored, self._solved, self._drift = None, None, None
+        self._axes.publish(Float64MultiArray())
+        self.get_logger().error(reason)
+        self._set_state(f"failed: {reason}")
+
+    def _check_used(self) -> None:
+        """Refuse the calibration in use when the camera, the resolution or the machine's settings have changed."""
+        if self._stored is None or "left" not in self._cameras:
+            return
+        try:
+            self._check(self._stored)
+        except CalibrationFileError as error:
+            self._withdraw(f"the calibration in use is refused: {error}")
+
+    def _check(self, calibration: StoredCalibration) -> None:
+        config, cameras = self._live.config, self._cameras
+        mounting = config.run.mounting
+        check_fits(calibration, cameras["left"], cameras.get("right"), config.machine, self._settings, mounting)
 
     def _set_state(self, text: str) -> None:
         self._state = text
@@ -247,7 +380,7 @@ class HandEyeNode(Node):
             return
         self._unchecked = None
         try:
-            check_fits(loaded, left, right, self._live.config.machine)
+            self._check(loaded)
         except CalibrationFileError as error:
             self.get_logger().error(f"{self._live.config.calibration_file}: {error}")
             self._set_state(f"failed: the stored calibration is refused: {error}")
@@ -264,29 +397,49 @@ class HandEyeNode(Node):
         self._need_cameras()
         config = self._live.config
         self._samples.clear()
-        self._procedure = CalibrationRun(config.run, config.still, config.solver, self._now_ns())
+        self._panels.clear()
+        # The controller still turns goals into readings with the calibration that it has.
+        axes = None if self._stored is None else self._stored.base_from_reading
+        self._procedure = CalibrationRun(
+            config.run, config.still, config.solver, self._now_ns(), axes, tuple(self._contacts)
+        )
         self._act(self._procedure.start(self._now_ns()))
         return "calibrating; watch the state"
 
     def _add_sample(self) -> str:
         if self._procedure is not None:
             raise _Refused("a calibration is running")
+        on_carriage = self._live.config.run.mounting == "carriage"
         sample = self._watch.sample(self._now_ns())
-        if isinstance(sample, str):
+        if on_carriage:
+            panel = self._watch.panel_sample(self._now_ns())
+            if isinstance(panel, str):
+                raise _Refused(panel)
+            self._panels.append(panel)
+            reading, count = panel.reading, len(self._panels)
+        if isinstance(sample, Sample):
+            self._samples.append(sample)
+            reading, count = sample.reading, max(len(self._samples), len(self._panels))
+        elif not on_carriage:
             raise _Refused(sample)
-        self._samples.append(sample)
-        x, y, stylus = sample.reading * 1e3
-        return f"sample {len(self._samples)} at readings x = {x:.1f}, y = {y:.1f}, stylus = {stylus:.1f} mm"
+        x, y, stylus = reading * 1e3
+        return f"sample {count} at readings x = {x:.1f}, y = {y:.1f}, stylus = {stylus:.1f} mm"
 
     def _solve(self) -> str:
         if self._procedure is not None:
             raise _Refused("a calibration is running")
         self._need_cameras()
+        solver, panel = self._live.config.solver, self._panel
         try:
-            solved = calibrate(self._samples, self._live.config.solver)
+            if self._live.config.run.mounting == "carriage":
+                solved = calibrate_on_carriage(self._panels, self._samples, self._contacts, solver)
+                panel = Transform(mean_rotation(self._panels), solved.fit.regression[-1])
+            else:
+                solved = calibrate(self._samples, solver)
         except DegenerateError as error:
             raise _Refused(str(error)) from error
-        self._use(self._describe(solved, np.empty(0)), solved)
+        self._use(self._describe(solved, np.empty(0), panel, np.full((2, 2), np.nan)), solved)
+        self._contacts.clear()
         return self._state
 
     def _save(self) -> str:
@@ -305,23 +458,50 @@ class HandEyeNode(Node):
         if "left" not in self._cameras:
             raise _Refused("no camera_info of the left camera has arrived")
 
+    def _watch_drift(self) -> str:
+        """Look at tip and panel while nothing moves; return what has drifted."""
+        if self._drift is None or self._stored is None or self._procedure is not None or self._reading is None:
+            return ""
+        now, before = self._now_ns(), self._drift.text
+        sample, panel = self._watch.sample(now), self._watch.panel_sample(now)
+        if isinstance(sample, Sample):
+            self._drift.tip(sample)
+        if isinstance(panel, PanelSample):
+            base_from_camera = self._stored.camera_from_base_at(panel.reading).inverse()
+            self._drift.panel(base_from_camera @ panel.camera_from_panel, self._controls)
+        text = self._drift.text
+        if bool(text) != bool(before):
+            (self.get_logger().warning if text else self.get_logger().info)(text or "everything is in its place again")
+            self._set_state(f"calibrated: {self._stored.summary()}" + (f"; drift: {text}" if text else ""))
+        return text
+
     def _report(self) -> None:
-        level = "error" if self._state.startswith("failed") else "ok" if self._stored is not None else "warn"
-        values: list[tuple[str, Any]] = [("samples", len(self._samples))]
+        drift = self._watch_drift()
+        failed = self._state.startswith("failed")
+        level = "error" if failed else "ok" if self._stored is not None and not drift else "warn"
+        values: list[tuple[str, Any]] = [("samples", len(self._samples)), ("contacts", len(self._contacts))]
         if self._stored is not None:
             stored, axes = self._stored, self._stored.base_from_reading
             values += [
                 ("rms_mm", f"{stored.rms_m * 1e3:.4f}"),
                 ("predicted_sigma_mm", f"{stored.sigma_m * 1e3:.4f}"),
                 ("held_out_max_mm", f"{stored.held_out_m * 1e3:.4f}"),
-                ("scale_x", f"{axes[0, 0]:.6f}"),
-                ("scale_y", f"{float(np.hypot(axes[0, 1], axes[1, 1])):.6f}"),
-                ("skew_mrad", f"{float(np.arctan2(axes[0, 1], axes[1, 1])) * 1e3:.3f}"),
+                ("mounting", stored.mounting),
+                ("scale_x", f"{axes_scale(axes)[0]:.6f}"),
+                ("scale_y", f"{axes_scale(axes)[1]:.6f}"),
+                ("skew_mrad", f"{axes_skew(axes) * 1e3:.3f}"),
+                ("right_angle_deg", f"{90.0 - float(np.degrees(axes_skew(axes))):.4f}"),
+                ("backlash_x_mm", _measured(stored.backlash_m[0], stored.backlash_sigma_m[0])),
+                ("backlash_y_mm", _measured(stored.backlash_m[1], stored.backlash_sigma_m[1])),
+                ("contact_offset_mm", ", ".join(f"{v * 1e3:.3f}" for v in stored.contact_offset_m)),
                 ("stylus_tilt_mrad", _tilt(stored.stylus_direction)),
                 ("made_at", stored.made_at),
             ]
         if self._solved is not None:
-            values.append(("chi_square_per_freedom", f"{self._solved.variance_factor:.2f}"))
+            values.append(("chi_square_per_freedom", f"{self._solved.fit.variance_factor:.2f}"))
+        if self._drift is not None:
+            values += [("tip_off_mm", f"{self._drift.tip_m * 1e3:.3f}"), ("drift", drift or "none")]
+            values.append(("control_off_mm", f"{self._drift.control_m * 1e3:.3f}"))
         status = diagnostic_status(self.get_fully_qualified_name(), level, self._state, values)
         self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
 
@@ -346,6 +526,10 @@ def _corners(config: RunConfig) -> Array:
     depth = -min(config.heights_m)
     corners = [(x, y, depth) for x in (config.x_min_m, config.x_max_m) for y in (config.y_min_m, config.y_max_m)]
     return np.array(corners)
+
+
+def _measured(value_m: float, sigma_m: float) -> str:
+    return f"{value_m * 1e3:.3f} +- {sigma_m * 1e3:.3f}"
 
 
 def _tilt(direction: Array) -> str:

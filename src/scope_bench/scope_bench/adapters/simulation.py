@@ -15,8 +15,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, TextIO
 
+import numpy as np
+
 from icu_common.adapters.frame_link import FrameServer
 from icu_common.core.config import ConfigError, from_mapping, to_mapping
+from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import PanelLayout
 from scope_bench.adapters.motion_client import MotionClient
 from scope_bench.core.bench import Bench, matrix
@@ -276,10 +279,14 @@ class Simulation:
 
     def _do_truth(self, request: dict[str, Any]) -> dict[str, Any]:
         rig = self._renderer.rig
+        truth = self._bench.truth()
         camera_from_base = rig.rectified_left_from_base()
+        if self._config.camera.mounting == "carriage":
+            moved = np.array([*truth["carriage_m"], 0.0])
+            camera_from_base = camera_from_base @ Transform(np.eye(3), -moved)
         return {
             "t": time.time(),
-            **self._bench.truth(),
+            **truth,
             "camera_from_base": matrix(camera_from_base),
             "camera_from_panel": matrix(camera_from_base @ self._bench.panel_from),
             "board_connected": self.health().board_connected,

@@ -46,7 +46,7 @@ class Bench:
         self.state = InstrumentState()
         self.touch = Touch(layout, config.stylus.ball_diameter_mm / 2, self._react)
         self._records: list[dict[str, Any]] = []
-        self._history: deque[tuple[float, Array]] = deque(maxlen=_HISTORY)
+        self._history: deque[tuple[float, Array, Array]] = deque(maxlen=_HISTORY)
         self._commanded: Array | None = None
         self._last_s = -np.inf
 
@@ -71,7 +71,7 @@ class Bench:
         else:
             self.touch.move(panel_mm, time_s, self._last_s)
         self._last_s = time_s
-        self._history.append((time_s, self.tip_base()))
+        self._history.append((time_s, self.tip_base(), self._mechanism.carriage))
         self.advance(time_s)
 
     def advance(self, time_s: float) -> None:
@@ -84,21 +84,32 @@ class Bench:
 
     def tip_at(self, time_s: float) -> Array:
         """Return the ball's true centre at ``time_s``, between the samples around it; (3,) metres in base_link."""
+        return self._places_at(time_s)[0]
+
+    def _places_at(self, time_s: float) -> tuple[Array, Array]:
+        """Return the ball's centre (3,) and the carriage's place (2,), metres in base_link."""
         if not self._history:
-            return np.array([0.0, 0.0, 0.0])
+            return np.zeros(3), np.zeros(2)
         later = self._history[-1]
         for earlier in reversed(self._history):
             if earlier[0] <= time_s:
                 span = later[0] - earlier[0]
                 share = min((time_s - earlier[0]) / span, 1.0) if span > 0 else 0.0
-                return np.asarray(earlier[1] + (later[1] - earlier[1]) * share)
+                tip, carriage = (a + (b - a) * share for a, b in zip(earlier[1:], later[1:]))
+                return np.asarray(tip), np.asarray(carriage)
             later = earlier
-        return later[1]
+        return later[1], later[2]
 
     def moment(self, time_s: float) -> Moment:
         """Return what a camera sees at ``time_s``."""
-        x, y, z = (float(v) for v in self.tip_at(time_s))
-        return Moment(tip=(x, y, z), state=self.state, now_s=time_s, sunk_mm=self.touch.sunk_mm())
+        tip, carriage = self._places_at(time_s)
+        return Moment(
+            tip=(float(tip[0]), float(tip[1]), float(tip[2])),
+            state=self.state,
+            now_s=time_s,
+            sunk_mm=self.touch.sunk_mm(),
+            carriage=(float(carriage[0]), float(carriage[1])),
+        )
 
     def move_panel(self, dx_m: float, dy_m: float, turn_deg: float) -> None:
         """Push the panel along by so much."""
@@ -133,6 +144,7 @@ class Bench:
             "tip_base_m": self.tip_base().tolist(),
             "tip_panel_mm": list(self.touch.tip_mm),
             "commanded_base_m": commanded.tolist(),
+            "carriage_m": self._mechanism.carriage.tolist(),
             "contact": self.touch.contact,
             "base_from_panel": matrix(self.panel_from),
             "instrument": dataclasses.asdict(self.state),

@@ -30,6 +30,12 @@ class CameraConfig(Config):
         minimum=-1.0,
         maximum=1.0,
     )
+    mounting: str = setting(
+        "fixed",
+        "Where the bar is mounted: fixed, or on the carriage; then all below is meant at the homed machine",
+        choices=("fixed", "carriage"),
+        read_only=True,
+    )
     baseline_m: float = setting(0.12, "Distance of the two cameras", minimum=0.01, maximum=1.0, unit="m")
     distance_m: float = setting(0.665, "From the middle of the bar to the aim", minimum=0.2, maximum=3.0, unit="m")
     elevation_deg: float = setting(

@@ -45,6 +45,8 @@ class Mechanism:
         self._carriage: Array | None = None
         self._stroke_mm = 0.0
         self._last_s = 0.0
+        self.carriage: Array = np.zeros(2)
+        """(2,) m: how far the carriage has truly moved in base_link."""
 
     def tip(self, mpos_mm: npt.ArrayLike, spindle: float, coolant: bool, now_s: float) -> Array:
         """Return the ball's centre, (3,) metres in base_link, when nothing stops it.
@@ -66,7 +68,8 @@ class Mechanism:
         # so the origin is where the motor pushes in the positive direction.
         self._carriage = np.clip(self._carriage, motor, motor + self._errors.play_mm)
         extension = self._carriage[2]
-        xy = self._errors.base_from_carriage @ self._carriage[:2] + self._errors.lean * extension
+        self.carriage = self._errors.base_from_carriage @ self._carriage[:2] / 1000
+        xy = self.carriage * 1000 + self._errors.lean * extension
         return np.array([xy[0], xy[1], -extension]) / 1000
 
     def _stroke(self, spindle: float, coolant: bool, now_s: float) -> float:

@@ -21,10 +21,13 @@ from scope_bench.core.optics import StereoRig, stereo_rig, turn
 from scope_bench.core.panel_texture import Picture
 from scope_bench.core.solids import ControlState
 from scope_bench.core.stylus_picture import StylusPainter
-from scope_bench.core.view import Rays, Surfaces, View, Window
+from scope_bench.core.view import SAMPLES, Rays, Surfaces, View, Window
 
 GLARE_SHIFT_MM = 52.0
 """The lamp's mirror image lies as far behind the panel as the lamp before it, so it wanders with the camera."""
+_STILL_M = 1e-6
+_MOVED_SAMPLES = 2
+"""Samples per pixel and direction of a view that is drawn anew for each place of the carriage."""
 _TILE = 256
 _GLOVE = np.array([190.0, 120.0, 62.0])
 
@@ -38,12 +41,17 @@ def base_from_panel(config: PanelConfig, moved: tuple[float, float, float] = (0.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """What is seen at one moment: the ball's centre in base_link (metres), the instrument, and sunken buttons (mm)."""
+    """What is seen at one moment.
+
+    The ball's centre in base_link (metres), the instrument, sunken buttons (mm), and how far the carriage has moved in
+    base_link (metres), which cameras that are mounted on it move along.
+    """
 
     tip: tuple[float, float, float]
     state: InstrumentState
     now_s: float
     sunk_mm: tuple[tuple[str, float], ...] = ()
+    carriage: tuple[float, float] = (0.0, 0.0)
 
 
 class Renderer:
@@ -63,16 +71,18 @@ class Renderer:
         self.layout = layout
         self.rig: StereoRig = stereo_rig(config.camera)
         self._config = config
+        self._light = config.light
         self._rays = Rays(self.rig.left), Rays(self.rig.right)
         self._surfaces = Surfaces.of(layout)
-        self._sides = self._make_sides(panel_from)
+        self._panel_from = panel_from
+        self._camera_xy, self._asked_xy, self._samples = (0.0, 0.0), (0.0, 0.0), SAMPLES
+        self._sides = self._make_sides()
         self._rng = np.random.default_rng(config.seed)
         self._still_of: InstrumentState | None = None
         self._still: Picture = np.zeros((1, 1, 3), np.uint8)
         self._noise: tuple[Picture, Picture] | None = None
         self._screens = [c for c in layout.controls if c.kind == "touch_area"]
         self._lamps = [c for c in layout.controls if c.height_mm > 0]
-        self._light = config.light
         self._make_noise()
 
     @property
@@ -80,17 +90,34 @@ class Renderer:
         """The left and the right view."""
         return self._sides[0].view, self._sides[1].view
 
-    def _make_sides(self, panel_from: Transform) -> list[_Side]:
+    def _make_sides(self) -> list[_Side]:
+        seen = Transform(self._panel_from.rotation, self._panel_from.translation - np.array([*self._camera_xy, 0.0]))
+        place = (self._camera_xy, self._samples)
         return [
-            _Side(View(rays, panel_from, self.layout, self._surfaces, self._config.light, shift), self._config.stylus)
+            _Side(View(rays, seen, self.layout, self._surfaces, self._light, shift, *place), self._config.stylus)
             for rays, shift in zip(self._rays, (0.0, GLARE_SHIFT_MM))
         ]
 
+    def _draw_anew(self) -> None:
+        hidden = self._sides[0].hidden
+        self._sides = self._make_sides()
+        self.hide(hidden)
+
     def move_panel(self, panel_from: Transform) -> None:
         """Put the panel elsewhere: ``base_from_panel``."""
-        hidden = self._sides[0].hidden
-        self._sides = self._make_sides(panel_from)
-        self.hide(hidden)
+        self._panel_from = panel_from
+        self._draw_anew()
+
+    def _follow(self, carriage: tuple[float, float]) -> None:
+        """Let cameras on the carriage see from its place: coarsely while it moves, well once it stands."""
+        moving = np.abs(np.subtract(carriage, self._asked_xy)).max() > _STILL_M
+        self._asked_xy = carriage
+        samples = 1 if moving else _MOVED_SAMPLES
+        here = np.abs(np.subtract(carriage, self._camera_xy)).max() <= _STILL_M
+        if here and self._samples >= samples:
+            return
+        self._camera_xy, self._samples = carriage, samples
+        self._draw_anew()
 
     def relight(self, light: LightConfig) -> None:
         """Change light, blur, glare and noise."""
@@ -109,6 +136,10 @@ class Renderer:
 
     def render(self, moment: Moment) -> list[Picture]:
         """Return the left and right picture, each (H, W, 3) BGR."""
+        if self._config.camera.mounting == "carriage":
+            self._follow(moment.carriage)
+            tip = np.asarray(moment.tip) - np.array([*self._camera_xy, 0.0])
+            moment = dataclasses.replace(moment, tip=tuple(tip.tolist()))
         light = self._emission(moment)
         states = self._control_states(moment)
         return [self._with_noise(side.draw(states, light, moment)) for side in self._sides]

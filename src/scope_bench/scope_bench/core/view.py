@@ -94,6 +94,11 @@ class View:
         Light, lens and sensor.
     glare_shift_mm
         How far this camera sees the lamp's reflection from where ``light`` has it, along x.
+    camera_xy
+        (2,) metres: how far the camera has moved from where ``rays`` begin. Everything is drawn as the camera sees it,
+        so ``base_from_panel`` is the panel's place less this; only the table needs to know it.
+    samples
+        Samples per pixel and direction.
     """
 
     def __init__(
@@ -104,8 +109,11 @@ class View:
         surfaces: Surfaces,
         light: LightConfig,
         glare_shift_mm: float,
+        camera_xy: tuple[float, float] = (0.0, 0.0),
+        samples: int = SAMPLES,
     ) -> None:
         self.rays = rays
+        self._camera_xy, self._samples = np.asarray(camera_xy), samples
         self.camera = camera = rays.camera
         self.layout = layout
         self.light = light
@@ -193,10 +201,11 @@ class View:
         )
         table_z = float(self.base_from_panel.translation[2]) - CASE_MM / 1000
         table_xy = (self.rays.eye[:2, None, None] + self.rays.lean * (self.rays.eye[2] - table_z)) * 1000
+        table_xy = table_xy + 1000 * self._camera_xy[:, None, None]
         under = self.xy0 - self.lean * CASE_MM
         for top in range(0, height, _STRIP):
             window = (slice(top, min(top + _STRIP, height)), slice(0, width))
-            x, y = self.samples(self.xy0, window).astype(np.float32)
+            x, y = self.samples(self.xy0, window, self._samples).astype(np.float32)
             s = np.float32(FACE_PER_MM)
             map_x, map_y = x * s - 0.5, (np.float32(self.layout.size_mm[1]) - y) * s - 0.5
             seen = cv2.remap(surfaces.face, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -215,7 +224,8 @@ class View:
             size = (width, window[0].stop - top)
             inside = (x >= 0) & (x <= self.layout.size_mm[0]) & (y >= 0) & (y <= self.layout.size_mm[1])
             on_top = cv2.resize(inside.astype(np.float32), size, interpolation=cv2.INTER_AREA)[..., None]
-            lean, start = self.samples(self.lean, window, 2), self.samples(self.xy0, window, 2)
+            edge = min(self._samples, 2)
+            lean, start = self.samples(self.lean, window, edge), self.samples(self.xy0, window, edge)
             hit = cast(case, 0.0, -CASE_MM, (start[0], start[1]), (lean[0], lean[1]))
             solid = cv2.resize((hit.top | hit.wall).astype(np.float32), size, interpolation=cv2.INTER_AREA)[..., None]
             wall = np.array([60.0, 58.0, 55.0], np.float32)
@@ -234,8 +244,8 @@ class View:
             (x + sx * w / 2, y + sy * h / 2, z) for sx in (-1, 1) for sy in (-1, 1) for z in (0.0, control.height_mm)
         ]
         window = self.window_of_panel(corners)
-        x0, y0 = self.samples(self.xy0, window)
-        lean_x, lean_y = self.samples(self.lean, window)
+        x0, y0 = self.samples(self.xy0, window, self._samples)
+        lean_x, lean_y = self.samples(self.lean, window, self._samples)
         hit = cast(control, top_mm, 0.0, (x0, y0), (lean_x, lean_y))
         reflected, emitted = paint(control, state, hit)
         share = (hit.top | hit.wall).astype(np.float32)

@@ -1,0 +1,144 @@
+"""Hand-eye calibration over seeds of hidden mechanical errors: is the error as small, and as large, as predicted?
+
+Each seed is one machine: backlash, scale, skew, a leaning stylus axis, motor steps. The whole chain runs on drawn
+pictures: the calibration run moves, the tracker looks at the ball, the solver solves; then the panel is recognised and
+the tip is sent to places all over it, open loop, before any visual correction. The truth is the mechanism's.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rows import Row, bound, tune_malloc, write
+from simulated_robot import LAYOUT, Robot, Studio
+
+from harris_perception.core.calibration_run import RunConfig, StillConfig
+from harris_perception.core.hand_eye import HandEye, HandEyeConfig
+from icu_common.core.geometry import Array
+from scope_bench.core.configuration import BenchConfig
+from scope_bench.core.renderer import base_from_panel
+
+AIM_P95_MM = 0.5
+CHI_SQUARE = (0.8, 1.2)
+_BALL_M = 0.002
+_PANELS = 5
+"""The panel stands anew after each fifth of the seeds."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outcome:
+    """One seed: errors in metres, chi-squares per degree of freedom."""
+
+    chi_square: float
+    factor: float
+    predicted: float
+    measured: float
+    held_out: float
+    aim: Array
+
+
+def panel_grid() -> Array:
+    """Return (N, 3) places in panel_link, m, all over the face."""
+    width, height = (side / 1000 for side in LAYOUT.size_mm)
+    xs, ys = np.linspace(0.008, width - 0.008, 8), np.linspace(0.008, height - 0.008, 5)
+    return np.array([(x, y, 0.0) for y in ys for x in xs])
+
+
+def queries() -> Array:
+    """Return (N, 3) readings, spread over the calibrated volume and down to the panel."""
+    return np.array([(x, y, z) for x in (0.04, 0.18, 0.32) for y in (0.04, 0.17) for z in (0.0, 0.03)])
+
+
+def aim_errors(robot: Robot, calibration: HandEye) -> Array:
+    """Send the tip to each place of the panel by calibration and recognition alone; return (N,) m beside it."""
+    seen = calibration.camera_from_base.inverse() @ robot.see_panel()
+    errors = []
+    for place in panel_grid():
+        target = seen.apply(place) + (0.0, 0.0, _BALL_M)
+        aim = np.linalg.solve(calibration.base_from_reading, target[:2])
+        robot.machine.go(aim, -target[2])
+        truth = robot.studio.base_from_panel.apply(place)
+        errors.append(np.linalg.norm(robot.machine.tip[:2] - truth[:2]))
+    return np.array(errors)
+
+
+def one(studio: Studio, seed: int) -> Outcome:
+    robot = Robot(studio, seed)
+    done = robot.calibrate(RunConfig(), StillConfig(), HandEyeConfig())
+    calibration = done.calibration
+    places = queries()
+    truth = []
+    for x, y, extension in places:
+        robot.machine.go(np.array([x, y]), extension)
+        truth.append(studio.camera_from_base.apply(robot.machine.tip))
+    design = np.column_stack([places, np.ones(len(places))])
+    error = design @ calibration.fit.regression - np.array(truth)
+    covariance = calibration.covariance(places)
+    distances = [e @ np.linalg.solve(c, e) / 3 for e, c in zip(error, covariance)]
+    robot.machine.go(np.zeros(2), 0.0)
+    return Outcome(
+        chi_square=float(np.mean(distances)),
+        factor=calibration.fit.variance_factor,
+        predicted=calibration.sigma_m(places),
+        measured=float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
+        held_out=float(done.held_out_m.max()),
+        aim=aim_errors(robot, calibration),
+    )
+
+
+def campaign(seeds: int) -> list[Outcome]:
+    config = BenchConfig()
+    studio = Studio(config)
+    places = np.random.default_rng(5).uniform(-1, 1, (_PANELS, 4))
+    outcomes = []
+    print(
+        f"{'seed':>4} {'chi2/dof':>9} {'predicted':>10} {'measured':>9} {'held-out':>9} {'aim rms':>8} {'p95':>6}  [mm]"
+    )
+    for seed in range(seeds):
+        if seed % -(-seeds // _PANELS) == 0:
+            dx, dy, yaw, tilt = places[seed * _PANELS // seeds] * (0.004, 0.004, 1.0, 0.4)
+            x, y, z = config.panel.position_m
+            moved = replace(config.panel, position_m=(x + dx, y + dy, z), yaw_deg=1.2 + yaw, tilt_deg=(tilt, -tilt))
+            studio.stand(base_from_panel(moved))
+        o = one(studio, seed)
+        outcomes.append(o)
+        rms, p95 = np.sqrt(np.mean(o.aim**2)), np.percentile(o.aim, 95)
+        figures = (o.predicted, o.measured, o.held_out, rms, p95)
+        print(f"{seed:>4} {o.chi_square:>9.2f} {' '.join(f'{1e3 * v:>8.3f}' for v in figures)}", flush=True)
+    return outcomes
+
+
+def rows(outcomes: list[Outcome], mounting: str) -> list[Row]:
+    """Return the table's rows."""
+    what = f"{mounting}, {len(outcomes)} seeds: "
+    aims = np.concatenate([o.aim for o in outcomes]) * 1e3
+    chi = float(np.mean([o.chi_square for o in outcomes]))
+    rms = [
+        1e3 * float(np.sqrt(np.mean([getattr(o, name) ** 2 for o in outcomes]))) for name in ("measured", "predicted")
+    ]
+    return [
+        bound(what + "chi-square per degree of freedom, at least", chi, CHI_SQUARE[0], at_least=True),
+        bound(what + "chi-square per degree of freedom, at most", chi, CHI_SQUARE[1]),
+        bound(what + f"tip error rms [mm] (predicted {rms[1]:.4f})", rms[0], 1.2 * rms[1]),
+        bound(what + "open-loop aim, 95 % of all places [mm]", float(np.percentile(aims, 95)), AIM_P95_MM),
+        bound(
+            what + "open-loop aim, 95 % at the worst seed [mm]",
+            1e3 * max(float(np.percentile(o.aim, 95)) for o in outcomes),
+            AIM_P95_MM,
+        ),
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=50)
+    options = parser.parse_args()
+    tune_malloc()
+    write("hand_eye", rows(campaign(options.seeds), "fixed cameras"), title="hand-eye calibration over seeds")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
