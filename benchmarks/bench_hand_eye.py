@@ -15,14 +15,18 @@ from rows import Row, bound, tune_malloc, write
 from simulated_robot import LAYOUT, Robot, Studio
 
 from harris_perception.core.calibration_run import RunConfig, StillConfig
+from harris_perception.core.carriage_camera import shifted
 from harris_perception.core.hand_eye import HandEye, HandEyeConfig
 from icu_common.core.geometry import Array
-from scope_bench.core.configuration import BenchConfig
+from scope_bench.core.configuration import BenchConfig, CameraConfig
 from scope_bench.core.renderer import base_from_panel
 
 AIM_P95_MM = 0.5
 CHI_SQUARE = (0.8, 1.2)
 _BALL_M = 0.002
+QUICK = StillConfig(tips=4, panels=1)
+"""Sightings at each place of cameras on the carriage, which see the tip in the same place all the time."""
+ON_CARRIAGE = CameraConfig(mounting="carriage", aim_m=(0.0, 0.012, -0.022))
 _PANELS = 5
 """The panel stands anew after each fifth of the seeds."""
 
@@ -36,6 +40,8 @@ class Outcome:
     predicted: float
     measured: float
     held_out: float
+    play: Array
+    true_play: Array
     aim: Array
 
 
@@ -53,7 +59,13 @@ def queries() -> Array:
 
 def aim_errors(robot: Robot, calibration: HandEye) -> Array:
     """Send the tip to each place of the panel by calibration and recognition alone; return (N,) m beside it."""
-    seen = calibration.camera_from_base.inverse() @ robot.see_panel()
+    # With cameras on the carriage the panel is looked at from the middle of the table.
+    look = np.array([0.18, 0.1, 0.0]) if calibration.on_carriage else np.zeros(3)
+    robot.machine.go(look[:2], 0.0)
+    now = calibration.camera_from_base
+    if calibration.on_carriage:
+        now = shifted(now, calibration.base_from_reading, robot.machine.readings)
+    seen = now.inverse() @ robot.see_panel()
     errors = []
     for place in panel_grid():
         target = seen.apply(place) + (0.0, 0.0, _BALL_M)
@@ -66,15 +78,21 @@ def aim_errors(robot: Robot, calibration: HandEye) -> Array:
 
 def one(studio: Studio, seed: int) -> Outcome:
     robot = Robot(studio, seed)
-    done = robot.calibrate(RunConfig(), StillConfig(), HandEyeConfig())
+    run, still = (RunConfig(mounting="carriage"), QUICK) if studio.on_carriage else (RunConfig(), StillConfig())
+    done = robot.calibrate(run, still, HandEyeConfig())
     calibration = done.calibration
     places = queries()
     truth = []
     for x, y, extension in places:
         robot.machine.go(np.array([x, y]), extension)
-        truth.append(studio.camera_from_base.apply(robot.machine.tip))
-    design = np.column_stack([places, np.ones(len(places))])
-    error = design @ calibration.fit.regression - np.array(truth)
+        tip = robot.machine.tip
+        if calibration.on_carriage:
+            # What counts is the tip's place relative to the panel, whose origin the calibration predicts.
+            tip = tip - studio.base_from_panel.translation
+            truth.append(studio.camera_from_base.rotation @ tip)
+        else:
+            truth.append(studio.camera_from_base.apply(tip))
+    error = predicted_tips(calibration, places) - np.array(truth)
     covariance = calibration.covariance(places)
     distances = [e @ np.linalg.solve(c, e) / 3 for e, c in zip(error, covariance)]
     robot.machine.go(np.zeros(2), 0.0)
@@ -84,12 +102,22 @@ def one(studio: Studio, seed: int) -> Outcome:
         predicted=calibration.sigma_m(places),
         measured=float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
         held_out=float(done.held_out_m.max()),
+        play=np.array([(b.play_m, b.sigma_m) for b in done.backlash if b is not None]),
+        true_play=robot.machine.errors.play_mm[:2] / 1000 * np.diag(robot.machine.errors.base_from_carriage),
         aim=aim_errors(robot, calibration),
     )
 
 
-def campaign(seeds: int) -> list[Outcome]:
-    config = BenchConfig()
+def predicted_tips(calibration: HandEye, places: Array) -> Array:
+    """Return (N, 3) m in the camera's frame: the fitted tip or, with cameras on the carriage, tip less panel."""
+    ones = np.ones(len(places))
+    if calibration.tip_fit is None:
+        return np.asarray(np.column_stack([places, ones]) @ calibration.fit.regression)
+    tip = np.column_stack([places[:, 2], ones]) @ calibration.tip_fit.regression
+    return np.asarray(tip - np.column_stack([places[:, :2], ones]) @ calibration.fit.regression)
+
+
+def campaign(seeds: int, config: BenchConfig) -> list[Outcome]:
     studio = Studio(config)
     places = np.random.default_rng(5).uniform(-1, 1, (_PANELS, 4))
     outcomes = []
@@ -118,7 +146,10 @@ def rows(outcomes: list[Outcome], mounting: str) -> list[Row]:
     rms = [
         1e3 * float(np.sqrt(np.mean([getattr(o, name) ** 2 for o in outcomes]))) for name in ("measured", "predicted")
     ]
+    plays = np.array([o.play[:, 0] - o.true_play for o in outcomes]) * 1e3
+    play_chi = float(np.mean([np.mean(((o.play[:, 0] - o.true_play) / o.play[:, 1]) ** 2) for o in outcomes]))
     return [
+        bound(what + f"backlash error rms [mm] (chi-square {play_chi:.2f})", float(np.sqrt(np.mean(plays**2))), 0.05),
         bound(what + "chi-square per degree of freedom, at least", chi, CHI_SQUARE[0], at_least=True),
         bound(what + "chi-square per degree of freedom, at most", chi, CHI_SQUARE[1]),
         bound(what + f"tip error rms [mm] (predicted {rms[1]:.4f})", rms[0], 1.2 * rms[1]),
@@ -134,9 +165,15 @@ def rows(outcomes: list[Outcome], mounting: str) -> list[Row]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("--only", default="", choices=("", "fixed", "carriage"), help="one of the two mountings")
     options = parser.parse_args()
     tune_malloc()
-    write("hand_eye", rows(campaign(options.seeds), "fixed cameras"), title="hand-eye calibration over seeds")
+    table: list[Row] = []
+    for name, camera in (("fixed cameras", CameraConfig()), ("cameras on the carriage", ON_CARRIAGE)):
+        if options.only in name:
+            print(f"\n{name}")
+            table += rows(campaign(options.seeds, BenchConfig(camera=camera)), name)
+    write("hand_eye", table, title="hand-eye calibration over seeds")
     return 0
 
 

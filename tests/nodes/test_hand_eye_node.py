@@ -148,7 +148,8 @@ def test_run_calibrates_publishes_and_saves(ros: Any, tmp_path: Path) -> None:
     assert 0 < kept.held_out_m < 0.001
     heights = {round(g.point.z, 4) for g in rig.goals}
     assert heights == {0.0, -0.012, -0.006}
-    # Two places at the lower end of each axis, which the controller enters from above, tell the backlash; then it parks.
+    # Two places at the lower end of each axis, which the controller enters from above, tell the backlash; the last is
+    # where it parks, too.
     assert [sum(value(g.point) == 0.0 for g in rig.goals) for value in (lambda p: p.x, lambda p: p.y)] == [2, 3]
     assert np.abs(kept.backlash_m).max() < 0.0002, "this machine has none"
     assert (kept.backlash_sigma_m > 0).all()

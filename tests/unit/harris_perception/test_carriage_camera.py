@@ -173,7 +173,7 @@ def test_a_panel_that_stays_means_a_camera_that_does_not_ride() -> None:
 
 
 def test_without_sight_and_touch_the_stylus_is_unknown() -> None:
-    with pytest.raises(DegenerateError, match="nothing tells where the stylus is: .* touch one to five known points"):
+    with pytest.raises(DegenerateError, match=r"nothing tells where the stylus is: .* touch one to five known points"):
         calibrate_on_carriage(panels(places()), [])
     with pytest.raises(DegenerateError, match="6 contacts, at most 5"):
         calibrate_on_carriage(panels(places()), [], contacts(6))
