@@ -19,8 +19,11 @@ Describe = Callable[[], Any]
 
 def domain_of_worker(base: int = 100) -> int:
     """Return a ROS domain that no other worker of this test run uses (up to 232 are valid)."""
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
-    return base + (os.getpid() * 7 + worker) % 100
+    name = os.environ.get("PYTEST_XDIST_WORKER")
+    if name is None:
+        return base + os.getpid() % 100
+    # The workers of one run have one parent; two of them must not meet on a domain.
+    return base + (os.getppid() * 16 + int(name[2:])) % 100
 
 
 class Ros:
