@@ -10,6 +10,7 @@ import numpy as np
 
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Transform
+from icu_common.core.results import GoalResult, Outcome
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Send
@@ -54,9 +55,9 @@ class Rig:
         self.desk.scene = scene()
         self.seconds = 100.0
         self.seq = 0
-        self.desk.set_state("driver", "idle")
-        self.desk.set_state("controller", "ready")
-        self.desk.set_state("calibration", "calibrated: rms 0.1 mm")
+        self.desk.machine.set_state("driver", "idle")
+        self.desk.machine.set_state("controller", "ready")
+        self.desk.machine.set_state("calibration", "calibrated: rms 0.1 mm")
         self.see()
         self.a, self.hello = self.desk.join("Operator 1")
         if operator:
@@ -68,9 +69,9 @@ class Rig:
 
     def see(self, confidence: float = 0.97) -> None:
         """Let the recognition speak and a picture be shown; ``stamp`` names it."""
-        self.desk.set_confidence(confidence, self.now)
+        self.desk.machine.set_confidence(confidence, self.now)
         self.stamp = self.now.ros_ns
-        self.desk.frame_offered("left", self.stamp)
+        self.desk.machine.frame_offered("left", self.stamp)
 
     def wait(self, seconds: float, *, alive: bool = False, see: bool = True) -> list[Effect]:
         """Let time pass in ticks of 50 ms; return the effects."""
@@ -101,6 +102,17 @@ class Rig:
         if not math.isnan(argument):
             fields["argument"] = argument
         return self.ask(self.a, type="act", **fields)
+
+    def move(self, x_mm: float, y_mm: float) -> list[Effect]:
+        return self.ask(self.a, type="move", x_mm=x_mm, y_mm=y_mm, camera="left", stamp=str(self.stamp))
+
+    def jog(self, dx: int, dy: int, step_mm: float = 5.0) -> list[Effect]:
+        picture = {"camera": "left", "stamp": str(self.stamp)}
+        return self.ask(self.a, type="jog", dx=dx, dy=dy, step_mm=step_mm, **picture)
+
+    def end(self, stamp_ns: int, outcome: Outcome = Outcome.REACHED) -> list[Effect]:
+        """Let the controller end a goal."""
+        return self.desk.result(GoalResult(goal_id=str(stamp_ns), goal="", outcome=outcome), self.now)
 
 
 def of_type(effects: list[Effect], kind: Any) -> list[Any]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from unit.scope_ui_bridge.desk_rig import BOOT, Rig, answer, logged, of_type, pose, refusal
 
+from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.gesture import Gesture, Point, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
 from scope_ui_bridge.core.config import BridgeConfig
@@ -24,6 +25,7 @@ from scope_ui_bridge.core.effects import (
     SendGoal,
     StopNow,
 )
+from scope_ui_bridge.core.passwords import Role
 
 
 def selected(effects: list[Effect]) -> dict:
@@ -74,7 +76,7 @@ def test_a_press_on_a_point_is_a_pixel_goal_and_a_hold_is_a_gesture_there() -> N
     # 700 px is 60.5 px right of the axis: 60.5 / 1700 * 0.65 m = 23.1 mm from the centre at 160 mm (distortion: < 0.1)
     assert shown["panel_mm"] == pytest.approx([183.1, 97.8], abs=0.1)
     (goal,) = of_type(rig.act("press"), SendGoal)
-    assert goal.pixel == (700.0, 300.0)
+    assert (goal.frame, goal.point) == (CAMERA_LEFT, (700.0, 300.0))
     assert goal.stamp_ns == rig.now.ros_ns
     finished = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=Outcome.REJECTED, reason="too far")
     assert logged(rig.desk.result(finished, rig.now))[0]["reason"] == "too far"
@@ -165,7 +167,7 @@ def test_a_silent_recognition_refuses() -> None:
     rig.select(control="RUN_STOP")
     rig.wait(2.1, alive=True, see=False)
     rig.stamp = rig.now.ros_ns
-    rig.desk.frame_offered("left", rig.stamp)
+    rig.desk.machine.frame_offered("left", rig.stamp)
     assert refusal(rig.act()) == "recognition_silent"
 
 
@@ -176,7 +178,7 @@ def test_a_silent_recognition_refuses() -> None:
 def test_a_controller_that_is_not_ready_refuses_with_its_reason(state: str, code: str) -> None:
     rig = Rig()
     rig.select(control="RUN_STOP")
-    rig.desk.set_state("controller", state)
+    rig.desk.machine.set_state("controller", state)
     answered = answer(rig.act())
     assert answered["code"] == code
     if code == "not_ready":
@@ -190,7 +192,7 @@ def test_what_cannot_be_done_is_refused() -> None:
     assert refusal(rig.select(control="NO_SUCH")) == "unknown_control"
     assert refusal(rig.select(control="CH1_IN")) == "not_operable"
     assert refusal(rig.select(u=5.0, v=5.0)) == "off_panel"
-    rig.desk.frame_offered("right", rig.stamp)
+    rig.desk.machine.frame_offered("right", rig.stamp)
     assert refusal(rig.select(camera="right", u=700.0, v=300.0)) == "point_needs_left"
     assert refusal(rig.act()) == "selection_gone"
     rig.select(control="RUN_STOP")
@@ -220,13 +222,106 @@ def test_an_accepted_goal_whose_end_was_lost_is_given_up_once_the_controller_res
     rig.select(control="RUN_STOP")
     (command,) = of_type(rig.act(), SendCommand)
     rig.desk.result(GoalResult(goal_id=parse_gesture(command.text).id, goal="", outcome=Outcome.ACCEPTED), rig.now)
-    rig.desk.set_state("controller", "moving")
+    rig.desk.machine.set_state("controller", "moving")
     assert logged(rig.wait(10.0, alive=True)) == [], "a goal may take its time"
-    rig.desk.set_state("controller", "ready")
+    rig.desk.machine.set_state("controller", "ready")
     assert [entry["status"] for entry in logged(rig.wait(3.2, alive=True))] == ["no_answer"]
 
 
+# --- moves, and moving on while held ---
+
+
+def test_a_move_goes_to_base_link_with_the_stylus_up() -> None:
+    rig = Rig()
+    effects = rig.move(120.5, 80.0)
+    (goal,) = of_type(effects, SendGoal)
+    assert (goal.frame, goal.point, goal.stamp_ns) == (BASE, (0.1205, 0.08), rig.now.ros_ns)
+    assert goal.record["frame"] == str(rig.stamp)
+    assert logged(effects)[0]["target"] == "(120.5, 80.0) mm"
+    assert refusal(rig.move(1.0, 2.0)) == "busy_pending"
+    rig.end(goal.stamp_ns)
+    rig.desk.machine.set_state("controller", "waiting: not calibrated")
+    assert of_type(rig.move(1.0, 2.0), SendGoal), "a move needs no calibration"
+
+
+@pytest.mark.parametrize("state", ["", "unhomed", "disabled", "moving", "stopped: operator", "alarm: limit"])
+def test_a_move_needs_a_machine_at_rest(state: str) -> None:
+    rig = Rig()
+    rig.desk.machine.set_state("driver", state)
+    assert refusal(rig.move(1.0, 2.0)) == "not_at_rest"
+    assert refusal(rig.jog(1, 0)) == "not_at_rest"
+
+
+def test_a_held_jog_goes_on_in_steps_and_ends_when_let_go() -> None:
+    rig = Rig()
+    rig.desk.machine.set_position(0.1, 0.05, 0.0)
+    effects = rig.jog(0, 1)
+    (goal,) = of_type(effects, SendGoal)
+    entry = logged(effects)[0]
+    assert (entry["action"], entry["target"], goal.point) == ("jog", "+y", (0.1, 0.055))
+    rig.seconds += 0.2
+    assert of_type(rig.jog(0, 1), SendGoal) == [], "holding on begins nothing while a step is under way"
+    (second,) = of_type(rig.end(goal.stamp_ns), SendGoal)
+    assert second.point == pytest.approx((0.1, 0.06))
+    assert second.stamp_ns > goal.stamp_ns
+    assert second.entry == entry["entry"], "one line of the log for one hold"
+    rig.jog(0, 0)
+    (ended,) = logged(rig.end(second.stamp_ns))
+    assert (ended["entry"], ended["status"]) == (entry["entry"], "reached")
+
+
+@pytest.mark.parametrize("how", ["silence", "stop", "release", "rejected"])
+def test_a_held_jog_ends_with(how: str) -> None:
+    rig = Rig()
+    rig.desk.machine.set_position(0.1, 0.05, 0.0)
+    (goal,) = of_type(rig.jog(-1, 0), SendGoal)
+    outcome = Outcome.REACHED
+    if how == "silence":
+        rig.wait(0.35, alive=True)
+    elif how == "stop":
+        rig.ask(rig.a, type="stop")
+    elif how == "release":
+        rig.ask(rig.a, type="lease", step="release")
+    else:
+        outcome = Outcome.REJECTED
+    assert of_type(rig.end(goal.stamp_ns, outcome), SendGoal) == []
+
+
+def test_a_jog_that_cannot_be_is_refused() -> None:
+    rig = Rig()
+    assert refusal(rig.jog(1, 0)) == "position_unknown"
+    rig.desk.machine.set_position(math.nan, 0.0, 0.0)
+    assert refusal(rig.jog(1, 0)) == "position_unknown"
+    rig.desk.machine.set_position(0.1, 0.05, 0.0)
+    answered = answer(rig.jog(1, 0, step_mm=10.5))
+    assert (answered["code"], answered["values"]) == ("jog_step", {"step_mm": 10.5, "limit_mm": 10.0})
+    assert refusal(rig.jog(1, 0, step_mm=0.0)) == "jog_step"
+    assert refusal(rig.jog(2, 0)) == "malformed"
+    rig.seconds += 0.6
+    assert refusal(rig.jog(1, 0)) == "frame_old"
+
+
 # --- who may ---
+
+
+def test_a_viewer_may_stop_and_never_gets_control() -> None:
+    rig = Rig(operator=False)
+    viewer, hello = rig.desk.join("Guest", Role.VIEWER)
+    assert hello["you"]["role"] == "viewer"
+    for step in ("take", "request"):
+        answered = answer(rig.ask(viewer, type="lease", step=step))
+        assert (answered["code"], answered["values"]["role"]) == ("role_needed", "operator")
+    assert rig.desk.lease.holder == ""
+    assert of_type(rig.ask(viewer, type="stop"), StopNow)
+
+
+def test_other_settings_are_accepted_by_engineers_only() -> None:
+    rig = Rig()
+    assert refusal(rig.ask(rig.a, type="call", service="accept_settings")) == "role_needed"
+    rig.ask(rig.a, type="lease", step="release")
+    engineer, _ = rig.desk.join("Ada", Role.ENGINEER)
+    rig.ask(engineer, type="lease", step="take")
+    assert of_type(rig.ask(engineer, type="call", service="accept_settings"), CallService)
 
 
 def test_without_the_lease_nothing_but_stop_is_done() -> None:
@@ -269,9 +364,9 @@ def test_hand_over_is_asked_for_and_not_done_while_something_moves() -> None:
     rig.select(control="RUN_STOP")
     other, _ = rig.desk.join("Operator 2")
     rig.ask(other, type="lease", step="request")
-    rig.desk.set_state("driver", "moving")
+    rig.desk.machine.set_state("driver", "moving")
     assert refusal(rig.ask(rig.a, type="lease", step="grant")) == "busy_moving"
-    rig.desk.set_state("driver", "idle")
+    rig.desk.machine.set_state("driver", "idle")
     effects = rig.ask(rig.a, type="lease", step="grant")
     assert rig.desk.lease.holder == other
     assert {"type": "selection", "selection": None} in [e.message for e in of_type(effects, Broadcast)]
@@ -310,7 +405,7 @@ def test_600_ms_of_silence_while_something_moves_stops_it_once_and_takes_the_lea
     if moving == "pending":
         rig.act()
     else:
-        rig.desk.set_state(moving, {"calibration": "calibrating 3/12"}.get(moving, "moving"))
+        rig.desk.machine.set_state(moving, {"calibration": "calibrating 3/12"}.get(moving, "moving"))
     assert of_type(rig.wait(0.55), StopNow) == []
     effects = rig.wait(0.1)
     (stop,) = of_type(effects, StopNow)
@@ -320,9 +415,31 @@ def test_600_ms_of_silence_while_something_moves_stops_it_once_and_takes_the_lea
     assert refusal(rig.act()) == "no_lease"
 
 
+def test_a_motion_whose_pictures_stop_is_stopped_once() -> None:
+    rig = Rig()
+    rig.desk.machine.picture_came(rig.now)
+    rig.desk.machine.set_state("driver", "moving")
+    assert of_type(rig.wait(0.55, alive=True), StopNow) == []
+    (stop,) = of_type(rig.wait(0.5, alive=True), StopNow)
+    assert stop.record["target"] == "stopped_no_picture"
+    assert rig.desk.lease.holder == rig.a
+
+
+def test_a_motion_begun_without_pictures_or_by_nobody_here_goes_on() -> None:
+    rig = Rig()
+    rig.desk.machine.picture_came(rig.now)
+    rig.wait(3.0, alive=True)
+    rig.desk.machine.set_state("driver", "homing")
+    assert of_type(rig.wait(3.0, alive=True), StopNow) == [], "homing needs no picture"
+    rig = Rig(operator=False)
+    rig.desk.machine.picture_came(rig.now)
+    rig.desk.machine.set_state("driver", "moving")
+    assert of_type(rig.wait(3.0), StopNow) == []
+
+
 def test_a_page_that_goes_away_stops_what_it_moved_at_once() -> None:
     rig = Rig()
-    rig.desk.set_state("controller", "touching")
+    rig.desk.machine.set_state("controller", "touching")
     (stop,) = of_type(rig.desk.leave(rig.a, rig.now), StopNow)
     assert stop.record["target"] == "stopped_page_gone"
     rig = Rig()
@@ -333,14 +450,14 @@ def test_a_page_that_goes_away_stops_what_it_moved_at_once() -> None:
 def test_a_viewers_page_may_go_away_while_others_work() -> None:
     rig = Rig()
     viewer, _ = rig.desk.join("Operator 2")
-    rig.desk.set_state("controller", "moving")
+    rig.desk.machine.set_state("controller", "moving")
     assert rig.desk.leave(viewer, rig.now) == []
     assert rig.desk.lease.holder == rig.a
 
 
 def test_what_others_move_from_the_command_line_is_not_stopped_without_an_operator() -> None:
     rig = Rig(operator=False)
-    rig.desk.set_state("controller", "moving")
+    rig.desk.machine.set_state("controller", "moving")
     assert of_type(rig.wait(2.0), StopNow) == []
 
 
@@ -412,7 +529,7 @@ def test_the_state_is_sent_on_change_at_most_ten_times_a_second_and_at_least_onc
     assert 2 <= len(states(rig.wait(3.0, alive=True))) <= 5
     sent = []
     for step in range(40):
-        rig.desk.set_position(0.001 * step, 0.02, 0.003)
+        rig.desk.machine.set_position(0.001 * step, 0.02, 0.003)
         sent += states(rig.wait(0.05, alive=True))
     assert 15 <= len(sent) <= 21
     assert sent[-1]["position_mm"][1:] == [20.0, 3.0]
@@ -428,7 +545,7 @@ def test_a_new_page_gets_the_log_the_selection_and_the_state() -> None:
     assert [entry["action"] for entry in hello["log"]] == ["press"]
     assert hello["selection"]["control"] == "RUN_STOP"
     assert hello["state"]["calibration"] == {"state": "calibrated", "reason": "rms 0.1 mm"}
-    assert hello["limits"] == {"amber_ms": 250.0, "max_age_ms": 500.0, "stale_ms": 1000.0}
+    assert hello["limits"] == {"amber_ms": 250.0, "max_age_ms": 500.0, "stale_ms": 1000.0, "jog_step_mm": 10.0}
 
 
 def test_a_gesture_at_a_pixel_survives_its_text() -> None:

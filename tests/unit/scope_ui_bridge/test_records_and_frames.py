@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from scope_ui_bridge.adapters.mailbox import Mailbox
-from scope_ui_bridge.adapters.secret_files import AuditFile, write_token
+from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
 from scope_ui_bridge.core.audit import START, AuditError, verify
 from scope_ui_bridge.core.frame_window import FrameWindow
 
@@ -60,8 +60,8 @@ def test_the_token_file_is_for_its_owner_only_and_replaces_a_link(tmp_path: Path
     path = tmp_path / "state" / "token"
     path.parent.mkdir()
     path.symlink_to(elsewhere)
-    write_token(path, "abc")
-    write_token(path, "def")
+    write_secret(path, "abc")
+    write_secret(path, "def")
     assert path.read_text() == "def\n"
     assert not path.is_symlink()
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
@@ -71,19 +71,70 @@ def test_the_token_file_is_for_its_owner_only_and_replaces_a_link(tmp_path: Path
 def test_at_most_two_pictures_are_under_way_and_none_is_sent_twice() -> None:
     window = FrameWindow()
     assert window.wants(1)
-    window.sent(1)
+    window.sent(1, 0.0)
     assert not window.wants(1)
     assert window.wants(4)
-    window.sent(4)
+    window.sent(4, 0.0)
     assert not window.wants(5), "two are under way"
-    window.acknowledged(77)
+    window.acknowledged(77, 0.1)
     assert not window.open, "a number that was never sent settles nothing"
-    window.acknowledged(4)
+    window.acknowledged(4, 0.1)
     assert window.wants(5)
-    window.acknowledged(1)
-    window.sent(5)
-    window.sent(6)
+    window.acknowledged(1, 0.1)
+    window.sent(5, 0.1)
+    window.sent(6, 0.1)
     assert not window.open, "an old acknowledgement after a newer one settles nothing"
+
+
+class Flights:
+    """Pictures one after the other, each under way for a given time."""
+
+    def __init__(self) -> None:
+        self.window = FrameWindow()
+        self.now_s = 0.0
+        self.seq = 0
+
+    def fly(self, flight_s: float, count: int = 1, pause_s: float = 0.0) -> bool:
+        for _ in range(count):
+            self.seq += 1
+            self.window.sent(self.seq, self.now_s)
+            self.now_s += flight_s
+            self.window.acknowledged(self.seq, self.now_s)
+            self.now_s += pause_s
+        return self.window.light
+
+
+def test_three_slow_pictures_make_them_light_and_one_at_a_time() -> None:
+    link = Flights()
+    assert not link.fly(0.14, 100)
+    assert not link.fly(0.2, 2)
+    assert not link.fly(0.1)
+    assert not link.fly(0.2, 2)
+    assert link.fly(0.2)
+    link.window.sent(1000, link.now_s)
+    assert not link.window.open
+
+
+def test_the_full_form_is_tried_again_less_and_less_often() -> None:
+    link = Flights()
+    link.fly(0.3, 3)
+    assert link.fly(0.1, 1000), "a slow link that is fast enough for light pictures only stays light"
+    tries = []
+    for _ in range(6):
+        begin = link.now_s
+        while link.fly(0.05):
+            pass
+        tries.append(round(link.now_s - begin))
+        assert link.fly(0.4), "one slow picture is enough now"
+    assert tries == [0, 10, 20, 40, 80, 80]
+    while link.fly(0.05):
+        pass
+    assert not link.fly(0.05, 2000), "a link that has become fast stays full"
+    assert link.fly(0.3, 3)
+    begin = link.now_s
+    while link.fly(0.05):
+        pass
+    assert link.now_s - begin < 6, "after a good while a hiccup is forgiven soon"
 
 
 def test_the_mailbox_keeps_the_newest_picture_and_every_result() -> None:

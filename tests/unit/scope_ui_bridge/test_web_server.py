@@ -17,8 +17,8 @@ from unit.scope_ui_bridge.web_rig import Page, Rig, page, until
 
 from icu_common.core.config import ConfigError
 from icu_common.core.results import GoalResult, Outcome
+from scope_ui_bridge.adapters.front_door import COOKIE, PAGE
 from scope_ui_bridge.adapters.secret_files import AuditFile
-from scope_ui_bridge.adapters.web_server import COOKIE, PAGE
 from scope_ui_bridge.core.audit import verify
 from scope_ui_bridge.core.effects import Now
 
@@ -316,7 +316,7 @@ def test_heartbeats_go_out_with_keep_alives_and_a_closed_page_stops_a_motion() -
             await client.send(type="alive", client_ms=7.25)
             assert (await client.until(lambda m: m["type"] == "alive"))["client_ms"] == 7.25
             await until(lambda: rig.graph.named("heartbeat"), "a heartbeat")
-            rig.server.mailbox.each(rig.desk.set_state, "driver", "moving")
+            rig.server.mailbox.each(rig.desk.machine.set_state, "driver", "moving")
             await client.until(lambda m: m["type"] == "state" and m["moving"])
             assert rig.graph.named("stop") == []
         await until(lambda: rig.graph.named("stop"), "the stop")

@@ -43,8 +43,8 @@ class RecordingGraph:
     def send_command(self, text: str) -> None:
         self._take("command", text)
 
-    def send_goal(self, pixel: tuple[float, float], stamp_ns: int) -> None:
-        self._take("goal", pixel, stamp_ns)
+    def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
+        self._take("goal", frame, point, stamp_ns)
 
     def call(self, service: str, answered: Callable[[bool, str], None]) -> None:
         self._take("call", service)
@@ -68,8 +68,8 @@ class Rig:
         self.graph = RecordingGraph()
         self.desk = Desk(self.config, "boot", "DSO")
         self.desk.scene = scene()
-        self.desk.set_state("driver", "idle")
-        self.desk.set_state("controller", "ready")
+        self.desk.machine.set_state("driver", "idle")
+        self.desk.machine.set_state("controller", "ready")
         secrets = (f"secret-{number}" for number in itertools.count())
         self.sign_in = SignIn(lambda: next(secrets), 100.0)
         self.server = WebServer(self.config, self.desk, self.sign_in, self.graph, audit)
@@ -86,7 +86,7 @@ class Rig:
         stamp = time.time_ns() if stamp_ns is None else stamp_ns
         picture = np.full((72, 128, 3), level, np.uint8)
         self.server.mailbox.newest(camera, self.server.video.offer, camera, stamp, "bgr8", picture)
-        self.server.mailbox.newest("confidence", self.server.post_value, self.desk.set_confidence, 0.9)
+        self.server.mailbox.newest("confidence", self.server.post_value, self.desk.machine.set_confidence, 0.9)
         return stamp
 
     def __enter__(self) -> Rig:

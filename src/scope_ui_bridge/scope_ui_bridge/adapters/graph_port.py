@@ -29,12 +29,12 @@ class GraphPort(Protocol):
         """Publish a gesture; GraphError when no controller listens."""
         ...
 
-    def send_goal(self, pixel: tuple[float, float], stamp_ns: int) -> None:
-        """Publish a pixel goal of the left picture; GraphError when no controller listens."""
+    def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
+        """Publish a goal in a frame (pixels, or metres with the stylus up); GraphError when no controller listens."""
         ...
 
     def call(self, service: str, answered: Callable[[bool, str], None]) -> None:
-        """Call home, reset, enable, disable or calibrate; GraphError when the service is not there.
+        """Call one of ``core.wire.SERVICES``; GraphError when the service is not there.
 
         ``answered`` is called once, in any thread.
         """

@@ -7,10 +7,28 @@ from pathlib import Path
 from typing import Any
 
 from scope_ui_bridge.core.audit import START, chain_line, verify
+from scope_ui_bridge.core.passwords import User, parse_users
 
 
-def write_token(path: Path, token: str) -> None:
-    """Put the sign-in token into ``path`` with mode 0600, replacing the file as a whole.
+def read_users(path: Path) -> dict[str, User]:
+    """Read the file of passwords.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read, or others than its owner may read it.
+    PasswordError
+        If a line is no good.
+    """
+    mode = path.stat().st_mode & 0o777
+    if mode & 0o077:
+        raise PermissionError(f"{path} has mode {mode:o}; 600 is needed: it holds hashed passwords")
+    with path.open(encoding="utf-8") as lines:
+        return parse_users(lines)
+
+
+def write_secret(path: Path, text: str) -> None:
+    """Put a text into ``path`` with mode 0600, replacing the file as a whole.
 
     Raises
     ------
@@ -22,8 +40,8 @@ def write_token(path: Path, token: str) -> None:
     fresh.unlink(missing_ok=True)
     # O_EXCL: never through a link that somebody else has put there.
     descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(descriptor, "w", encoding="ascii") as file:
-        file.write(token + "\n")
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        file.write(text + "\n")
     fresh.replace(path)
 
 

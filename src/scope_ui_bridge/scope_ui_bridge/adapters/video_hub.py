@@ -1,4 +1,7 @@
-"""The live picture for all pages: one JPEG per picture, made only while a page can take it; none slows another.
+"""The live picture for all pages: one JPEG for each picture and form, made only while a page can take it.
+
+No page slows another.
+There are two forms: full, and light (half the size, stronger compression) for pages behind a slow link.
 
 A message is four bytes (length of the JSON, big endian), the JSON with stamp, age and overlay, and the JPEG.
 """
@@ -8,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import struct
+import time
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -24,6 +28,7 @@ from scope_ui_bridge.core.wire import CAMERAS, encode
 
 _LOG = logging.getLogger(__name__)
 _MAX_CORNERS = 600
+_LIGHT_QUALITY = 0.75  # of the quality in force
 _CONVERSIONS = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR}
 
 Picture = npt.NDArray[Any]
@@ -40,6 +45,11 @@ class VideoViewer:
     scene_version: int = -1
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
+    @property
+    def stream(self) -> tuple[str, bool]:
+        """The camera, and whether in the light form."""
+        return self.camera, self.window.light
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Frame:
@@ -54,7 +64,7 @@ class _Frame:
 
 @dataclass(slots=True, eq=False)
 class _Stream:
-    """One camera: the newest raw picture, the newest encoded one, and whether the encoder is at work."""
+    """One camera in one form: the newest raw picture, the newest encoded one, and whether the encoder is at work."""
 
     raw: tuple[int, str, Picture] | None = None
     raw_seq: int = 0
@@ -87,7 +97,8 @@ class VideoHub:
         self._quality = quality
         self._ros_ns = ros_ns
         self._viewers: set[VideoViewer] = set()
-        self._streams = {camera: _Stream() for camera in CAMERAS}
+        self._streams = {(camera, light): _Stream() for camera in CAMERAS for light in (False, True)}
+        self._seqs = dict.fromkeys(CAMERAS, 0)
         self._tasks: set[asyncio.Task[None]] = set()
         self.encoded = 0
 
@@ -101,38 +112,40 @@ class VideoHub:
 
     def offer(self, camera: str, stamp_ns: int, encoding: str, picture: Picture) -> None:
         """Take the newest picture of a camera, (H, W) or (H, W, C) uint8."""
-        stream = self._streams[camera]
-        stream.raw = (stamp_ns, encoding, picture)
-        stream.raw_seq += 1
-        self._encode_if_wanted(camera)
+        self._seqs[camera] += 1
+        for light in (False, True):
+            stream = self._streams[camera, light]
+            stream.raw = (stamp_ns, encoding, picture)
+            stream.raw_seq = self._seqs[camera]
+            self._encode_if_wanted((camera, light))
 
     def kick(self, viewer: VideoViewer) -> None:
         """Call when a viewer can take more or looks at something else."""
         viewer.changed.set()
-        self._encode_if_wanted(viewer.camera)
+        self._encode_if_wanted(viewer.stream)
 
-    def _encode_if_wanted(self, camera: str) -> None:
-        stream = self._streams.get(camera, _NOTHING)
+    def _encode_if_wanted(self, key: tuple[str, bool]) -> None:
+        stream = self._streams.get(key, _NOTHING)
         done = stream.frame.seq if stream.frame else 0
         if stream.encoding or stream.raw is None or stream.raw_seq == done:
             return
-        if not any(viewer.camera == camera and viewer.window.open for viewer in self._viewers):
+        if not any(viewer.stream == key and viewer.window.open for viewer in self._viewers):
             return
         stream.encoding = True
-        task = asyncio.get_running_loop().create_task(self._encode(camera, stream.raw_seq, *stream.raw))
+        task = asyncio.get_running_loop().create_task(self._encode(key, stream.raw_seq, *stream.raw))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _encode(self, camera: str, seq: int, stamp_ns: int, encoding: str, picture: Picture) -> None:
-        stream = self._streams[camera]
+    async def _encode(self, key: tuple[str, bool], seq: int, stamp_ns: int, encoding: str, picture: Picture) -> None:
+        stream, (camera, light) = self._streams[key], key
         loop = asyncio.get_running_loop()
         try:
-            jpeg = await loop.run_in_executor(self._executor, to_jpeg, picture, encoding, self._quality())
+            jpeg = await loop.run_in_executor(self._executor, to_jpeg, picture, encoding, self._quality(), light)
             self.encoded += 1
-            stream.frame = self._frame(camera, seq, stamp_ns, picture, jpeg)
-            self._desk.frame_offered(camera, stamp_ns)
+            stream.frame = self._frame(key, seq, stamp_ns, picture, jpeg)
+            self._desk.machine.frame_offered(camera, stamp_ns)
             for viewer in self._viewers:
-                if viewer.camera == camera:
+                if viewer.stream == key:
                     viewer.changed.set()
         except (ValueError, cv2.error) as error:
             stream.raw = None
@@ -141,16 +154,16 @@ class VideoHub:
                 _LOG.error("the %s picture cannot be shown: %s", camera, error)
         finally:
             stream.encoding = False
-        self._encode_if_wanted(camera)
+        self._encode_if_wanted(key)
 
     async def serve(self, viewer: VideoViewer) -> None:
         """Send pictures to one viewer until its connection ends (cancel this when it does)."""
         while True:
             await viewer.changed.wait()
             viewer.changed.clear()
-            frame = self._streams.get(viewer.camera, _NOTHING).frame
+            frame = self._streams.get(viewer.stream, _NOTHING).frame
             if frame is not None and viewer.window.wants(frame.seq):
-                viewer.window.sent(frame.seq)
+                viewer.window.sent(frame.seq, time.monotonic())
                 await viewer.socket.send_bytes(self._message(viewer, frame))
 
     def _message(self, viewer: VideoViewer, frame: _Frame) -> bytes:
@@ -165,10 +178,11 @@ class VideoHub:
         text = ",".join(parts).encode() + b"}"
         return b"".join([struct.pack(">I", len(text)), text, frame.jpeg])
 
-    def _frame(self, camera: str, seq: int, stamp_ns: int, picture: Picture, jpeg: bytes) -> _Frame:
-        scene = self._desk.scene
+    def _frame(self, key: tuple[str, bool], seq: int, stamp_ns: int, picture: Picture, jpeg: bytes) -> _Frame:
+        scene, (camera, light) = self._desk.scene, key
         height, width = picture.shape[:2]
-        about = {"seq": seq, "camera": camera, "stamp": str(stamp_ns), "width": width, "height": height}
+        about: dict[str, Any] = {"seq": seq, "camera": camera, "stamp": str(stamp_ns), "width": width, "height": height}
+        about["light"] = light
         corners = ""
         if camera == "left" and scene.corners_px is not None and any(viewer.corners for viewer in self._viewers):
             corners = encode_numbers(scene.corners_px[:_MAX_CORNERS])
@@ -182,8 +196,8 @@ def encode_numbers(points: npt.NDArray[np.float32]) -> str:
     return "[" + ",".join(f"{value:.1f}" for value in finite.ravel().tolist()) + "]"
 
 
-def to_jpeg(picture: Picture, encoding: str, quality: int) -> bytes:
-    """Encode a picture.
+def to_jpeg(picture: Picture, encoding: str, quality: int, light: bool = False) -> bytes:
+    """Encode a picture; ``light`` halves its sides and compresses it more.
 
     Raises
     ------
@@ -194,6 +208,9 @@ def to_jpeg(picture: Picture, encoding: str, quality: int) -> bytes:
         picture = cv2.cvtColor(picture, _CONVERSIONS[encoding])
     elif encoding not in ("bgr8", "mono8"):
         raise ValueError(f"encoding {encoding!r} is none of bgr8, mono8, {', '.join(_CONVERSIONS)}")
+    if light:
+        picture = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        quality = round(quality * _LIGHT_QUALITY)
     good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not good:
         raise ValueError("OpenCV could not encode the picture")

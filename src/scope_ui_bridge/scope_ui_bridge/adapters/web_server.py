@@ -14,15 +14,16 @@ import threading
 import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 from aiohttp import WSMsgType, web
 
 from icu_common.core.config import ConfigError
+from scope_ui_bridge.adapters.front_door import FrontDoor
 from scope_ui_bridge.adapters.graph_port import GraphError, GraphPort
 from scope_ui_bridge.adapters.mailbox import Mailbox
 from scope_ui_bridge.adapters.secret_files import AuditFile
+from scope_ui_bridge.adapters.turned_away import SUSPECT
 from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
@@ -45,27 +46,11 @@ from scope_ui_bridge.core.sign_in import Session, SignIn
 from scope_ui_bridge.core.wire import CAMERAS, MAX_BYTES, decode_object, encode
 
 _LOG = logging.getLogger(__name__)
-COOKIE = "icu_session"
-PAGE = Path(__file__).resolve().parent.parent / "page"
 _TICK_S = 0.05
 _OUTBOX = 200
 _HARD_LIMIT = 64 * 1024  # above this the WebSocket library itself closes the connection
 _START_TIMEOUT_S = 10.0
-_HEADERS = {
-    "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
-        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
-    ),
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    # not no-referrer: with that browsers send "Origin: null" with forms
-    "Referrer-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
-    "Cache-Control": "no-store",
-}
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+_IDLE_CONNECTION_S = 15.0
 
 
 class WebServer:
@@ -89,6 +74,7 @@ class WebServer:
         self._config = config
         self._desk = desk
         self._sign_in = sign_in
+        self.door = FrontDoor(config, sign_in, self._write_later)
         self._graph = graph
         self._audit = audit
         self._loop = asyncio.new_event_loop()
@@ -132,6 +118,7 @@ class WebServer:
             self._loop.call_soon_threadsafe(self._closing.set)
             self._thread.join(_START_TIMEOUT_S)
         self._encoder.shutdown(wait=False, cancel_futures=True)
+        self.door.close()
         self._writer.shutdown(wait=True)
         if self._audit is not None:
             self._audit.close()
@@ -158,8 +145,15 @@ class WebServer:
             self._loop.close()
 
     async def _serve(self) -> None:
-        runner = web.AppRunner(self._application(), access_log=None, handle_signals=False, shutdown_timeout=1.0)
+        runner = web.AppRunner(
+            self._application(),
+            access_log=None,
+            handle_signals=False,
+            shutdown_timeout=1.0,
+            keepalive_timeout=_IDLE_CONNECTION_S,
+        )
         await runner.setup()
+        assert runner.server is not None
         try:
             context: ssl.SSLContext | None = None
             if self._config.tls:
@@ -168,11 +162,11 @@ class WebServer:
             site = web.TCPSite(runner, self._config.host, self._config.port, ssl_context=context)
             await site.start()
             self.port = runner.addresses[0][1]
-            self._origins = self._config.origins(self.port)
-            self._hosts = {origin.partition("://")[2] for origin in self._origins}
+            self.door.opened(self.port)
             self._started.set()
             while not self._closing.is_set():
                 self._carry_out(self._desk.tick(self._now()))
+                self.door.sweep(runner.server)
                 with contextlib.suppress(asyncio.TimeoutError):
                     await asyncio.wait_for(self._closing.wait(), _TICK_S)
             for socket in list(self._sockets):
@@ -185,113 +179,20 @@ class WebServer:
             await runner.cleanup()
 
     def _application(self) -> web.Application:
-        application = web.Application(middlewares=[self._guard], client_max_size=MAX_BYTES)
-        router = application.router
-        router.add_get("/", self._index, allow_head=False)  # a HEAD would use the token up
-        router.add_post("/sign-in", self._enter)
-        router.add_post("/sign-out", self._leave)
-        router.add_post("/stop", self._stop)
-        router.add_get("/session", self._session_state)
-        router.add_get("/control", self._control)
-        router.add_get("/video", self._video)
-        router.add_static("/page/", PAGE, follow_symlinks=False)
+        application = web.Application(middlewares=[self.door.guard], client_max_size=MAX_BYTES)
+        self.door.add_routes(application.router)
+        application.router.add_post("/stop", self._stop)
+        application.router.add_get("/control", self._control)
+        application.router.add_get("/video", self._video)
         return application
 
     def _now(self) -> Now:
         return Now(mono_s=time.monotonic(), ros_ns=self._graph.ros_ns(), wall_s=time.time())
 
-    # --- plain requests --------------------------------------------------------------------------------------------
-
-    @web.middleware
-    async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Refuse foreign hosts (DNS rebinding) and origins, and put the security headers on every answer."""
-        response: web.StreamResponse
-        socket = request.path in ("/control", "/video")
-        if request.host not in self._hosts:
-            response = web.Response(status=421, text="This server is not known by that name.\n")
-        elif (request.method == "POST" or socket) and request.headers.getall(
-            "Origin", []
-        ) not in self._single_origins():
-            _LOG.warning("refused %s %s from origin %r", request.method, request.path, request.headers.get("Origin"))
-            response = web.Response(status=403, text="This origin may not do that.\n")
-        else:
-            try:
-                response = await handler(request)
-            except web.HTTPException as error:
-                response = web.Response(status=error.status, text=f"{error.status}: {error.reason}\n")
-                if "Allow" in error.headers:
-                    response.headers["Allow"] = error.headers["Allow"]
-        if not response.prepared:
-            response.headers.update(_HEADERS)
-        return response
-
-    def _single_origins(self) -> list[list[str]]:
-        return [[origin] for origin in self._origins]
-
-    def _session(self, request: web.Request) -> Session | None:
-        return self._sign_in.session(request.cookies.get(COOKIE, ""), time.monotonic())
-
-    async def _index(self, request: web.Request) -> web.StreamResponse:
-        if self._session(request) is not None:
-            return web.FileResponse(PAGE / "index.html")
-        token = request.query.get("token", "")
-        if not token:
-            return self._sign_in_page(401, "")
-        # The page itself is the answer, not a redirect: after a link from elsewhere a browser would not send a
-        # SameSite=Strict cookie with the redirected request.
-        return self._try_token(request, token, web.FileResponse(PAGE / "index.html"))
-
-    async def _enter(self, request: web.Request) -> web.StreamResponse:
-        form = await request.post()
-        token = form.get("token", "")
-        welcome = web.Response(status=303, headers={"Location": "/"})
-        return self._try_token(request, token if isinstance(token, str) else "", welcome)
-
-    def _try_token(self, request: web.Request, token: str, welcome: web.StreamResponse) -> web.StreamResponse:
-        remote = request.remote or ""
-        try:
-            secret = self._sign_in.enter(token.strip(), remote, time.monotonic())
-        except Refusal as refusal:
-            _LOG.warning("sign-in from %s refused: %s", remote, refusal)
-            self._write_later(
-                {"wall_s": round(time.time(), 3), "who": remote, "command": "sign-in", "result": str(refusal)}
-            )
-            status = 429 if refusal.code == "wait" else 401
-            response = self._sign_in_page(status, refusal.code)
-            if refusal.code == "wait":
-                response.headers["Retry-After"] = str(int(refusal.values["seconds"]) + 1)
-            return response
-        session = self._sign_in.session(secret, time.monotonic())
-        assert session is not None
-        self._write_later(
-            {"wall_s": round(time.time(), 3), "who": session.name, "command": "sign-in", "result": "done"}
-        )
-        welcome.set_cookie(COOKIE, secret, httponly=True, samesite="Strict", secure=self._config.tls, path="/")
-        return welcome
-
-    @staticmethod
-    def _sign_in_page(status: int, problem: str) -> web.StreamResponse:
-        # The problem is a fixed code and shown by style alone (see sign_in.html): nothing of the request is echoed.
-        text = (
-            (PAGE / "sign_in.html").read_text(encoding="utf-8").replace('data-problem=""', f'data-problem="{problem}"')
-        )
-        return web.Response(status=status, text=text, content_type="text/html")
-
-    async def _leave(self, request: web.Request) -> web.StreamResponse:
-        self._sign_in.leave(request.cookies.get(COOKIE, ""))
-        response = web.Response(status=303, headers={"Location": "/"})
-        response.del_cookie(COOKIE, path="/")
-        return response
-
-    async def _session_state(self, request: web.Request) -> web.StreamResponse:
-        session = self._session(request)
-        if session is None:
-            return web.json_response({"signed_in": False}, status=401)
-        return web.json_response({"signed_in": True, "name": session.name})
-
     async def _stop(self, request: web.Request) -> web.StreamResponse:
-        session = self._session(request)
+        session = self.door.session(request)
         if session is None:
+            self.door.turned_away.note(request.remote or "", "stop", "not signed in")
             return web.json_response({"ok": False, "code": "signed_out"}, status=401)
         press = request.query.get("press", "")[:64]
         self._carry_out(self._desk.stop(session.name, self._now(), press=press))
@@ -302,7 +203,7 @@ class WebServer:
     # --- WebSockets ------------------------------------------------------------------------------------------------
 
     async def _open(self, request: web.Request) -> tuple[web.WebSocketResponse, Session]:
-        session = self._session(request)
+        session = self.door.session(request)
         if session is None:
             raise web.HTTPUnauthorized(reason="sign in first")
         if len(self._sockets) >= 2 * self._config.max_viewers:
@@ -318,7 +219,7 @@ class WebServer:
         sender: asyncio.Task[None] | None = None
         try:
             try:
-                viewer, hello = self._desk.join(session.name)
+                viewer, hello = self._desk.join(session.name, session.role)
             except Refusal as refusal:
                 await socket.send_str(encode({"type": "answer", "seq": None, "ok": False, **refusal.message()}))
                 return socket
@@ -329,9 +230,11 @@ class WebServer:
             async for message in socket:
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                     break
-                if self._session(request) is None:  # signed out, or the session's time is over
+                if self.door.session(request) is None:  # signed out, or the session's time is over
                     break
-                self._carry_out(self._desk.message(viewer, message.data, self._now()))
+                effects = self._desk.message(viewer, message.data, self._now())
+                self._note_suspects(session.name, effects)
+                self._carry_out(effects)
         finally:
             self._sockets.discard(socket)
             self._outboxes.pop(viewer, None)
@@ -341,6 +244,11 @@ class WebServer:
                 sender.cancel()
         return socket
 
+    def _note_suspects(self, name: str, effects: list[Effect]) -> None:
+        for effect in effects:
+            if isinstance(effect, Send) and effect.message.get("code") in SUSPECT:
+                self.door.turned_away.note(name, f"message {effect.message['code']}", encode(effect.message["values"]))
+
     async def _video(self, request: web.Request) -> web.StreamResponse:
         socket, _ = await self._open(request)
         viewer = VideoViewer(socket=socket)
@@ -348,7 +256,7 @@ class WebServer:
         sender = asyncio.create_task(_until_gone(self.video.serve(viewer)))
         try:
             async for message in socket:
-                if message.type is not WSMsgType.TEXT or self._session(request) is None:
+                if message.type is not WSMsgType.TEXT or self.door.session(request) is None:
                     break
                 try:
                     self._video_message(viewer, message.data)
@@ -367,7 +275,7 @@ class WebServer:
         message = decode_object(text)
         drawn, camera, corners = message.get("drawn"), message.get("camera"), message.get("corners")
         if type(drawn) is int:
-            viewer.window.acknowledged(drawn)
+            viewer.window.acknowledged(drawn, time.monotonic())
         elif isinstance(camera, str) and camera in CAMERAS and isinstance(corners, bool):
             viewer.corners = corners
             if camera != viewer.camera:
@@ -418,7 +326,7 @@ class WebServer:
             if isinstance(order, SendCommand):
                 self._graph.send_command(order.text)
             elif isinstance(order, SendGoal):
-                self._graph.send_goal(order.pixel, order.stamp_ns)
+                self._graph.send_goal(order.frame, order.point, order.stamp_ns)
             elif isinstance(order, CallService):
                 self._graph.call(order.service, lambda ok, text: self._service_answered(order.entry, ok, text))
         except OSError as error:

@@ -22,6 +22,12 @@ class BridgeConfig(Config):
     token_file: str = setting(
         "~/.ros/ui_token", "File (mode 0600) that holds the unused sign-in token, empty = no file", read_only=True
     )
+    token_role: str = setting(
+        "operator", "What who signs in by a token may do", choices=("viewer", "operator", "engineer"), read_only=True
+    )
+    passwords_file: str = setting(
+        "", "File of names, roles and hashed passwords (page_admin password), empty = none", read_only=True
+    )
     session_lifetime_s: float = setting(
         43200.0, "A sign-in ends after this time", minimum=60.0, maximum=604800.0, unit="s", read_only=True
     )
@@ -50,6 +56,15 @@ class BridgeConfig(Config):
     )
     silence_stop_s: float = setting(
         0.6, "Something moves and the operator's page was silent for this time: stop", minimum=0.1, unit="s"
+    )
+    picture_stop_s: float = setting(
+        0.6, "Something moves and no picture came for this time: stop", minimum=0.1, maximum=10.0, unit="s"
+    )
+    jog_hold_s: float = setting(
+        0.3, "Moving on while held ends when the page has not asked again for this time", minimum=0.1, unit="s"
+    )
+    jog_step_max_m: float = setting(
+        0.01, "Longest step of moving on while held: how far it still goes when let go", minimum=0.0001, unit="m"
     )
     lease_timeout_s: float = setting(5.0, "A silent operator loses control after this time", minimum=1.0, unit="s")
     answer_timeout_s: float = setting(

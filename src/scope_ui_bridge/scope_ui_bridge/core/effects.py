@@ -71,9 +71,10 @@ class SendCommand(Order):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SendGoal(Order):
-    """A pixel goal of the left picture for /gantry/goal; ``stamp_ns`` names it in the results."""
+    """A point for /gantry/goal: pixels of the left picture, or metres of base_link; ``stamp_ns`` is its name."""
 
-    pixel: tuple[float, float]
+    frame: str
+    point: tuple[float, float]
     stamp_ns: int
 
 

@@ -1,4 +1,4 @@
-"""Sign-in: a one-shot token, sessions behind a cookie, and back-off after failures. Secrets are kept as hashes only."""
+"""Sign-in: a one-shot token or a password, sessions behind a cookie, back-off after failures. Secrets stay hashed."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.refusal import Refusal
 
 _MAX_REMOTES = 1024
@@ -20,6 +21,7 @@ class Session:
     """A signed-in browser; ``name`` is what the others and the records call its user."""
 
     name: str
+    role: Role
     ends_s: float
 
 
@@ -30,7 +32,7 @@ class _Failures:
 
 
 class SignIn:
-    """Issues tokens and turns each into one session.
+    """Issues tokens and turns each, or a checked password, into a session.
 
     Parameters
     ----------
@@ -38,11 +40,16 @@ class SignIn:
         Returns an unguessable text (``secrets.token_urlsafe``).
     session_lifetime_s
         How long a session lives.
+    token_role
+        What somebody may do who comes with a token.
     """
 
-    def __init__(self, new_secret: Callable[[], str], session_lifetime_s: float) -> None:
+    def __init__(
+        self, new_secret: Callable[[], str], session_lifetime_s: float, token_role: Role = Role.OPERATOR
+    ) -> None:
         self._new_secret = new_secret
         self._lifetime_s = session_lifetime_s
+        self._token_role = token_role
         self._token = b""
         self._sessions: OrderedDict[bytes, Session] = OrderedDict()
         self._failures: OrderedDict[str, _Failures] = OrderedDict()
@@ -62,25 +69,43 @@ class SignIn:
         Refusal
             ``wrong_token``, or ``wait`` with the seconds until the next try of this remote address is looked at.
         """
-        failures = self._failures.get(remote, _Failures())
-        if now_s < failures.blocked_until_s:
-            raise Refusal("wait", seconds=round(failures.blocked_until_s - now_s, 1))
+        self.check_wait(remote, now_s)
         if not self._token or not hmac.compare_digest(_digest(token), self._token):
-            failures.count += 1
-            failures.blocked_until_s = now_s + min(_FIRST_WAIT_S * 2 ** min(failures.count - 1, 20), _LONGEST_WAIT_S)
-            self._failures[remote] = failures
-            self._failures.move_to_end(remote)
-            while len(self._failures) > _MAX_REMOTES:
-                self._failures.popitem(last=False)
+            self._failed(remote, now_s)
             raise Refusal("wrong_token")
         self._token = b""
-        self._failures.pop(remote, None)
         self._count += 1
+        return self._admit(f"Operator {self._count}", self._token_role, remote, now_s)
+
+    def check_wait(self, remote: str, now_s: float) -> None:
+        """Refuse (``wait``) while a remote address has to wait after failures."""
+        failures = self._failures.get(remote)
+        if failures is not None and now_s < failures.blocked_until_s:
+            raise Refusal("wait", seconds=round(failures.blocked_until_s - now_s, 1))
+
+    def enter_by_password(self, good: bool, name: str, role: Role, remote: str, now_s: float) -> str:
+        """Return the cookie's value for a password that was found ``good``; ``wrong_password`` otherwise."""
+        if not good:
+            self._failed(remote, now_s)
+            raise Refusal("wrong_password")
+        return self._admit(name, role, remote, now_s)
+
+    def _admit(self, name: str, role: Role, remote: str, now_s: float) -> str:
+        self._failures.pop(remote, None)
         secret = self._new_secret()
-        self._sessions[_digest(secret)] = Session(name=f"Operator {self._count}", ends_s=now_s + self._lifetime_s)
+        self._sessions[_digest(secret)] = Session(name=name, role=role, ends_s=now_s + self._lifetime_s)
         while len(self._sessions) > _MAX_SESSIONS:
             self._sessions.popitem(last=False)
         return secret
+
+    def _failed(self, remote: str, now_s: float) -> None:
+        failures = self._failures.get(remote, _Failures())
+        failures.count += 1
+        failures.blocked_until_s = now_s + min(_FIRST_WAIT_S * 2 ** min(failures.count - 1, 20), _LONGEST_WAIT_S)
+        self._failures[remote] = failures
+        self._failures.move_to_end(remote)
+        while len(self._failures) > _MAX_REMOTES:
+            self._failures.popitem(last=False)
 
     def session(self, cookie: str, now_s: float) -> Session | None:
         """Return the session of a cookie, or None."""

@@ -72,14 +72,35 @@ class Act(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Move(Message):
+    """Go to a point of base_link (metres) with the stylus up, having seen the picture with this stamp."""
+
+    x_m: float
+    y_m: float
+    camera: str
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jog(Message):
+    """Move on in small steps while this comes again and again; ``dx``, ``dy`` are -1, 0 or 1, both 0 = let go."""
+
+    dx: int
+    dy: int
+    step_m: float
+    camera: str
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Call(Message):
-    """Ask a service of the graph: home, reset, enable, disable, calibrate."""
+    """Ask a service of the graph, one of SERVICES."""
 
     service: str
 
 
 LEASE_STEPS = ("take", "release", "request", "grant", "decline")
-SERVICES = ("home", "reset", "enable", "disable", "calibrate")
+SERVICES = ("home", "reset", "enable", "disable", "calibrate", "accept_settings")
 CAMERAS = ("left", "right")
 GESTURES = ("press", "hold", "turn")
 
@@ -152,7 +173,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _typed(raw: dict[str, Any]) -> Message:
     read = _Reader(raw)
-    kind = read.choice("type", ("alive", "stop", "lease", "select", "act", "call"))
+    kind = read.choice("type", ("alive", "stop", "lease", "select", "act", "move", "jog", "call"))
     head: dict[str, Any] = {"seq": read.integer("seq"), "boot": read.text("boot"), "epoch": read.integer("epoch")}
     message: Message
     if kind == "alive":
@@ -166,9 +187,7 @@ def _typed(raw: dict[str, Any]) -> Message:
         point = (read.number("u"), read.number("v")) if "u" in raw else None
         if control and point:
             read.wrong("control", control, "either a control or a point")
-        message = Select(
-            **head, camera=read.choice("camera", CAMERAS), stamp_ns=read.stamp("stamp"), control=control, point_px=point
-        )
+        message = Select(**head, **read.picture(), control=control, point_px=point)
     elif kind == "act":
         gesture = read.choice("gesture", GESTURES)
         message = Act(
@@ -176,9 +195,12 @@ def _typed(raw: dict[str, Any]) -> Message:
             gesture=gesture,
             argument=math.nan if gesture == "press" else read.number("argument"),
             selection=read.integer("selection"),
-            camera=read.choice("camera", CAMERAS),
-            stamp_ns=read.stamp("stamp"),
+            **read.picture(),
         )
+    elif kind == "move":
+        message = Move(**head, x_m=read.length("x_mm"), y_m=read.length("y_mm"), **read.picture())
+    elif kind == "jog":
+        message = Jog(**head, dx=read.sign("dx"), dy=read.sign("dy"), step_m=read.length("step_mm"), **read.picture())
     else:
         message = Call(**head, service=read.choice("service", SERVICES))
     read.finish()
@@ -205,6 +227,22 @@ class _Reader:
         if type(value) not in (int, float) or not abs(value) < 1e15:
             self.wrong(name, value, "a number")
         return float(value)
+
+    def length(self, name: str) -> float:
+        """Return metres of a field in mm; nothing on the bench is a metre away."""
+        value = self.number(name)
+        if abs(value) > 1000:
+            self.wrong(name, value, "a length of at most 1000 mm")
+        return value * 1e-3
+
+    def sign(self, name: str) -> int:
+        value = self._raw.pop(name, None)
+        if type(value) is not int or value not in (-1, 0, 1):
+            self.wrong(name, value, "-1, 0 or 1")
+        return value
+
+    def picture(self) -> dict[str, Any]:
+        return {"camera": self.choice("camera", CAMERAS), "stamp_ns": self.stamp("stamp")}
 
     def text(self, name: str) -> str:
         value = self._raw.pop(name, None)

@@ -48,11 +48,12 @@ from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from scope_ui_bridge.adapters.graph_port import GraphError
-from scope_ui_bridge.adapters.secret_files import AuditFile, write_token
+from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
 from scope_ui_bridge.adapters.web_server import WebServer
 from scope_ui_bridge.core.audit import AuditError
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
+from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.scene import Face
 from scope_ui_bridge.core.sign_in import SignIn
 
@@ -62,6 +63,7 @@ _SERVICES = {
     "enable": "gantry/enable",
     "disable": "gantry/enable",
     "calibrate": "calibration/run",
+    "accept_settings": "gantry/accept_settings",
 }
 
 
@@ -79,7 +81,7 @@ class BridgeNode(Node):
         self._scene = self._desk.scene
         self._token_file = Path(config.token_file).expanduser() if config.token_file else None
         self._make_outlets()
-        sign_in = SignIn(lambda: secrets.token_urlsafe(32), config.session_lifetime_s)
+        sign_in = SignIn(lambda: secrets.token_urlsafe(32), config.session_lifetime_s, Role(config.token_role))
         self._server = WebServer(config, self._desk, sign_in, self, _open_audit(config))
         self._mail = self._server.mailbox
         self._make_inlets()
@@ -111,7 +113,7 @@ class BridgeNode(Node):
         if self._token_file is None:
             return
         try:
-            write_token(self._token_file, token)
+            write_secret(self._token_file, token)
         except OSError as error:
             self.get_logger().error(f"the sign-in token could not be written to {self._token_file}: {error}")
 
@@ -166,11 +168,12 @@ class BridgeNode(Node):
                 return
             stamp = stamp_ns(message.header.stamp)
             self._mail.newest(side, self._server.video.offer, side, stamp, message.encoding, picture)
+            self._mail.newest("picture", self._server.post_value, self._desk.machine.picture_came)
 
         return take
 
     def _state_taker(self, part: str) -> Callable[[String], None]:
-        return lambda message: self._mail.newest(part, self._desk.set_state, part, message.data)
+        return lambda message: self._mail.newest(part, self._desk.machine.set_state, part, message.data)
 
     def _camera_seen(self, side: str, message: CameraInfo) -> None:
         # Every picture repeats the calibration; only a new one is work.
@@ -222,10 +225,10 @@ class BridgeNode(Node):
     def _joints_seen(self, message: JointState) -> None:
         reading = joint_positions(message, JOINTS)
         x, y = self._axes @ reading[:2]
-        self._mail.newest("joints", self._desk.set_position, float(x), float(y), float(reading[2]))
+        self._mail.newest("joints", self._desk.machine.set_position, float(x), float(y), float(reading[2]))
 
     def _confidence_seen(self, message: Float32) -> None:
-        self._mail.newest("confidence", self._server.post_value, self._desk.set_confidence, float(message.data))
+        self._mail.newest("confidence", self._server.post_value, self._desk.machine.set_confidence, float(message.data))
 
     def _result_seen(self, message: DiagnosticArray) -> None:
         self._server.post(self._desk.result, result_of_message(message))
@@ -260,10 +263,10 @@ class BridgeNode(Node):
             raise GraphError("no gantry controller listens")
         self._command.publish(String(data=text))
 
-    def send_goal(self, pixel: tuple[float, float], stamp_ns: int) -> None:
+    def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
         if self._goal.get_subscription_count() == 0:
             raise GraphError("no gantry controller listens")
-        self._goal.publish(point_message([*pixel, 0.0], header(stamp_ns, CAMERA_LEFT)))
+        self._goal.publish(point_message([*point, 0.0], header(stamp_ns, frame)))
 
     def call(self, service: str, answered: Callable[[bool, str], None]) -> None:
         switch = service in ("enable", "disable")

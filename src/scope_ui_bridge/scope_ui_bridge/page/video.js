@@ -84,7 +84,7 @@ export class Video extends EventTarget {
       this.#canvas.width = about.width;
       this.#canvas.height = about.height;
     }
-    this.#context.drawImage(bitmap, 0, 0);
+    this.#context.drawImage(bitmap, 0, 0, about.width, about.height); // light pictures are half as large
     this.shown = { camera: about.camera, stamp: about.stamp, age_ms: about.age_ms, arrived };
     this.dispatchEvent(new CustomEvent("frame", { detail: about }));
   }

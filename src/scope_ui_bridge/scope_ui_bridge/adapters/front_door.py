@@ -1,0 +1,216 @@
+"""Plain requests: hosts, origins, security headers, sign-in and sign-out. Everything that comes is untrusted."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from aiohttp import web
+
+from scope_ui_bridge.adapters.secret_files import read_users
+from scope_ui_bridge.adapters.turned_away import TurnedAway
+from scope_ui_bridge.core.config import BridgeConfig
+from scope_ui_bridge.core.passwords import PasswordError, Role, User, hash_password, matches
+from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.sign_in import Session, SignIn
+
+COOKIE = "icu_session"
+PAGE = Path(__file__).resolve().parent.parent / "page"
+_BODY_TIMEOUT_S = 5.0
+_SPEAK_WITHIN_S = 5.0
+_MAX_CONNECTIONS = 256
+_MAX_GUESSES = 4  # passwords that wait to be checked: each takes a tenth of a second of a processor
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
+        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    # not no-referrer: with that browsers send "Origin: null" with forms
+    "Referrer-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
+    "Cache-Control": "no-store",
+}
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class FrontDoor:
+    """Lets people in; all methods run in the event loop's thread.
+
+    Parameters
+    ----------
+    config
+        Names, certificates, the file of passwords.
+    sign_in
+        Tokens, sessions and back-off.
+    record
+        Takes records for the audit file.
+    """
+
+    def __init__(self, config: BridgeConfig, sign_in: SignIn, record: Callable[[dict[str, Any]], None]) -> None:
+        self._config = config
+        self._sign_in = sign_in
+        self._record = record
+        self.turned_away = TurnedAway(record)
+        self._origins: frozenset[str] = frozenset()
+        self._hosts: frozenset[str] = frozenset()
+        self._passwords = Path(config.passwords_file).expanduser()
+        self._checker = ThreadPoolExecutor(1, "password")
+        self._guesses: list[str] = []
+        self._nobody = ""
+        self._seen_s: dict[Any, float] = {}
+        self._spoke: set[Any] = set()
+
+    def opened(self, port: int) -> None:
+        """Take the port in use, which the exact origins and hosts name."""
+        self._origins = self._config.origins(port)
+        self._hosts = frozenset(origin.partition("://")[2] for origin in self._origins)
+
+    def close(self) -> None:
+        """Give up what is being checked."""
+        self._checker.shutdown(wait=False, cancel_futures=True)
+
+    def add_routes(self, router: web.UrlDispatcher) -> None:
+        """Register the plain requests, but for the stop."""
+        router.add_get("/", self._index, allow_head=False)  # a HEAD would use the token up
+        router.add_post("/sign-in", self._enter)
+        router.add_post("/sign-out", self._leave)
+        router.add_get("/session", self._session_state)
+        router.add_static("/page/", PAGE, follow_symlinks=False)
+
+    @web.middleware
+    async def guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Refuse foreign hosts (DNS rebinding) and origins, and put the security headers on every answer."""
+        response: web.StreamResponse
+        self._spoke.add(request.protocol)
+        named = request.method == "POST" or request.path in ("/control", "/video")
+        if request.host not in self._hosts:
+            self.turned_away.note(request.remote or "", "request", f"host {request.host[:80]!r}")
+            response = web.Response(status=421, text="This server is not known by that name.\n")
+        elif named and request.headers.getall("Origin", []) not in [[origin] for origin in self._origins]:
+            found = request.headers.get("Origin")
+            self.turned_away.note(request.remote or "", request.path, f"origin {str(found)[:80]!r}")
+            response = web.Response(status=403, text="This origin may not do that.\n")
+        else:
+            try:
+                response = await handler(request)
+            except web.HTTPException as error:
+                if error.status in (400, 401, 413):
+                    self.turned_away.note(request.remote or "", request.path, f"{error.status} {error.reason}")
+                response = web.Response(status=error.status, text=f"{error.status}: {error.reason}\n")
+                if "Allow" in error.headers:
+                    response.headers["Allow"] = error.headers["Allow"]
+        if not response.prepared:
+            response.headers.update(HEADERS)
+        return response
+
+    def sweep(self, server: web.Server) -> None:
+        """Call often: ends connections that ask for nothing, so that slow or silent ones cannot use up all places."""
+        now_s = time.monotonic()
+        connections = server.connections
+        self._spoke.intersection_update(connections)
+        self._seen_s = {c: self._seen_s.get(c, now_s) for c in connections}
+        silent = [c for c in connections if c not in self._spoke]
+        crowded = len(connections) > _MAX_CONNECTIONS
+        for connection in silent:
+            if crowded or now_s - self._seen_s[connection] > _SPEAK_WITHIN_S:
+                self.turned_away.note("somebody", "connection", "nothing was asked in time")
+                if connection.transport is not None:
+                    connection.transport.abort()
+
+    def session(self, request: web.Request) -> Session | None:
+        """Return who sent a request."""
+        return self._sign_in.session(request.cookies.get(COOKIE, ""), time.monotonic())
+
+    # --- requests --------------------------------------------------------------------------------------------------
+
+    async def _index(self, request: web.Request) -> web.StreamResponse:
+        if self.session(request) is not None:
+            return web.FileResponse(PAGE / "index.html")
+        token = request.query.get("token", "")
+        if not token:
+            return self._sign_in_page(401, "")
+        # The page itself is the answer, not a redirect: after a link from elsewhere a browser would not send a
+        # SameSite=Strict cookie with the redirected request.
+        return await self._try(request, token, "", "", web.FileResponse(PAGE / "index.html"))
+
+    async def _enter(self, request: web.Request) -> web.StreamResponse:
+        try:
+            form = await asyncio.wait_for(request.post(), _BODY_TIMEOUT_S)
+        except asyncio.TimeoutError:
+            raise web.HTTPRequestTimeout from None
+        token, name, password = (str(form.get(field, "")) for field in ("token", "name", "password"))
+        return await self._try(request, token, name, password, web.Response(status=303, headers={"Location": "/"}))
+
+    async def _try(
+        self, request: web.Request, token: str, name: str, password: str, welcome: web.StreamResponse
+    ) -> web.StreamResponse:
+        remote = request.remote or ""
+        try:
+            if name:
+                secret = await self._by_password(name.strip(), password, remote)
+            else:
+                secret = self._sign_in.enter(token.strip(), remote, time.monotonic())
+        except Refusal as refusal:
+            self.turned_away.note(remote, "sign-in", refusal.code)
+            response = self._sign_in_page(429 if refusal.code == "wait" else 401, refusal.code)
+            if refusal.code == "wait":
+                response.headers["Retry-After"] = str(int(refusal.values["seconds"]) + 1)
+            return response
+        session = self._sign_in.session(secret, time.monotonic())
+        assert session is not None
+        self._record({"wall_s": round(time.time(), 3), "who": session.name, "command": "sign-in", "result": "done"})
+        welcome.set_cookie(COOKIE, secret, httponly=True, samesite="Strict", secure=self._config.tls, path="/")
+        return welcome
+
+    async def _by_password(self, name: str, password: str, remote: str) -> str:
+        self._sign_in.check_wait(remote, time.monotonic())
+        if remote in self._guesses or len(self._guesses) >= _MAX_GUESSES:
+            raise Refusal("wait", seconds=1.0)
+        self._guesses.append(remote)
+        try:
+            user, good = await asyncio.get_running_loop().run_in_executor(self._checker, self._check, name, password)
+        finally:
+            self._guesses.remove(remote)
+        role = user.role if user else Role.VIEWER
+        return self._sign_in.enter_by_password(good, name, role, remote, time.monotonic())
+
+    def _check(self, name: str, password: str) -> tuple[User | None, bool]:
+        """Check a password, in the checker's thread; an unknown name takes as long as a known one."""
+        self._nobody = self._nobody or hash_password("nobody has this one", os.urandom(16))
+        try:
+            user = read_users(self._passwords).get(name)
+        except (OSError, PasswordError) as error:
+            self.turned_away.note("the bridge", "passwords_file", str(error))
+            user = None
+        good = matches(password, user.hashed if user else self._nobody)
+        return user, good and user is not None
+
+    def _sign_in_page(self, status: int, problem: str) -> web.StreamResponse:
+        # Codes and flags are fixed and shown by style alone (see sign_in.html): nothing of the request is echoed.
+        text = (
+            (PAGE / "sign_in.html").read_text(encoding="utf-8").replace('data-problem=""', f'data-problem="{problem}"')
+        )
+        if self._config.passwords_file and self._passwords.is_file():
+            text = text.replace('data-passwords="no"', 'data-passwords="yes"')
+        return web.Response(status=status, text=text, content_type="text/html")
+
+    async def _leave(self, request: web.Request) -> web.StreamResponse:
+        self._sign_in.leave(request.cookies.get(COOKIE, ""))
+        response = web.Response(status=303, headers={"Location": "/"})
+        response.del_cookie(COOKIE, path="/")
+        return response
+
+    async def _session_state(self, request: web.Request) -> web.StreamResponse:
+        session = self.session(request)
+        if session is None:
+            return web.json_response({"signed_in": False}, status=401)
+        return web.json_response({"signed_in": True, "name": session.name, "role": session.role.value})

@@ -1,0 +1,46 @@
+"""What was refused at the door and on the wire: logged and recorded, but a flood of it fills neither log nor disk."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any
+
+_LOG = logging.getLogger(__name__)
+_PERIOD_S = 1.0
+_MAX_NAMES = 256
+
+SUSPECT = frozenset(
+    {"malformed", "oversized", "rate_limited", "old_boot", "replayed", "stale_epoch", "no_lease", "role_needed"}
+)
+"""Refusals that an honest page seldom meets."""
+
+
+class TurnedAway:
+    """Writes at most one line a second for each kind of refusal and origin of it; the next one tells how many more.
+
+    Parameters
+    ----------
+    write
+        Takes a record for the audit file.
+    """
+
+    def __init__(self, write: Callable[[dict[str, Any]], None]) -> None:
+        self._write = write
+        self._last: dict[tuple[str, str], tuple[float, int]] = {}
+
+    def note(self, who: str, what: str, why: str) -> None:
+        """Note that ``who`` was refused ``what``."""
+        now_s = time.monotonic()
+        key = (who, what)
+        last_s, more = self._last.get(key, (-_PERIOD_S, 0))
+        if now_s - last_s < _PERIOD_S:
+            self._last[key] = (last_s, more + 1)
+            return
+        if len(self._last) >= _MAX_NAMES:
+            self._last.clear()
+        self._last[key] = (now_s, 0)
+        _LOG.warning("%s of %s refused: %s%s", what, who, why, f" (and {more} more before)" if more else "")
+        record = {"wall_s": round(time.time(), 3), "who": who, "command": what, "result": f"refused: {why}"}
+        self._write(record | ({"more": more} if more else {}))

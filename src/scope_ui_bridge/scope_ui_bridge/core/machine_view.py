@@ -1,0 +1,136 @@
+"""What the desk knows of the machine and its pictures, and whether that is good enough to act on."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any
+
+from icu_common.core.geometry import Transform
+from scope_ui_bridge.core import wire
+from scope_ui_bridge.core.config import BridgeConfig
+from scope_ui_bridge.core.effects import Now
+from scope_ui_bridge.core.refusal import Refusal
+
+_MOVING = {
+    "driver": {"moving", "homing"},
+    "controller": {"moving", "looking", "touching"},
+    "calibration": {"calibrating"},
+}
+
+
+def split_state(text: str) -> tuple[str, str]:
+    """Split ``state: reason`` or ``calibrating 3/12`` into the state's name and the rest."""
+    name, _, reason = text.partition(":")
+    head, _, progress = name.strip().partition(" ")
+    return head, (reason.strip() or progress.strip())
+
+
+class MachineView:
+    """The newest states, the recognition's confidence, the tip's position, and which pictures were shown when."""
+
+    def __init__(self) -> None:
+        self._states = {"driver": "", "controller": "", "calibration": ""}
+        self._confidence = math.nan
+        self._confidence_s = -math.inf
+        self._position: tuple[float, float, float] | None = None
+        self._frames: dict[str, deque[int]] = {camera: deque(maxlen=90) for camera in wire.CAMERAS}
+        self._picture_s = -math.inf
+        self._moving_since_s = math.inf
+
+    # --- what the graph says ---------------------------------------------------------------------------------------
+
+    def set_state(self, part: str, text: str) -> None:
+        """``part`` is driver, controller or calibration; text as on its state topic."""
+        self._states[part] = text
+
+    def state(self, part: str) -> tuple[str, str]:
+        """Return a part's state and its reason."""
+        return split_state(self._states[part])
+
+    def set_confidence(self, confidence: float, now: Now) -> None:
+        """Note the recognition's confidence, 0 = not recognised."""
+        self._confidence, self._confidence_s = confidence, now.mono_s
+
+    def set_position(self, x_m: float, y_m: float, stylus_m: float) -> None:
+        """Note where the tip is: x, y in base_link, the stylus's extension; metres."""
+        self._position = (x_m, y_m, stylus_m)
+
+    @property
+    def position(self) -> tuple[float, float, float] | None:
+        """Where the tip is, as in :meth:`set_position`; None while unknown."""
+        return self._position
+
+    def picture_came(self, now: Now) -> None:
+        """Note that a camera has delivered a picture."""
+        self._picture_s = now.mono_s
+
+    def frame_offered(self, camera: str, stamp_ns: int) -> None:
+        """Note that pages may have got the picture with this stamp."""
+        self._frames[camera].append(stamp_ns)
+
+    @property
+    def active(self) -> bool:
+        """Whether a part of the graph says that it moves."""
+        return any(self.state(part)[0] in names for part, names in _MOVING.items())
+
+    def blind_s(self, now: Now) -> float:
+        """Return for how long a motion has gone on without pictures that had been there when it began.
+
+        Zero while nothing moves, and for a motion that was begun without pictures: homing needs none.
+        """
+        if not self.active:
+            self._moving_since_s = math.inf
+            return 0.0
+        self._moving_since_s = min(self._moving_since_s, now.mono_s)
+        silence_s = now.mono_s - self._picture_s
+        return silence_s if silence_s < now.mono_s - self._moving_since_s + 1.0 else 0.0
+
+    # --- checks ----------------------------------------------------------------------------------------------------
+
+    def check_frame(self, camera: str, stamp_ns: int, config: BridgeConfig, now: Now) -> None:
+        """Refuse unless the picture was shown and is young: ``frame_unknown``, ``frame_old``."""
+        if stamp_ns not in self._frames[camera]:
+            raise Refusal("frame_unknown", stamp=str(stamp_ns))
+        age_s = (now.ros_ns - stamp_ns) / 1e9
+        if age_s > config.frame_max_age_s:
+            raise Refusal("frame_old", age_ms=round(age_s * 1e3), limit_ms=round(config.frame_max_age_s * 1e3))
+
+    def check_recognition(self, pose: Transform | None, config: BridgeConfig, now: Now) -> Transform:
+        """Return the panel's pose unless it is unknown, silent or not trusted."""
+        if pose is None or math.isnan(self._confidence):
+            raise Refusal("panel_not_seen")
+        silence_s = now.mono_s - self._confidence_s
+        if silence_s > config.recognition_max_age_s:
+            raise Refusal("recognition_silent", age_s=round(silence_s, 1), limit_s=config.recognition_max_age_s)
+        if not self._confidence >= config.min_confidence:
+            raise Refusal(
+                "low_confidence", confidence=round(self._confidence, 2), limit=round(config.min_confidence, 2)
+            )
+        return pose
+
+    def check_ready(self) -> None:
+        """Refuse unless the controller takes gestures: ``no_controller``, ``not_ready``."""
+        state, reason = self.state("controller")
+        if not state:
+            raise Refusal("no_controller")
+        if state != "ready":
+            raise Refusal("not_ready", state=state, reason=reason)
+
+    def check_at_rest(self) -> None:
+        """Refuse a move unless the machine is homed, enabled and at rest: ``not_at_rest``."""
+        state, reason = self.state("driver")
+        if state != "idle" or self.active:
+            raise Refusal("not_at_rest", state=state or "disconnected", reason=reason)
+
+    def message(self) -> dict[str, Any]:
+        """Return what the page gets of all this."""
+        states = {part: dict(zip(("state", "reason"), self.state(part))) for part in self._states}
+        position = None
+        if self._position and all(math.isfinite(value) for value in self._position):
+            position = [round(value * 1e3, 2) for value in self._position]
+        return {
+            **states,
+            "confidence": None if math.isnan(self._confidence) else round(self._confidence, 2),
+            "position_mm": position,
+        }

@@ -1,0 +1,214 @@
+"""The door under attack: slow and silent connections, floods of sign-ins, passwords; and STOP is served meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+from unit.scope_ui_bridge.web_rig import Rig, page, until
+
+from scope_ui_bridge.adapters import front_door
+from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
+from scope_ui_bridge.core.passwords import new_user
+
+
+def with_rig(scenario: Callable[[Rig], Awaitable[None]], **options: Any) -> None:
+    with Rig(**options) as rig:
+        asyncio.run(scenario(rig))
+
+
+def records(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+async def ended(reader: asyncio.StreamReader) -> None:
+    try:
+        await asyncio.wait_for(reader.read(), 5.0)
+    except ConnectionError:
+        pass
+
+
+def test_slow_and_silent_connections_are_ended_and_stop_is_served_meanwhile(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(front_door, "_SPEAK_WITHIN_S", 1.0)
+    monkeypatch.setattr(front_door, "_BODY_TIMEOUT_S", 1.0)
+    path = tmp_path / "audit.jsonl"
+
+    async def scenario(rig: Rig) -> None:
+        host = f"Host: 127.0.0.1:{rig.server.port}\r\n"
+        beginnings = ["", "G", f"GET / HTTP/1.1\r\n{host}X-Slow: "] * 15
+        post = f"POST /sign-in HTTP/1.1\r\n{host}Origin: {rig.url}\r\nContent-Type: application/x-www-form-urlencoded\r\nContent-Length: 900\r\n\r\ntoken="
+        async with page(rig, take=True) as client:
+            pairs = []
+            for text in [*beginnings, post]:
+                reader, writer = await asyncio.open_connection("127.0.0.1", rig.server.port)
+                writer.write(text.encode())
+                pairs.append((reader, writer))
+            begin = time.monotonic()
+            assert (await client.ask(type="stop"))["ok"]
+            assert time.monotonic() - begin < 1.0
+            assert rig.graph.named("stop")
+            await asyncio.gather(*(ended(reader) for reader, _ in pairs[:-1]))
+            answer = await asyncio.wait_for(pairs[-1][0].readuntil(b"\r\n"), 5.0)
+            assert answer.startswith(b"HTTP/1.1 408")
+            for _, writer in pairs:
+                writer.close()
+            async with client.session.get("/session") as still:
+                assert still.status == 200
+
+    with_rig(scenario, audit=AuditFile(path))
+    assert any(entry["command"] == "connection" for entry in records(path))
+
+
+def test_a_crowd_of_silent_connections_leaves_room_for_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(front_door, "_MAX_CONNECTIONS", 20)
+
+    async def scenario(rig: Rig) -> None:
+        async with page(rig) as client:
+            pairs = [await asyncio.open_connection("127.0.0.1", rig.server.port) for _ in range(40)]
+            await asyncio.gather(*(ended(reader) for reader, _ in pairs[:20]))
+            for _, writer in pairs:
+                writer.close()
+            async with client.session.post("/stop", headers=client.origin) as answer:
+                assert answer.status == 200
+        assert rig.graph.named("stop")
+
+    with_rig(scenario)
+
+
+def test_a_flood_of_sign_ins_is_refused_recorded_briefly_and_does_not_delay_a_stop(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+
+    async def scenario(rig: Rig) -> None:
+        async with page(rig) as client, aiohttp.ClientSession(rig.url) as attacker:
+
+            async def guess(number: int) -> int:
+                form = {"token": f"guess {number}"}
+                async with attacker.post("/sign-in", data=form, headers=client.origin) as answer:
+                    return answer.status
+
+            flood = asyncio.gather(*(guess(number) for number in range(200)))
+            begin = time.monotonic()
+            async with client.session.post("/stop", headers=client.origin) as answer:
+                assert answer.status == 200
+            took = time.monotonic() - begin
+            codes = await flood
+            assert sorted(set(codes)) == [401, 429]
+            assert codes.count(401) <= 3
+            assert took < 1.0
+
+    with_rig(scenario, audit=AuditFile(path))
+    refused = [entry for entry in records(path) if entry["command"] == "sign-in" and "refused" in entry["result"]]
+    assert 1 <= len(refused) <= 5
+    assert refused[0]["who"] == "127.0.0.1"
+
+
+@pytest.fixture
+def passwords(tmp_path: Path) -> Path:
+    path = tmp_path / "passwords"
+    users = [
+        new_user("ada", "engineer", "correct horse", b"a" * 16),
+        new_user("eve", "viewer", "battery staple", b"e" * 16),
+    ]
+    write_secret(path, "\n".join(user.line() for user in users))
+    return path
+
+
+def test_passwords_open_the_door_with_the_role_of_the_file(passwords: Path) -> None:
+    async def scenario(rig: Rig) -> None:
+        for name, password, role in (("ada", "correct horse", "engineer"), ("eve", "battery staple", "viewer")):
+            async with page(rig, sign_in=False) as client:
+                form = {"name": name, "password": password}
+                async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+                    assert answer.status == 200
+                    assert 'id="stop"' in await answer.text()
+                hello = await client.open()
+                assert (hello["you"]["name"], hello["you"]["role"]) == (name, role)
+                taken = await client.ask(type="lease", step="take")
+                assert taken["ok"] == (role == "engineer")
+                if role == "engineer":
+                    await client.ask(type="lease", step="release")
+
+    with_rig(scenario, passwords_file=str(passwords))
+
+
+@pytest.mark.parametrize(
+    "form", [{"name": "ada", "password": "wrong"}, {"name": "nobody", "password": "correct horse"}]
+)
+def test_wrong_names_and_passwords_look_alike_and_are_slowed_down(passwords: Path, form: dict[str, str]) -> None:
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, sign_in=False) as client:
+            async with client.session.get("/") as answer:
+                assert 'data-passwords="yes"' in await answer.text()
+            async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+                assert answer.status == 401
+                text = await answer.text()
+            assert 'data-problem="wrong_password"' in text
+            assert form["name"] not in text
+            good = {"name": "ada", "password": "correct horse"}
+            async with client.session.post("/sign-in", data=good, headers=client.origin) as answer:
+                assert answer.status == 429
+
+    with_rig(scenario, passwords_file=str(passwords))
+
+
+def test_without_a_file_no_password_is_good() -> None:
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, sign_in=False) as client:
+            form = {"name": "ada", "password": ""}
+            async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+                assert answer.status == 401
+
+    with_rig(scenario)
+
+
+def test_refused_messages_are_recorded_with_who_sent_them(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+
+    def refused() -> Iterator[dict[str, Any]]:
+        return (entry for entry in records(path) if entry["command"].startswith("message "))
+
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, take=True) as client:
+            await client.ask(type="call", service="enable")
+            old = {"type": "call", "service": "home", "boot": "boot", "epoch": rig.desk.lease.epoch, "seq": 1}
+            for change in ({}, {"seq": 1000, "epoch": 0}, {"seq": 1001, "boot": "another"}):
+                await client.control.send_str(json.dumps(old | change))
+                await client.until(lambda m: m["type"] == "answer" and not m["ok"])
+            await client.control.send_str('{"type":"act","seq":NaN}')
+            await client.until(lambda m: m["type"] == "answer" and not m["ok"])
+            assert rig.graph.named("call") == [("call", "enable")]
+            await until(lambda: len(list(refused())) >= 4, "the record")
+
+    with_rig(scenario, audit=AuditFile(path))
+    found = {entry["command"]: entry["who"] for entry in refused()}
+    kinds = ("replayed", "stale_epoch", "old_boot", "malformed")
+    assert found == {f"message {kind}": "Operator 1" for kind in kinds}
+
+
+def test_a_page_behind_a_slow_link_gets_light_pictures_and_the_others_full_ones() -> None:
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, control=False) as slow, page(rig, control=False) as good:
+            await slow.open_video()
+            await good.open_video()
+            light = []
+            for _ in range(4):
+                rig.offer()
+                about, jpeg = await slow.frame(acknowledge=False)
+                light.append(about["light"])
+                full, whole = await good.frame()
+                assert not full["light"]
+                await asyncio.sleep(0.2)
+                await slow.video.send_str(json.dumps({"drawn": about["seq"]}))
+            assert light == [False, False, False, True]
+            assert (about["width"], about["height"]) == (full["width"], full["height"]), "pixels mean the same"
+            assert len(jpeg) < len(whole)
+
+    with_rig(scenario)
