@@ -46,7 +46,9 @@ from scope_ui_bridge.nodes.bridge_node import BridgeNode
 
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
 WITHIN_S = 15.0
-SERVICES = {"gantry/stop": Trigger, "gantry/home": Trigger, "gantry/reset": Trigger, "calibration/run": Trigger}
+SERVICES = dict.fromkeys(
+    ("gantry/stop", "gantry/home", "gantry/reset", "gantry/accept_settings", "calibration/run"), Trigger
+)
 
 
 def camera() -> CameraModel:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from system.operator_browser import browser  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
 INSTALL = ROOT / "ros2_ws" / "install"

@@ -1,36 +1,24 @@
 """The operator page in a real browser: alone with a synthetic instrument, and with the whole graph on the bench.
 
-Without a browser these tests are skipped with the reason; where ``CI`` is set they fail instead. Screenshots go to the
-folder named by ``PAGE_SCREENSHOTS``, if set.
+See operator_browser.py for the browser.
 """
 
 from __future__ import annotations
 
 import os
 import re
-import select
-import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from system.operator_browser import Operator, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
-OPTIONS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
-PICTURE_MS = 20_000
 # A loaded machine shows its pictures late and keeps its pages waiting; tests of other things allow for that.
 PATIENT = {
     "frame_max_age_s": 4.0,
@@ -40,149 +28,6 @@ PATIENT = {
     "lease_timeout_s": 60.0,
 }
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
-
-
-def _unavailable(reason: str) -> None:
-    if os.environ.get("CI"):
-        pytest.fail(f"{reason} (CI is set, so the page must be tested)")
-    pytest.skip(reason)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    program = shutil.which("chromium") or "/usr/bin/chromium"
-    if not Path(program).is_file():
-        _unavailable("no browser: chromium is not installed")
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        _unavailable("no browser: the python package playwright is not installed")
-    with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=program, args=OPTIONS)
-        yield running
-        running.close()
-
-
-def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
-    deadline = time.monotonic() + within_s
-    while not (value := condition()):
-        if time.monotonic() > deadline:
-            pytest.fail(f"{what}: not within {within_s:g} s")
-        select.select([], [], [], 0.02)
-    return value
-
-
-class Operator:
-    """A person at the page: what they see and do, by the words on the screen."""
-
-    def __init__(self, browser: Any, address: str, **context: Any) -> None:
-        self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **context})
-        self.page = self.context.new_page()
-        self.complaints: list[str] = []
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("console", lambda m: self.complaints.append(m.text) if "Security" in m.text else None)
-        self.page.goto(address)
-
-    def sees(self, selector: str, text: str | re.Pattern[str], within_s: float = 10.0) -> str:
-        """Wait until the element's text contains ``text``, and return it."""
-        found = lambda: re.search(text, self.page.inner_text(selector))  # noqa: E731
-        self.until(found, within_s, lambda: f"{selector} shows {self.page.inner_text(selector)!r}, {text!r} is awaited")
-        return str(self.page.inner_text(selector))
-
-    def until(self, condition: Callable[[], Any], within_s: float, what: Callable[[], str]) -> Any:
-        deadline = time.monotonic() + within_s
-        while not (value := condition()):
-            if time.monotonic() > deadline:
-                pytest.fail(f"not within {within_s:g} s: {what()}")
-            self.page.wait_for_timeout(20)  # lets the browser's events through
-        return value
-
-    def sees_controls(self) -> None:
-        self.page.wait_for_selector("[data-control=RUN_STOP]", timeout=PICTURE_MS)
-
-    def takes_control(self) -> None:
-        self.sees_controls()
-        self.page.click("#lease-take")
-        self.sees("#lease-text", "You are in control")
-
-    def selects(self, control: str, label: str) -> None:
-        """Click the control; again when the picture happened to be late."""
-        for _ in range(5):
-            self.page.click(f"[data-control={control}]")
-            done = lambda: (  # noqa: E731
-                label in self.page.inner_text("#selection-name") or self.page.inner_text("#refusal")
-            )
-            self.until(done, 5.0, lambda: "an answer to the click")
-            if label in self.page.inner_text("#selection-name"):
-                return
-        pytest.fail(f"{control} could not be selected: {self.page.inner_text('#refusal')}")
-
-    def confirms(self, gesture: str = "press") -> None:
-        """Press the button; again when the picture happened to be late."""
-        rows = self.page.locator("#log tr:not(.nothing)")
-        before = rows.count()
-        button = f"[data-act={gesture}] >> nth=0"
-        for _ in range(5):
-            self.until(lambda: self.page.is_enabled(button), 10.0, lambda: f"off: {self.page.inner_text('#refusal')}")
-            self.page.click(button)
-            self.until(lambda: rows.count() > before or self.refused(), 5.0, lambda: "an answer to the confirmation")
-            if rows.count() > before:
-                return
-        pytest.fail(f"{gesture} was refused: {self.page.inner_text('#refusal')}")
-
-    def refused(self) -> bool:
-        """Tell whether the last thing done was refused; the page shows why."""
-        return bool(self.page.get_attribute("#refusal", "data-look") == "bad")
-
-    def logs(self, text: str, within_s: float) -> str:
-        """Wait for a row of the log that matches, and return it."""
-
-        def row() -> str:
-            return next((r for r in self.page.locator("#log tr").all_inner_texts() if re.search(text, r)), "")
-
-        return str(self.until(row, within_s, lambda: f"log row {text!r}; there are {self.page.inner_text('#log')!r}"))
-
-    def colour_of(self, control: str) -> tuple[float, float, float]:
-        """Return mean red, green, blue of the control in the live picture."""
-        mean = self.page.evaluate(
-            """(name) => {
-                const canvas = document.getElementById('picture');
-                const button = document.querySelector(`[data-control=${name}]`);
-                const [x, y, w, h] = ['left', 'top', 'width', 'height'].map((k, i) =>
-                    parseFloat(button.style[k]) / 100 * (i % 2 ? canvas.height : canvas.width));
-                const data = canvas.getContext('2d').getImageData(x + w / 4, y + h / 4, w / 2, h / 2).data;
-                const sum = [0, 0, 0];
-                for (let i = 0; i < data.length; i += 1) if (i % 4 < 3) sum[i % 4] += data[i];
-                return sum.map((s) => s / (data.length / 4));
-            }""",
-            control,
-        )
-        return (mean[0], mean[1], mean[2])
-
-    def lit(self) -> bool:
-        """Tell whether RUN/STOP is green."""
-        red, green, blue = self.colour_of("RUN_STOP")
-        return green > 1.3 * max(red, blue)
-
-    def picture_sum(self) -> int:
-        """Return a checksum of the live picture's pixels."""
-        return int(
-            self.page.evaluate(
-                """() => { const c = document.getElementById('picture');
-                    const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
-                    let s = 0; for (let i = 0; i < d.length; i += 1) s = (s * 31 + d[i]) | 0; return s; }"""
-            )
-        )
-
-    def shoots(self, name: str) -> None:
-        folder = os.environ.get("PAGE_SCREENSHOTS")
-        if folder:
-            Path(folder).mkdir(parents=True, exist_ok=True)
-            self.page.screenshot(path=str(Path(folder) / f"{name}.png"))
-
-    def leaves(self) -> None:
-        assert self.complaints == []
-        self.context.close()
 
 
 class Instrument:
@@ -409,33 +254,6 @@ def test_control_is_handed_over(browser: Any, instrument: Instrument) -> None:
     second.leaves()
 
 
-def test_a_frozen_page_stops_the_motion_and_gets_control_back_only_by_asking(
-    browser: Any, strict_instrument: Instrument
-) -> None:
-    instrument = strict_instrument
-    instrument.tell("heartbeat_timeout 9")  # so that it is the bridge that stops, not the driver
-    instrument.tell("motion 6")
-    operator = Operator(browser, instrument.address())
-    witness = Operator(browser, instrument.new_address())
-    operator.takes_control()
-    operator.selects("MENU", "Menu")
-    operator.confirms()
-    witness.sees("#chip-driver", "Moving")
-    operator.page.evaluate("() => { const t = performance.now(); while (performance.now() - t < 1300); }")
-    row = witness.logs("STOP", 5.0)
-    assert "the operator’s page was silent" in row
-    assert "Watchdog" in row
-    witness.logs("aborted", 5.0)
-    operator.sees("#lease-text", "Nobody is in control")
-    operator.sees("#banner", "STOPPED")
-    assert not operator.page.is_enabled("[data-call=reset]")
-    operator.page.click("#lease-take")
-    operator.page.click("[data-call=reset]")
-    operator.sees("#chip-driver", "Idle")
-    operator.leaves()
-    witness.leaves()
-
-
 def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_instrument: Instrument) -> None:
     instrument = strict_instrument
     operator = Operator(browser, instrument.address())
@@ -466,34 +284,6 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
         if moved.search(page.inner_text("#refusal")):
             break
     operator.sees("#refusal", moved)
-    operator.leaves()
-
-
-def test_a_frozen_server_is_noticed_and_a_restarted_one_wants_a_new_sign_in(
-    browser: Any, instrument: Instrument
-) -> None:
-    operator = Operator(browser, instrument.address())
-    instrument.tell("motion 6")
-    instrument.tell("heartbeat_timeout 0.6")
-    operator.takes_control()
-    operator.selects("MENU", "Menu")
-    operator.confirms()
-    operator.sees("#chip-driver", "Moving|Stopped")
-    instrument.bridge.send_signal(signal.SIGSTOP)
-    operator.sees("#banner", "link to the bridge is lost", within_s=4.0)
-    operator.sees("#chip-link", "LOST")
-    assert not operator.page.is_enabled("[data-call=home]")
-    instrument.bridge.send_signal(signal.SIGCONT)
-    operator.sees("#chip-link", r"\d ms")
-    operator.logs("Press Menu.*aborted stopped: heartbeat lost", 5.0)
-    port = int(re.findall(r":(\d+)/", instrument.address())[0])
-    instrument.bridge.kill()
-    instrument.bridge.wait()
-    instrument.start_bridge(port)
-    operator.page.wait_for_selector("#token", timeout=20_000)
-    operator.page.fill("#token", (instrument.folder / "token").read_text())
-    operator.page.click("button[type=submit]")
-    operator.takes_control()
     operator.leaves()
 
 

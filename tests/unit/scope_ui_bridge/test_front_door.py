@@ -44,7 +44,8 @@ def test_slow_and_silent_connections_are_ended_and_stop_is_served_meanwhile(
     async def scenario(rig: Rig) -> None:
         host = f"Host: 127.0.0.1:{rig.server.port}\r\n"
         beginnings = ["", "G", f"GET / HTTP/1.1\r\n{host}X-Slow: "] * 15
-        post = f"POST /sign-in HTTP/1.1\r\n{host}Origin: {rig.url}\r\nContent-Type: application/x-www-form-urlencoded\r\nContent-Length: 900\r\n\r\ntoken="
+        form = "Content-Type: application/x-www-form-urlencoded\r\nContent-Length: 900\r\n"
+        post = f"POST /sign-in HTTP/1.1\r\n{host}Origin: {rig.url}\r\n{form}\r\ntoken="
         async with page(rig, take=True) as client:
             pairs = []
             for text in [*beginnings, post]:

@@ -1,5 +1,6 @@
 // The command log: newest first, each command one row that is updated until its result is known.
 
+import { fileTime, put, save } from "./dom.js";
 import { has, t } from "./strings.js";
 
 export const ICONS = {
@@ -10,6 +11,9 @@ const MAX_ROWS = 200;
 export class CommandLog {
   #body;
   #rows = new Map();
+  #entries = new Map();
+  #search = "";
+  #tell = () => {};
 
   constructor(body) {
     this.#body = body;
@@ -18,6 +22,7 @@ export class CommandLog {
 
   reset(entries) {
     this.#rows.clear();
+    this.#entries.clear();
     this.#body.replaceChildren();
     for (const entry of entries) this.show(entry);
     if (!entries.length) {
@@ -26,6 +31,39 @@ export class CommandLog {
       row.insertCell().textContent = t("log_empty");
       row.cells[0].colSpan = 5;
     }
+    this.#tell();
+  }
+
+  /** Write all rows anew, in another language. */
+  relabel() {
+    this.reset([...this.#entries.values()]);
+  }
+
+  wireSearch(field, found, button) {
+    this.#tell = () => {
+      const shown = [...this.#rows.values()].filter((row) => !row.hidden).length;
+      put(found, this.#search ? t("log_found", { count: shown, all: this.#rows.size }) : "");
+    };
+    field.addEventListener("input", () => {
+      this.#search = field.value.trim().toLowerCase();
+      for (const row of this.#rows.values()) this.#filter(row);
+      this.#tell();
+    });
+    button.addEventListener("click", () => save(`commands_${fileTime()}.csv`, new Blob([this.#csv()], { type: "text/csv" })));
+  }
+
+  #filter(row) {
+    row.hidden = this.#search !== "" && !row.textContent.toLowerCase().includes(this.#search);
+  }
+
+  /** All entries (RFC 4180), the oldest first; a text that a spreadsheet would compute gets an apostrophe in front. */
+  #csv() {
+    const fields = ["wall_ms", "who", "action", "target", "status", "reason", "error_mm", "duration_s"];
+    const cell = (value) => `"${String(value ?? "").replace(/^(?=[=+@\t\r]|-\D)/, "'").replaceAll('"', '""')}"`;
+    const rows = [...this.#entries.values()].map((entry) =>
+      [new Date(entry.wall_ms).toISOString(), ...fields.slice(1).map((name) => entry[name])].map(cell).join(","),
+    );
+    return `${["time", ...fields.slice(1)].join(",")}\r\n${rows.join("\r\n")}\r\n`;
   }
 
   show(entry) {
@@ -35,8 +73,9 @@ export class CommandLog {
       row = this.#body.insertRow(0);
       for (let i = 0; i < 5; i += 1) row.insertCell();
       this.#rows.set(entry.entry, row);
-      if (this.#body.rows.length > MAX_ROWS) this.#body.deleteRow(-1);
     }
+    this.#entries.set(entry.entry, entry);
+    if (this.#rows.size > MAX_ROWS) this.#forget();
     row.dataset.status = entry.status;
     row.dataset.action = entry.action.split(" ")[0];
     const [time, what, result, error, who] = row.cells;
@@ -53,6 +92,15 @@ export class CommandLog {
     error.textContent = entry.error_mm === null ? "" : t("mm", { value: entry.error_mm.toFixed(2) });
     who.className = "who";
     who.textContent = entry.who;
+    this.#filter(row);
+    this.#tell();
+  }
+
+  #forget() {
+    const [oldest, row] = this.#rows.entries().next().value;
+    row.remove();
+    this.#rows.delete(oldest);
+    this.#entries.delete(oldest);
   }
 }
 

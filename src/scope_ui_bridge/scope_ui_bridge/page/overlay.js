@@ -54,6 +54,11 @@ export class Overlay extends EventTarget {
     this.#mark("chosen", selection && !selection.control ? selection.pixel : null);
   }
 
+  /** Name the buttons anew, in another language. */
+  relabel() {
+    for (const control of this.#panel.controls) label(this.#buttons.get(control.name), control);
+  }
+
   #show(panel) {
     const before = this.#panel.controls.map((control) => control.name).join();
     this.#panel = panel;
@@ -76,7 +81,7 @@ export class Overlay extends EventTarget {
       button.dataset.control = control.name;
       button.dataset.kind = control.kind;
       button.dataset.tag = control.label;
-      button.setAttribute("aria-label", `${control.label}, ${t(`kind_${control.kind}`)}`);
+      label(button, control);
       button.setAttribute("aria-pressed", String(this.#selection?.control === control.name));
       if (control.kind === "connector") button.setAttribute("aria-disabled", "true");
       this.#buttons.set(control.name, button);
@@ -158,6 +163,10 @@ export class Overlay extends EventTarget {
     }
     if (best) this.#buttons.get(best.name).focus();
   }
+}
+
+function label(button, control) {
+  button?.setAttribute("aria-label", `${control.label}, ${t(`kind_${control.kind}`)}`);
 }
 
 function centre(control) {

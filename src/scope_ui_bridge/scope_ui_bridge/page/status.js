@@ -39,7 +39,8 @@ export function banner(element, candidates) {
   if (element.dataset.key === key) return;
   element.dataset.key = key;
   element.dataset.look = found.look;
-  element.setAttribute("role", found.look === "bad" ? "alert" : "status");
   element.querySelector(".icon").textContent = LOOKS[found.look];
-  element.querySelector("p").textContent = found.text;
+  const line = element.querySelector("p");
+  line.setAttribute("role", found.look === "bad" ? "alert" : "status");
+  line.textContent = found.text;
 }

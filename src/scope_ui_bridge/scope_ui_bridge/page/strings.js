@@ -1,187 +1,15 @@
-// Every sentence of the page, so that a translation has one place. `{name}` is replaced by a value.
+// The page's sentences in the language that was chosen; strings_en.js and strings_de.js have the same keys.
 
-const EN = {
-  product: "Remote instrument",
-  skip_controls: "Skip to the desk",
-  stop: "STOP",
-  stop_key: "Esc",
-  view_title: "Live picture",
-  chip_driver: "Machine",
-  chip_controller: "Controller",
-  chip_calibration: "Calibration",
-  chip_recognition: "Panel",
-  chip_video: "Picture",
-  chip_link: "Link",
-  camera_choice: "Camera",
-  camera_left: "Left",
-  camera_right: "Right",
-  layers: "Layers",
-  layer_controls: "Controls",
-  layer_panel: "Outline",
-  layer_corners: "Corners",
-  layer_stylus: "Stylus",
-  choose_control: "Choose a control",
-  choose_placeholder: "Choose a control …",
-  controls_group: "Controls in the picture",
-  position: "Position",
-  axis_x: "X",
-  axis_y: "Y",
-  axis_stylus: "Stylus down",
-  desk: "Desk",
-  mm: "{value} mm",
-  ms: "{value} ms",
+import { DE } from "./strings_de.js";
+import { EN } from "./strings_en.js";
 
-  lease_title: "Control",
-  lease_free: "Nobody is in control. You are viewing.",
-  lease_mine: "You are in control.",
-  lease_other: "{name} is in control. You are viewing.",
-  lease_asked: "{name} asks for control.",
-  lease_waiting: "You have asked {name} for control.",
-  lease_take: "Take control",
-  lease_request: "Ask for control",
-  lease_release: "Release",
-  lease_grant: "Hand over",
-  lease_decline: "Decline",
-  you: "{name} · {count} viewing",
-
-  selection_title: "Selected",
-  selection_none: "Nothing selected",
-  selection_hint: "Click a control or a point of the panel, then confirm here.",
-  selection_point: "Point on the panel",
-  selection_detail: "{kind} · {x} , {y} mm on the panel",
-  kind_button: "Button",
-  kind_knob: "Knob",
-  kind_touch_area: "Touch screen",
-  kind_connector: "Connector",
-  kind_point: "Point",
-  act_press: "Press",
-  act_hold: "Hold",
-  act_turn_minus: "− Turn ↺",
-  act_turn_plus: "+ Turn ↻",
-  hold_seconds: "How long to hold",
-  turn_degrees: "How far to turn",
-  clear: "Clear",
-
-  machine_title: "Machine",
-  call_enable: "Enable",
-  call_disable: "Disable",
-  call_home: "Home",
-  call_calibrate: "Calibrate",
-  call_reset: "Reset after stop",
-  confirm_home: "Confirm: home",
-  confirm_calibrate: "Confirm: calibrate",
-
-  log_title: "Command log",
-  log_time: "Time",
-  log_what: "Command",
-  log_result: "Result",
-  log_error: "Error",
-  log_who: "By",
-  log_empty: "No command yet.",
-  footer: "The STOP button is no emergency stop: use the wired one.",
-  sign_out: "Sign out",
-
-  action_press: "Press",
-  action_hold: "Hold",
-  action_turn: "Turn",
-  action_stop: "STOP",
-  action_home: "Home",
-  action_reset: "Reset",
-  action_enable: "Enable",
-  action_disable: "Disable",
-  action_calibrate: "Calibrate",
-  status_sent: "sent",
-  status_accepted: "in work",
-  status_reached: "done",
-  status_done: "done",
-  status_aborted: "aborted",
-  status_rejected: "refused",
-  status_failed: "not sent",
-  status_no_answer: "no answer",
-  said: "{action} {target}: {status}. {reason}",
-  said_error: "{action} {target}: {status}, measured error {error} mm.",
-
-  unknown: "unknown",
-  state_disconnected: "Disconnected",
-  state_connecting: "Connecting",
-  state_unhomed: "Not homed",
-  state_homing: "Homing",
-  state_disabled: "Not enabled",
-  state_idle: "Idle",
-  state_moving: "Moving",
-  state_stopped: "Stopped",
-  state_alarm: "Alarm",
-  state_mismatch: "Wrong settings",
-  state_waiting: "Waiting",
-  state_ready: "Ready",
-  state_looking: "Looking",
-  state_touching: "Touching",
-  state_uncalibrated: "Not calibrated",
-  state_calibrating: "Calibrating {reason}",
-  state_calibrated: "Calibrated",
-  state_failed: "Failed",
-  recognised: "{percent} %",
-  not_recognised: "Not seen",
-  live: "{age} ms",
-  no_picture: "No picture",
-  stale: "STALE · {age} s old",
-  link_ok: "{rtt} ms",
-  link_lost: "LOST",
-  link_connecting: "Connecting",
-
-  banner_connecting: "Connecting …",
-  banner_ready: "Ready. Select a control in the picture, then confirm.",
-  banner_viewing: "Viewing. Take control to operate.",
-  banner_moving: "Moving. STOP or Esc stops it.",
-  banner_waiting: "Not ready: {reason}",
-  banner_link: "The link to the bridge is lost. The machine stops by itself. Trying again …",
-  banner_stale: "The live picture is old. Nothing can be selected or moved.",
-  banner_stopped: "STOPPED – {reason}. Nothing moves until the operator presses “Reset after stop”.",
-  banner_stopped_bare: "STOPPED. Nothing moves until the operator presses “Reset after stop”.",
-  banner_alarm: "ALARM – {reason}",
-  banner_restarted: "The bridge was restarted. Take control again before you go on.",
-  banner_lost_control: "You are no longer in control.",
-
-  stopped_page_silent: "the operator’s page was silent",
-  stopped_page_gone: "the operator’s page was closed",
-  stopped_released: "control was released while something moved",
-
-  oversized: "The message has {size} bytes; at most {limit} are allowed.",
-  malformed: "The bridge did not understand the message: {what}",
-  rate_limited: "Too many messages; at most {limit} a second are taken.",
-  old_boot: "The bridge was restarted; reload the page.",
-  replayed: "This message was already taken.",
-  too_many_viewers: "All {limit} places are taken.",
-  lease_held: "Somebody else is in control.",
-  no_lease: "Take control first.",
-  no_request: "Nobody asks for control.",
-  stale_epoch: "Control has changed hands since; look again.",
-  busy_moving: "Not while something moves.",
-  busy_pending: "The last command is not finished yet.",
-  frame_unknown: "The picture you clicked on is not known to the bridge.",
-  frame_old: "The picture was {age_ms} ms old; at most {limit_ms} ms are allowed. Look again and click once more.",
-  panel_not_seen: "The panel is not recognised.",
-  recognition_silent: "The recognition has been silent for {age_s} s; at most {limit_s} s are allowed.",
-  low_confidence: "The panel is recognised with {confidence}; at least {limit} is needed.",
-  no_controller: "The controller is not running.",
-  not_ready: "The controller is not ready: {state} {reason}",
-  unknown_control: "There is no control {control}.",
-  not_operable: "{control} is a connector and is never touched.",
-  point_needs_left: "Points are chosen in the left picture.",
-  off_panel: "That point ({x_mm}, {y_mm} mm) is beside the panel.",
-  selection_gone: "Select again.",
-  wrong_gesture: "That cannot be done with this control.",
-  panel_moved: "The panel has moved by {moved_mm} mm since the selection (at most {limit_mm} mm). Select again.",
-  picture_late: "The picture is {age_ms} ms old; at most {limit_ms} ms are allowed.",
-  link_down: "There is no link to the bridge.",
-};
-
-const LANGUAGES = { en: EN };
-const TABLE = LANGUAGES[document.documentElement.lang] ?? EN;
+const LANGUAGES = { en: EN, de: DE };
+const KEPT = "language";
+let table = EN;
 
 /** Return the sentence of a key with its values put in; an unknown key comes back as it is (text from the graph). */
 export function t(key, values = {}) {
-  const sentence = TABLE[key] ?? EN[key] ?? String(key);
+  const sentence = table[key] ?? String(key);
   const filled = sentence.replace(/\{(\w+)\}/g, (whole, name) => values[name] ?? "");
   return filled.replace(/\s+(?=[:.](\s|$))/g, "").trim();
 }
@@ -194,4 +22,27 @@ export function has(key) {
 export function fillTexts(root = document) {
   for (const element of root.querySelectorAll("[data-text]")) element.textContent = t(element.dataset.text);
   for (const element of root.querySelectorAll("[data-label]")) element.setAttribute("aria-label", t(element.dataset.label));
+  for (const element of root.querySelectorAll("[data-title]")) element.title = t(element.dataset.title);
+  for (const element of root.querySelectorAll("[data-placeholder]")) element.placeholder = t(element.dataset.placeholder);
+}
+
+export function language() {
+  return document.documentElement.lang;
+}
+
+/** Use the language that was chosen before, or the browser's. */
+export function startLanguage() {
+  setLanguage(localStorage.getItem(KEPT) ?? navigator.language.slice(0, 2));
+}
+
+export function setLanguage(name) {
+  const known = name in LANGUAGES ? name : "en";
+  table = LANGUAGES[known];
+  document.documentElement.lang = known;
+  fillTexts();
+}
+
+export function keepLanguage(name) {
+  setLanguage(name);
+  localStorage.setItem(KEPT, name);
 }

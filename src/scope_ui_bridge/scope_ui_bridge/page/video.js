@@ -85,7 +85,7 @@ export class Video extends EventTarget {
       this.#canvas.height = about.height;
     }
     this.#context.drawImage(bitmap, 0, 0, about.width, about.height); // light pictures are half as large
-    this.shown = { camera: about.camera, stamp: about.stamp, age_ms: about.age_ms, arrived };
+    this.shown = { camera: about.camera, stamp: about.stamp, age_ms: about.age_ms, light: about.light, arrived };
     this.dispatchEvent(new CustomEvent("frame", { detail: about }));
   }
 

@@ -1,0 +1,33 @@
+// What the machine's programs say, for engineers: read only.
+
+import { t } from "./strings.js";
+
+const MAX_LINES = 300;
+
+export class Console {
+  #element;
+
+  constructor(element) {
+    this.#element = element;
+    element.textContent = t("console_empty");
+    element.dataset.empty = "";
+  }
+
+  add(lines) {
+    const element = this.#element;
+    if ("empty" in element.dataset) {
+      delete element.dataset.empty;
+      element.replaceChildren();
+    }
+    const atEnd = element.scrollTop + element.clientHeight >= element.scrollHeight - 4;
+    for (const { wall_ms, level, name, text } of lines) {
+      const line = document.createElement("p");
+      line.dataset.level = level;
+      const time = new Date(wall_ms).toLocaleTimeString([], { hour12: false });
+      line.textContent = `${time} ${level} ${name}: ${text}`;
+      element.append(line);
+    }
+    while (element.children.length > MAX_LINES) element.firstElementChild.remove();
+    if (atEnd) element.scrollTop = element.scrollHeight;
+  }
+}

@@ -1,0 +1,33 @@
+// Small things for the document that several parts of the page need.
+
+export const find = (id) => document.getElementById(id);
+
+/** Change a text only when it differs: screen readers speak of every change. */
+export function put(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+export function press(button, on) {
+  button.setAttribute("aria-pressed", String(on));
+}
+
+/** Say it to screen readers. */
+export function say(text, urgent = false) {
+  find(urgent ? "say-now" : "say").textContent = text;
+}
+
+/** Let the browser save a file. */
+export function save(name, blob) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+/** Local time as part of a file's name. */
+export function fileTime(date = new Date()) {
+  const two = (value) => String(value).padStart(2, "0");
+  const day = `${date.getFullYear()}-${two(date.getMonth() + 1)}-${two(date.getDate())}`;
+  return `${day}_${two(date.getHours())}-${two(date.getMinutes())}-${two(date.getSeconds())}`;
+}

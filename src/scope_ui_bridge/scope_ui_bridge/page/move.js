@@ -1,0 +1,77 @@
+// Moving without touching: jog while held, and go to a point; the stylus stays up.
+
+import { desk } from "./desk.js";
+import { find } from "./dom.js";
+import { t } from "./strings.js";
+
+const HOLD_MS = 100;
+const WAYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+
+let held = null; // {dx, dy, step_mm, timer}
+
+function hold(dx, dy) {
+  if (held?.dx === dx && held?.dy === dy) return;
+  release();
+  if (desk.whyNoMotion) return;
+  held = { dx, dy, step_mm: Number(find("jog-step").value), timer: 0 };
+  document.dispatchEvent(new Event("acting"));
+  repeat();
+}
+
+/** Ask again while held; a refusal (a limit, a stop) ends it. */
+async function repeat() {
+  const mine = held;
+  if (!mine) return;
+  const { dx, dy, step_mm } = mine;
+  mine.timer = setTimeout(repeat, HOLD_MS);
+  if (!(await desk.ask("jog", { dx, dy, step_mm, ...desk.seen })) && held === mine) release();
+}
+
+function release() {
+  if (!held) return;
+  clearTimeout(held.timer);
+  const { step_mm } = held;
+  held = null;
+  if (desk.mine) desk.ask("jog", { dx: 0, dy: 0, step_mm, ...desk.seen });
+}
+
+export function wireMove() {
+  for (const button of document.querySelectorAll("[data-jog]")) {
+    const [dx, dy] = button.dataset.jog.split(",").map(Number);
+    button.addEventListener("pointerdown", (event) => {
+      button.setPointerCapture(event.pointerId);
+      hold(dx, dy);
+    });
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) button.addEventListener(end, release);
+    button.addEventListener("contextmenu", (event) => event.preventDefault()); // a long touch is no menu here
+    button.addEventListener("keydown", (event) => {
+      if (!["Enter", " "].includes(event.key)) return;
+      event.preventDefault();
+      hold(dx, dy);
+    });
+    button.addEventListener("keyup", release);
+  }
+  document.addEventListener("keydown", (event) => {
+    const way = event.shiftKey && WAYS[event.key];
+    if (!way || event.target.closest("input, select, textarea")) return;
+    event.preventDefault();
+    hold(...way);
+  });
+  document.addEventListener("keyup", (event) => {
+    if (event.key === "Shift" || WAYS[event.key]) release();
+  });
+  window.addEventListener("blur", release);
+  document.addEventListener("visibilitychange", release);
+  find("go-form").addEventListener("submit", (event) => {
+    event.preventDefault();
+    const [x_mm, y_mm] = ["go-x", "go-y"].map((id) => find(id).valueAsNumber);
+    if (Number.isFinite(x_mm) && Number.isFinite(y_mm)) desk.ask("move", { x_mm, y_mm, ...desk.seen });
+  });
+}
+
+export function renderMove() {
+  const why = desk.whyNoMotion || (desk.state.driver.state === "idle" || held ? "" : t("move_needs_idle"));
+  for (const button of document.querySelectorAll("[data-jog], #go")) button.disabled = why !== "";
+  find("move-why").textContent = why || t("move_hint");
+  for (const option of find("jog-step").options) option.disabled = Number(option.value) > desk.limits.jog_step_mm;
+}

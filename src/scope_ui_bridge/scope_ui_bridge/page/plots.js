@@ -1,0 +1,59 @@
+// Plots of the last minute: position, picture's age and link, and the measured error of the last touches.
+
+import { desk } from "./desk.js";
+import { find, put } from "./dom.js";
+import { t } from "./strings.js";
+
+const NS = "http://www.w3.org/2000/svg";
+const SPAN_MS = 60_000;
+const [WIDTH, HEIGHT] = [340, 84];
+const series = { x: [], y: [], stylus: [], picture: [], link: [] };
+const errors = []; // {mm}
+
+export function sample(now) {
+  const [x, y, stylus] = desk.state?.position_mm ?? [];
+  const values = { x, y, stylus, picture: desk.video.ageMs, link: desk.link.rttMs ?? undefined };
+  for (const [name, points] of Object.entries(series)) {
+    if (Number.isFinite(values[name])) points.push([now, values[name]]);
+    while (points.length && points[0][0] < now - SPAN_MS) points.shift();
+  }
+}
+
+export function addError(entry) {
+  if (entry.error_mm !== null) errors.push(entry.error_mm);
+  if (errors.length > 50) errors.shift();
+}
+
+function draw(id, lines, unit, digits) {
+  const figure = find(id);
+  if (!figure.offsetParent) return;
+  const all = lines.flatMap(({ points }) => points.map((point) => point[1]));
+  const high = Math.max(...all, 0);
+  const low = Math.min(...all, 0);
+  const svg = figure.querySelector("svg");
+  const place = ([px, value]) => `${px.toFixed(1)} ${(HEIGHT - 4 - ((value - low) / (high - low || 1)) * (HEIGHT - 8)).toFixed(1)}`;
+  const paths = lines.map(({ name, points }) => {
+    const path = document.createElementNS(NS, "path");
+    path.setAttribute("class", `line-${name}`);
+    path.setAttribute("d", points.length ? `M${points.map(place).join("L")}` : "");
+    return path;
+  });
+  svg.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
+  svg.replaceChildren(...paths);
+  const last = ({ label, points }) => `${label} ${points.length ? points.at(-1)[1].toFixed(digits) : "–"}`;
+  put(figure.querySelector(".values"), `${lines.map(last).join(" · ")} ${unit}`);
+  put(figure.querySelector(".range"), all.length ? `${low.toFixed(digits)} … ${high.toFixed(digits)} ${unit}` : t("plot_empty"));
+}
+
+export function renderPlots(now) {
+  const line = (name, label) => ({
+    name,
+    label,
+    points: series[name].map(([at, value]) => [WIDTH * (1 - (now - at) / SPAN_MS), value]),
+  });
+  draw("plot-position", [line("x", "X"), line("y", "Y"), line("stylus", t("axis_stylus"))], "mm", 1);
+  draw("plot-latency", [line("picture", t("chip_video")), line("link", t("chip_link"))], "ms", 0);
+  const step = WIDTH / Math.max(errors.length - 1, 1);
+  const points = errors.map((value, index) => [index * step, value]);
+  draw("plot-error", [{ name: "error", label: t("log_error"), points }], "mm", 2);
+}

@@ -1,0 +1,126 @@
+"""The page's bridge with the true driver, controller and mock board, and a camera; no perception.
+
+Between the browser and the bridge lies a link that can be slowed or cut.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from system.conftest import ROOT, RunningGraph, wait_for
+from system.shaped_link import ShapedLink
+
+_PERCEPTION = ("bench", "camera", "corners_left", "corners_right", "stereo", "dense_stereo", "stylus_tracker")
+_LEFT_OUT = (*_PERCEPTION, "recognition", "hand_eye", "ui_bridge")
+HOLD = ord("!")
+
+
+class MachineRig:
+    """Everything as processes; :meth:`halted_s` is what counts."""
+
+    def __init__(self, folder: Path, domain: int, **link: float) -> None:
+        extra = [text for name in _LEFT_OUT for text in ("--without", name)]
+        self.graph = RunningGraph(folder, domain, *extra)
+        self.folder = folder
+        self._processes: list[subprocess.Popen[bytes]] = []
+        sources = os.pathsep.join(str(path) for path in sorted((ROOT / "src").iterdir()))
+        self._environment = {**self.graph.environment, "PYTHONPATH": sources}
+        self.camera = self._start("system/barcode_camera.py", "--rate", "15")
+        self.link = ShapedLink(self.graph.port, **link)
+        self.start_bridge()
+        self.board = self.graph.board()
+        self._set_clock()
+
+    def _start(self, script: str, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
+        command = [sys.executable, str(ROOT / "tests" / script), *arguments]
+        process = subprocess.Popen(command, env=self._environment, **options)
+        self._processes.append(process)
+        return process
+
+    def start_bridge(self) -> None:
+        values: dict[str, Any] = {
+            "port": self.graph.port,
+            "token_file": self.folder / "token",
+            "audit_file": self.folder / "audit.jsonl",
+        }
+        values["extra_origins"] = f"http://127.0.0.1:{self.link.port}"
+        given = [text for name, value in values.items() for text in ("-p", f"{name}:={value}")]
+        given += ["-r", "heartbeat:=operator/heartbeat"]
+        self._output = self.folder / f"bridge_{time.monotonic_ns()}.log"
+        program = ROOT / "ros2_ws/install/scope_ui_bridge/lib/scope_ui_bridge/ui_bridge"
+        with self._output.open("wb") as out:
+            self.bridge = subprocess.Popen(
+                [str(program), "--ros-args", *given], env=self._environment, stdout=out, stderr=subprocess.STDOUT
+            )
+        self._processes.append(self.bridge)
+
+    def address(self) -> str:
+        """Return the page's address with its newest token."""
+        found = wait_for(
+            lambda: re.findall(r"http://\S+\?token=\S+", self._output.read_text()), 30.0, "the page's address"
+        )
+        return str(found[-1])
+
+    def new_address(self) -> str:
+        """Ask for another sign-in."""
+        before = self._output.read_text().count("?token=")
+        self.bridge.send_signal(signal.SIGUSR1)
+        wait_for(lambda: self._output.read_text().count("?token=") > before, 10.0, "another token")
+        return self.address()
+
+    def by_link(self, address: str) -> str:
+        """Return the same address through the link that can be cut."""
+        return address.replace(f":{self.graph.port}/", f":{self.link.port}/")
+
+    def _set_clock(self) -> None:
+        """Learn the board's clock in terms of ours, from the narrowest of many questions."""
+        self.clock_s, width = 0.0, float("inf")
+        for _ in range(100):
+            before = time.monotonic()
+            board_s = self.board.ask(do="counters")["t"]
+            after = time.monotonic()
+            if after - before < width:
+                width = after - before
+                self.clock_s = (before + after) / 2 - board_s
+
+    def mark(self) -> int:
+        """Return the number of the board's next log entry."""
+        entries = self.board.ask(do="log", since=self._newest())["entries"]
+        return int(entries[-1]["n"]) + 1 if entries else 0
+
+    def _newest(self) -> int:
+        since = 0
+        while batch := self.board.ask(do="log", since=since)["entries"]:
+            since = batch[-1]["n"] + 1
+        return max(since - 1, 0)
+
+    def halted_s(self, since: int, within_s: float = 5.0) -> float:
+        """Return our time at which the driver's hold came to the board, after log entry ``since``."""
+
+        def hold() -> list[float]:
+            entries = self.board.ask(do="log", since=since, kind="realtime")["entries"]
+            return [entry["t"] + self.clock_s for entry in entries if entry["byte"] == HOLD]
+
+        return float(wait_for(hold, within_s, "the driver's hold")[0])
+
+    def close(self) -> None:
+        self.link.close()
+        self.board.close()
+        for process in self._processes:
+            if process.poll() is None:
+                process.send_signal(signal.SIGCONT)
+                process.send_signal(signal.SIGINT)
+        for process in self._processes:
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        self.graph.stop()

@@ -1,0 +1,172 @@
+"""A person at the operator page in a real browser, for tests and benchmarks.
+
+Without a browser the tests are skipped with the reason; where ``CI`` is set they fail instead. Screenshots go to the
+folder named by ``PAGE_SCREENSHOTS``, if set.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+OPTIONS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+PICTURE_MS = 20_000
+
+
+def _unavailable(reason: str) -> None:
+    if os.environ.get("CI"):
+        pytest.fail(f"{reason} (CI is set, so the page must be tested)")
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    program = shutil.which("chromium") or "/usr/bin/chromium"
+    if not Path(program).is_file():
+        _unavailable("no browser: chromium is not installed")
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        _unavailable("no browser: the python package playwright is not installed")
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=program, args=OPTIONS)
+        yield running
+        running.close()
+
+
+def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
+    deadline = time.monotonic() + within_s
+    while not (value := condition()):
+        if time.monotonic() > deadline:
+            pytest.fail(f"{what}: not within {within_s:g} s")
+        select.select([], [], [], 0.02)
+    return value
+
+
+class Operator:
+    """A person at the page: what they see and do, by the words on the screen."""
+
+    def __init__(self, browser: Any, address: str, **context: Any) -> None:
+        self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **context})
+        self.page = self.context.new_page()
+        self.complaints: list[str] = []
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("console", lambda m: self.complaints.append(m.text) if "Security" in m.text else None)
+        self.page.goto(address)
+
+    def sees(self, selector: str, text: str | re.Pattern[str], within_s: float = 10.0) -> str:
+        """Wait until the element's text contains ``text``, and return it."""
+        found = lambda: re.search(text, self.page.inner_text(selector))  # noqa: E731
+        self.until(found, within_s, lambda: f"{selector} shows {self.page.inner_text(selector)!r}, {text!r} is awaited")
+        return str(self.page.inner_text(selector))
+
+    def until(self, condition: Callable[[], Any], within_s: float, what: Callable[[], str]) -> Any:
+        deadline = time.monotonic() + within_s
+        while not (value := condition()):
+            if time.monotonic() > deadline:
+                pytest.fail(f"not within {within_s:g} s: {what()}")
+            self.page.wait_for_timeout(20)  # lets the browser's events through
+        return value
+
+    def sees_controls(self) -> None:
+        self.page.wait_for_selector("[data-control=RUN_STOP]", timeout=PICTURE_MS)
+
+    def takes_control(self) -> None:
+        self.sees_controls()
+        self.page.click("#lease-take")
+        self.sees("#lease-text", "You are in control")
+
+    def selects(self, control: str, label: str) -> None:
+        """Click the control; again when the picture happened to be late."""
+        for _ in range(5):
+            self.page.click(f"[data-control={control}]")
+            done = lambda: (  # noqa: E731
+                label in self.page.inner_text("#selection-name") or self.page.inner_text("#refusal")
+            )
+            self.until(done, 5.0, lambda: "an answer to the click")
+            if label in self.page.inner_text("#selection-name"):
+                return
+        pytest.fail(f"{control} could not be selected: {self.page.inner_text('#refusal')}")
+
+    def confirms(self, gesture: str = "press") -> None:
+        """Press the button; again when the picture happened to be late."""
+        rows = self.page.locator("#log tr:not(.nothing)")
+        before = rows.count()
+        button = f"[data-act={gesture}] >> nth=0"
+        for _ in range(5):
+            self.until(lambda: self.page.is_enabled(button), 10.0, lambda: f"off: {self.page.inner_text('#refusal')}")
+            self.page.click(button)
+            self.until(lambda: rows.count() > before or self.refused(), 5.0, lambda: "an answer to the confirmation")
+            if rows.count() > before:
+                return
+        pytest.fail(f"{gesture} was refused: {self.page.inner_text('#refusal')}")
+
+    def refused(self) -> bool:
+        """Tell whether the last thing done was refused; the page shows why."""
+        return bool(self.page.get_attribute("#refusal", "data-look") == "bad")
+
+    def logs(self, text: str, within_s: float) -> str:
+        """Wait for a row of the log that matches, and return it."""
+
+        def row() -> str:
+            return next((r for r in self.page.locator("#log tr").all_inner_texts() if re.search(text, r)), "")
+
+        return str(self.until(row, within_s, lambda: f"log row {text!r}; there are {self.page.inner_text('#log')!r}"))
+
+    def colour_of(self, control: str) -> tuple[float, float, float]:
+        """Return mean red, green, blue of the control in the live picture."""
+        mean = self.page.evaluate(
+            """(name) => {
+                const canvas = document.getElementById('picture');
+                const button = document.querySelector(`[data-control=${name}]`);
+                const [x, y, w, h] = ['left', 'top', 'width', 'height'].map((k, i) =>
+                    parseFloat(button.style[k]) / 100 * (i % 2 ? canvas.height : canvas.width));
+                const data = canvas.getContext('2d').getImageData(x + w / 4, y + h / 4, w / 2, h / 2).data;
+                const sum = [0, 0, 0];
+                for (let i = 0; i < data.length; i += 1) if (i % 4 < 3) sum[i % 4] += data[i];
+                return sum.map((s) => s / (data.length / 4));
+            }""",
+            control,
+        )
+        return (mean[0], mean[1], mean[2])
+
+    def lit(self) -> bool:
+        """Tell whether RUN/STOP is green."""
+        red, green, blue = self.colour_of("RUN_STOP")
+        return green > 1.3 * max(red, blue)
+
+    def picture_sum(self) -> int:
+        """Return a checksum of the live picture's pixels."""
+        return int(
+            self.page.evaluate(
+                """() => { const c = document.getElementById('picture');
+                    const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+                    let s = 0; for (let i = 0; i < d.length; i += 1) s = (s * 31 + d[i]) | 0; return s; }"""
+            )
+        )
+
+    def shoots(self, name: str) -> None:
+        folder = os.environ.get("PAGE_SCREENSHOTS")
+        if folder:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            self.page.screenshot(path=str(Path(folder) / f"{name}.png"))
+
+    def leaves(self) -> None:
+        assert self.complaints == []
+        self.context.close()

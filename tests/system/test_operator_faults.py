@@ -1,0 +1,190 @@
+"""Faults while the machine moves, in a real browser with the true driver: it halts within 800 ms and says why."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from system.machine_rig import MachineRig
+from system.operator_browser import Operator
+
+HALT_S = 0.8
+pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
+
+
+class Room:
+    """The rig with an operator, whose page comes by the link, and a witness beside."""
+
+    def __init__(self, rig: MachineRig, browser: Any) -> None:
+        self.rig, self.browser = rig, browser
+        self.operator = Operator(browser, rig.by_link(rig.address()))
+        self.witness = Operator(browser, rig.new_address())
+        page = self.operator.page
+        page.click("#lease-take")
+        self.operator.sees("#lease-text", "You are in control")
+        self.operator.sees("#chip-driver", "Not homed", within_s=20.0)
+        page.click("[data-call=enable]")
+        page.click("[data-call=home]")
+        page.click("[data-call=home]")
+        self.operator.sees("#chip-driver", "Idle", within_s=60.0)
+        page.click("#tab-move")
+
+    def moves(self) -> int:
+        """Begin a long move; return the board's log number and the time at which it is under way."""
+        operator = self.operator
+        operator.until(lambda: operator.page.is_enabled("#go"), 10.0, lambda: operator.page.inner_text("#move-why"))
+        far = float(operator.page.inner_text("#position-x").split()[0]) < 170
+        operator.page.fill("#go-x", "340" if far else "10")
+        operator.page.fill("#go-y", "20")
+        for _ in range(5):
+            operator.page.click("#go")
+            operator.until(
+                lambda: "Moving" in operator.page.inner_text("#chip-driver") or operator.refused(),
+                5.0,
+                lambda: operator.page.inner_text("#refusal"),
+            )
+            if not operator.refused():
+                break
+        return self.rig.mark()
+
+    def resets(self) -> None:
+        """Go on as a person would: take control if it was lost, reset."""
+        operator = self.operator
+        operator.sees("#chip-driver", "Stopped", within_s=10.0)
+        operator.until(
+            lambda: not operator.page.is_hidden("#lease-take") or operator.page.is_enabled("#reset"),
+            10.0,
+            lambda: operator.page.inner_text("#lease-text"),
+        )
+        if not operator.page.is_hidden("#lease-take"):
+            operator.page.click("#lease-take")
+        operator.until(lambda: operator.page.is_enabled("#reset"), 5.0, lambda: "reset can be pressed")
+        operator.page.click("#reset")
+        operator.sees("#chip-driver", "Idle", within_s=10.0)
+
+
+@pytest.fixture(scope="module")
+def room(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Room]:
+    rig = MachineRig(tmp_path_factory.mktemp("machine"), domain=90 + os.getpid() % 10)
+    try:
+        yield Room(rig, browser)
+    finally:
+        rig.close()
+
+
+def check(name: str, begin_s: float, halted_s: float) -> None:
+    print(f"{name}: halted after {1e3 * (halted_s - begin_s):.0f} ms")
+    assert 0 <= halted_s - begin_s < HALT_S
+
+
+def test_stop(room: Room) -> None:
+    since = room.moves()
+    begin = time.monotonic()
+    room.operator.page.keyboard.press("Escape")
+    check("Escape", begin, room.rig.halted_s(since))
+    room.witness.sees("#banner", "STOPPED")
+    room.resets()
+
+
+def test_the_page_freezes(room: Room) -> None:
+    since = room.moves()
+    begin = time.monotonic()
+    room.operator.page.evaluate(
+        "() => { setTimeout(() => { const t = performance.now(); while (performance.now() - t < 1500); }) }"
+    )
+    check("page frozen", begin, room.rig.halted_s(since))
+    row = room.witness.logs("STOP.*page was silent", 5.0)
+    assert "Watchdog" in row
+    room.operator.sees("#lease-text", "Nobody is in control")
+    assert not room.operator.page.is_enabled("#reset"), "nothing resumes by itself"
+    room.resets()
+
+
+def test_the_tab_is_hidden(room: Room) -> None:
+    """A hidden tab has no animation frames; a headless browser hides none, so the frames are taken away."""
+    since = room.moves()
+    begin = time.monotonic()
+    room.operator.page.evaluate(
+        """() => { const frame = window.requestAnimationFrame; const waiting = [];
+            window.requestAnimationFrame = (f) => waiting.push(f);
+            window.show = () => { window.requestAnimationFrame = frame; waiting.forEach((f) => frame(f)); }; }"""
+    )
+    check("tab hidden", begin, room.rig.halted_s(since))
+    room.witness.logs("STOP.*page was silent", 5.0)
+    room.operator.page.evaluate("() => window.show()")
+    room.resets()
+
+
+def test_the_link_is_cut(room: Room) -> None:
+    since = room.moves()
+    begin = time.monotonic()
+    room.rig.link.cut()
+    check("link cut", begin, room.rig.halted_s(since))
+    room.witness.logs("STOP.*page was silent", 5.0)
+    room.operator.sees("#banner", "link to the bridge is lost", within_s=5.0)
+    room.operator.sees("#chip-link", "LOST")
+    room.rig.link.mend()
+    room.operator.sees("#chip-link", r"\d ms", within_s=10.0)
+    room.resets()
+
+
+def test_the_camera_stalls(room: Room) -> None:
+    since = room.moves()
+    begin = time.monotonic()
+    room.rig.camera.send_signal(signal.SIGSTOP)
+    check("camera stalled", begin, room.rig.halted_s(since))
+    room.operator.logs("STOP.*no picture came while something moved", 5.0)
+    room.operator.sees("#stale", "STALE")
+    assert not room.operator.page.is_enabled("#go")
+    room.rig.camera.send_signal(signal.SIGCONT)
+    room.resets()
+
+
+def test_the_server_hangs(room: Room) -> None:
+    since = room.moves()
+    begin = time.monotonic()
+    room.rig.bridge.send_signal(signal.SIGSTOP)
+    check("server stopped", begin, room.rig.halted_s(since))
+    room.operator.sees("#banner", "link to the bridge is lost", within_s=5.0)
+    room.rig.bridge.send_signal(signal.SIGCONT)
+    room.operator.sees("#banner", "STOPPED.*heartbeat", within_s=10.0)
+    room.resets()
+
+
+def test_the_server_is_killed(room: Room) -> None:
+    since = room.moves()
+    begin = time.monotonic()
+    room.rig.bridge.kill()
+    check("server killed", begin, room.rig.halted_s(since))
+    room.operator.sees("#banner", "link to the bridge is lost", within_s=5.0)
+    room.rig.bridge.wait()
+    room.rig.start_bridge()
+    room.rig.address()
+    room.operator.page.wait_for_selector("#token", timeout=20_000)
+    room.operator.page.fill("#token", (room.rig.folder / "token").read_text())
+    room.operator.page.click("button[type=submit]:visible")
+    room.witness = Operator(room.browser, room.rig.new_address())
+    room.operator.sees("#banner", "STOPPED.*heartbeat", within_s=10.0)
+    room.resets()
+    room.operator.page.click("#tab-move")
+
+
+def test_the_board_raises_an_alarm(room: Room) -> None:
+    room.moves()
+    begin = time.monotonic()
+    room.rig.board.ask(do="fault", kind="alarm", number=1)
+    room.operator.sees("#banner", "ALARM", within_s=HALT_S)
+    print(f"alarm: on the page after {1e3 * (time.monotonic() - begin):.0f} ms")
+    state = room.rig.board.ask(do="state")
+    assert state["state"].startswith("Alarm")
+    room.witness.sees("#chip-driver", "Alarm")
+    assert not room.operator.page.is_enabled("#go")
+
+
+def test_nobody_complained(room: Room) -> None:
+    room.operator.leaves()
+    room.witness.leaves()
