@@ -25,14 +25,19 @@ HOLD = ord("!")
 class MachineRig:
     """Everything as processes; :meth:`halted_s` is what counts."""
 
-    def __init__(self, folder: Path, domain: int, **link: float) -> None:
+    def __init__(
+        self, folder: Path, domain: int, picture: Path | None = None, rate: float = 15.0, **link: float
+    ) -> None:
         extra = [text for name in _LEFT_OUT for text in ("--without", name)]
         self.graph = RunningGraph(folder, domain, *extra)
         self.folder = folder
         self._processes: list[subprocess.Popen[bytes]] = []
         sources = os.pathsep.join(str(path) for path in sorted((ROOT / "src").iterdir()))
         self._environment = {**self.graph.environment, "PYTHONPATH": sources}
-        self.camera = self._start("system/barcode_camera.py", "--rate", "15")
+        shown = ["--picture", str(picture)] if picture else []
+        self.camera = self._start(
+            "system/barcode_camera.py", "--rate", f"{rate:g}", *shown, "--ros-args", "-r", "__ns:=/stereo"
+        )
         self.link = ShapedLink(self.graph.port, **link)
         self.start_bridge()
         self.board = self.graph.board()
@@ -52,7 +57,7 @@ class MachineRig:
         }
         values["extra_origins"] = f"http://127.0.0.1:{self.link.port}"
         given = [text for name, value in values.items() for text in ("-p", f"{name}:={value}")]
-        given += ["-r", "heartbeat:=operator/heartbeat"]
+        given += ["-r", "heartbeat:=operator/heartbeat", "-r", "left/image_raw:=stereo/left/image_raw"]
         self._output = self.folder / f"bridge_{time.monotonic_ns()}.log"
         program = ROOT / "ros2_ws/install/scope_ui_bridge/lib/scope_ui_bridge/ui_bridge"
         with self._output.open("wb") as out:

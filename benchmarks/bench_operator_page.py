@@ -1,0 +1,239 @@
+"""The operator page, measured in a real browser with the true driver: delays, stop, many viewers.
+
+The camera's pictures carry the moment they were made; the browser reads it from the canvas as soon as it is drawn, so
+"glass to glass" is from the camera node's stamp to pixels on the page (the monitor's own delay comes on top). The slow
+link is a proxy with 3 Mbit/s and 20 ms one way in each direction. A stop is counted from the page's key to ``!`` at the
+mock board. How other ways to show a camera on a page fare is in docs/decisions/operator-page.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import numpy as np
+from rows import Row, bound, write
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from system.barcode_camera import READER
+from system.machine_rig import MachineRig
+from system.operator_browser import OPTIONS, Operator
+
+SLOW = {"bits_per_s": 3e6, "delay_s": 0.020}
+VIEWERS = 20
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=OPTIONS)
+        yield running
+        running.close()
+
+
+def ages(operator: Operator, seconds: float, warm_s: float = 3.0) -> tuple[np.ndarray, float]:
+    """Return the age in ms of each new picture, and pictures per second."""
+    operator.page.wait_for_selector("#stage:not(.empty)")
+    operator.page.evaluate(READER)
+    operator.page.wait_for_timeout(1000 * warm_s)
+    operator.page.evaluate("() => { window.ages.length = 0; }")
+    operator.page.wait_for_timeout(1000 * seconds)
+    found = np.array(operator.page.evaluate("() => window.ages"), float)
+    return found, len(found) / seconds
+
+
+def glass(name: str, operator: Operator, seconds: float, limit_ms: float) -> list[Row]:
+    found, rate = ages(operator, seconds)
+    p50, p95, p99 = np.percentile(found, [50, 95, 99])
+    print(f"{name}: {len(found)} pictures, {rate:.1f} per second, p50 {p50:.0f}, p95 {p95:.0f}, p99 {p99:.0f} ms")
+    return [
+        bound(f"{name}: glass to glass p95 [ms]", float(p95), limit_ms),
+        bound(f"{name}: pictures per second", rate, 5.0, at_least=True),
+    ]
+
+
+def round_trips(operator: Operator, count: int) -> list[Row]:
+    """Measure a command's way to the bridge and its answer back, from the page's own connection."""
+    took = operator.page.evaluate(
+        """async (count) => {
+            const { desk } = await import('/page/desk.js');
+            const took = [];
+            for (let i = 0; i < count; i += 1) {
+              const begin = performance.now();
+              await desk.link.ask('select', desk.seen);
+              took.push(performance.now() - begin);
+              await new Promise((done) => setTimeout(done, 40));
+            }
+            return took; }""",
+        count,
+    )
+    p50, p95 = np.percentile(took, [50, 95])
+    print(f"command and answer: p50 {p50:.1f}, p95 {p95:.1f} ms of {count}")
+    return [bound("command round trip p95 [ms]", float(p95), 50.0)]
+
+
+def stops(rig: MachineRig, operator: Operator, count: int) -> list[Row]:
+    """Stop again and again at rest: the driver sends its hold each time, whatever it does."""
+    took = []
+    page = operator.page
+    for _ in range(count):
+        since = rig.mark()
+        # The browser's clock at the key, by the page itself: playwright's own way to the browser is no part of it.
+        page.keyboard.press("Escape")
+        pressed_s = page.evaluate("() => window.pressed") / 1e3 - (time.time() - time.monotonic())
+        took.append(1e3 * (rig.halted_s(since) - pressed_s))
+        operator.until(lambda: page.is_enabled("#reset"), 5.0, lambda: "reset can be pressed")
+        page.click("#reset")
+        operator.until(lambda: page.is_hidden("#reset"), 5.0, lambda: page.inner_text("#log"))
+        page.wait_for_timeout(600)  # a stop of the same person within half a second would be the same stop
+    p50, p99 = np.percentile(took, [50, 99])
+    print(f"stop: {count} times, p50 {p50:.1f}, p99 {p99:.1f}, longest {max(took):.1f} ms")
+    return [bound("stop by key to the driver's byte, p99 [ms]", float(p99), 50.0)]
+
+
+def memory_mb(pid: int) -> float:
+    status = Path(f"/proc/{pid}/status").read_text()
+    return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
+
+
+class Crowd:
+    """Viewers without a browser: all but the last draw each picture, the last one takes nothing any more."""
+
+    def __init__(self, rig: MachineRig, count: int) -> None:
+        self._ready = threading.Event()
+        self._ended = threading.Event()
+        self.pictures = 0
+        self._cookies: list[tuple[str, str]] = []
+        for _ in range(count):
+            self._sign_in(rig.new_address())
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._look()), daemon=True)
+        self._thread.start()
+        self._ready.wait(20.0)
+
+    def _sign_in(self, address: str) -> None:
+        with urllib.request.urlopen(address, timeout=10.0) as answer:
+            cookie = answer.headers["Set-Cookie"].partition(";")[0]
+        self._cookies.append((address.partition("?")[0], cookie))
+
+    async def _look(self) -> None:
+        tasks = [asyncio.create_task(self._view(n, *cookie)) for n, cookie in enumerate(self._cookies)]
+        self._ready.set()
+        while not self._ended.is_set():
+            await asyncio.sleep(0.1)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _view(self, number: int, url: str, cookie: str) -> None:
+        headers = {"Origin": url.rstrip("/"), "Cookie": cookie}
+        stalled = number == len(self._cookies) - 1
+        async with aiohttp.ClientSession(headers=headers) as session:
+            control = await session.ws_connect(url + "control", max_msg_size=0)
+            video = await session.ws_connect(url + "video", max_msg_size=0)
+            await video.send_str(json.dumps({"camera": "left", "corners": True}))
+            if stalled:
+                await asyncio.Event().wait()
+            drain = asyncio.create_task(self._drain(control))
+            async for message in video:
+                if message.type is aiohttp.WSMsgType.BINARY:
+                    size = int.from_bytes(message.data[:4], "big")
+                    await video.send_str(json.dumps({"drawn": json.loads(message.data[4 : 4 + size])["seq"]}))
+                    self.pictures += 1
+            drain.cancel()
+
+    @staticmethod
+    async def _drain(control: aiohttp.ClientWebSocketResponse) -> None:
+        async for _ in control:
+            pass
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join(10.0)
+
+
+def crowd(rig: MachineRig, operator: Operator, seconds: float) -> list[Row]:
+    alone, alone_rate = ages(operator, seconds / 2)
+    before = memory_mb(rig.bridge.pid)
+    viewers = Crowd(rig, VIEWERS)
+    try:
+        with_all, rate = ages(operator, seconds)
+        after = memory_mb(rig.bridge.pid)
+        operator.page.wait_for_timeout(500 * seconds)
+        late = memory_mb(rig.bridge.pid)
+    finally:
+        viewers.close()
+    print(f"{VIEWERS} viewers, one stalled: {alone_rate:.1f} -> {rate:.1f} pictures per second, p95")
+    print(
+        f"  {np.percentile(alone, 95):.0f} -> {np.percentile(with_all, 95):.0f} ms, {viewers.pictures} pictures to them"
+    )
+    print(f"  memory {before:.0f} -> {after:.0f} -> {late:.0f} MB")
+    return [
+        bound(f"{VIEWERS} viewers, one stalled: share of the operator's rate", rate / alone_rate, 0.9, at_least=True),
+        bound(f"{VIEWERS} viewers, one stalled: growth of memory while they look [MB]", late - after, 5.0),
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=10.0, help="length of each measurement (10)")
+    parser.add_argument("--stops", type=int, default=60, help="how many stops (60)")
+    given = parser.parse_args()
+    rows: list[Row] = []
+    with chromium() as browser, tempfile.TemporaryDirectory() as folder:
+        rig = MachineRig(Path(folder), 90 + os.getpid() % 10, picture=render(Path(folder)), rate=30, **SLOW)
+        try:
+            operator = Operator(browser, rig.address())
+            rows += glass("loopback", operator, given.seconds, 60.0)
+            rows += round_trips(operator, 100)
+            page = operator.page
+            page.click("#lease-take")
+            operator.sees("#chip-driver", "Not homed", within_s=20.0)
+            for name in ("enable", "home", "home"):
+                page.click(f"[data-call={name}]")
+            operator.sees("#chip-driver", "Idle", within_s=60.0)
+            page.evaluate(
+                """() => window.addEventListener('keydown', () => {
+                    window.pressed = performance.timeOrigin + performance.now(); }, true)"""
+            )
+            rows += stops(rig, operator, given.stops)
+            rows += crowd(rig, operator, given.seconds)
+            operator.context.close()
+            slow = Operator(browser, rig.by_link(rig.new_address()))
+            slow.page.wait_for_timeout(5000)
+            rows += glass("3 Mbit/s, 20 ms one way", slow, given.seconds, 250.0)
+            slow.context.close()
+        finally:
+            rig.close()
+    busy = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    write("operator_page", rows, title=f"operator page ({busy})")
+    return 0
+
+
+def render(folder: Path) -> Path:
+    """Return a picture of the bench: what the camera would see, with its detail and noise."""
+    import subprocess
+
+    from nodes.grbl_board import python_environment
+
+    picture = folder / "bench.png"
+    command = [sys.executable, "-m", "scope_bench.cli.render", "--out", str(picture)]
+    subprocess.run(command, env=python_environment(), check=True, stdout=subprocess.DEVNULL)
+    return picture
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
