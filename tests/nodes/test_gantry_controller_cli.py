@@ -76,7 +76,8 @@ def test_move_to_a_point_and_press_a_point(ros: Any, bench: GantryBench) -> None
 
 def test_rejected(ros: Any, bench: GantryBench) -> None:
     code, output = Program(ros, "gantry_goal", "0.9", "0.05").end()
-    assert code == 1 and "rejected: gantry_x_joint = 0.9000 m lies outside 0.0000 to 0.3590 m" in output, output
+    assert code == 1 and "rejected: move to (0.9, 0.05, 0) m in base_link: gantry_x_joint = 0.9000 m" in output, output
+    assert "lies outside 0.0000 to 0.3590 m" in output
     assert bench.trajectories == []
 
 

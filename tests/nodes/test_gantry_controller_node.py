@@ -13,7 +13,7 @@ from nodes.gantry_bench import CAMERA, CAMERA_FROM_PANEL, RUN_STOP, GantryBench
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray, String
 
-from gantry_driver.core.controller import ControllerConfig
+from gantry_driver.core.controller_config import ControllerConfig
 from icu_common.core.config import from_mapping, settings_of
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
 from icu_common.core.results import Outcome

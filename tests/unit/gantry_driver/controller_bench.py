@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.controller import Controller, ControllerConfig, Phase
+from gantry_driver.core.controller import Controller
+from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.goal_job import Phase
 from gantry_driver.core.targets import PanelControl, PanelMap
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform

@@ -19,7 +19,9 @@ from unit.gantry_driver.controller_bench import (
 )
 
 from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.controller import LOOKING, MOVING, Controller, ControllerConfig, Phase, Step
+from gantry_driver.core.controller import Controller
+from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.goal_job import LOOKING, MOVING, Phase, Step
 from icu_common.core.config import ConfigError, from_mapping
 from icu_common.core.geometry import Transform
 from icu_common.core.results import GoalResult, Outcome
@@ -233,6 +235,12 @@ def test_bad_commands_are_rejected_under_their_id(command: str, words: list[str]
     result = bench.do(command)
     rejected(bench, result, *words)
     assert result.goal_id == "q"
+
+
+def test_a_refusal_names_what_was_asked_for_beside_the_reading() -> None:
+    bench = Bench()
+    bench.calibration = (CAMERA_FROM_BASE, np.diag([1.0035, 1.0]))
+    rejected(bench.start(), bench.go(0.9, 0.1), "move to (0.9, 0.1, 0) m in base_link", "= 0.8969 m", "0.3590 m")
 
 
 def test_reachable_area_counts_for_touches_too() -> None:

@@ -23,7 +23,8 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.controller import Controller, ControllerConfig
+from gantry_driver.core.controller import Controller
+from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.targets import PanelMap
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL

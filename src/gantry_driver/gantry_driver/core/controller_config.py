@@ -1,0 +1,73 @@
+"""Every setting of the gantry controller; the paths have theirs in motion_plan, the stylus in targets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gantry_driver.core.motion_plan import MotionConfig
+from gantry_driver.core.targets import TouchConfig
+from icu_common.core.config import Config, nested, setting
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControllerConfig(Config):
+    """Parameters of the gantry controller."""
+
+    tolerance_m: float = setting(
+        0.00015, "Seen error at which no further correction is made", minimum=1e-5, maximum=0.01, unit="m"
+    )
+    max_error_m: float = setting(
+        0.0005, "Seen error above which nothing is touched", minimum=1e-5, maximum=0.01, unit="m"
+    )
+    max_corrections: int = setting(3, "Corrections before the error is judged by max_error_m", minimum=0, maximum=20)
+    max_correction_m: float = setting(
+        0.005, "Seen error that means a wrong calibration or a wrong tip", minimum=1e-4, maximum=0.05, unit="m"
+    )
+    max_depth_error_m: float = setting(
+        0.003, "Seen error along base z that means the same", minimum=1e-4, maximum=0.05, unit="m"
+    )
+    require_servo: bool = setting(True, "Touch only what the cameras see the tip above")
+    tip_count: int = setting(5, "Tip observations averaged in one look", minimum=1, maximum=50)
+    tip_spread_m: float = setting(
+        0.0006, "Largest distance of one of them from their mean, sideways", minimum=1e-5, maximum=0.01, unit="m"
+    )
+    settle_s: float = setting(0.15, "Standstill before a picture counts", minimum=0.0, maximum=5.0, unit="s")
+    look_timeout_s: float = setting(3.0, "Time for one look", minimum=0.1, maximum=30.0, unit="s")
+    press_s: float = setting(0.3, "Time in contact of a press", minimum=0.0, maximum=5.0, unit="s")
+    press_max_s: float = setting(
+        0.6,
+        "The same while fewer pictures than needed have come; instruments take longer for another gesture",
+        minimum=0.0,
+        maximum=5.0,
+        unit="s",
+    )
+    picture_wait_s: float = setting(
+        1.0, "Time for the pictures of the contact to arrive after the lift", minimum=0.0, maximum=10.0, unit="s"
+    )
+    contact_tip_count: int = setting(2, "Tip observations needed from the time in contact", minimum=1, maximum=50)
+    motion_timeout_s: float = setting(
+        6.0, "Time beyond the nominal duration for a trajectory's result", minimum=0.5, maximum=120.0, unit="s"
+    )
+    arrival_tolerance_m: float = setting(
+        0.0002, "Reading against commanded point at the end of a motion", minimum=1e-5, maximum=0.01, unit="m"
+    )
+    goal_max_age_s: float = setting(0.5, "Older goals are refused as stale", minimum=0.05, maximum=10.0, unit="s")
+    heartbeat_timeout_s: float = setting(
+        0.6, "Age at which the operator counts as gone", minimum=0.1, maximum=10.0, unit="s"
+    )
+    joints_timeout_s: float = setting(
+        1.0, "Age of joint_states at which the driver counts as silent", minimum=0.1, maximum=10.0, unit="s"
+    )
+    camera_timeout_s: float = setting(
+        1.0, "Age of the newest picture at which the camera counts as stalled", minimum=0.1, maximum=10.0, unit="s"
+    )
+    min_confidence: float = setting(0.3, "Recognition needed for a touch", minimum=0.0, maximum=1.0)
+    panel_max_age_s: float = setting(2.0, "Age of the panel's pose for a touch", minimum=0.1, maximum=60.0, unit="s")
+    camera_on_carriage: bool = setting(
+        False, "The cameras ride on the carriage: the panel is seen anew at each place, and errors are seen in it"
+    )
+    panel_moved_m: float = setting(
+        0.0015, "Shift of the target in the picture that ends a goal", minimum=1e-4, maximum=0.05, unit="m"
+    )
+    motion: MotionConfig = nested(MotionConfig)
+    touch: TouchConfig = nested(TouchConfig)

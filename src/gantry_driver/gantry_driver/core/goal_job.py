@@ -1,0 +1,90 @@
+"""What the controller knows of the goal in work: its phases, what ends them, and what ends the goal early."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from gantry_driver.core.targets import Scene, Touch
+from icu_common.core.geometry import Array
+
+
+class Phase(str, Enum):
+    """Where a goal stands; the value is for diagnostics."""
+
+    IDLE = "idle"
+    MOVE = "moving to the point"
+    APPROACH = "moving above the target"
+    LOOK = "looking at the tip"
+    CORRECT = "moving by the seen error"
+    TOUCH = "touching down"
+    CONTACT = "touching: looking at the contact"
+    TURN = "touching: turning"
+    LIFT = "moving up"
+    MEASURE = "waiting for the pictures of the contact"
+    BREAK_OFF = "moving up after a fault"
+
+
+MOVING = (Phase.MOVE, Phase.APPROACH, Phase.CORRECT, Phase.TOUCH, Phase.TURN, Phase.LIFT, Phase.BREAK_OFF)
+LOOKING = (Phase.LOOK, Phase.CONTACT, Phase.MEASURE)
+PUSHING = (Phase.TOUCH, Phase.TURN)
+"""Here a moved panel stops the machine at once; elsewhere the stylus is in the air and goes up."""
+# What /gantry/state shows; every other phase is "moving".
+STATES = {
+    Phase.LOOK: "looking",
+    Phase.TOUCH: "touching",
+    Phase.CONTACT: "touching",
+    Phase.TURN: "touching",
+    Phase.MEASURE: "looking",
+}
+
+
+class Step(str, Enum):
+    """What ends a phase."""
+
+    ARRIVED = "arrived"
+    SEEN = "seen"
+    UNSEEN = "unseen"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fault:
+    """Why a goal ends early: ``lift`` when the stylus may go up, ``stop`` when the machine must be held at once."""
+
+    cause: str
+    lift: bool = True
+    stop: bool = False
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Job:
+    """The goal in work."""
+
+    goal_id: str
+    text: str
+    kind: str
+    started_ns: int
+    base_from_reading: Array
+    scene: Scene | None = None
+    touch: Touch | None = None
+    goal_base: Array
+    hold_s: float = 0.0
+    correction: Array = field(default_factory=lambda: np.zeros(2))
+    corrections: int = 0
+    hover_error_m: float = math.nan
+    error_m: float = math.nan
+    down_ns: int = 0
+    complaint: str = ""
+    fault: Fault | None = None
+
+    def tip_goal(self) -> Array:
+        """Return where in base_link (3,) the tip goes first: the point itself, or above the place to touch."""
+        return self.goal_base if self.touch is None else np.array([*self.goal_base[:2], self.touch.hover_z])
+
+    def readings_at(self, base_points: Array) -> Array:
+        """Map (N, 3) base points to readings, with the correction found so far."""
+        xy = np.linalg.solve(self.base_from_reading, base_points[:, :2].T).T + self.correction
+        return np.column_stack([xy, -base_points[:, 2]])

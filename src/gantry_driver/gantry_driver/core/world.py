@@ -1,0 +1,219 @@
+"""What the controller has heard of the machine, the cameras, the panel and the operator, and what follows from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gantry_driver.core import controller_messages as msg
+from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.goal_job import Fault
+from gantry_driver.core.targets import PanelMap, Scene
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.geometry import Array, Transform
+
+NANO = 1_000_000_000
+EXTENDED_M = 0.0005
+"""Extension above which a stylus that was left behind may be pressing something."""
+CROSSED_M = 2e-5
+"""Readings of x and y that differ more are motion."""
+_DRIVER_TEXT = {
+    "disconnected": "driver disconnected",
+    "connecting": "driver connecting",
+    "unhomed": "not homed",
+    "homing": "homing",
+    "moving": "the driver is moving",
+    "mismatch": "settings mismatch",
+    "disabled": "not enabled",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Obstacle:
+    """What keeps goals from starting: ``state`` for /gantry/state, ``reason`` with value and bound for a rejection."""
+
+    state: str
+    reason: str
+    every_goal: bool
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class World:
+    """The newest of everything heard; times are those of reception unless named stamp.
+
+    ``unchecked`` until it is known whether a stylus was left extended before the start; ``left_behind`` says it was.
+    """
+
+    now_ns: int = 0
+    driver: str = "disconnected: nothing heard from the driver"
+    readings: Array | None = None
+    readings_ns: int = 0
+    crossed_ns: int = 0
+    """When x or y was last seen to change, or heard of first."""
+    heartbeat_ns: int | None = None
+    camera: CameraModel | None = None
+    camera_stamp_ns: int | None = None
+    reported_panel: msg.PanelPose | None = None
+    camera_from_panel: Transform | None = None
+    panel_stamp_ns: int = 0
+    confidence: float = 0.0
+    panel: PanelMap | None = None
+    camera_from_base: Transform | None = None
+    base_from_reading: Array | None = None
+    unchecked: bool = True
+    left_behind: str = ""
+
+    @property
+    def here(self) -> Array:
+        """(3,) the newest readings."""
+        assert self.readings is not None
+        return self.readings
+
+    def machine_fault(self, config: ControllerConfig) -> Fault | None:
+        """Return what ends every goal: a driver that is not at work, or an operator who has gone."""
+        state = self.driver.partition(":")[0]
+        if state not in ("idle", "moving"):
+            return Fault(cause=f"the driver is {self.driver!r}", lift=False)
+        if self.age_s(self.readings_ns) > config.joints_timeout_s:
+            age = since(self.age_s(self.readings_ns))
+            return Fault(cause=f"no joint_states {age}", lift=False, stop=True)
+        if self.age_s(self.heartbeat_ns) > config.heartbeat_timeout_s:
+            age = since(self.age_s(self.heartbeat_ns))
+            return Fault(cause=f"lost the operator: no heartbeat {age}")
+        return None
+
+    def sight_fault(self, config: ControllerConfig, scene: Scene, in_panel: Array, *, pushing: bool) -> Fault | None:
+        """Return what ends a touch at ``in_panel`` (3,): a stalled camera, a panel that has moved since ``scene``."""
+        if self.age_s(self.camera_stamp_ns) > config.camera_timeout_s:
+            age = since(self.age_s(self.camera_stamp_ns))
+            return Fault(cause=f"the camera has stalled: no picture {age}")
+        # A dip of the confidence alone means nothing: the arm hides a part of the panel.
+        if self.confidence >= config.min_confidence and self.camera_from_panel is not None:
+            before, now = scene.camera_from_panel, self.camera_from_panel
+            if config.camera_on_carriage:
+                if not self.panel_is_still(config) or self.camera_from_base is None:
+                    return None
+                before, now = scene.base_from_panel, self.camera_from_base.inverse() @ now
+            moved = float(np.linalg.norm(now.apply(in_panel) - before.apply(in_panel)))
+            if moved > config.panel_moved_m:
+                return Fault(
+                    cause=f"the panel has moved by {1000 * moved:.1f} mm at the target, "
+                    f"{1000 * config.panel_moved_m:g} mm are allowed",
+                    stop=pushing,
+                )
+        return None
+
+    def take_readings(self, readings: Array) -> None:
+        """Take where the machine stands."""
+        if self.readings is None or np.abs(readings - self.readings)[:2].max() > CROSSED_M:
+            self.crossed_ns = self.now_ns
+        self.readings, self.readings_ns = readings, self.now_ns
+
+    def panel_is_still(self, config: ControllerConfig) -> bool:
+        """Whether the panel's pose was seen from where the cameras are now."""
+        settled_ns = self.crossed_ns + round(config.settle_s * NANO)
+        return not config.camera_on_carriage or self.panel_stamp_ns > settled_ns
+
+    def take_confidence(self, value: float, least: float) -> None:
+        """Believe the pose that came before a good confidence; forget one that came before a bad one."""
+        self.confidence = value
+        if self.reported_panel is not None and value >= least:
+            self.camera_from_panel = self.reported_panel.camera_from_panel
+            self.panel_stamp_ns = self.reported_panel.stamp_ns
+        self.reported_panel = None
+
+    def forget_times(self) -> None:
+        """Believe no time any more, after the clock was set back."""
+        self.heartbeat_ns = None
+        self.camera_stamp_ns = None
+        self.panel_stamp_ns = 0
+
+    def age_s(self, when_ns: int | None) -> float:
+        """Return how long ago that was in seconds, infinite for never."""
+        return math.inf if not when_ns else (self.now_ns - when_ns) / NANO
+
+    def left_behind_text(self) -> str:
+        """Say how far the stylus was extended."""
+        return f"the controller started with the stylus extended by {1000 * self.here[2]:.1f} mm"
+
+    def scene(self) -> Scene:
+        """Return what a touch is planned with; :meth:`obstacles` must have named nothing."""
+        assert self.camera_from_base is not None and self.camera_from_panel is not None
+        assert self.base_from_reading is not None and self.camera is not None and self.panel is not None
+        return Scene(
+            camera_from_base=self.camera_from_base,
+            camera_from_panel=self.camera_from_panel,
+            base_from_reading=self.base_from_reading,
+            panel=self.panel,
+            camera=self.camera,
+        )
+
+    def obstacles(self, config: ControllerConfig) -> Iterator[Obstacle]:
+        """Yield what keeps a goal from starting, the most important first."""
+        state, _, reason = self.driver.partition(":")
+        if state != "idle":
+            shown = self.driver if state in ("stopped", "alarm") else f"waiting: {_DRIVER_TEXT.get(state, state)}"
+            if state not in ("stopped", "alarm") and reason:
+                shown += f": {reason.strip()}"
+            if self.left_behind:
+                shown += f"; {self.left_behind}"
+            yield Obstacle(state=shown, reason=f"the driver is {self.driver!r}, 'idle' is needed", every_goal=True)
+        elif self.readings is None or self.age_s(self.readings_ns) > config.joints_timeout_s:
+            text = f"no joint_states {since(self.age_s(self.readings_ns))}"
+            yield Obstacle(
+                state="waiting: no joint_states",
+                reason=f"{text}, at most {config.joints_timeout_s:g} s are allowed",
+                every_goal=True,
+            )
+        elif self.unchecked and self.readings[2] > EXTENDED_M:
+            text = self.left_behind_text()
+            yield Obstacle(state=f"waiting: {text}", reason=f"{text}, a stop is asked for", every_goal=True)
+        heartbeat_age = self.age_s(self.heartbeat_ns)
+        if heartbeat_age > config.heartbeat_timeout_s:
+            yield Obstacle(
+                state="waiting: no operator (heartbeat)",
+                reason=f"no operator heartbeat {since(heartbeat_age)}, "
+                f"at most {config.heartbeat_timeout_s:g} s are allowed",
+                every_goal=True,
+            )
+        if self.camera_from_base is None or self.base_from_reading is None:
+            yield Obstacle(state="waiting: not calibrated", reason="not calibrated", every_goal=False)
+        camera_age = self.age_s(self.camera_stamp_ns)
+        if camera_age > config.camera_timeout_s:
+            yield Obstacle(
+                state="waiting: no picture from the left camera",
+                reason=f"no picture from the left camera {since(camera_age)}, "
+                f"at most {config.camera_timeout_s:g} s are allowed",
+                every_goal=False,
+            )
+        yield from self._panel_obstacles(config)
+
+    def _panel_obstacles(self, config: ControllerConfig) -> Iterator[Obstacle]:
+        pose_age = self.age_s(self.panel_stamp_ns if self.panel_is_still(config) else None)
+        if not self.confidence >= config.min_confidence:
+            yield Obstacle(
+                state="waiting: panel not recognised",
+                reason=f"the panel is recognised with confidence {self.confidence:.2f}, "
+                f"at least {config.min_confidence:g} is needed",
+                every_goal=False,
+            )
+        elif self.camera_from_panel is None or self.panel is None:
+            missing = "pose" if self.camera_from_panel is None else "controls"
+            yield Obstacle(
+                state="waiting: panel not recognised",
+                reason=f"the panel is not recognised: no {missing} yet",
+                every_goal=False,
+            )
+        elif pose_age > config.panel_max_age_s:
+            yield Obstacle(
+                state="waiting: panel pose is old",
+                reason=f"no pose of the panel {since(pose_age)}, at most {config.panel_max_age_s:g} s are allowed",
+                every_goal=False,
+            )
+
+
+def since(age_s: float) -> str:
+    return f"for {age_s:.1f} s" if math.isfinite(age_s) else "yet"
