@@ -39,8 +39,10 @@ def test_shift_keeps_the_height() -> None:
 def test_plunge_follow_and_lift() -> None:
     start = np.array([0.1, 0.1, 0.02])
     down = plunge(start, 0.03, CONFIG)
-    np.testing.assert_allclose(down.points, [[0.1, 0.1, 0.03]])
-    np.testing.assert_allclose(down.times_s, [1.0])
+    np.testing.assert_allclose(down.points, [[0.1, 0.1, 0.027], [0.1, 0.1, 0.03]])
+    np.testing.assert_allclose(down.times_s, [0.007 / CONFIG.stylus_speed_m_s, 0.007 / CONFIG.stylus_speed_m_s + 0.3])
+    near = plunge(np.array([0.1, 0.1, 0.028]), 0.03, CONFIG)
+    np.testing.assert_allclose(near.points, [[0.1, 0.1, 0.03]])
     np.testing.assert_allclose(lift(start, CONFIG).points, [[0.1, 0.1, 0.0]])
     arc = np.array([[0.1, 0.101, 0.02], [0.101, 0.101, 0.02]])
     path = follow(start, arc, CONFIG)

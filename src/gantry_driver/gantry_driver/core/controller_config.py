@@ -27,11 +27,11 @@ class ControllerConfig(Config):
         0.003, "Seen error along base z that means the same", minimum=1e-4, maximum=0.05, unit="m"
     )
     require_servo: bool = setting(True, "Touch only what the cameras see the tip above")
-    tip_count: int = setting(5, "Tip observations averaged in one look", minimum=1, maximum=50)
+    tip_count: int = setting(4, "Tip observations averaged in one look", minimum=1, maximum=50)
     tip_spread_m: float = setting(
         0.0006, "Largest distance of one of them from their mean, sideways", minimum=1e-5, maximum=0.01, unit="m"
     )
-    settle_s: float = setting(0.15, "Standstill before a picture counts", minimum=0.0, maximum=5.0, unit="s")
+    settle_s: float = setting(0.1, "Standstill before a picture counts", minimum=0.0, maximum=5.0, unit="s")
     look_timeout_s: float = setting(3.0, "Time for one look", minimum=0.1, maximum=30.0, unit="s")
     press_s: float = setting(0.3, "Time in contact of a press", minimum=0.0, maximum=5.0, unit="s")
     press_max_s: float = setting(

@@ -34,9 +34,12 @@ class MotionConfig(Config):
     stylus_two_positions: bool = setting(
         False, "The stylus (servo, solenoid) knows only up and down, which is stylus_max_m"
     )
-    travel_speed_m_s: float = setting(0.12, "Speed across the panel", minimum=0.001, maximum=1.0, unit="m/s")
-    stylus_speed_m_s: float = setting(0.04, "Speed of the stylus in the air", minimum=0.001, maximum=0.5, unit="m/s")
+    travel_speed_m_s: float = setting(0.18, "Speed across the panel", minimum=0.001, maximum=1.0, unit="m/s")
+    stylus_speed_m_s: float = setting(0.05, "Speed of the stylus in the air", minimum=0.001, maximum=0.5, unit="m/s")
     touch_speed_m_s: float = setting(0.01, "Speed of the stylus into contact", minimum=0.0005, maximum=0.1, unit="m/s")
+    touch_way_m: float = setting(
+        0.003, "Last part of the way into contact, at touch_speed_m_s", minimum=0.0, maximum=0.05, unit="m"
+    )
     turn_speed_m_s: float = setting(0.015, "Speed along a knob's arc", minimum=0.0005, maximum=0.1, unit="m/s")
     approach_m: float = setting(
         0.001, "Way in x and y by which every aim is approached from -x, -y", minimum=0.0, maximum=0.01, unit="m"
@@ -101,8 +104,10 @@ def shift(start: Array, aim_xy: Array, config: MotionConfig) -> Path:
 
 
 def plunge(start: Array, extension_m: float, config: MotionConfig) -> Path:
-    """Lower slowly into contact."""
+    """Lower into contact, slowly where it may come."""
     steps = _Steps(start)
+    if not config.stylus_two_positions and extension_m - config.touch_way_m > start[2]:
+        steps.to([*start[:2], extension_m - config.touch_way_m], config.stylus_speed_m_s)
     steps.to([*start[:2], extension_m], config.touch_speed_m_s)
     return steps.path(config)
 

@@ -1,0 +1,137 @@
+"""Touches and knobs on the simulated bench, over several seeds of mechanical errors, against the physical truth.
+
+Per seed a robot is prepared as in `make demo` (home, calibrate by the cameras, recognise) and then touches named
+controls and free points in turn; the error is the distance of the ball's true centre at first contact from the target.
+Everything runs on a virtual clock (see virtual_robot), so the times are the robot's, whatever this machine is doing.
+There is no peer to run; the published reference is a camera-guided gantry of this kind.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from rows import OUT, Row, bound, row, write
+from virtual_robot import VirtualRobot
+
+from gantry_driver.core.goal_job import LOOKING, Phase
+from icu_common.core.panel_layout import PanelLayout
+from icu_common.core.results import Outcome
+
+REFERENCE_MM = 5.94
+SPLIT = {
+    "move": (Phase.APPROACH, Phase.CORRECT, Phase.LIFT),
+    "look": (Phase.LOOK, Phase.MEASURE),
+    "touch": (Phase.TOUCH, Phase.CONTACT),
+}
+assert {Phase.LOOK, Phase.CONTACT, Phase.MEASURE} <= set(LOOKING)
+
+
+def free_point(layout: PanelLayout, rng: np.random.Generator) -> tuple[float, float]:
+    """Draw a point in mm of the face that is neither on a connector nor too near to something tall."""
+    while True:
+        x, y = (float(rng.uniform(12, side - 12)) for side in layout.size_mm)
+        for c in layout.controls:
+            distance, radius = float(np.hypot(x - c.position_mm[0], y - c.position_mm[1])), max(c.size_mm) / 2
+            if c.height_mm > 5 and distance < radius + 5 and not (c.kind == "knob" and distance < radius - 3):
+                break
+            beside = np.abs(np.array([x, y]) - c.position_mm) - np.array(c.size_mm) / 2
+            if 0 < c.height_mm <= 5 and -1.0 < beside.max() < 4.5:
+                break
+        else:
+            return x, y
+
+
+def meant(layout: PanelLayout, x: float, y: float) -> str:
+    """Return the name of the control whose face is under the point, "FACE" for none."""
+    inside = [c for c in layout.controls if c.contains_mm(x, y)]
+    return min(inside, key=lambda c: c.size_mm[0] * c.size_mm[1]).name if inside else "FACE"
+
+
+def touches(seed: int, count: int) -> list[dict[str, Any]]:
+    """Touch ``count`` places of one robot and return what happened to each."""
+    robot = VirtualRobot(seed)
+    robot.prepare()
+    layout, rng = robot.layout, np.random.default_rng(1000 + seed)
+    named = [c for c in layout.controls if c.kind != "connector"]
+    done = []
+    for number in range(count):
+        if number % 2:
+            control = named[int(rng.integers(len(named)))]
+            (x, y), name, text = control.position_mm, control.name, f"press:{control.name}"
+        else:
+            x, y = free_point(layout, rng)
+            name, text = meant(layout, x, y), f"press:{x / 1000!r},{y / 1000!r}@panel_link"
+        robot.look_at_panel()
+        robot.take_records()
+        robot.phases.clear()
+        result = robot.command(text)
+        records = robot.take_records()
+        contacts = [r for r in records if r["event"] == "contact"]
+        pressed = [r["control"] for r in records if r["event"] in ("press", "contact")]
+        entry: dict[str, Any] = {"goal": text, "outcome": result.outcome.value, "reason": result.reason}
+        entry["wrong"] = [p for p in pressed if p != name]
+        entry["collisions"] = [r["control"] for r in records if r["event"] == "collision"]
+        if contacts and result.outcome is Outcome.REACHED:
+            tip = contacts[0]["tip_panel_mm"]
+            entry["error_mm"] = float(np.hypot(tip[0] - x, tip[1] - y))
+            entry["reported_mm"] = 1000 * result.error_m
+            entry["time_s"] = result.duration_s
+            entry |= {part: sum(robot.phases.get(p.value, 0.0) for p in phases) for part, phases in SPLIT.items()}
+        done.append(entry)
+    return done
+
+
+def summary(seeds: Sequence[int], all_touches: list[list[dict[str, Any]]]) -> list[Row]:
+    """Return the rows about touches."""
+    flat = [t for of_seed in all_touches for t in of_seed]
+    good = [t for t in flat if "error_mm" in t]
+    errors = np.array([t["error_mm"] for t in good])
+    rows = [
+        bound(f"touches of {len(seeds)} machines that were made [%]", 100 * len(good) / len(flat), 100, at_least=True),
+        row("touch error, mean [mm]", float(errors.mean()), REFERENCE_MM, "published camera-guided gantry"),
+        bound("touch error, mean [mm]", float(errors.mean()), 0.25),
+        bound("touch error, p95 [mm]", float(np.percentile(errors, 95)), 0.5),
+        bound("touch error, greatest [mm]", float(errors.max()), 1.0),
+        bound("wrong controls touched", float(sum(bool(t["wrong"]) for t in flat)), 0),
+        bound("collisions", float(sum(bool(t["collisions"]) for t in flat)), 0),
+        bound("error as the robot reports it, mean [mm]", float(np.mean([t["reported_mm"] for t in good])), 0.25),
+    ]
+    for seed, of_seed in zip(seeds, all_touches):
+        own = np.array([t["error_mm"] for t in of_seed if "error_mm" in t])
+        rows.append(bound(f"machine {seed}: greatest touch error [mm]", float(own.max()), 1.0))
+    for part in ("time_s", *SPLIT):
+        values = [t[part] for t in good]
+        name = "a press" if part == "time_s" else f"a press: {part}"
+        for percentile in (50, 95):
+            rows.append(row(f"{name}, p{percentile} [s]", float(np.percentile(values, percentile)), None, ""))
+    return rows
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5])
+    parser.add_argument("--touches", type=int, default=200, help="of each seed")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    options = parser.parse_args(arguments)
+    OUT.mkdir(exist_ok=True)
+    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        results = list(pool.map(touches, options.seeds, [options.touches] * len(options.seeds)))
+    (OUT / "operating_touches.json").write_text(json.dumps(dict(zip(map(str, options.seeds), results)), indent=1))
+    for seed, entries in zip(options.seeds, results):
+        for entry in entries:
+            if "error_mm" not in entry or entry["wrong"] or entry["collisions"] or entry["error_mm"] > 0.5:
+                print(seed, entry)
+    title = f"{options.touches} touches on each of {len(options.seeds)} simulated machines"
+    return 0 if write("operating", summary(options.seeds, results), title=title) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

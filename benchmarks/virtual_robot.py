@@ -1,0 +1,340 @@
+"""The whole robot in one process on one virtual clock: every core of the graph, without ROS, sockets and waiting.
+
+Real are the controller, the driver with its G-code and protocol, the mock board with its planner, the bench (hidden
+errors, contacts, pictures), the stylus tracker, recognition and the hand-eye procedure. Left out are the processes
+between them; what those cost is a delay here: a picture's results come ``PICTURE_S`` after its exposure, a message
+takes ``MESSAGE_S``. Pictures are drawn only while somebody waits for them, and recognition looks at the panel a few
+times before each goal instead of all the time (its last answer is repeated at 5 Hz).
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from gantry_driver.core import controller_messages as msg
+from gantry_driver.core.controller import Controller
+from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.goal_job import LOOKING
+from gantry_driver.core.machine import Answered, Machine, Position, StateChanged
+from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.targets import PanelMap
+from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.mock.machine import Machine as MockMachine
+from gantry_driver.mock.settings import make_eeprom
+from harris_perception.core.calibration_run import CalibrationRun, Failed, Finished, RunConfig, SendGoal, StillConfig
+from harris_perception.core.hand_eye import HandEyeConfig
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.recognition import PanelRecogniser, PoseAgreement, RecognitionConfig
+from harris_perception.core.stylus import StylusConfig, StylusTracker
+from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.core.config import from_mapping
+from icu_common.core.frames import BASE, JOINTS
+from icu_common.core.panel_layout import PanelLayout, load_layout
+from icu_common.core.results import GoalResult
+from scope_bench.core.bench import Bench
+from scope_bench.core.configuration import BenchConfig
+from scope_bench.core.optics import stereo_rig
+from scope_bench.core.renderer import Renderer
+
+CONFIG = Path(__file__).resolve().parents[1] / "config"
+START_S = 1000.0
+FRAME_S = 1 / 15
+PICTURE_S = 0.06
+"""From exposure to the tip's message: measured on the graph by bench_graph_latency."""
+MESSAGE_S = 0.002
+TICK_S = 0.05
+HEARTBEAT_S = 0.2
+PANEL_S = 0.2
+SAMPLE_S = 0.004
+PANEL_LOOKS = 6
+Event = Callable[[], None]
+
+
+def parameters(name: str) -> dict[str, Any]:
+    """Return the dotted parameters of a file in config/params."""
+    document = yaml.safe_load((CONFIG / "params" / f"{name}.yaml").read_text())
+    flat: dict[str, Any] = {}
+
+    def flatten(prefix: str, values: dict[str, Any]) -> None:
+        for key, value in values.items():
+            if isinstance(value, dict):
+                flatten(f"{prefix}{key}.", value)
+            else:
+                flat[prefix + key] = value
+
+    flatten("", document["/**"]["ros__parameters"])
+    return flat
+
+
+def camera(calibration: dict[str, Any]) -> CameraModel:
+    """Return the model that belongs to a calibration in the form of its file."""
+
+    def matrix(key: str) -> np.ndarray:
+        part = calibration[key]
+        return np.array(part["data"], dtype=np.float64).reshape(part["rows"], part["cols"])
+
+    return CameraModel(
+        name=str(calibration["camera_name"]),
+        width=int(calibration["image_width"]),
+        height=int(calibration["image_height"]),
+        k=matrix("camera_matrix"),
+        d=matrix("distortion_coefficients").ravel(),
+        r=matrix("rectification_matrix"),
+        p=matrix("projection_matrix"),
+    )
+
+
+class VirtualRobot:
+    """One robot; ``now`` is the only clock, in seconds. It homes, calibrates and recognises by :meth:`prepare`."""
+
+    def __init__(self, seed: int, *, layout: str = "dso_bench_4", bench: dict[str, Any] | None = None) -> None:
+        self.layout: PanelLayout = load_layout(CONFIG / "scopes" / f"{layout}.yaml")
+        config = from_mapping(BenchConfig, {**parameters("bench"), "seed": seed, **(bench or {})})
+        self.bench = Bench(self.layout, config)
+        self.renderer = Renderer(self.layout, config, self.bench.panel_from)
+        rig = stereo_rig(config.camera)
+        self.cameras = [camera(rig.calibration(side)) for side in ("left", "right")]
+        stereo = StereoModel(left=self.cameras[0], right=self.cameras[1])
+        self.tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), stereo)
+        looks = parameters("recognition")
+        inner = {k.partition(".")[2]: v for k, v in looks.items() if k.startswith("recognition.")}
+        self._recognition = from_mapping(RecognitionConfig, inner)
+        self.recogniser = PanelRecogniser(self.layout, self._recognition)
+        self._detector = HarrisDetector(HarrisConfig())
+        self.controller = Controller(from_mapping(ControllerConfig, parameters("gantry_controller")))
+        self.driver = Machine(from_mapping(DriverConfig, {**parameters("serial_driver"), "enabled_at_start": True}))
+        self.board = MockMachine(make_eeprom({}), seed=seed)
+        self.now = 0.0
+        self.phases: dict[str, float] = {}
+        self.results: list[GoalResult] = []
+        self.state = ""
+        self.records: list[dict[str, Any]] = []
+        self.stops: list[str] = []
+        self.pictures = 0
+        self._procedure: CalibrationRun | None = None
+        self._queue: list[tuple[float, int, Event]] = []
+        self._number = itertools.count()
+        self._pose: Any = None
+        self._confidence = 0.0
+        self._phase_s = 0.0
+        self._sampled_s = -math.inf
+        self.board.board.power_on(0.0)
+        self.driver.opened(0.0)
+        self._beat()
+        self._every(HEARTBEAT_S, self._beat)
+        self._every(TICK_S, lambda: self._tell(msg.Tick()))
+        self._every(FRAME_S, self._expose)
+        self._every(PANEL_S, self._say_panel)
+
+    # What a user does
+
+    def prepare(self) -> None:
+        """Connect, home, calibrate, recognise."""
+        self.until(lambda: self.driver.state == "unhomed", 20.0)
+        refusal = self.driver.home(self.now)
+        assert not refusal, refusal
+        self.until(lambda: self.driver.state == "idle", 60.0)
+        own = parameters("hand_eye")
+        parts = [
+            from_mapping(kind, {k.partition(".")[2]: v for k, v in own.items() if k.startswith(name + ".")})
+            for name, kind in (("run", RunConfig), ("still", StillConfig), ("solver", HandEyeConfig))
+        ]
+        self._procedure = CalibrationRun(parts[0], parts[1], parts[2], self.now_ns)
+        self._act(self._procedure.start(self.now_ns))
+        self.until(lambda: self._procedure is None, 240.0)
+        self.command("", place=(0.01, 0.01))
+        self.look_at_panel(3 * PANEL_LOOKS)
+        self.run_for(0.5)
+
+    def command(self, text: str, *, place: tuple[float, float] | None = None) -> GoalResult:
+        """Give a gesture, or a place in base_link (m) to go to, and return the final answer."""
+        count = len(self.results)
+        if place is None:
+            self._tell(msg.Command(text=text))
+        else:
+            self._tell(msg.PointGoal(frame=BASE, xyz=np.array([*place, 0.0]), stamp_ns=self.now_ns))
+        self.until(lambda: any(r.outcome.final for r in self.results[count:]), 120.0)
+        return next(r for r in self.results[count:] if r.outcome.final)
+
+    def look_at_panel(self, times: int = PANEL_LOOKS) -> None:
+        """Let recognition look at pictures of now."""
+        agreement = PoseAgreement(self._recognition.agreement, self.layout.size_mm)
+        pose = sighting = None
+        for _ in range(times):
+            left, _ = self._pictures(self.now)
+            gray = cv2.cvtColor(left, cv2.COLOR_BGR2GRAY)
+            sighting = self.recogniser.locate(gray, self._detector.detect(gray).xy, self.cameras[0])
+            pose = agreement.add(None if sighting is None else sighting.camera_from_panel)
+        self._pose = pose
+        self._confidence = sighting.agreement if sighting is not None and pose is not None else 0.0
+        self._say_panel()
+
+    def until(self, condition: Callable[[], Any], within_s: float) -> None:
+        """Let time pass until the condition holds."""
+        end = self.now + within_s
+        while not condition():
+            if self.now > end:
+                raise TimeoutError(f"not within {within_s} s: {self.state!r}, {self.driver.state_text!r}")
+            self._step(end + 1.0)
+
+    def run_for(self, seconds: float) -> None:
+        """Let time pass."""
+        end = self.now + seconds
+        while self.now < end:
+            self._step(end)
+
+    def take_records(self) -> list[dict[str, Any]]:
+        """Return the physical truth since the last call."""
+        self.records += self.bench.take_records()
+        records, self.records = self.records, []
+        return records
+
+    @property
+    def now_ns(self) -> int:
+        """The clock as a stamp."""
+        return round((START_S + self.now) * 1e9)
+
+    # Time
+
+    def _every(self, period_s: float, event: Event) -> None:
+        def again() -> None:
+            event()
+            self._after(period_s, again)
+
+        self._after(period_s, again)
+
+    def _after(self, seconds: float, event: Event) -> None:
+        heapq.heappush(self._queue, (self.now + seconds, next(self._number), event))
+
+    def _step(self, end: float) -> None:
+        board = self.board.board
+        due = [end, self._queue[0][0], self.driver.deadline(self.now)]
+        if (next_due := board.next_due()) is not None:
+            due.append(next_due)
+        if board.moving():
+            due.append(self._sampled_s + SAMPLE_S)
+        self.now = max(min(due), self.now + 1e-6)
+        board.advance(self.now)
+        moving = board.moving()
+        if moving or self.now - self._sampled_s > 0.05:
+            self._sample()
+        data = b"".join(board.take_output())
+        if data:
+            self.driver.receive(data, self.now)
+        self.driver.tick(self.now)
+        written = self.driver.output(self.now)
+        if written:
+            board.receive(written, self.now)
+        self._collect()
+        while self._queue and self._queue[0][0] <= self.now:
+            heapq.heappop(self._queue)[2]()
+
+    def _sample(self) -> None:
+        self._sampled_s = self.now
+        truth = self.board.truth()
+        self.bench.feed(truth["mpos"], truth["spindle"], truth["coolant"], self.now)
+
+    def _collect(self) -> None:
+        for event in self.driver.take_events():
+            if isinstance(event, StateChanged):
+                self._later(msg.DriverState(text=event.text))
+                if self._procedure is not None:
+                    self._act(self._procedure.driver_state(event.text))
+            elif isinstance(event, Answered):
+                self._later(msg.MotionResult(result=event.result))
+            elif isinstance(event, Position):
+                reading = np.array(event.reading_m)
+                self._later(msg.Joints(readings=reading))
+                if self._procedure is not None:
+                    self._procedure.reading(self.now_ns, reading)
+
+    # Messages
+
+    def _later(self, event: msg.Event) -> None:
+        self._after(MESSAGE_S, lambda: self._tell(event))
+
+    def _tell(self, event: msg.Event) -> None:
+        before = self.controller.phase.value
+        actions = self.controller.handle(event, self.now_ns)
+        if self.controller.phase.value != before:
+            self.phases[before] = self.phases.get(before, 0.0) + self.now - self._phase_s
+            self._phase_s = self.now
+        for action in actions:
+            match action:
+                case msg.SendTrajectory():
+                    path, goal_id = action.path, str(action.stamp_ns)
+                    points = [
+                        Waypoint(positions_m=tuple(p), time_s=float(t)) for p, t in zip(path.points, path.times_s)
+                    ]
+                    self._after(
+                        MESSAGE_S,
+                        lambda goal_id=goal_id, points=points: self.driver.run(
+                            goal_id, JOINTS, points, age_s=MESSAGE_S, now=self.now
+                        ),
+                    )
+                case msg.PublishResult():
+                    self.results.append(action.result)
+                    if self._procedure is not None:
+                        self._act(self._procedure.result(action.result, self.now_ns))
+                case msg.SetState():
+                    self.state = action.text
+                case msg.CallStop():
+                    self.stops.append(action.reason)
+                    self.driver.stop(action.reason, self.now)
+
+    def _act(self, actions: Sequence[Any] | Any) -> None:
+        for action in actions:
+            if isinstance(action, SendGoal):
+                xyz, stamp = np.asarray(action.xyz, dtype=np.float64), action.stamp_ns
+                self._later(msg.PointGoal(frame=BASE, xyz=xyz, stamp_ns=stamp))
+            elif isinstance(action, Finished):
+                self._procedure = None
+                self._later(msg.CameraFromBase(transform=action.calibration.camera_from_base))
+                self._later(msg.Axes(base_from_reading=action.calibration.base_from_reading))
+            elif isinstance(action, Failed):
+                raise RuntimeError(f"calibration failed: {action.reason}")
+
+    def _beat(self) -> None:
+        self.driver.heartbeat(self.now)
+        self._tell(msg.Heartbeat())
+
+    def _pictures(self, time_s: float) -> list[Any]:
+        self.pictures += 1
+        self.bench.advance(self.now)
+        return self.renderer.render(self.bench.moment(time_s))
+
+    def _expose(self) -> None:
+        stamp, exposed = self.now_ns, self.now
+        self._after(PICTURE_S, lambda: self._see(stamp, exposed))
+
+    def _see(self, stamp: int, exposed: float) -> None:
+        self._tell(msg.CameraSeen(camera=self.cameras[0], stamp_ns=stamp))
+        if self.controller.phase not in LOOKING and self._procedure is None:
+            return
+        if self._procedure is not None and self.driver.state != "idle":
+            return
+        left, right = self._pictures(exposed)
+        found = self.tracker.find(left, right)
+        if found.tip is not None:
+            self._tell(msg.TipSeen(in_camera=found.tip, stamp_ns=stamp))
+            if self._procedure is not None:
+                self._act(self._procedure.tip(stamp, found.tip, self.now_ns))
+
+    def _say_panel(self) -> None:
+        if self._procedure is not None:
+            self._act(self._procedure.tick(self.now_ns))
+        if self._pose is None:
+            return
+        outline = np.array([(0, 0), self.layout.size_mm]) / 1000
+        self._tell(msg.PanelControls(panel=PanelMap.of(self.layout.controls, outline)))
+        self._tell(msg.PanelPose(camera_from_panel=self._pose, stamp_ns=self.now_ns))
+        self._tell(msg.PanelConfidence(value=self._confidence))
