@@ -14,6 +14,7 @@ from gantry_driver.core.goal_job import Phase
 from gantry_driver.core.targets import PanelControl, PanelMap
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
+from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
 
 MS = 1_000_000
@@ -76,6 +77,10 @@ PANEL = PanelMap(
 )
 
 
+KNOB = np.array([0.211, 0.092, 0.015])
+"""The centre of the top of CH1_SCALE in panel_link."""
+
+
 class Bench:
     """Feeds a controller as the graph would, in steps of 20 ms, and keeps what it wanted done.
 
@@ -101,6 +106,12 @@ class Bench:
         self.answer: Outcome = Outcome.REACHED
         self.answer_reason = ""
         self.on_phase: dict[Phase, Callable[[Bench], None]] = {}
+        # What the controls show, for tests that let them be seen ("state" in talking).
+        self.knob_deg = 20.0
+        self.knob_slips = 0.0
+        self.lamp = "green"
+        self.hidden: dict[str, str] = {}
+        self.screen_changed_ns = 0
         self.actions: list[msg.Action] = []
         self.lowest: list[Array] = []
         self._motion: tuple[msg.SendTrajectory, int, Array] | None = None
@@ -210,9 +221,28 @@ class Bench:
             self.tell(msg.PanelConfidence(value=self.confidence))
             if self._steps < 10:
                 self.tell(msg.PanelControls(panel=PANEL))
+        if "state" in self.talking and self._steps % 9 == 1:
+            self.tell(msg.PanelState(seen=self._panel_seen()))
         if "tip" in self.talking:
             seen = self.tip_in_base() + self.noise_m * self.rng.standard_normal(3)
             self.tell(msg.TipSeen(in_camera=CAMERA_FROM_BASE.apply(seen), stamp_ns=self.now_ns))
+
+    def _panel_seen(self) -> PanelSeen:
+        over = float(np.linalg.norm((BASE_FROM_PANEL.inverse().apply(self.tip_in_base()) - KNOB)[:2])) < 0.02
+        hidden = {**({"CH1_SCALE": "stylus"} if over else {}), **self.hidden}
+        seen = [
+            ControlSeen(name="RUN_STOP", kind="button", lamp=self.lamp, hidden_by=hidden.get("RUN_STOP", "")),
+            ControlSeen(
+                name="CH1_SCALE",
+                kind="knob",
+                angle_deg=float("nan") if "CH1_SCALE" in hidden else self.knob_deg,
+                hidden_by=hidden.get("CH1_SCALE", ""),
+                detent_deg=18.0,
+                marks=(("UP", 0.0), ("LEFT", 90.0)),
+            ),
+            ControlSeen(name="SCREEN", kind="touch_area", changed_ns=self.screen_changed_ns),
+        ]
+        return PanelSeen(stamp_ns=self.now_ns, controls=tuple(seen))
 
     def _move(self) -> None:
         if self._motion is None:
@@ -231,9 +261,15 @@ class Bench:
             self._answer(action, Outcome.REACHED)
 
     def _stand_at(self, readings: Array) -> None:
+        before = BASE_FROM_PANEL.inverse().apply(self.tip_in_base()) - KNOB
         self.readings = readings
         # Play: the carriage stays behind by up to the backlash, in either direction.
         self.carriage = np.clip(self.carriage, readings[:2] - self.backlash, readings[:2])
+        after = BASE_FROM_PANEL.inverse().apply(self.tip_in_base()) - KNOB
+        if max(before[2], after[2]) < 0.002 and max(np.linalg.norm(before[:2]), np.linalg.norm(after[:2])) < 0.009:
+            turned = np.degrees(np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0]))
+            self.knob_deg += (1 - self.knob_slips) * ((turned + 180) % 360 - 180)
+            self.knob_deg = (self.knob_deg + 180) % 360 - 180
         self.lowest.append(self.tip_in_base())
 
     def _answer(self, action: msg.SendTrajectory, outcome: Outcome) -> None:

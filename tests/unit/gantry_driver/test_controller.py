@@ -224,7 +224,7 @@ def test_bad_points_are_rejected(xyz: tuple[float, float, float], frame: str, wo
         ("press:CH1_IN id=q", ["connector", "never"]),
         ("turn:RUN_STOP:20 id=q", ["button", "only a knob"]),
         ("press:RUN_STOP:3 id=q", ["press takes no argument"]),
-        ("push:RUN_STOP id=q", ["'push'", "press, hold, turn"]),
+        ("push:RUN_STOP id=q", ["'push'", "press, long, double, hold, turn"]),
         ("turn:CH1_SCALE:nan id=q", ["not finite"]),
         ("hold:CH1:31 id=q", ["hold needs seconds above 0 and up to 30"]),
         ("press:0.1,0.1@world id=q", ["'world'"]),
@@ -700,9 +700,10 @@ def test_shutdown_stops_a_goal_in_work() -> None:
 
 
 def test_the_table_has_an_entry_for_every_end_of_every_phase() -> None:
-    expected = {(p, Step.ARRIVED) for p in MOVING} | {(p, s) for p in LOOKING for s in (Step.SEEN, Step.UNSEEN)}
+    seeing = {*LOOKING, Phase.WAIT, Phase.READ}
+    expected = {(p, Step.ARRIVED) for p in MOVING} | {(p, s) for p in seeing for s in (Step.SEEN, Step.UNSEEN)}
     assert set(Controller._NEXT) == expected
-    assert set(MOVING) | set(LOOKING) | {Phase.IDLE} == set(Phase)
+    assert set(MOVING) | seeing | {Phase.IDLE} == set(Phase)
 
 
 def test_axes_far_from_the_identity_are_no_calibration() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
+from icu_common.core.gesture import GESTURES, Gesture, GestureError, Point, parse_gesture
 
 names = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,20}", fullmatch=True)
 numbers = st.floats(-1e4, 1e4, allow_nan=False)
@@ -24,13 +24,31 @@ gestures = (
         argument=st.floats(0.5, 360) | st.floats(-360, -0.5),
         id=identifiers,
     )
+    | st.builds(Gesture, kind=st.sampled_from(["long", "double"]), target=targets, id=identifiers)
+    | st.builds(Gesture, kind=st.just("click"), target=targets, argument=st.integers(1, 60).map(float), id=identifiers)
+    | st.builds(Gesture, kind=st.just("set"), target=names, argument=st.floats(-180, 180), id=identifiers)
+    | st.builds(
+        Gesture,
+        kind=st.just("set"),
+        target=names,
+        mark=names.filter(lambda n: n.lower() not in ("nan", "inf", "infinity")),
+        id=identifiers,
+    )
+    | st.builds(
+        Gesture,
+        kind=st.just("drag"),
+        target=targets,
+        to=st.builds(Point, x=numbers, y=numbers, frame=names),
+        id=identifiers,
+    )
 )
 
 
 @given(gestures)
 def test_text_round_trip(gesture: Gesture) -> None:
     parsed = parse_gesture(gesture.text())
-    assert (parsed.kind, parsed.target, parsed.id) == (gesture.kind, gesture.target, gesture.id)
+    for field in ("kind", "target", "mark", "to", "id"):
+        assert getattr(parsed, field) == getattr(gesture, field)
     assert parsed.argument == gesture.argument or (math.isnan(parsed.argument) and math.isnan(gesture.argument))
 
 
@@ -39,7 +57,7 @@ def test_text_round_trip(gesture: Gesture) -> None:
     [
         ("", "expected gesture:target"),
         ("press", "expected gesture:target"),
-        ("poke:RUN", "none of press, hold, turn"),
+        ("poke:RUN", "none of press, long, double, hold, turn, click, set, drag"),
         ("press:RUN:3", "takes no argument"),
         ("press:1x", "neither a control's name nor"),
         ("press:nan,0@base_link", "not finite"),
@@ -50,6 +68,15 @@ def test_text_round_trip(gesture: Gesture) -> None:
         ("hold:RUN:nan", "not finite"),
         ("turn:K:0", "needs an angle"),
         ("turn:K:-361", "needs an angle"),
+        ("long:RUN:1", "long takes no argument"),
+        ("double:RUN:2", "double takes no argument"),
+        ("turn:K", "turn needs an angle .* found nothing"),
+        ("click:K:1.5", "click needs a whole number"),
+        ("click:K:61", "at most 60"),
+        ("set:K:181", "degrees from -180 to 180"),
+        ("set:K:nan", "not finite"),
+        ("drag:SCREEN:RUN", "drag needs the point x,y@frame"),
+        ("drag:SCREEN", "drag needs the point x,y@frame"),
         ("press:RUN id=a b", "expected id="),
         ("press:RUN now", "expected id="),
         ("press:" + "A" * 300, "at most 200"),
@@ -63,6 +90,6 @@ def test_refusals(text: str, message: str) -> None:
 @given(st.text(max_size=60))
 def test_any_text_is_parsed_or_refused(text: str) -> None:
     try:
-        assert parse_gesture(text).kind in ("press", "hold", "turn")
+        assert parse_gesture(text).kind in GESTURES
     except GestureError as error:
         assert str(error)

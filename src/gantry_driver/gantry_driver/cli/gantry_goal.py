@@ -65,8 +65,15 @@ def parse(arguments: Sequence[str]) -> Request:
     parser.add_argument("--z", type=_number, metavar="Z", help="height in base_link to lower the tip to, 0 or below")
     parser.add_argument("--press", action="store_true", help="touch and lift (always with --control and other frames)")
     how = parser.add_mutually_exclusive_group()
+    how.add_argument("--long", action="store_true", help="press for long")
+    how.add_argument("--double", action="store_true", help="press twice, quickly")
     how.add_argument("--hold", type=_number, metavar="S", help="stay in contact for S seconds")
     how.add_argument("--turn", type=_number, metavar="DEG", help="turn a knob, counter-clockwise positive")
+    how.add_argument("--click", type=_number, metavar="N", help="turn a knob by N clicks, clockwise positive")
+    how.add_argument("--set", metavar="MARK", help="turn a knob to a mark or to degrees, looking and correcting")
+    how.add_argument(
+        "--drag-to", nargs=2, type=_number, metavar=("X", "Y"), help="draw on to that point, in the frame of the first"
+    )
     parser.add_argument("--timeout", type=_number, default=60.0, metavar="S", help="whole time allowed (default 60)")
     given = parser.parse_args(arguments)
 
@@ -78,23 +85,33 @@ def parse(arguments: Sequence[str]) -> Request:
         parser.error("--frame belongs to X Y")
     if not given.timeout > 0:
         parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
-    touch = given.press or given.hold is not None or given.turn is not None
-    touch = touch or given.control is not None or given.frame in (PANEL, CAMERA_LEFT)
+    kind, extra = _gesture(given)
+    touch = given.press or kind != "press" or given.control is not None or given.frame in (PANEL, CAMERA_LEFT)
     if given.z is not None and touch:
         parser.error("--z belongs to a move in base_link; a touch finds the surface itself")
     if not touch:
         x, y = given.point
         return Request(xyz=(x, y, given.z or 0.0), timeout_s=given.timeout)
     target = given.control or Point(x=given.point[0], y=given.point[1], frame=given.frame or BASE)
-    kind = "hold" if given.hold is not None else "turn" if given.turn is not None else "press"
-    argument = given.hold if given.hold is not None else given.turn if given.turn is not None else math.nan
     identifier = f"cli-{os.getpid()}-{time.time_ns()}"
-    gesture = Gesture(kind=kind, target=target, argument=argument, id=identifier)
+    place = target if isinstance(target, str) else f"{target.x!r},{target.y!r}@{target.frame}"
     try:
-        parse_gesture(gesture.text())
+        gesture = parse_gesture(f"{kind}:{place}{extra} id={identifier}")
     except GestureError as error:
         parser.error(str(error))
     return Request(gesture=gesture, timeout_s=given.timeout)
+
+
+def _gesture(given: argparse.Namespace) -> tuple[str, str]:
+    """Return the gesture's name, and its argument as the grammar has it."""
+    if given.drag_to is not None:
+        x, y = given.drag_to
+        return "drag", f":{x!r},{y!r}@{given.frame or (PANEL if given.control else BASE)}"
+    for kind in ("hold", "turn", "click", "set"):
+        value = getattr(given, kind)
+        if value is not None:
+            return kind, f":{value}"
+    return ("long" if given.long else "double" if given.double else "press"), ""
 
 
 def _number(text: str) -> float:
@@ -177,9 +194,12 @@ def describe(result: GoalResult) -> str:
     if result.outcome is not Outcome.REACHED:
         reason = f": {result.reason}" if result.reason else f": {result.goal}"
         return f"{result.outcome.value}{reason}"
-    by = dict(result.details).get("measured_by", "")
+    details = dict(result.details)
+    by = details.get("measured_by", "")
+    effect = details.get("effect", "")
+    seen = f", {effect}" if effect and effect != "not looked for" else ""
     error = "not measured" if math.isnan(result.error_m) else f"{1000 * result.error_m:.3f} mm (by {by})"
-    return f"reached: {result.goal}, error {error}, {result.duration_s:.1f} s"
+    return f"reached: {result.goal}, error {error}{seen}, {result.duration_s:.1f} s"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -18,13 +18,14 @@ import numpy as np
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core import motion_plan, targets
 from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import LOOKING, MOVING, PUSHING, STATES, Fault, Job, Phase, Step
+from gantry_driver.core.effects import Knob, effect, knob_of
+from gantry_driver.core.goal_job import FREE_VIEW, LOOKING, MOVING, PUSHING, STATES, UP, Fault, Job, Phase, Step
 from gantry_driver.core.motion_plan import OutOfReach, Path
 from gantry_driver.core.targets import Refused
 from gantry_driver.core.world import EXTENDED_M, NANO, World
 from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.geometry import Array
-from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
+from icu_common.core.gesture import TURNING, Gesture, GestureError, Point, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
 
 MAX_TIPS = 50
@@ -59,6 +60,8 @@ class Controller:
     # Every transition of a goal. A method either enters another phase or finishes the goal.
     _NEXT: ClassVar[dict[tuple[Phase, Step], Callable[[Controller, Job], None]]] = {
         (Phase.MOVE, Step.ARRIVED): lambda self, job: self._finish_move(job),
+        (Phase.WAIT, Step.SEEN): lambda self, job: self._begin(job),
+        (Phase.WAIT, Step.UNSEEN): lambda self, job: self._finish_hidden(job),
         (Phase.APPROACH, Step.ARRIVED): lambda self, job: self._look_at_hover(job),
         (Phase.LOOK, Step.SEEN): lambda self, job: self._judge_hover(job),
         (Phase.LOOK, Step.UNSEEN): lambda self, job: self._unseen_hover(job),
@@ -70,6 +73,9 @@ class Controller:
         (Phase.LIFT, Step.ARRIVED): lambda self, job: self._wait_for_pictures(job),
         (Phase.MEASURE, Step.SEEN): lambda self, job: self._judge_contact(job),
         (Phase.MEASURE, Step.UNSEEN): lambda self, job: self._judge_contact(job),
+        (Phase.ASIDE, Step.ARRIVED): lambda self, job: self._read(job, self.config.read_timeout_s),
+        (Phase.READ, Step.SEEN): lambda self, job: self._judge_effect(job),
+        (Phase.READ, Step.UNSEEN): lambda self, job: self._judge_effect(job),
         (Phase.BREAK_OFF, Step.ARRIVED): lambda self, job: self._finish_broken_off(job),
     }
 
@@ -154,6 +160,8 @@ class Controller:
                 world.take_confidence(event.value, self.config.min_confidence)
             case msg.PanelControls():
                 world.panel = event.panel
+            case msg.PanelState():
+                world.take_seen(event.seen)
             case msg.CameraFromBase():
                 world.camera_from_base = event.transform
             case msg.Axes():
@@ -230,8 +238,7 @@ class Controller:
             if self._job is not None:
                 raise Refused(f"busy with {self._job.text!r}")
             job = make_job()
-            first = job.readings_at(job.tip_goal()[np.newaxis])[0]
-            path = motion_plan.travel(self._world.here, first[:2], first[2], self.config.motion)
+            self._way_to(job)
         except OutOfReach as error:
             self._reject(goal_id, text, f"{text}: {error}")
             return
@@ -242,7 +249,7 @@ class Controller:
         self._world.unchecked = False
         self._publish(job, Outcome.ACCEPTED)
         self._actions.append(msg.ShowTarget(in_base=job.goal_base))
-        self._go(Phase.MOVE if job.touch is None else Phase.APPROACH, path)
+        self._start(job)
 
     def _point_job(self, goal: msg.PointGoal) -> Job:
         if not np.isfinite(goal.xyz).all():
@@ -301,10 +308,13 @@ class Controller:
         for obstacle in self._world.obstacles(self.config):
             raise Refused(obstacle.reason)
         scene, config = self._world.scene(), self.config
-        wander = config.max_correction_m + config.motion.approach_m * math.sqrt(2)
-        touch = targets.resolve(gesture, scene, config.touch, wander_m=wander)
-        if config.motion.stylus_two_positions:
-            touch = targets.with_two_positions(touch, config.motion.stylus_max_m)
+        seen = self._world.recently_seen(config)
+        knob = None
+        if gesture.kind in TURNING and isinstance(gesture.target, str):
+            scene.control(gesture.target)
+            knob = knob_of(gesture, gesture.target, None if seen is None else seen.control(gesture.target))
+        elif gesture.kind in ("click", "set"):
+            raise Refused(f"{gesture.kind} needs a knob's name, found {gesture.text()!r}")
         job = Job(
             goal_id=goal_id,
             text=text,
@@ -312,15 +322,62 @@ class Controller:
             started_ns=self._now_ns,
             base_from_reading=scene.base_from_reading,
             scene=scene,
-            touch=touch,
-            goal_base=touch.in_base,
-            hold_s={"hold": gesture.argument, "press": config.press_s}.get(gesture.kind, 0.0),
+            gesture=gesture,
+            knob=knob,
+            before=seen,
+            goal_base=np.zeros(3),
+            hold_s={"hold": gesture.argument, "press": config.press_s, "long": config.long_press_s}.get(
+                gesture.kind, 0.0
+            ),
         )
-        heights = np.array([[*touch.in_base[:2], z] for z in (touch.hover_z, touch.touch_z)])
-        motion_plan.check_reach(job.readings_at(np.vstack([heights, touch.arc])), config.motion)
+        self._aim(job)
         return job
 
+    def _aim(self, job: Job) -> None:
+        """Find where the job's gesture touches, for a knob with its next turn; raises Refused or OutOfReach."""
+        config, scene, gesture = self.config, job.scene, job.gesture
+        assert scene is not None and gesture is not None
+        way = gesture.argument if job.knob is None else job.knob.way_deg
+        if gesture.kind in TURNING and not abs(way) > 0:
+            way = 1.0  # not known before the knob has been looked at: any turn tells whether it can be reached
+        wander = config.max_correction_m + config.motion.approach_m * math.sqrt(2)
+        touch = targets.resolve(gesture, scene, config.touch, wander_m=wander, turn_deg=way)
+        if config.motion.stylus_two_positions:
+            touch = targets.with_two_positions(touch, config.motion.stylus_max_m)
+        job.touch, job.goal_base = touch, touch.in_base
+        heights = np.array([[*touch.in_base[:2], z] for z in (touch.hover_z, touch.touch_z)])
+        motion_plan.check_reach(job.readings_at(np.vstack([heights, touch.arc])), config.motion)
+
+    def _way_to(self, job: Job) -> Path:
+        """Return the way to the job's first place; raises OutOfReach."""
+        first = job.readings_at(job.tip_goal()[np.newaxis])[0]
+        return motion_plan.travel(self._world.here, first[:2], first[2], self.config.motion)
+
     # Phases: each entry sets what the phase waits for and its deadline
+
+    def _start(self, job: Job) -> None:
+        """Begin at once, or wait until whatever hides the control has gone."""
+        if job.touch is not None and job.touch.control in self._world.hidden_ns:
+            self.phase = Phase.WAIT
+            self._deadline_ns = self._now_ns + _nanoseconds(self.config.hidden_wait_s)
+        else:
+            self._begin(job)
+
+    def _begin(self, job: Job) -> None:
+        knob = job.knob
+        if knob is not None and job.kind == "set" and math.isnan(knob.seen_deg):
+            self._move_aside()
+        elif knob is not None and job.kind == "set" and abs(knob.off_deg) <= self.config.set_tolerance_deg:
+            self._finish(job, Outcome.REACHED)
+        else:
+            self._try(job, Phase.MOVE if job.touch is None else Phase.APPROACH, lambda: self._way_to(job))
+
+    def _move_aside(self) -> None:
+        self._go(Phase.ASIDE, motion_plan.aside(self._world.here, self.config.aside_m, self.config.motion))
+
+    def _read(self, job: Job, within_s: float) -> None:
+        self.phase, self._phase_ns = Phase.READ, self._now_ns
+        self._deadline_ns = self._now_ns + _nanoseconds(within_s)
 
     def _go(self, phase: Phase, path: Path) -> None:
         self.phase, self._phase_ns = phase, self._now_ns
@@ -341,7 +398,11 @@ class Controller:
     def _look_at_contact(self, job: Job) -> None:
         config = self.config
         job.down_ns = self._now_ns
-        most_s = {"turn": config.look_timeout_s, "hold": job.hold_s}.get(job.kind, config.press_max_s)
+        most_s = config.press_max_s
+        if job.touch is not None and len(job.touch.arc):
+            most_s = config.look_timeout_s
+        elif job.kind in ("hold", "long"):
+            most_s = job.hold_s
         # The machine came down slowly, stood for as long as its report took, and did not move sideways.
         self._look(Phase.CONTACT, 0.0, most_s, needed=config.contact_tip_count, kept=MAX_TIPS)
 
@@ -360,6 +421,10 @@ class Controller:
             self._NEXT[self.phase, step](self, self._job)
 
     def _ended(self, job: Job) -> Step | None:
+        if self.phase is Phase.WAIT:
+            return self._looked(job.touch is not None and job.touch.control not in self._world.hidden_ns)
+        if self.phase is Phase.READ:
+            return self._looked(self._effect_seen(job))
         if self.phase in LOOKING:
             if self.phase is Phase.CONTACT and self._now_ns < job.down_ns + _nanoseconds(job.hold_s):
                 return None  # also when enough has been seen
@@ -377,6 +442,22 @@ class Controller:
             cause = f"no result of the motion from the driver for {wait_s:.1f} s"
             self._break_off(job, Fault(cause=cause, stop=True))
         return None
+
+    def _looked(self, seen: bool) -> Step | None:
+        return Step.SEEN if seen else Step.UNSEEN if self._now_ns > self._deadline_ns else None
+
+    def _effect_seen(self, job: Job) -> bool:
+        """Look for the effect since the contact, or for the knob's marker since the stylus has gone aside."""
+        after = self._world.seen
+        if after is None:
+            return False
+        if job.knob is None:
+            assert job.before is not None and job.touch is not None
+            job.effect = effect(job.before, after, job.touch.control, job.down_ns)
+            return bool(job.effect)
+        knob = after.control(job.knob.name)
+        still = after.stamp_ns > self._phase_ns + _nanoseconds(self.config.settle_s)
+        return still and knob is not None and not math.isnan(knob.angle_deg)
 
     def _standing(self) -> bool:
         # The driver's state and joints come on other topics than its result, in any order.
@@ -470,18 +551,25 @@ class Controller:
 
     def _touch_down(self, job: Job) -> None:
         assert job.touch is not None
-        depth = -job.touch.touch_z
-        self._try(job, Phase.TOUCH, lambda: motion_plan.plunge(self._world.here, depth, self.config.motion))
+        depth, config = -job.touch.touch_z, self.config
+        here = self._world.here
+        if job.kind == "double":
+            between = config.motion.stylus_max_m if config.motion.stylus_two_positions else config.double_lift_m
+            self._try(job, Phase.TOUCH, lambda: motion_plan.plunge_twice(here, depth, between, config.motion))
+        else:
+            self._try(job, Phase.TOUCH, lambda: motion_plan.plunge(here, depth, config.motion))
 
     def _leave_contact(self, job: Job) -> None:
         self._look_until_ns = self._now_ns
-        if job.kind != "turn":
+        assert job.touch is not None
+        if not len(job.touch.arc):
             self._lift(job)
         elif not self._measure_contact(job):
-            # A knob is turned only from a place that is known to be right.
+            # A knob is turned, or a touch drawn on, only from a place that is known to be right.
             self._break_off(job, Fault(cause=job.complaint))
         else:
-            assert job.touch is not None
+            if job.knob is not None:
+                job.knob.turns += 1
             arc = job.readings_at(job.touch.arc)
             self._try(job, Phase.TURN, lambda: motion_plan.follow(self._world.here, arc, self.config.motion))
 
@@ -502,10 +590,52 @@ class Controller:
         self._deadline_ns = self._now_ns + _nanoseconds(self.config.picture_wait_s)
 
     def _judge_contact(self, job: Job) -> None:
-        if self._measure_contact(job):
+        if not self._measure_contact(job):
+            self._finish(job, Outcome.ABORTED, f"{job.complaint}; the stylus is up")
+        elif job.knob is not None and not math.isnan(job.knob.goal_deg):
+            self._move_aside()
+        elif job.knob is None and job.before is not None and self.config.effect_wait_s > 0:
+            self._read(job, self.config.effect_wait_s)
+        else:
+            self._finish(job, Outcome.REACHED)
+
+    def _judge_effect(self, job: Job) -> None:
+        if job.knob is not None:
+            self._judge_knob(job, job.knob)
+        elif job.effect or not self.config.require_effect:
+            job.effect = job.effect or "none seen"
             self._finish(job, Outcome.REACHED)
         else:
-            self._finish(job, Outcome.ABORTED, f"{job.complaint}; the stylus is up")
+            wait_s = self.config.effect_wait_s
+            self._finish(job, Outcome.ABORTED, f"touched, but no effect was seen within {wait_s:g} s; the stylus is up")
+
+    def _judge_knob(self, job: Job, knob: Knob) -> None:
+        seen = None if self._world.seen is None else self._world.seen.control(knob.name)
+        angle = math.nan if seen is None or not self._effect_seen(job) else seen.angle_deg
+        if math.isnan(angle):
+            wait_s = self.config.read_timeout_s
+            cause = f"the marker of {knob.name} was not seen within {wait_s:g} s"
+            self._finish(job, Outcome.ABORTED, f"{cause}; the stylus is up")
+            return
+        knob.look(angle)
+        allowed = self.config.set_tolerance_deg
+        if abs(knob.off_deg) <= allowed:
+            job.effect = f"{knob.name} at {angle:+.1f} degrees"
+            self._finish(job, Outcome.REACHED)
+        elif knob.turns >= self.config.set_tries:
+            cause = f"{knob.name} stands {abs(knob.off_deg):.1f} degrees off after {knob.turns} turns"
+            self._finish(job, Outcome.ABORTED, f"{cause}, {allowed:g} are allowed; the stylus is up")
+        else:
+            self._turn_again(job)
+
+    def _turn_again(self, job: Job) -> None:
+        job.correction, job.corrections, job.error_m = np.zeros(2), 0, math.nan
+        try:
+            self._aim(job)
+        except (Refused, OutOfReach) as error:
+            self._finish(job, Outcome.ABORTED, f"the next turn: {error}; the stylus is up")
+            return
+        self._try(job, Phase.APPROACH, lambda: self._way_to(job))
 
     def _lift(self, job: Job) -> None:
         self._go(Phase.LIFT, motion_plan.lift(self._world.here, self.config.motion))
@@ -527,6 +657,11 @@ class Controller:
         job.error_m = float(np.linalg.norm(at - job.goal_base))
         self._finish(job, Outcome.REACHED)
 
+    def _finish_hidden(self, job: Job) -> None:
+        assert job.touch is not None
+        cause = f"something (a hand?) hides {job.touch.control}, and did so for {self.config.hidden_wait_s:g} s"
+        self._finish(job, Outcome.ABORTED, f"{cause}; nothing was moved")
+
     def _finish_broken_off(self, job: Job) -> None:
         assert job.fault is not None
         self._finish(job, Outcome.ABORTED, f"{job.fault.cause}; the stylus is up")
@@ -534,9 +669,11 @@ class Controller:
     def _fault(self, job: Job) -> Fault | None:
         """Return what ends the goal early, if anything; asked after every event."""
         fault = self._world.machine_fault(self.config)
-        if fault is not None or job.touch is None or self.phase in (Phase.LIFT, Phase.MEASURE):
+        if fault is not None or job.touch is None or self.phase in UP:
             return fault
         assert job.scene is not None
+        if self.phase in FREE_VIEW and (fault := self._world.view_fault(self.config, job.touch.control)) is not None:
+            return fault
         return self._world.sight_fault(self.config, job.scene, job.touch.in_panel, pushing=self.phase in PUSHING)
 
     def _break_off(self, job: Job, fault: Fault) -> None:
@@ -549,7 +686,7 @@ class Controller:
             self._finish(job, Outcome.ABORTED, f"{cause}; nothing more was moved")
         else:
             job.fault = fault
-            if self.phase in LOOKING:
+            if self.phase not in MOVING:
                 self._lift_after_fault(job)
 
     def _lift_after_fault(self, job: Job) -> None:
@@ -572,6 +709,11 @@ class Controller:
             if job.touch is not None:
                 details.append(("corrections", str(job.corrections)))
                 details.append(("hover_error_m", f"{job.hover_error_m:.6f}"))
+                details.append(("effect", job.effect or "not looked for"))
+            if job.knob is not None:
+                details.append(("turns", str(job.knob.turns)))
+                details.append(("knob_deg", f"{job.knob.seen_deg:.2f}"))
+                details.append(("knob_off_deg", f"{job.knob.off_deg:.2f}"))
         result = GoalResult(
             goal_id=job.goal_id,
             goal=job.text,

@@ -34,6 +34,10 @@ class ControllerConfig(Config):
     settle_s: float = setting(0.1, "Standstill before a picture counts", minimum=0.0, maximum=5.0, unit="s")
     look_timeout_s: float = setting(3.0, "Time for one look", minimum=0.1, maximum=30.0, unit="s")
     press_s: float = setting(0.3, "Time in contact of a press", minimum=0.0, maximum=5.0, unit="s")
+    long_press_s: float = setting(1.5, "The same of a long press", minimum=0.0, maximum=30.0, unit="s")
+    double_lift_m: float = setting(
+        0.004, "Way up between the two contacts of a double press", minimum=0.0005, maximum=0.02, unit="m"
+    )
     press_max_s: float = setting(
         0.6,
         "The same while fewer pictures than needed have come; instruments take longer for another gesture",
@@ -45,6 +49,29 @@ class ControllerConfig(Config):
         1.0, "Time for the pictures of the contact to arrive after the lift", minimum=0.0, maximum=10.0, unit="s"
     )
     contact_tip_count: int = setting(2, "Tip observations needed from the time in contact", minimum=1, maximum=50)
+    effect_wait_s: float = setting(
+        0.6,
+        "Time after the lift for lamps and screens to show an effect; 0: nothing is looked for",
+        minimum=0.0,
+        maximum=10.0,
+        unit="s",
+    )
+    require_effect: bool = setting(False, "A press without an effect that is seen counts as failed")
+    read_timeout_s: float = setting(3.0, "Time for reading a knob's marker", minimum=0.2, maximum=30.0, unit="s")
+    state_max_age_s: float = setting(
+        1.0, "Age of what is seen of the controls before a gesture", minimum=0.1, maximum=10.0, unit="s"
+    )
+    aside_m: float = setting(
+        0.03, "Way aside after which the stylus hides no knob any more", minimum=0.0, maximum=0.2, unit="m"
+    )
+    set_tolerance_deg: float = setting(2.0, "A set knob may stand so far off", minimum=0.1, maximum=45.0, unit="deg")
+    set_tries: int = setting(5, "Turns that a set may take", minimum=1, maximum=20)
+    hidden_wait_s: float = setting(
+        3.0, "Time for whatever hides the control to go away", minimum=0.0, maximum=60.0, unit="s"
+    )
+    hidden_after_s: float = setting(
+        0.3, "Hidden for so long ends a gesture before the touch", minimum=0.0, maximum=10.0, unit="s"
+    )
     motion_timeout_s: float = setting(
         6.0, "Time beyond the nominal duration for a trajectory's result", minimum=0.5, maximum=120.0, unit="s"
     )

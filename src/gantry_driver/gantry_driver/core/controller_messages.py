@@ -8,6 +8,7 @@ from gantry_driver.core.motion_plan import Path
 from gantry_driver.core.targets import PanelMap
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
+from icu_common.core.panel_state import PanelSeen
 from icu_common.core.results import GoalResult
 
 
@@ -62,6 +63,13 @@ class PanelConfidence:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PanelControls:
     panel: PanelMap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PanelState:
+    """What is seen of the controls."""
+
+    seen: PanelSeen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -122,6 +130,7 @@ Event = (
     | PanelPose
     | PanelConfidence
     | PanelControls
+    | PanelState
     | CameraFromBase
     | Axes
     | TipSeen

@@ -8,14 +8,18 @@ from enum import Enum
 
 import numpy as np
 
+from gantry_driver.core.effects import Knob
 from gantry_driver.core.targets import Scene, Touch
 from icu_common.core.geometry import Array
+from icu_common.core.gesture import Gesture
+from icu_common.core.panel_state import PanelSeen
 
 
 class Phase(str, Enum):
     """Where a goal stands; the value is for diagnostics."""
 
     IDLE = "idle"
+    WAIT = "waiting for a free view"
     MOVE = "moving to the point"
     APPROACH = "moving above the target"
     LOOK = "looking at the tip"
@@ -25,11 +29,27 @@ class Phase(str, Enum):
     TURN = "touching: turning"
     LIFT = "moving up"
     MEASURE = "waiting for the pictures of the contact"
+    ASIDE = "moving out of the way"
+    READ = "looking for the effect"
     BREAK_OFF = "moving up after a fault"
 
 
-MOVING = (Phase.MOVE, Phase.APPROACH, Phase.CORRECT, Phase.TOUCH, Phase.TURN, Phase.LIFT, Phase.BREAK_OFF)
+MOVING = (
+    Phase.MOVE,
+    Phase.APPROACH,
+    Phase.CORRECT,
+    Phase.TOUCH,
+    Phase.TURN,
+    Phase.LIFT,
+    Phase.ASIDE,
+    Phase.BREAK_OFF,
+)
 LOOKING = (Phase.LOOK, Phase.CONTACT, Phase.MEASURE)
+"""Here the tip is looked at."""
+UP = (Phase.LIFT, Phase.MEASURE, Phase.ASIDE, Phase.READ)
+"""Here the touch is done, and neither a stalled camera nor a moved panel matters any more."""
+FREE_VIEW = (Phase.APPROACH, Phase.LOOK, Phase.CORRECT)
+"""Here nothing but the stylus may hide the control."""
 PUSHING = (Phase.TOUCH, Phase.TURN)
 """Here a moved panel stops the machine at once; elsewhere the stylus is in the air and goes up."""
 # What /gantry/state shows; every other phase is "moving".
@@ -39,6 +59,8 @@ STATES = {
     Phase.CONTACT: "touching",
     Phase.TURN: "touching",
     Phase.MEASURE: "looking",
+    Phase.READ: "looking",
+    Phase.WAIT: "looking",
 }
 
 
@@ -70,6 +92,10 @@ class Job:
     base_from_reading: Array
     scene: Scene | None = None
     touch: Touch | None = None
+    gesture: Gesture | None = None
+    knob: Knob | None = None
+    before: PanelSeen | None = None
+    effect: str = ""
     goal_base: Array
     hold_s: float = 0.0
     correction: Array = field(default_factory=lambda: np.zeros(2))

@@ -112,6 +112,26 @@ def plunge(start: Array, extension_m: float, config: MotionConfig) -> Path:
     return steps.path(config)
 
 
+def plunge_twice(start: Array, extension_m: float, between_m: float, config: MotionConfig) -> Path:
+    """Lower into contact, rise by ``between_m``, and lower again, without a pause."""
+    first = plunge(start, extension_m, config)
+    steps = _Steps(np.array([*start[:2], extension_m]))
+    steps.to([*start[:2], extension_m - between_m], config.stylus_speed_m_s)
+    steps.to([*start[:2], extension_m], config.stylus_speed_m_s)
+    second = steps.path(config)
+    times = np.concatenate([first.times_s, first.duration_s + second.times_s])
+    return Path(points=np.vstack([first.points, second.points]), times_s=times)
+
+
+def aside(start: Array, by_m: float, config: MotionConfig) -> Path:
+    """Move the retracted stylus out of the way, to the side where there is room."""
+    x = start[0] - by_m if start[0] - by_m >= config.x_min_m else start[0] + by_m
+    steps = _Steps(start)
+    steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
+    steps.to([x, start[1], 0.0], config.travel_speed_m_s)
+    return steps.path(config)
+
+
 def follow(start: Array, points: Array, config: MotionConfig) -> Path:
     """Follow (N, 3) readings at the speed for knobs."""
     steps = _Steps(start)

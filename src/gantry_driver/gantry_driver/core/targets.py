@@ -19,11 +19,13 @@ from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, setting
 from icu_common.core.frames import BASE, CAMERA_LEFT, PANEL
 from icu_common.core.geometry import Array, Transform
-from icu_common.core.gesture import Gesture, Point
+from icu_common.core.gesture import TURNING, Gesture, Point
 from icu_common.core.panel_layout import Control
 
 TURNABLE = ("knob",)
+DRAGGABLE = ("touch_area",)
 UNTOUCHABLE = ("connector",)
+DRAG_STEP_M = 0.005
 FRAMES = (BASE, PANEL, CAMERA_LEFT)
 _PROUD_M = 5e-4
 
@@ -207,7 +209,7 @@ class Touch:
     hover_z, touch_z
         Base z of the ball's centre while looking, and at the end of the touch.
     arc
-        (N, 3) further centres of the ball in base_link, for a turn; (0, 3) otherwise.
+        (N, 3) further centres of the ball in base_link, for a turn or a drag; (0, 3) otherwise.
     """
 
     control: str
@@ -218,7 +220,9 @@ class Touch:
     arc: Array
 
 
-def resolve(gesture: Gesture, scene: Scene, config: TouchConfig, *, wander_m: float) -> Touch:
+def resolve(
+    gesture: Gesture, scene: Scene, config: TouchConfig, *, wander_m: float, turn_deg: float = math.nan
+) -> Touch:
     """Find where a gesture touches.
 
     Parameters
@@ -231,6 +235,8 @@ def resolve(gesture: Gesture, scene: Scene, config: TouchConfig, *, wander_m: fl
         The stylus.
     wander_m
         How far beside the target the tip may be while it hovers, before it has been corrected.
+    turn_deg
+        By how much a knob is to be turned, counter-clockwise positive; NaN for what the gesture says.
 
     Raises
     ------
@@ -245,12 +251,14 @@ def resolve(gesture: Gesture, scene: Scene, config: TouchConfig, *, wander_m: fl
     point, control = _surface(gesture.target, scene)
     if control is not None and control.kind in UNTOUCHABLE:
         raise Refused(f"{control.name} is a {control.kind}; connectors are never pressed")
-    if gesture.kind == "turn":
+    if gesture.kind in TURNING:
         if control is None:
             raise Refused("only a knob can be turned, and there is no control at this point")
         if control.kind not in TURNABLE:
             raise Refused(f"{control.name} is a {control.kind}; only a knob can be turned")
-        contacts = turn_points(control, gesture.argument, config)
+        contacts = turn_points(control, gesture.argument if math.isnan(turn_deg) else turn_deg, config)
+    elif gesture.to is not None:
+        contacts = _drag_points(point, control, gesture.to, scene)
     else:
         contacts = point[np.newaxis]
     low, high = scene.panel.extent
@@ -304,6 +312,20 @@ def turn_points(control: PanelControl, angle_deg: float, config: TouchConfig) ->
             np.full(steps + 1, control.height),
         ]
     )
+
+
+def _drag_points(start: Array, control: PanelControl | None, to: Point, scene: Scene) -> Array:
+    """Return (N, 3) surface points of a drag, the start first, no farther apart than DRAG_STEP_M."""
+    if control is None or control.kind not in DRAGGABLE:
+        name = "the bare face" if control is None else f"{control.name}, a {control.kind}"
+        raise Refused(f"a drag begins on {name}; only on a touch_area can be dragged")
+    end, other = _surface(to, scene)
+    if other is not control:
+        name = "the bare face" if other is None else other.name
+        raise Refused(f"the drag begins on {control.name} and ends on {name}; it must stay on one")
+    steps = max(1, math.ceil(float(np.linalg.norm(end - start)) / DRAG_STEP_M))
+    share = np.linspace(0.0, 1.0, steps + 1)[:, np.newaxis]
+    return np.asarray(start + share * (end - start))
 
 
 def highest_near(base_xy: npt.ArrayLike, scene: Scene, within_m: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from gantry_driver.core.goal_job import Fault
 from gantry_driver.core.targets import PanelMap, Scene
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
+from icu_common.core.panel_state import PanelSeen
 
 NANO = 1_000_000_000
 EXTENDED_M = 0.0005
@@ -61,6 +62,8 @@ class World:
     panel_stamp_ns: int = 0
     confidence: float = 0.0
     panel: PanelMap | None = None
+    seen: PanelSeen | None = None
+    hidden_ns: dict[str, int] = field(default_factory=dict)
     camera_from_base: Transform | None = None
     base_from_reading: Array | None = None
     unchecked: bool = True
@@ -117,6 +120,33 @@ class World:
         settled_ns = self.crossed_ns + round(config.settle_s * NANO)
         return not config.camera_on_carriage or self.panel_stamp_ns > settled_ns
 
+    def take_seen(self, seen: PanelSeen) -> None:
+        """Take what is seen of the controls, and remember since when each is hidden by something strange."""
+        self.seen = seen
+        hidden = [c.name for c in seen.controls if c.hidden_by == "something"]
+        self.hidden_ns = {name: self.hidden_ns.get(name, seen.stamp_ns) for name in hidden}
+
+    def recently_seen(self, config: ControllerConfig) -> PanelSeen | None:
+        """Return what was last seen of the controls, None when that is too long ago."""
+        fresh = self.seen is not None and self.age_s(self.seen.stamp_ns) <= config.state_max_age_s
+        return self.seen if fresh else None
+
+    def view_fault(self, config: ControllerConfig, control: str) -> Fault | None:
+        """Return what ends a gesture before the touch: something over the control, or over the whole panel."""
+        since_ns = self.hidden_ns.get(control)
+        if since_ns is not None and self.recently_seen(config) is not None:
+            assert self.seen is not None
+            hidden_s = (self.seen.stamp_ns - since_ns) / NANO
+            if hidden_s >= config.hidden_after_s:
+                return Fault(cause=f"something (a hand?) hides {control} since {hidden_s:.1f} s")
+        if self.age_s(self.panel_stamp_ns) > config.panel_max_age_s:
+            age = since(self.age_s(self.panel_stamp_ns))
+            return Fault(
+                cause=f"the panel is not recognised {age}, at most {config.panel_max_age_s:g} s are allowed: "
+                "is something before it, or too little light?"
+            )
+        return None
+
     def take_confidence(self, value: float, least: float) -> None:
         """Believe the pose that came before a good confidence; forget one that came before a bad one."""
         self.confidence = value
@@ -130,6 +160,8 @@ class World:
         self.heartbeat_ns = None
         self.camera_stamp_ns = None
         self.panel_stamp_ns = 0
+        self.seen = None
+        self.hidden_ns = {}
 
     def age_s(self, when_ns: int | None) -> float:
         """Return how long ago that was in seconds, infinite for never."""

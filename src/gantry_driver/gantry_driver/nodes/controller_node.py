@@ -36,6 +36,7 @@ from icu_common.nodes.conversions import (
     diagnostic_status,
     header,
     joint_positions,
+    panel_state_of_message,
     point_array,
     point_message,
     result_message,
@@ -81,6 +82,7 @@ class ControllerNode(Node):
         self._hear(PoseStamped, "panel/pose", qos.LATCHED, _panel_pose)
         self._hear(MarkerArray, "panel/controls", qos.LATCHED, _panel_controls)
         self._hear(Float32, "panel/confidence", qos.SENSOR, lambda m: msg.PanelConfidence(value=m.data))
+        self._hear(DiagnosticArray, "panel/state", qos.SENSOR, lambda m: msg.PanelState(seen=panel_state_of_message(m)))
         self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, _camera_from_base)
         self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, _axes)
         self._hear(PointStamped, "stylus/tip", qos.SENSOR, _tip)

@@ -115,6 +115,19 @@ class RecognitionConfig(Config):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Patches:
+    """The face's textured, visible patches: their centres (N, 2) in mm, and (N,) which look like the template."""
+
+    centres_mm: Array
+    agreeing: npt.NDArray[np.bool_]
+
+    @property
+    def agreement(self) -> float:
+        """The part that agrees; 0 where there are too few to tell."""
+        return float(self.agreeing.mean()) if len(self.agreeing) >= 8 else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Sighting:
     """The panel in one picture.
 
@@ -132,6 +145,8 @@ class Sighting:
         Their misfit under the pose.
     tracked
         Followed from the frame before rather than searched.
+    patches
+        Where on the face the print agrees.
     """
 
     rectified_from_mm: Array
@@ -140,6 +155,7 @@ class Sighting:
     points: int
     rms_px: float
     tracked: bool
+    patches: Patches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,7 +306,8 @@ class PanelRecogniser:
         level = self._level_for(homography)
         if level is None:
             return None
-        agreement = self._agreement(level, self._visible(level, pose), self._warp(rectified, homography, level))
+        patches = self._patches(level, self._visible(level, pose), self._warp(rectified, homography, level))
+        agreement = patches.agreement
         if agreement < self.config.refine.min_agreement:
             return None
         return Sighting(
@@ -300,6 +317,7 @@ class PanelRecogniser:
             points=points,
             rms_px=rms,
             tracked=tracked,
+            patches=patches,
         )
 
     def _by_corners(self, rectified: Gray, start: Array, camera: CameraModel) -> Array | None:
@@ -393,8 +411,8 @@ class PanelRecogniser:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(rectified, rectified_from_level, (width, height), flags=flags), np.uint8)
 
-    def _agreement(self, level: _Level, visible: npt.NDArray[np.bool_], warped: Gray) -> float:
-        """Return the part of the textured, visible patches whose normalised correlation is high enough."""
+    def _patches(self, level: _Level, visible: npt.NDArray[np.bool_], warped: Gray) -> Patches:
+        """Return the textured, visible patches, and whether their normalised correlation is high enough."""
         config = self.config.refine
         side = max(5, round(config.patch_mm * level.template.px_per_mm))
         a, b = (cv2.GaussianBlur(p, (0, 0), 1.0).astype(np.float32) for p in (level.template.gray, warped))
@@ -413,9 +431,12 @@ class PanelRecogniser:
         var_b = np.maximum(blocks(weight * b * b) / full - mean_b**2, 0)
         correlation = (blocks(weight * a * b) / full - mean_a * mean_b) / np.sqrt(var_a * var_b + 1e-6)
         textured = (count > 0.3 * side * side) & (var_a > 36.0)
-        if int(textured.sum()) < 8:
-            return 0.0
-        return float((correlation[textured] > config.patch_correlation).mean())
+        row, column = np.nonzero(textured)
+        centres = (np.column_stack([column, row]) + 0.5) * side - 0.5
+        return Patches(
+            centres_mm=map_points(inverse(level.template.px_from_mm), centres),
+            agreeing=np.asarray(correlation[textured] > config.patch_correlation),
+        )
 
 
 class PoseAgreement:

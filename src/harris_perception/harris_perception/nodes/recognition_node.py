@@ -12,28 +12,32 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Float32
 from visualization_msgs.msg import MarkerArray
 
-from harris_perception.core.gray import gray_of
+from harris_perception.core.gray import bgr_of, gray_of
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.recognition import PanelRecogniser, PoseAgreement, RecognitionConfig, Sighting
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, ConfigError, nested, setting
-from icu_common.core.frames import PANEL
-from icu_common.core.geometry import Transform
+from icu_common.core.frames import CAMERA_LEFT, PANEL
+from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import LayoutError, PanelLayout, load_layout
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_model,
+    check_frame,
     cloud_array,
     controls_message,
     diagnostic_status,
     header,
     image_array,
+    panel_state_message,
+    point_array,
     pose_message,
     same_camera,
     stamp_ns,
@@ -62,12 +66,20 @@ class RecognitionNodeConfig(Config):
     silence_s: float = setting(
         1.0, "Without pictures for so long the panel counts as lost", minimum=0.1, maximum=60.0, unit="s"
     )
+    tip_max_age_s: float = setting(
+        0.3,
+        "A tip seen longer before the picture does not tell what the stylus hides",
+        minimum=0.0,
+        maximum=5.0,
+        unit="s",
+    )
     recognition: RecognitionConfig = nested(RecognitionConfig)
+    state: StateConfig = nested(StateConfig)
     harris: HarrisConfig = nested(HarrisConfig)
 
 
 class RecognitionNode(Node):
-    """Publishes ``pose``, ``controls`` and ``confidence`` from ``image_raw``, ``camera_info`` and ``corners``."""
+    """Publishes ``pose``, ``controls``, ``confidence`` and ``state`` from pictures, corners and the stylus's tip."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("recognition", **options)
@@ -81,13 +93,16 @@ class RecognitionNode(Node):
         self._frames = self._with_corners = self._found = 0
         self._busy_s, self._seen = 0.0, (0, 0)
         self._sighting: Sighting | None = None
+        self._tip: tuple[int, Array] | None = None
         self._pose = self.create_publisher(PoseStamped, "pose", qos.LATCHED)
         self._controls = self.create_publisher(MarkerArray, "controls", qos.LATCHED)
+        self._state = self.create_publisher(DiagnosticArray, "state", qos.RESULTS)
         self._confidence_out = self.create_publisher(Float32, "confidence", qos.RESULTS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         self._controls.publish(controls_message(self._layout, header(self.get_clock().now().nanoseconds, PANEL)))
         self.create_subscription(CameraInfo, "camera_info", self._on_camera, qos.SENSOR)
         self.create_subscription(PointCloud2, "corners", self._on_corners, qos.SENSOR)
+        self.create_subscription(PointStamped, "tip", self._on_tip, qos.SENSOR)
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
         self.create_timer(_TICK_S, self._on_tick)
         self.create_timer(1.0, self._report)
@@ -99,6 +114,7 @@ class RecognitionNode(Node):
         except ValueError as error:
             raise ConfigError(str(error)) from error
         self._agreement = PoseAgreement(config.recognition.agreement, self._layout.size_mm)
+        self._reader = PanelReader(self._layout, config.state)
         self._detector = HarrisDetector(config.harris)
 
     def _on_config(self, config: RecognitionNodeConfig) -> None:
@@ -135,6 +151,14 @@ class RecognitionNode(Node):
             self._waiting = (message, time.monotonic() + self._live.config.corners_wait_s)
             self._try_waiting()
 
+    def _on_tip(self, message: PointStamped) -> None:
+        try:
+            check_frame(message.header, CAMERA_LEFT)
+        except ValueError as error:
+            self.get_logger().error(f"tip: {error}", throttle_duration_sec=5.0)
+            return
+        self._tip = stamp_ns(message.header.stamp), point_array(message)
+
     def _on_tick(self) -> None:
         self._try_waiting()
         if self._confidence > 0 and time.monotonic() - self._last_seen_s > self._live.config.silence_s:
@@ -164,6 +188,8 @@ class RecognitionNode(Node):
             self.get_logger().error(f"picture refused: {error}", throttle_duration_sec=5.0)
         pose = self._agreement.add(None if sighting is None else sighting.camera_from_panel)
         self._publish(sighting, pose, message)
+        if sighting is not None and pose is not None:
+            self._read(message, sighting, pose)
         self._frames += 1
         self._found += sighting is not None
         self._busy_s += time.perf_counter() - start
@@ -176,6 +202,14 @@ class RecognitionNode(Node):
         if pose is not None and message is not None:
             self._pose.publish(pose_message(pose, message.header))
         self._confidence_out.publish(Float32(data=self._confidence))
+
+    def _read(self, message: Image, sighting: Sighting, pose: Transform) -> None:
+        assert self._camera is not None
+        picture, stamp = bgr_of(image_array(message), message.encoding), stamp_ns(message.header.stamp)
+        fresh = self._tip is not None and abs(stamp - self._tip[0]) <= 1e9 * self._live.config.tip_max_age_s
+        tip = self._tip[1] if fresh and self._tip is not None else None
+        seen = self._reader.read(picture, pose, self._camera[1], stamp, patches=sighting.patches, tip=tip)
+        self._state.publish(panel_state_message(seen, message.header))
 
     def _report(self) -> None:
         frames, found = self._frames - self._seen[0], self._found - self._seen[1]

@@ -6,7 +6,10 @@ import math
 import re
 from dataclasses import dataclass
 
-GESTURES = ("press", "hold", "turn")
+GESTURES = ("press", "long", "double", "hold", "turn", "click", "set", "drag")
+TURNING = ("turn", "click", "set")
+"""Gestures that turn a knob."""
+MAX_CLICKS = 60
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _POINT = re.compile(r"([^,@]+),([^,@]+)@([A-Za-z_][A-Za-z0-9_]*)\Z")
 MAX_LENGTH = 200
@@ -27,19 +30,40 @@ class Point:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gesture:
-    """What to do (one of GESTURES), where (a control's name or a point), and seconds (hold) or degrees (turn)."""
+    """What to do, where, and how much.
+
+    Parameters
+    ----------
+    kind
+        One of GESTURES.
+    target
+        A control's name or a point.
+    argument
+        Seconds (hold), degrees counter-clockwise (turn), clicks clockwise (click), or degrees counter-clockwise from up
+        (set).
+    mark
+        The marked position of a knob, for a set without degrees.
+    to
+        Where a drag ends.
+    """
 
     kind: str
     target: str | Point
     argument: float = math.nan
+    mark: str = ""
+    to: Point | None = None
     id: str = ""
 
     def text(self) -> str:
         """Return the command's text; ``parse_gesture(g.text()) == g``."""
-        target = self.target
-        place = target if isinstance(target, str) else f"{target.x!r},{target.y!r}@{target.frame}"
-        argument = "" if math.isnan(self.argument) else f":{self.argument!r}"
-        return f"{self.kind}:{place}{argument}" + (f" id={self.id}" if self.id else "")
+        parts = [self.kind, self.target if isinstance(self.target, str) else _text(self.target)]
+        if self.to is not None:
+            parts.append(_text(self.to))
+        elif self.mark:
+            parts.append(self.mark)
+        elif not math.isnan(self.argument):
+            parts.append(repr(self.argument))
+        return ":".join(parts) + (f" id={self.id}" if self.id else "")
 
 
 def parse_gesture(text: str) -> Gesture:
@@ -56,6 +80,8 @@ def parse_gesture(text: str) -> Gesture:
     'RUN_STOP'
     >>> parse_gesture("turn:CH1_SCALE:-30 id=a1").argument
     -30.0
+    >>> parse_gesture("set:MODE:AUTO").mark
+    'AUTO'
     >>> parse_gesture("press:0.12,0.08@base_link").target
     Point(x=0.12, y=0.08, frame='base_link')
     """
@@ -73,14 +99,50 @@ def parse_gesture(text: str) -> Gesture:
     kind = parts[0]
     if kind not in GESTURES:
         raise GestureError(f"gesture {kind!r} is none of {', '.join(GESTURES)}")
-    argument = _finite(parts[2], "argument") if len(parts) == 3 else math.nan
-    if kind == "press" and not math.isnan(argument):
-        raise GestureError(f"press takes no argument, found {parts[2]!r}")
-    if kind == "turn" and (math.isnan(argument) or not 0 < abs(argument) <= 360):
-        raise GestureError(f"turn needs an angle in degrees, not zero and at most 360 either way, found {parts[2:]}")
-    if kind == "hold" and not 0 < argument <= 30:
-        raise GestureError(f"hold needs seconds above 0 and up to 30, found {parts[2:]}")
-    return Gesture(kind=kind, target=_target(parts[1]), argument=argument, id=identifier)
+    target, argument, mark, to = _target(parts[1]), math.nan, "", None
+    if kind in ("press", "long", "double"):
+        if len(parts) == 3:
+            raise GestureError(f"{kind} takes no argument, found {parts[2]!r}")
+    elif len(parts) == 2:
+        raise GestureError(f"{kind} needs {_NEEDS[kind]}, found nothing")
+    elif kind == "drag":
+        to = _point(parts[2])
+    elif kind == "set" and _NAME.match(parts[2]) and parts[2].lower() not in ("nan", "inf", "infinity"):
+        mark = parts[2]
+    else:
+        argument = _finite(parts[2], "argument")
+        if not _fits(kind, argument):
+            raise GestureError(f"{kind} needs {_NEEDS[kind]}, found {parts[2]!r}")
+    return Gesture(kind=kind, target=target, argument=argument, mark=mark, to=to, id=identifier)
+
+
+_NEEDS = {
+    "hold": "seconds above 0 and up to 30",
+    "turn": "an angle in degrees, not zero and at most 360 either way",
+    "click": f"a whole number of clicks, not zero and at most {MAX_CLICKS} either way",
+    "set": "a marked position's name or degrees from -180 to 180",
+    "drag": "the point x,y@frame where it ends",
+}
+
+
+def _fits(kind: str, argument: float) -> bool:
+    return {
+        "hold": 0 < argument <= 30,
+        "turn": 0 < abs(argument) <= 360,
+        "click": 0 < abs(argument) <= MAX_CLICKS and argument == round(argument),
+        "set": -180 <= argument <= 180,
+    }[kind]
+
+
+def _text(point: Point) -> str:
+    return f"{point.x!r},{point.y!r}@{point.frame}"
+
+
+def _point(text: str) -> Point:
+    found = _target(text)
+    if not isinstance(found, Point):
+        raise GestureError(f"drag needs {_NEEDS['drag']}, found {text!r}")
+    return found
 
 
 def _target(text: str) -> str | Point:

@@ -25,7 +25,8 @@ class Control:
     """One thing on the panel that can be touched, or that must be avoided.
 
     ``position_mm`` is the centre, ``size_mm`` (width, height) or twice the diameter for a circle. ``lit_colour`` is the
-    colour of its lamp when lit, empty without a lamp.
+    colour of its lamp when lit, empty without a lamp. A knob's clicks are ``detent_deg`` apart (0: it has none), and
+    ``marks`` are its marked positions, name and degrees, counter-clockwise from up.
     """
 
     name: str
@@ -37,6 +38,8 @@ class Control:
     label: str = ""
     colour: str = "#404448"
     lit_colour: str = ""
+    detent_deg: float = 0.0
+    marks: tuple[tuple[str, float], ...] = ()
 
     def contains_mm(self, x: float, y: float) -> bool:
         """Tell whether the point (x, y) in mm lies on the control's face."""
@@ -193,19 +196,34 @@ class _Reader:
 
     def one_control(self, entry: dict[str, Any]) -> Control:
         fields = {"name", "kind", "position_mm", "size_mm", "shape", "height_mm", "label", "colour", "lit_colour"}
-        self.known(entry, fields)
+        self.known(entry, fields | {"detent_deg", "marks_deg"})
         name = self.text(entry, "name")
         if not name.replace("_", "").isalnum() or not name[0].isalpha():
             raise self.error(entry, f"name {name!r}: a letter, then letters, digits and '_' are needed")
         x, y = self.numbers(entry, "position_mm", 2)
         width, height = self.numbers(entry, "size_mm", 2, positive=True)
+        kind, shape = self.choice(entry, "kind", CONTROL_KINDS), self.choice(entry, "shape", SHAPES, "rectangle")
+        proud = self.one_number(entry, "height_mm", 0.0)
+        detent = self.one_number(entry, "detent_deg", 0.0)
+        if not 0 <= proud <= 200:
+            raise self.error(entry, f"height_mm = {proud:g} is not within 0 to 200 mm")
+        if not 0 <= detent <= 180:
+            raise self.error(entry, f"detent_deg = {detent:g} is not within 0 to 180 degrees")
+        if kind == "knob" and shape != "circle":
+            raise self.error(entry, f"knob {name!r} is a {shape}; a knob is a circle")
+        if shape == "circle" and width != height:
+            raise self.error(entry, f"size_mm = [{width:g}, {height:g}]: a circle is as wide as high")
+        if kind != "knob" and (detent or "marks_deg" in entry):
+            raise self.error(entry, f"{name!r} is a {kind}; only a knob has detent_deg or marks_deg")
         return Control(
             name=name,
-            kind=self.choice(entry, "kind", CONTROL_KINDS),
+            kind=kind,
             position_mm=(x, y),
             size_mm=(width, height),
-            shape=self.choice(entry, "shape", SHAPES, "rectangle"),
-            height_mm=self.numbers({**entry, "height_mm": [entry.get("height_mm", 0.0)]}, "height_mm", 1)[0],
+            shape=shape,
+            height_mm=proud,
+            detent_deg=detent,
+            marks=self.marks(entry),
             label=self.text(entry, "label", ""),
             colour=self.colour(entry, "colour", "#404448"),
             lit_colour=self.colour(entry, "lit_colour", ""),
@@ -238,6 +256,23 @@ class _Reader:
             colour = self.colour(entry, "colour", "#e8ece8")
             return Text(text=self.text(entry, "text"), at_mm=(x, y), height_mm=height, colour=colour, line_mm=line_mm)
         raise self.error(entry, "artwork needs one of rectangle_mm, circle_mm, line_from_to_mm, text")
+
+    def one_number(self, entry: dict[str, Any], key: str, default: float) -> float:
+        return self.numbers({**entry, key: [entry.get(key, default)]}, key, 1)[0]
+
+    def marks(self, entry: dict[str, Any]) -> tuple[tuple[str, float], ...]:
+        given = entry.get("marks_deg", {})
+        if not isinstance(given, dict):
+            raise self.error(entry, f"marks_deg = {given!r}: a mapping of names to degrees is needed")
+        found = []
+        for name in (key for key in given if key != "__line__"):
+            if not isinstance(name, str) or not name.replace("_", "").isalnum() or not name[0].isalpha():
+                raise self.error(given, f"mark {name!r}: a letter, then letters, digits and '_' are needed")
+            degrees = self.one_number(given, name, 0.0)
+            if not -180 <= degrees <= 180:
+                raise self.error(given, f"mark {name} = {degrees:g} is not within -180 to 180 degrees")
+            found.append((name, degrees))
+        return tuple(found)
 
     def error(self, entry: dict[str, Any], what: str) -> LayoutError:
         return LayoutError(f"{self.file_name}:{entry.get('__line__', 1)}: {what}")

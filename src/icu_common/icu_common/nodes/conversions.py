@@ -21,6 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import Control, PanelLayout, rgb
+from icu_common.core.panel_state import HIDDEN_BY, ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
 
 _CHANNELS: dict[str, tuple[Any, int]] = {
@@ -348,6 +349,54 @@ def result_of_message(message: DiagnosticArray) -> GoalResult:
 
 _SHAPES = {"rectangle": Marker.CUBE, "circle": Marker.CYLINDER}
 _OUTLINE = "outline"
+
+
+def panel_state_message(seen: PanelSeen, head: Header) -> DiagnosticArray:
+    """Pack what is seen of a panel: one status for each control, named after it, with text for people and values."""
+    message = DiagnosticArray(header=head)
+    for control in seen.controls:
+        values: list[tuple[str, Any]] = [("kind", control.kind), ("hidden_by", control.hidden_by)]
+        if control.lamp:
+            values.append(("lamp", control.lamp))
+        if not math.isnan(control.angle_deg):
+            values.append(("angle_deg", f"{control.angle_deg:.2f}"))
+        if control.changed_ns:
+            values.append(("changed_ns", control.changed_ns))
+        if control.detent_deg:
+            values.append(("detent_deg", f"{control.detent_deg:g}"))
+        values += [(f"mark {name}", f"{degrees:g}") for name, degrees in control.marks]
+        level = "warn" if control.hidden_by == "something" else "ok"
+        message.status.append(diagnostic_status(control.name, level, control.text(), values))
+    return message
+
+
+def panel_state_of_message(message: DiagnosticArray) -> PanelSeen:
+    """Unpack what is seen of a panel.
+
+    Raises
+    ------
+    ValueError
+        If a control's values are missing or wrong.
+    """
+    controls = []
+    for status in message.status:
+        values = {pair.key: pair.value for pair in status.values}
+        try:
+            controls.append(
+                ControlSeen(
+                    name=status.name,
+                    kind=values["kind"],
+                    hidden_by=HIDDEN_BY[HIDDEN_BY.index(values["hidden_by"])],
+                    lamp=values.get("lamp", ""),
+                    angle_deg=float(values.get("angle_deg", "nan")),
+                    changed_ns=int(values.get("changed_ns", "0")),
+                    detent_deg=float(values.get("detent_deg", "0")),
+                    marks=tuple((k[5:], float(v)) for k, v in values.items() if k.startswith("mark ")),
+                )
+            )
+        except (KeyError, ValueError) as error:
+            raise ValueError(f"control {status.name!r}: {error}") from error
+    return PanelSeen(stamp_ns=stamp_ns(message.header.stamp), controls=tuple(controls))
 
 
 def controls_message(layout: PanelLayout, head: Header) -> MarkerArray:

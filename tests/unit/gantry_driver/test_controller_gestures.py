@@ -1,0 +1,200 @@
+"""Gestures beyond the plain press: what they do at the panel, and how what is seen of it decides about them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, MS, Bench, config
+
+from gantry_driver.core.goal_job import Phase
+from icu_common.core.results import GoalResult, Outcome
+
+
+def seeing(**changes: object) -> Bench:
+    bench = Bench(config(**changes))
+    bench.talking.add("state")
+    return bench.start()
+
+
+def details(result: GoalResult) -> dict[str, str]:
+    return dict(result.details)
+
+
+def contacts(bench: Bench, height_m: float) -> list[tuple[int, int]]:
+    """Return first and last index of each time that the tip was below a height over base_link."""
+    below = np.array([tip[2] for tip in bench.lowest]) < height_m
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], below.astype(int), [0]])))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
+
+
+BUTTON_Z = float(BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])[2]) + 0.002
+
+
+def test_double_press_touches_twice_within_half_a_second() -> None:
+    bench = Bench().start()
+    result = bench.do("double:RUN_STOP")
+    assert result.outcome is Outcome.REACHED and result.error_m < 1e-6
+    first, second = contacts(bench, BUTTON_Z)
+    down = bench.paths[1]
+    assert len(down) == 4 and down[2][2] == pytest.approx(down[3][2] - 0.004)
+    assert first[1] < second[0]
+    plunge = [a.path for a in bench.actions if hasattr(a, "path")][1]
+    assert plunge.times_s[3] - plunge.times_s[1] < 0.5, "from contact to contact"
+
+
+def test_long_press_stays_for_its_time() -> None:
+    bench = Bench().start()
+    times = {}
+    bench.on_phase[Phase.CONTACT] = lambda b: times.setdefault("down", b.now_ns)
+    bench.on_phase[Phase.LIFT] = lambda b: times.setdefault("up", b.now_ns)
+    assert bench.do("long:RUN_STOP").outcome is Outcome.REACHED
+    assert 1.5 <= (times["up"] - times["down"]) / 1e9 <= 1.6
+
+
+def test_drag_draws_a_straight_line_on_the_screen() -> None:
+    bench = Bench().start()
+    result = bench.do("drag:0.05,0.06@panel_link:0.12,0.1@panel_link")
+    assert result.outcome is Outcome.REACHED and details(result)["control"] == "SCREEN"
+    low = np.array(bench.lowest)
+    in_panel = BASE_FROM_PANEL.inverse().apply(low[low[:, 2] < BASE_FROM_PANEL.apply([0.05, 0.06, 0.0])[2] + 0.0019])
+    np.testing.assert_allclose(in_panel[0][:2], [0.05, 0.06], atol=1e-4)
+    np.testing.assert_allclose(in_panel[-1][:2], [0.12, 0.10], atol=1e-4)
+    along = (in_panel[:, :2] - [0.05, 0.06]) @ np.array([0.04, -0.07]) / math.hypot(0.04, 0.07)
+    assert np.abs(along).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("drag:RUN_STOP:0.12,0.1@panel_link", "a drag begins on RUN_STOP, a button"),
+        ("drag:SCREEN:0.208,0.127@panel_link", "begins on SCREEN and ends on RUN_STOP"),
+        ("drag:0.2,0.01@panel_link:0.12,0.1@panel_link", "the bare face"),
+        ("click:RUN_STOP:2", "RUN_STOP has no clicks"),
+        ("click:CH1_SCALE:30", "30 clicks of 18 degrees are more than a whole turn"),
+        ("click:SINGLE:1", "nothing is seen of SINGLE"),
+        ("set:CH1_SCALE:DOWN", "CH1_SCALE has no mark 'DOWN'; it has UP, LEFT"),
+        ("set:CH9:UP", "unknown control 'CH9'"),
+        ("set:0.2,0.1@panel_link:30", "set needs a knob's name"),
+    ],
+)
+def test_refusals(command: str, words: str) -> None:
+    bench = seeing()
+    result = bench.do(command)
+    assert result.outcome is Outcome.REJECTED and words in result.reason, result.reason
+    assert bench.paths == []
+
+
+@pytest.mark.parametrize(("start", "goal"), [(20.0, 90.0), (-170.0, 160.0), (80.0, -60.0), (0.0, 5.0)])
+@pytest.mark.parametrize("slips", [0.0, 0.15])
+def test_a_knob_is_set_by_turning_looking_and_correcting(start: float, goal: float, slips: float) -> None:
+    bench = seeing()
+    bench.knob_deg, bench.knob_slips = start, slips
+    bench.backlash = np.array([0.0002, 0.00015])
+    bench.run(0.5)
+    result = bench.do(f"set:CH1_SCALE:{goal}")
+    assert result.outcome is Outcome.REACHED, result
+    assert abs((bench.knob_deg - goal + 180) % 360 - 180) <= 2.0
+    assert float(details(result)["knob_deg"]) == pytest.approx(bench.knob_deg, abs=0.01)
+    assert int(details(result)["turns"]) >= 1
+
+
+def test_a_knob_is_set_to_a_mark_and_left_alone_when_it_stands_there() -> None:
+    bench = seeing()
+    assert bench.do("set:CH1_SCALE:LEFT").outcome is Outcome.REACHED
+    assert bench.knob_deg == pytest.approx(90, abs=2)
+    sent = len(bench.paths)
+    again = bench.do("set:CH1_SCALE:LEFT")
+    assert again.outcome is Outcome.REACHED and details(again)["turns"] == "0" and len(bench.paths) == sent
+
+
+def test_a_knob_under_the_stylus_is_looked_at_from_aside_first() -> None:
+    bench = seeing()
+    assert bench.do("press:CH1_SCALE").outcome is Outcome.REACHED
+    bench.run(0.5)
+    assert bench.do("set:CH1_SCALE:-40").outcome is Outcome.REACHED
+    assert bench.knob_deg == pytest.approx(-40, abs=2)
+
+
+def test_a_knob_that_does_not_follow_is_given_up_with_what_is_seen() -> None:
+    bench = seeing()
+    bench.knob_slips = 1.0
+    result = bench.do("set:CH1_SCALE:80")
+    assert result.outcome is Outcome.ABORTED
+    assert "CH1_SCALE stands 60.0 degrees off after 5 turns, 2 are allowed" in result.reason
+    assert bench.readings[2] == 0.0
+
+
+def test_clicks_are_clockwise_detents() -> None:
+    bench = seeing()
+    result = bench.do("click:CH1_SCALE:2")
+    assert result.outcome is Outcome.REACHED, result
+    assert bench.knob_deg == pytest.approx(20 - 36, abs=2)
+
+
+def test_a_turn_is_corrected_by_what_is_seen() -> None:
+    bench = seeing()
+    bench.knob_slips = 0.2
+    result = bench.do("turn:CH1_SCALE:60")
+    assert result.outcome is Outcome.REACHED and int(details(result)["turns"]) >= 2
+    assert bench.knob_deg == pytest.approx(80, abs=2)
+
+
+def test_a_marker_that_stays_unseen_is_a_failure() -> None:
+    bench = seeing()
+    bench.on_phase[Phase.TURN] = lambda b: b.hidden.update(CH1_SCALE="stylus")
+    result = bench.do("turn:CH1_SCALE:30")
+    assert result.outcome is Outcome.ABORTED and "the marker of CH1_SCALE was not seen within 3 s" in result.reason
+
+
+def test_the_effect_is_reported_and_can_be_required() -> None:
+    bench = seeing()
+    bench.on_phase[Phase.CONTACT] = lambda b: setattr(b, "lamp", "red")
+    assert details(bench.do("press:RUN_STOP"))["effect"] == "lamp green -> red"
+    assert details(bench.do("press:RUN_STOP"))["effect"] == "none seen"
+    bench.on_phase[Phase.LIFT] = lambda b: setattr(b, "screen_changed_ns", b.now_ns)
+    assert details(bench.do("press:SINGLE"))["effect"] == "screen changed"
+    strict = seeing(require_effect=True)
+    result = strict.do("press:RUN_STOP")
+    assert result.outcome is Outcome.ABORTED and "no effect was seen within 0.6 s" in result.reason
+
+
+def test_a_hidden_control_is_waited_for_and_then_refused() -> None:
+    bench = seeing()
+    bench.hidden["RUN_STOP"] = "something"
+    bench.run(0.5)
+    bench.on_phase[Phase.WAIT] = lambda b: b.hidden.clear()
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+    bench.hidden["RUN_STOP"] = "something"
+    bench.run(0.5)
+    sent = len(bench.paths)
+    result = bench.do("press:RUN_STOP")
+    assert result.outcome is Outcome.ABORTED and "hides RUN_STOP" in result.reason, result
+    assert "nothing was moved" in result.reason and len(bench.paths) == sent
+
+
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK])
+def test_a_hand_that_comes_between_ends_the_gesture_above_the_panel(phase: Phase) -> None:
+    bench = seeing(look_timeout_s=20.0)
+    bench.on_phase[phase] = lambda b: (b.hidden.update(RUN_STOP="something"), b.talking.discard("tip"))
+    result = bench.do("press:RUN_STOP")
+    assert result.outcome is Outcome.ABORTED and "something (a hand?) hides RUN_STOP" in result.reason, result
+    assert bench.readings[2] == 0.0 and contacts(bench, BUTTON_Z) == []
+
+
+def test_a_panel_out_of_sight_ends_the_gesture_above_it() -> None:
+    bench = seeing(look_timeout_s=20.0)
+    bench.on_phase[Phase.LOOK] = lambda b: (setattr(b, "confidence", 0.0), b.talking.discard("tip"))
+    result = bench.do("press:RUN_STOP")
+    assert result.outcome is Outcome.ABORTED and "the panel is not recognised for 2" in result.reason, result
+    assert bench.readings[2] == 0.0
+
+
+def test_old_states_are_not_believed() -> None:
+    bench = seeing()
+    bench.talking.discard("state")
+    bench.now_ns += 1500 * MS
+    bench.run(0.3)
+    result = bench.do("click:CH1_SCALE:1")
+    assert result.outcome is Outcome.REJECTED and "nothing is seen of CH1_SCALE" in result.reason

@@ -1,0 +1,137 @@
+"""Lamps, knob markers, screens and what hides them, read from pictures of the bench with known state."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from harris_perception.core.panel_state import PanelReader
+from harris_perception.core.recognition import Patches
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.geometry import Transform
+from icu_common.core.panel_layout import load_layout
+from icu_common.core.panel_state import PanelSeen
+from scope_bench.core.configuration import BenchConfig, LightConfig
+from scope_bench.core.instrument import InstrumentState
+from scope_bench.core.renderer import Moment, Renderer, base_from_panel
+
+LAYOUT = load_layout(Path(__file__).parents[3] / "config" / "scopes" / "dso_bench_4.yaml")
+KNOBS = [c.name for c in LAYOUT.controls if c.kind == "knob"]
+AWAY = (0.01, 0.01, 0.0)
+
+
+class Scene:
+    """A renderer, the true pose, and a reader that looks at picture after picture, five a second."""
+
+    def __init__(self, **light: Any) -> None:
+        self.config = BenchConfig(light=LightConfig(**light))
+        self.panel_from = base_from_panel(self.config.panel)
+        self.renderer = Renderer(LAYOUT, self.config, self.panel_from)
+        rig = self.renderer.rig
+        self.camera_from_base = rig.rectified_left_from_base()
+        values = rig.calibration("left")
+        matrices = {k: np.array(values[k]["data"]).reshape(values[k]["rows"], -1) for k in values if "matrix" in k}
+        self.camera = CameraModel(
+            name="left",
+            width=1280,
+            height=720,
+            k=matrices["camera_matrix"],
+            d=np.array(values["distortion_coefficients"]["data"]),
+            r=matrices["rectification_matrix"],
+            p=matrices["projection_matrix"],
+        )
+        self.reader = PanelReader(LAYOUT)
+        self.count = 0
+
+    def look(
+        self, state: InstrumentState, tip: Any = AWAY, patches: Patches | None = None, *, tip_seen: bool = True
+    ) -> PanelSeen:
+        self.count += 1
+        left, _ = self.renderer.render(Moment(tip=tuple(float(v) for v in tip), state=state, now_s=0.2 * self.count))
+        pose: Transform = self.camera_from_base @ self.panel_from
+        seen_tip = self.camera_from_base.apply(np.array(tip)) if tip_seen else None
+        return self.reader.read(left, pose, self.camera, self.count, patches=patches, tip=seen_tip)
+
+
+def lamps(seen: PanelSeen) -> dict[str, str]:
+    return {c.name: c.lamp for c in seen.controls if c.lamp}
+
+
+@pytest.mark.parametrize("level", [1.0, 0.25])
+def test_lamps_in_bright_and_dim_light(level: float) -> None:
+    scene = Scene(level=level)
+    assert lamps(scene.look(InstrumentState())) == {"RUN_STOP": "green", "CH1": "yellow", "CH2": "cyan"}
+    stopped = InstrumentState(running=False, channels=(False, True))
+    assert lamps(scene.look(stopped)) == {"RUN_STOP": "red", "CH1": "off", "CH2": "cyan"}
+
+
+@pytest.mark.parametrize(("level", "limit"), [(1.0, 1.0), (0.35, 1.5)])
+def test_knob_markers_to_a_degree(level: float, limit: float) -> None:
+    scene, rng = Scene(level=level), np.random.default_rng(7)
+    errors = []
+    for _ in range(4):
+        truth = {name: float(rng.uniform(-180, 180)) for name in KNOBS}
+        seen = scene.look(InstrumentState(knobs=tuple(sorted(truth.items()))))
+        for name, angle in truth.items():
+            control = seen.control(name)
+            assert control is not None
+            errors.append(abs((control.angle_deg - angle + 180) % 360 - 180))
+    print(f"light {level}: mean {np.mean(errors):.2f}, greatest {max(errors):.2f} degrees")
+    assert max(errors) < limit
+
+
+def test_a_running_trace_is_no_change_of_the_screen_but_its_stop_is() -> None:
+    scene, running = Scene(), InstrumentState()
+    assert [scene.look(running).changed_ns() for _ in range(14)][-1] == 0
+    stopped = dataclasses.replace(running, running=False, phase_s=2.8)
+    seen = [scene.look(stopped).changed_ns() for _ in range(3)]
+    assert seen[-1] == 15, "the first picture with the new look"
+    menu = dataclasses.replace(stopped, menu="MENU")
+    assert [scene.look(menu).changed_ns() for _ in range(2)][-1] == 18
+
+
+def test_the_arm_over_the_screen_is_no_change_of_it() -> None:
+    scene = Scene()
+    still = InstrumentState(running=False)
+    for _ in range(6):
+        scene.look(still)
+    for x in np.linspace(0.03, 0.17, 8):
+        tip = scene.panel_from.apply([x, 0.06, 0.035])
+        assert scene.look(still, tip).changed_ns() == 0, x
+
+
+def test_what_the_stylus_hides_is_not_read() -> None:
+    scene = Scene()
+    for name, height in (("RUN_STOP", 0.005), ("CH1_SCALE", 0.017)):
+        control = LAYOUT.control(name)
+        tip = scene.panel_from.apply([*(np.array(control.position_mm) / 1000), height])
+        seen = scene.look(InstrumentState(), tip).control(name)
+        assert seen is not None and seen.hidden_by == "stylus" and seen.lamp == "" and np.isnan(seen.angle_deg)
+
+
+def test_a_hand_hides_what_it_lies_on_and_nothing_else() -> None:
+    scene = Scene()
+    width, height = LAYOUT.size_mm
+    places = np.array([(x, y) for x in np.arange(3, width, 6) for y in np.arange(3, height, 6)])
+    free = Patches(centres_mm=places, agreeing=np.ones(len(places), bool))
+    for _ in range(2):
+        assert all(c.hidden_by == "" for c in scene.look(InstrumentState(), patches=free).controls)
+    scene.renderer.hide((195.0, 80.0, 60.0, 60.0))
+    inside = (np.abs(places - (225, 122)) < 30).all(axis=1)
+    covered = Patches(centres_mm=places, agreeing=~inside)
+    hidden = {c.name for c in scene.look(InstrumentState(), patches=covered).controls if c.hidden_by == "something"}
+    assert {"RUN_STOP", "SINGLE", "CH1_SCALE", "CH2_SCALE"} <= hidden
+    assert not hidden & {"MENU", "CH1", "CH1_POSITION", "TRIG_LEVEL", "MATH", "CH1_IN", "SCREEN"}, hidden
+    scene.renderer.hide(None)
+    assert all(c.hidden_by == "" for c in scene.look(InstrumentState(), patches=free).controls)
+
+
+def test_dimmed_light_hides_nothing() -> None:
+    scene = Scene()
+    scene.look(InstrumentState())
+    scene.renderer.relight(dataclasses.replace(scene.config.light, level=0.4))
+    assert all(c.hidden_by == "" for c in scene.look(InstrumentState()).controls)
