@@ -15,10 +15,13 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rows import OUT, Row, bound, row, write
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from virtual_robot import VirtualRobot
 
 from gantry_driver.core.goal_job import LOOKING, Phase
@@ -26,6 +29,8 @@ from icu_common.core.panel_layout import PanelLayout
 from icu_common.core.results import Outcome
 
 REFERENCE_MM = 5.94
+LOOK_EVERY = 5
+"""Touches between two looks of recognition at the whole panel, which stands still here."""
 SPLIT = {
     "move": (Phase.APPROACH, Phase.CORRECT, Phase.LIFT),
     "look": (Phase.LOOK, Phase.MEASURE),
@@ -69,7 +74,9 @@ def touches(seed: int, count: int) -> list[dict[str, Any]]:
         else:
             x, y = free_point(layout, rng)
             name, text = meant(layout, x, y), f"press:{x / 1000!r},{y / 1000!r}@panel_link"
-        robot.look_at_panel()
+        if number % LOOK_EVERY == 0:
+            robot.look_at_panel()
+        robot.run_for(1.0)
         robot.take_records()
         robot.phases.clear()
         result = robot.command(text)
@@ -87,6 +94,51 @@ def touches(seed: int, count: int) -> list[dict[str, Any]]:
             entry |= {part: sum(robot.phases.get(p.value, 0.0) for p in phases) for part, phases in SPLIT.items()}
         done.append(entry)
     return done
+
+
+def machine(seed: int, touch_count: int, knob_count: int) -> dict[str, list[dict[str, Any]]]:
+    """Return what one machine did."""
+    return {"touches": touches(seed, touch_count), "knobs": knobs(seed, knob_count) if knob_count else []}
+
+
+def _record(seed: int) -> Path:
+    return OUT / f"operating_machine_{seed}.json"
+
+
+def knobs(seed: int, count: int) -> list[dict[str, Any]]:
+    """Set knobs of one robot to random angles and return what happened to each."""
+    robot = VirtualRobot(seed)
+    robot.prepare()
+    rng = np.random.default_rng(2000 + seed)
+    names = [c.name for c in robot.layout.controls if c.kind == "knob"]
+    done = []
+    for number in range(count):
+        name, goal = names[number % len(names)], round(float(rng.uniform(-180, 180)), 1)
+        robot.look_at_panel()
+        robot.take_records()
+        result = robot.command(f"set:{name}:{goal}")
+        off = (robot.bench.state.knob_deg(name) - goal + 180) % 360 - 180
+        touched = {r["control"] for r in robot.take_records() if r["event"] in ("contact", "press", "collision")}
+        entry = {"goal": f"set:{name}:{goal}", "outcome": result.outcome.value, "reason": result.reason}
+        entry |= {"off_deg": abs(off), "time_s": result.duration_s, "wrong": sorted(touched - {name})}
+        entry["turns"] = int(dict(result.details).get("turns", "0"))
+        done.append(entry)
+    return done
+
+
+def knob_rows(all_knobs: list[list[dict[str, Any]]]) -> list[Row]:
+    """Return the rows about knobs."""
+    flat = [k for of_seed in all_knobs for k in of_seed]
+    off, times = [k["off_deg"] for k in flat], [k["time_s"] for k in flat]
+    reached = 100 * sum(k["outcome"] == "reached" for k in flat) / len(flat)
+    return [
+        bound(f"knobs set, of {len(flat)} [%]", reached, 100, at_least=True),
+        bound("knob's true angle off, greatest [deg]", float(max(off)), 3.0),
+        row("knob's true angle off, mean [deg]", float(np.mean(off)), None, ""),
+        row("setting a knob, p50 [s]", float(np.percentile(times, 50)), None, ""),
+        row("setting a knob, p95 [s]", float(np.percentile(times, 95)), None, ""),
+        bound("knobs: another control touched", float(sum(bool(k["wrong"]) for k in flat)), 0),
+    ]
 
 
 def summary(seeds: Sequence[int], all_touches: list[list[dict[str, Any]]]) -> list[Row]:
@@ -119,18 +171,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5])
     parser.add_argument("--touches", type=int, default=200, help="of each seed")
+    parser.add_argument("--knobs", type=int, default=14, help="of each seed")
+    parser.add_argument("--keep", action="store_true", help="take the records of machines that have run before")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args(arguments)
     OUT.mkdir(exist_ok=True)
+    wanted = [s for s in options.seeds if not (options.keep and _record(s).exists())]
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        results = list(pool.map(touches, options.seeds, [options.touches] * len(options.seeds)))
-    (OUT / "operating_touches.json").write_text(json.dumps(dict(zip(map(str, options.seeds), results)), indent=1))
+        for seed, record in zip(wanted, pool.map(machine, wanted, [options.touches] * 99, [options.knobs] * 99)):
+            _record(seed).write_text(json.dumps(record, indent=1))
+    records = [json.loads(_record(seed).read_text()) for seed in options.seeds]
+    results, turned = [r["touches"] for r in records], [r["knobs"] for r in records]
+    for entry in (k for of_seed in turned for k in of_seed):
+        if entry["outcome"] != "reached" or entry["off_deg"] > 3 or entry["wrong"]:
+            print(entry)
     for seed, entries in zip(options.seeds, results):
         for entry in entries:
             if "error_mm" not in entry or entry["wrong"] or entry["collisions"] or entry["error_mm"] > 0.5:
                 print(seed, entry)
     title = f"{options.touches} touches on each of {len(options.seeds)} simulated machines"
-    return 0 if write("operating", summary(options.seeds, results), title=title) else 1
+    rows = summary(options.seeds, results) + (knob_rows(turned) if any(turned) else [])
+    return 0 if write("operating", rows, title=title) else 1
 
 
 if __name__ == "__main__":

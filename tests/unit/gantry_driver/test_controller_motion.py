@@ -45,7 +45,7 @@ def test_plunge_follow_and_lift() -> None:
     np.testing.assert_allclose(near.points, [[0.1, 0.1, 0.03]])
     np.testing.assert_allclose(lift(start, CONFIG).points, [[0.1, 0.1, 0.0]])
     arc = np.array([[0.1, 0.101, 0.02], [0.101, 0.101, 0.02]])
-    path = follow(start, arc, CONFIG)
+    path = follow(start, arc, 0.005, CONFIG)
     np.testing.assert_allclose(path.points, arc)
     np.testing.assert_allclose(path.times_s, [0.2, 0.4])
 

@@ -571,7 +571,9 @@ class Controller:
             if job.knob is not None:
                 job.knob.turns += 1
             arc = job.readings_at(job.touch.arc)
-            self._try(job, Phase.TURN, lambda: motion_plan.follow(self._world.here, arc, self.config.motion))
+            motion = self.config.motion
+            speed = motion.drag_speed_m_s if job.kind == "drag" else motion.turn_speed_m_s
+            self._try(job, Phase.TURN, lambda: motion_plan.follow(self._world.here, arc, speed, motion))
 
     def _measure_contact(self, job: Job) -> bool:
         """Measure the error at contact; return whether it is good, else leave the reason in ``job.complaint``."""
@@ -594,10 +596,13 @@ class Controller:
             self._finish(job, Outcome.ABORTED, f"{job.complaint}; the stylus is up")
         elif job.knob is not None and not math.isnan(job.knob.goal_deg):
             self._move_aside()
-        elif job.knob is None and job.before is not None and self.config.effect_wait_s > 0:
+        elif job.knob is None and job.before is not None and self._may_have_effect(job):
             self._read(job, self.config.effect_wait_s)
         else:
             self._finish(job, Outcome.REACHED)
+
+    def _may_have_effect(self, job: Job) -> bool:
+        return self.config.effect_wait_s > 0 and job.touch is not None and job.touch.control != ""
 
     def _judge_effect(self, job: Job) -> None:
         if job.knob is not None:

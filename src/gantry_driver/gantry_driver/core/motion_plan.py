@@ -41,6 +41,7 @@ class MotionConfig(Config):
         0.003, "Last part of the way into contact, at touch_speed_m_s", minimum=0.0, maximum=0.05, unit="m"
     )
     turn_speed_m_s: float = setting(0.015, "Speed along a knob's arc", minimum=0.0005, maximum=0.1, unit="m/s")
+    drag_speed_m_s: float = setting(0.06, "Speed of a drag on a screen", minimum=0.0005, maximum=0.5, unit="m/s")
     approach_m: float = setting(
         0.001, "Way in x and y by which every aim is approached from -x, -y", minimum=0.0, maximum=0.01, unit="m"
     )
@@ -132,11 +133,11 @@ def aside(start: Array, by_m: float, config: MotionConfig) -> Path:
     return steps.path(config)
 
 
-def follow(start: Array, points: Array, config: MotionConfig) -> Path:
-    """Follow (N, 3) readings at the speed for knobs."""
+def follow(start: Array, points: Array, speed_m_s: float, config: MotionConfig) -> Path:
+    """Follow (N, 3) readings in contact."""
     steps = _Steps(start)
     for point in points:
-        steps.to(point, config.turn_speed_m_s)
+        steps.to(point, speed_m_s)
     return steps.path(config)
 
 

@@ -3,8 +3,8 @@
 Real are the controller, the driver with its G-code and protocol, the mock board with its planner, the bench (hidden
 errors, contacts, pictures), the stylus tracker, recognition and the hand-eye procedure. Left out are the processes
 between them; what those cost is a delay here: a picture's results come ``PICTURE_S`` after its exposure, a message
-takes ``MESSAGE_S``. Pictures are drawn only while somebody waits for them, and recognition looks at the panel a few
-times before each goal instead of all the time (its last answer is repeated at 5 Hz).
+takes ``MESSAGE_S``. Pictures are drawn only while somebody waits for them: recognition looks at the panel before each
+goal and while an effect is waited for; in between its last answer is repeated (all the time with ``watch_panel``).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import yaml
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller import Controller
 from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import LOOKING
+from gantry_driver.core.goal_job import LOOKING, UP, Phase
 from gantry_driver.core.machine import Answered, Machine, Position, StateChanged
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.targets import PanelMap
@@ -33,7 +33,8 @@ from gantry_driver.mock.settings import make_eeprom
 from harris_perception.core.calibration_run import CalibrationRun, Failed, Finished, RunConfig, SendGoal, StillConfig
 from harris_perception.core.hand_eye import HandEyeConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.recognition import PanelRecogniser, PoseAgreement, RecognitionConfig
+from harris_perception.core.panel_state import PanelReader, StateConfig
+from harris_perception.core.recognition import PanelRecogniser, PoseAgreement, RecognitionConfig, Sighting
 from harris_perception.core.stylus import StylusConfig, StylusTracker
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import from_mapping
@@ -54,6 +55,8 @@ MESSAGE_S = 0.002
 TICK_S = 0.05
 HEARTBEAT_S = 0.2
 PANEL_S = 0.2
+PANEL_LATE_S = 0.1
+"""From exposure to what recognition says about it."""
 SAMPLE_S = 0.004
 PANEL_LOOKS = 6
 Event = Callable[[], None]
@@ -106,9 +109,12 @@ class VirtualRobot:
         stereo = StereoModel(left=self.cameras[0], right=self.cameras[1])
         self.tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), stereo)
         looks = parameters("recognition")
-        inner = {k.partition(".")[2]: v for k, v in looks.items() if k.startswith("recognition.")}
-        self._recognition = from_mapping(RecognitionConfig, inner)
+        self._recognition = from_mapping(RecognitionConfig, _part(looks, "recognition"))
         self.recogniser = PanelRecogniser(self.layout, self._recognition)
+        self.reader = PanelReader(self.layout, from_mapping(StateConfig, _part(looks, "state")))
+        self._sighting: Sighting | None = None
+        self._tip: np.ndarray | None = None
+        self.heart = self.camera_on = True
         self._detector = HarrisDetector(HarrisConfig())
         self.controller = Controller(from_mapping(ControllerConfig, parameters("gantry_controller")))
         self.driver = Machine(from_mapping(DriverConfig, {**parameters("serial_driver"), "enabled_at_start": True}))
@@ -124,6 +130,8 @@ class VirtualRobot:
         self._queue: list[tuple[float, int, Event]] = []
         self._number = itertools.count()
         self._pose: Any = None
+        self._panel_stamp = 0
+        self.watch_panel = False
         self._confidence = 0.0
         self._phase_s = 0.0
         self._sampled_s = -math.inf
@@ -133,7 +141,7 @@ class VirtualRobot:
         self._every(HEARTBEAT_S, self._beat)
         self._every(TICK_S, lambda: self._tell(msg.Tick()))
         self._every(FRAME_S, self._expose)
-        self._every(PANEL_S, self._say_panel)
+        self._every(PANEL_S, self._every_panel)
 
     # What a user does
 
@@ -145,7 +153,7 @@ class VirtualRobot:
         self.until(lambda: self.driver.state == "idle", 60.0)
         own = parameters("hand_eye")
         parts = [
-            from_mapping(kind, {k.partition(".")[2]: v for k, v in own.items() if k.startswith(name + ".")})
+            from_mapping(kind, _part(own, name))
             for name, kind in (("run", RunConfig), ("still", StillConfig), ("solver", HandEyeConfig))
         ]
         self._procedure = CalibrationRun(parts[0], parts[1], parts[2], self.now_ns)
@@ -166,17 +174,26 @@ class VirtualRobot:
         return next(r for r in self.results[count:] if r.outcome.final)
 
     def look_at_panel(self, times: int = PANEL_LOOKS) -> None:
-        """Let recognition look at pictures of now."""
-        agreement = PoseAgreement(self._recognition.agreement, self.layout.size_mm)
-        pose = sighting = None
+        """Let recognition look at picture after picture, as it does all the time in the graph."""
+        self._agreement = PoseAgreement(self._recognition.agreement, self.layout.size_mm)
         for _ in range(times):
-            left, _ = self._pictures(self.now)
-            gray = cv2.cvtColor(left, cv2.COLOR_BGR2GRAY)
-            sighting = self.recogniser.locate(gray, self._detector.detect(gray).xy, self.cameras[0])
-            pose = agreement.add(None if sighting is None else sighting.camera_from_panel)
-        self._pose = pose
-        self._confidence = sighting.agreement if sighting is not None and pose is not None else 0.0
-        self._say_panel()
+            self.run_for(PANEL_S)
+            self._recognise(self.now_ns, self.now)
+
+    def _recognise(self, stamp: int, exposed: float) -> None:
+        left, right = self._pictures(exposed)
+        gray = cv2.cvtColor(left, cv2.COLOR_BGR2GRAY)
+        self._sighting = self.recogniser.locate(gray, self._detector.detect(gray).xy, self.cameras[0])
+        found = self._sighting
+        pose = self._agreement.add(None if found is None else found.camera_from_panel)
+        self._pose = pose if pose is not None else self._pose
+        self._confidence = found.agreement if found is not None and pose is not None else 0.0
+        if found is not None and pose is not None:
+            tip = self.tracker.find(left, right).tip
+            seen = self.reader.read(left, pose, self.cameras[0], stamp, patches=found.patches, tip=tip)
+            self._tell(msg.PanelState(seen=seen))
+        self._panel_stamp = stamp
+        self._say_panel_now()
 
     def until(self, condition: Callable[[], Any], within_s: float) -> None:
         """Let time pass until the condition holds."""
@@ -304,6 +321,8 @@ class VirtualRobot:
                 raise RuntimeError(f"calibration failed: {action.reason}")
 
     def _beat(self) -> None:
+        if not self.heart:
+            return
         self.driver.heartbeat(self.now)
         self._tell(msg.Heartbeat())
 
@@ -313,6 +332,8 @@ class VirtualRobot:
         return self.renderer.render(self.bench.moment(time_s))
 
     def _expose(self) -> None:
+        if not self.camera_on:
+            return
         stamp, exposed = self.now_ns, self.now
         self._after(PICTURE_S, lambda: self._see(stamp, exposed))
 
@@ -329,12 +350,26 @@ class VirtualRobot:
             if self._procedure is not None:
                 self._act(self._procedure.tip(stamp, found.tip, self.now_ns))
 
-    def _say_panel(self) -> None:
+    def _every_panel(self) -> None:
         if self._procedure is not None:
             self._act(self._procedure.tick(self.now_ns))
-        if self._pose is None:
+        if self._pose is None or not self.camera_on:
             return
+        wanted = self.watch_panel or self.controller.phase in (*UP, Phase.READ, Phase.WAIT)
+        stamp, exposed = self.now_ns, self.now
+        if wanted:
+            self._after(PANEL_LATE_S, lambda: self._recognise(stamp, exposed))
+        else:
+            self._panel_stamp = stamp
+            self._say_panel_now()
+
+    def _say_panel_now(self) -> None:
         outline = np.array([(0, 0), self.layout.size_mm]) / 1000
         self._tell(msg.PanelControls(panel=PanelMap.of(self.layout.controls, outline)))
-        self._tell(msg.PanelPose(camera_from_panel=self._pose, stamp_ns=self.now_ns))
+        if self._confidence > 0:
+            self._tell(msg.PanelPose(camera_from_panel=self._pose, stamp_ns=self._panel_stamp))
         self._tell(msg.PanelConfidence(value=self._confidence))
+
+
+def _part(values: dict[str, Any], name: str) -> dict[str, Any]:
+    return {k.partition(".")[2]: v for k, v in values.items() if k.startswith(name + ".")}
