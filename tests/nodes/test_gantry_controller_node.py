@@ -42,7 +42,7 @@ def test_move_before_calibration(ros: Any) -> None:
         positions(bench)[0], [[0.119, 0.079, 0.0], [0.12, 0.08, 0.0], [0.12, 0.08, 0.01]], atol=1e-12
     )
     times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in trajectory.points]
-    way = [np.hypot(0.119, 0.079) / 0.12, np.hypot(0.001, 0.001) / 0.12, 0.01 / 0.04]
+    way = [np.hypot(0.119, 0.079) / 0.18, np.hypot(0.001, 0.001) / 0.18, 0.01 / 0.05]
     np.testing.assert_allclose(times, np.cumsum(way), atol=1e-6)
     ros.spin_until(lambda: bench.targets, 5.0)
     assert bench.targets[-1].header.frame_id == BASE
@@ -63,7 +63,7 @@ def test_press_with_a_correction(ros: Any) -> None:
     approach, correction, down, up = positions(bench)
     np.testing.assert_allclose(approach[-1], [x, y, hover], atol=1e-7)
     np.testing.assert_allclose(correction[-1], [x - 0.0006, y + 0.0004, hover], atol=1e-7)
-    np.testing.assert_allclose(down, [[x - 0.0006, y + 0.0004, touch]], atol=1e-7)
+    np.testing.assert_allclose(down[-1], [x - 0.0006, y + 0.0004, touch], atol=1e-7)
     np.testing.assert_allclose(up, [[x - 0.0006, y + 0.0004, 0.0]], atol=1e-7)
     assert result.error_m < 1e-6 and dict(result.details)["control"] == "RUN_STOP"
     bench.spin_until_state("ready")

@@ -50,6 +50,17 @@ def test_good_layout() -> None:
         ('"#00ff00"', '"green"', r"f\.yaml:4: lit_colour = 'green'"),
         ("name: RUN\n", "name: ON\n", r"f\.yaml:4: name = True: a text is needed"),
         ("size_mm: [100, 50]\n", "size_mm: [100, 50]\nsize_mm: [1, 1]\n", r"f\.yaml:3: key 'size_mm' stands twice"),
+        ("    shape: circle\n", "", r"f\.yaml:10: knob 'KNOB' is a rectangle; a knob is a circle"),
+        ("size_mm: [20, 20]", "size_mm: [20, 18]", r"f\.yaml:10: size_mm = \[20, 18\]: a circle is as wide as high"),
+        ("height_mm: 3\n", "height_mm: -1\n", r"f\.yaml:4: height_mm = -1 is not within 0 to 200 mm"),
+        ("height_mm: 3\n", "detent_deg: 3\n", r"f\.yaml:4: 'RUN' is a button; only a knob has detent_deg"),
+        ("shape: circle\n", "shape: circle\n    detent_deg: 200\n", r"f\.yaml:10: detent_deg = 200 is not within"),
+        ("shape: circle\n", "shape: circle\n    marks_deg: [1]\n", r"f\.yaml:10: marks_deg = \[1\]: a mapping"),
+        (
+            "shape: circle\n",
+            "shape: circle\n    marks_deg:\n      LOW: 0\n      HIGH: 190\n",
+            r"f\.yaml:14: mark HIGH = 190 is not within -180 to 180 degrees",
+        ),
         ("kind: knob", "kind: [knob", r"f\.yaml:\d+: "),
     ],
 )
@@ -57,3 +68,9 @@ def test_errors_name_the_line(old: str, new: str, message: str) -> None:
     assert old in GOOD
     with pytest.raises(LayoutError, match=message):
         parse_layout(GOOD.replace(old, new, 1), "f.yaml")
+
+
+def test_marks_of_a_knob() -> None:
+    text = GOOD.replace("shape: circle\n", "shape: circle\n    detent_deg: 30\n    marks_deg: {LOW: 60, HIGH: -60}\n")
+    knob = parse_layout(text).control("KNOB")
+    assert knob.detent_deg == 30 and knob.marks == (("LOW", 60.0), ("HIGH", -60.0))

@@ -20,7 +20,7 @@ from scope_bench.core.instrument import (
     turn,
 )
 
-SIZE = screen.size_px((170.0, 105.0))
+SIZE = screen.SIZE_PX
 
 
 def test_run_stop_toggles_and_keeps_the_moment() -> None:

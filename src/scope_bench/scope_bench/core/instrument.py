@@ -32,7 +32,7 @@ class InstrumentState:
 
     ``phase_s`` is the signal time at which the picture of a stopped trace was taken; ``marker`` is the last touch on
     the screen as shares of its width and height from its lower left corner; ``knobs`` holds the turn of each knob in
-    degrees, counter-clockwise positive, and ``held`` the buttons that are down.
+    degrees, counter-clockwise positive, ``held`` the buttons that are down, and ``lit`` the lamps switched by a press.
     """
 
     running: bool = True
@@ -54,6 +54,7 @@ class InstrumentState:
     knobs: tuple[tuple[str, float], ...] = ()
     held: tuple[tuple[str, float], ...] = ()
     acted: tuple[str, ...] = ()
+    lit: tuple[str, ...] = ()
 
     def knob_deg(self, name: str) -> float:
         """Return how far a knob is turned."""
@@ -65,7 +66,7 @@ class InstrumentState:
             return lit_colour if self.running else RED
         if name in ("CH1", "CH2"):
             return lit_colour if self.channels[name == "CH2"] else ""
-        return ""
+        return lit_colour if name in self.lit else ""
 
 
 def press(state: InstrumentState, name: str, now_s: float) -> InstrumentState:
@@ -90,7 +91,9 @@ def press(state: InstrumentState, name: str, now_s: float) -> InstrumentState:
     if name in MENUS:
         opened = "" if state.menu in (name, "SYSTEM") else name
         return dataclasses.replace(state, menu=opened, menu_item=-1)
-    return state
+    # A button that this instrument does not know switches its own lamp.
+    lit = tuple(n for n in state.lit if n != name) if name in state.lit else (*state.lit, name)
+    return dataclasses.replace(state, lit=lit)
 
 
 def release(state: InstrumentState, name: str) -> InstrumentState:

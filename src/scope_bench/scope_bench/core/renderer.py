@@ -159,7 +159,7 @@ class Renderer:
     def _emission(self, moment: Moment) -> Picture | None:
         if not self._screens:
             return None
-        size = screen.size_px(self._screens[0].size_mm)
+        size = screen.SIZE_PX
         if self._still_of != moment.state:
             self._still_of, self._still = moment.state, screen.still_part(moment.state, size)
         noise = self._rng.standard_normal((2, 364))
@@ -206,7 +206,7 @@ class _Side:
         corners = [(x + sx * w / 2, y + sy * h / 2, 0.0) for sx in (-1, 1) for sy in (-1, 1)]
         self._screen = self.view.window_of_panel(corners)
         px, py = self.view.xy0[(slice(None), *self._screen)]
-        columns, rows = screen.size_px(control.size_mm)
+        columns, rows = screen.SIZE_PX
         map_x = (px - x + w / 2) * columns / w - 0.5
         map_y = (y + h / 2 - py) * rows / h - 0.5
         self._maps = cv2.convertMaps(map_x.astype(np.float32), map_y.astype(np.float32), cv2.CV_16SC2)

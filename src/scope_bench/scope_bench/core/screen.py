@@ -19,17 +19,13 @@ from scope_bench.core.instrument import (
 )
 from scope_bench.core.panel_texture import Picture
 
-PER_MM = 4.8
+SIZE_PX = (816, 504)
+"""Width and height of every screen; one of another size shows the same picture, larger or smaller."""
 DIVISIONS = (14, 8)
 DIVISION_PX = 52
 LEFT_PX, TOP_PX = 22, 44
 YELLOW, CYAN, ORANGE, GREEN, WHITE, GREY = "#ffd52e", "#35cdf2", "#ff8a3c", "#2fd15a", "#f2f5f2", "#8b98a4"
 _SHIFT = 4
-
-
-def size_px(size_mm: tuple[float, float]) -> tuple[int, int]:
-    """Return (width, height) in pixels of a screen of this size."""
-    return round(size_mm[0] * PER_MM), round(size_mm[1] * PER_MM)
 
 
 def _colour(value: str) -> tuple[int, int, int]:

@@ -1,0 +1,57 @@
+"""Every layout in config/scopes: the bench draws it, and recognition finds in the picture what the layout says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from virtual_robot import camera
+
+from harris_perception.core.harris import HarrisDetector
+from harris_perception.core.panel_state import PanelReader
+from harris_perception.core.recognition import PanelRecogniser
+from icu_common.core.panel_layout import load_layout
+from scope_bench.core import instrument
+from scope_bench.core.configuration import BenchConfig
+from scope_bench.core.renderer import Moment, Renderer, base_from_panel
+
+FOLDER = Path(__file__).parents[3] / "config" / "scopes"
+LAYOUTS = sorted(path.stem for path in FOLDER.glob("*.yaml"))
+
+
+def test_there_are_several_makes_and_one_that_is_no_scope() -> None:
+    assert len(LAYOUTS) >= 5 and "ventilator_v1" in LAYOUTS
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_is_drawn_recognised_and_read(name: str) -> None:
+    layout = load_layout(FOLDER / f"{name}.yaml")
+    assert layout.model == name
+    config = BenchConfig()
+    panel_from = base_from_panel(config.panel)
+    renderer = Renderer(layout, config, panel_from)
+    state = instrument.InstrumentState(knobs=tuple((c.name, 25.0) for c in layout.controls if c.kind == "knob"))
+    lamps = [c.name for c in layout.controls if c.lit_colour]
+    for lamp in lamps:
+        state = instrument.press(state, lamp, 0.0)
+    picture, _ = renderer.render(Moment(tip=(0.0, -0.05, 0.0), state=state, now_s=1.0))
+    gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    model = camera(renderer.rig.calibration("left"))
+    sighting = PanelRecogniser(layout).locate(gray, HarrisDetector().detect(gray).xy, model)
+    assert sighting is not None
+    truth = renderer.rig.rectified_left_from_base() @ panel_from
+    tops = np.array([(*c.position_mm, c.height_mm) for c in layout.controls]) / 1000
+    error = np.linalg.norm(sighting.camera_from_panel.apply(tops) - truth.apply(tops), axis=1).max()
+    print(f"{name}: {1000 * error:.3f} mm, agreement {sighting.agreement:.2f}")
+    assert error < 0.0003
+    seen = PanelReader(layout).read(picture, sighting.camera_from_panel, model, 1, patches=sighting.patches)
+    for control in layout.controls:
+        found = seen.control(control.name)
+        assert found is not None
+        if control.kind == "knob" and not found.hidden_by:
+            assert found.angle_deg == pytest.approx(25.0, abs=2.0), control.name
+        if control.lit_colour and not found.hidden_by:
+            dark = state.lamp(control.name, control.lit_colour) == ""
+            assert (found.lamp == "off") is dark, (control.name, found.lamp)
