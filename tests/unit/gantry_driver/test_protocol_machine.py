@@ -619,3 +619,38 @@ def test_a_stop_while_settings_are_written_is_a_stop() -> None:
     rig.machine.stop("stop requested", rig.now)
     rig.until(lambda: rig.state == "stopped", 20.0)
     assert rig.states[-1] == "stopped: stop requested"
+
+
+@pytest.mark.parametrize("program", [False, True])
+def test_a_servo_that_is_down_between_two_moves_is_lifted_by_a_stop(program: bool) -> None:
+    config = DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind="servo_m3", dwell_s=0.1))
+    rig = Rig(config).homed()
+    if program:
+        source = ["M3 S800", "G53 G1 X-300 F6000", "G53 G1 X-100", "M3 S200"]
+        assert rig.machine.run_program("p", source, rig.now).outcome.value == "accepted"
+    else:
+        assert rig.go((0.05, 0.0, 0.02), (0.25, 0.0, 0.02), (0.25, 0.0, 0.0)).outcome.value == "accepted"
+    rig.until(lambda: rig.board.mpos[0] > -280)
+    rig.board.received.clear()
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert "M3S200" in rig.board.received and rig.machine.homed
+
+
+def test_a_pause_that_presses_for_longer_than_a_rest_may_is_a_stop() -> None:
+    rig = Rig(DriverConfig(enabled_at_start=True, max_rest_extended_s=3.0)).homed()
+    rig.go((0.1, 0.1, 0.0), (0.3, 0.1, 0.0))
+    rig.run_for(0.5)
+    rig.machine.pause(rig.now)
+    rig.run_for(10.0)
+    assert rig.states[-1] == "moving: paused", "with the stylus up there is no limit"
+    rig.machine.resume(rig.now)
+    rig.until(lambda: "reached" in rig.outcomes())
+    rig.go((0.3, 0.1, 0.03), (0.1, 0.1, 0.03))
+    rig.until(lambda: rig.board.mpos[2] < -30.9)
+    rig.machine.pause(rig.now)
+    rig.run_for(2.5)
+    assert rig.states[-1] == "moving: paused"
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert "left extended for 3.0 s, 3 s are allowed" in rig.states[-1]
+    assert rig.board.mpos[2] == pytest.approx(HOMED[2]) and rig.machine.homed

@@ -50,6 +50,7 @@ from gantry_driver.core.trajectory_gcode import (
     TrajectoryError,
     Waypoint,
     lift_lines,
+    lifts,
     mpos_mm,
     reading_m,
     write_motion,
@@ -120,7 +121,7 @@ class Machine:
         self._hold_sent = 0.0
         self._probed = 0.0
         self._probe_from = 0.0
-        self._stylus_down = False
+        self._stylus_down = self._lowers = False
         self._pausing = self._resuming = False
 
     # --- what the node sees -----------------------------------------------------------------------------------
@@ -244,7 +245,8 @@ class Machine:
 
     def _watch(self, now: float) -> None:
         rested, allowed = now - self._since, self.config.max_rest_extended_s
-        if self._rests_extended() and rested > allowed:
+        paused = self._pausing and self._stylus_is_down()
+        if (self._rests_extended() or paused) and rested > allowed:
             # Whoever lowered it has gone, though the operator has not.
             self._halt(f"the stylus was left extended for {rested:.1f} s, {allowed:g} s are allowed", now)
         busy = self.phase in (Phase.MOVING, Phase.HOMING)
@@ -360,7 +362,7 @@ class Machine:
         self._halt(reason, now, hold_written=hold_written, lift_again=True)
 
     def pause(self, now: float) -> str:
-        """Hold a motion where it is; its buffered lines stay, and the stylus stays where it is."""
+        """Hold a motion where it is; what is buffered stays, and so does the stylus for as long as it may rest down."""
         if self.phase is not Phase.MOVING or self._pausing:
             return f"nothing to pause: the driver is {self.state_text}"
         self.session.paused = self._pausing = True
@@ -420,7 +422,7 @@ class Machine:
             motion = write_motion(names, points, start, self.config)
         except TrajectoryError as error:
             return self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=str(error)))
-        self._stylus_down = motion.end_m[2] > 0
+        self._may_lower(motion.lines)
         timed = [(line, 0.0) for line in motion.lines]
         return self._start(goal_id, text, timed, motion.end_m, now)
 
@@ -436,11 +438,19 @@ class Machine:
             return self._answer(
                 GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error))
             )
+        self._may_lower([text for text, _ in lines])
         text = f"program of {len(lines)} lines, about {sum(seconds for _, seconds in lines):.1f} s"
         end = reading_m(checker.position_mm, self._stylus_down, self.config)
         # The checker begins with these modes; the board may have been left with others.
         modes = [(mode, 0.0) for mode in PROGRAM_MODES]
         return self._start(goal_id, text, [*modes, *lines, (SYNCHRONISE, 0.0)], end, now)
+
+    def _may_lower(self, lines: Iterable[str]) -> None:
+        """Note where a stylus without a Z axis ends, and that it may be down before that."""
+        if self.config.stylus.kind != "z_axis":
+            down = [not lifts(text, self.config) for text in lines if text.startswith("M")]
+            self._lowers = self._stylus_down or any(down)
+            self._stylus_down = down[-1] if down else self._stylus_down
 
     def _start(
         self, goal_id: str, text: str, lines: Sequence[tuple[str, float]], end_m: Reading, now: float
@@ -582,7 +592,7 @@ class Machine:
 
     def _stylus_is_down(self) -> bool:
         if self.config.stylus.kind != "z_axis":
-            return self._stylus_down
+            return self._stylus_down or self._lowers
         return self.reading_m is not None and self.reading_m[2] > STYLUS_DOWN_M
 
     def _rests_extended(self) -> bool:
@@ -785,7 +795,7 @@ class Machine:
             self._enter(Phase.MISMATCH, now, text)
             self._misplaced = True
             return
-        self.homed, self._stylus_down = True, False
+        self.homed, self._stylus_down, self._lowers = True, False, False
         self.session.executed_all()
         self.reading_m = reading_m(report.mpos_mm, False, self.config)
         self._events.append(Position(reading_m=self.reading_m))
@@ -829,6 +839,7 @@ class Machine:
         if goal is None or here is None:
             return
         self.session.executed_all()
+        self._lowers = False
         error = math.dist(goal.end_m, here)
         if error > self.config.arrival_tolerance_m:
             self._halt(f"the board stands at {_metres(here)} instead of {_metres(goal.end_m)}", now)
@@ -862,7 +873,7 @@ class Machine:
 
     def _after_reset(self, report: Report, now: float) -> None:
         if self.config.stylus.kind == "solenoid_m8":
-            self._stylus_down = False  # GRBL's reset switches coolant, and with it the solenoid, off.
+            self._stylus_down = self._lowers = False  # GRBL's reset switches coolant, and with it the solenoid, off.
         if not (self._lift and report.state == "Idle" and self.homed and self._stylus_is_down()):
             self._enter(Phase.STOPPED, now, self.reason)
             return
@@ -876,7 +887,7 @@ class Machine:
             self._to_alarm("the board is locked by an alarm whose number was not received", now)
         elif report.state == "Idle" and self._marker_done:
             self.session.executed_all()
-            self._stylus_down = False
+            self._stylus_down = self._lowers = False
             self._enter(Phase.STOPPED, now, self.reason)
         elif report.state in ("Hold", "Door"):
             # The hold of a stop that was written just before the retreat began must not leave the stylus down.

@@ -109,6 +109,14 @@ def lift_lines(config: DriverConfig) -> tuple[str, ...]:
     return (MODES, f"F{_number(config.stylus_feed_m_s * 60_000.0)}Z{_number(top)}G53G1", SYNCHRONISE)
 
 
+def lifts(line: str, config: DriverConfig) -> bool:
+    """Return whether a line that begins with an M word takes a stylus without a Z axis off the panel, or ends it."""
+    stylus = config.stylus
+    if stylus.kind == "solenoid_m8":
+        return not line.startswith(("M8", "M7"))
+    return not line.startswith(("M3", "M4")) or line == f"M3S{_number(stylus.servo_up)}"
+
+
 def mpos_mm(reading_m: tuple[float, float, float], config: DriverConfig) -> tuple[float, float, float]:
     """Return machine coordinates in mm of readings in metres (the third is of use with a Z axis only)."""
     home = config.machine.homed_mpos_mm()
