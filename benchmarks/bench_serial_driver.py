@@ -7,8 +7,8 @@ published sender that counts characters as well, with its own defaults.
 
 Stop latency: from the call of the service, the publication of the topic and the delivery of SIGTERM to ``!`` at the
 board, while a path is being streamed and the cameras' part of the graph runs beside it: simulated pair, corners,
-stereo, stylus, recognition, page. The node runs in a process of its own; for the signal its process only notes that it should
-end, so that the same process can be asked again.
+stereo, stylus, recognition, page. The node runs in a process of its own; for the signal its process only notes that
+it should end, so that the same process can be asked again.
 """
 
 from __future__ import annotations

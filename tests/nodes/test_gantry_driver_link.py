@@ -258,3 +258,20 @@ def test_stops_during_the_retreat_let_it_finish(start: Start) -> None:
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
     assert board.mpos()[2] == pytest.approx(HOMED[2], abs=0.01) and rig.states[-1][1] == "stopped: first"
     assert rig.link.stop_writes == 1, "one hold for the motion, none for the retreat"
+
+
+@pytest.mark.parametrize(("dialect", "told", "buffer"), [("grblHAL", 1024, 1024), ("FluidNC", 128, 256)])
+def test_dialects_are_told_apart_and_driven_alike(tmp_path: Path, dialect: str, told: int, buffer: int) -> None:
+    """The receive buffer is the one that the board names; one that names none is taken for GRBL's."""
+    board = GrblBoard(tmp_path, "--dialect", dialect, "--start=-350,-210,-2", time_scale=8.0)
+    rig = LinkRig(board.port)
+    try:
+        rig.home()
+        assert (rig.machine.dialect.value, rig.machine.session.rx_bytes) == (dialect, told)
+        rig.go(*[(0.0005 * k, 0.0, 0.0) for k in range(1, 301)])
+        rig.until(lambda: "reached" in rig.outcomes(), 30.0)
+        assert board.counters().get("bytes_lost", 0) == 0 and told <= buffer
+        assert len([e for e in board.lines() if e["text"].endswith("G53G1")]) == 300
+    finally:
+        rig.close()
+        board.close()

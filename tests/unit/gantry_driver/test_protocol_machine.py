@@ -8,9 +8,12 @@ import math
 import pytest
 from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
 
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
 from gantry_driver.core.machine_states import Note
+from gantry_driver.core.trajectory_gcode import Waypoint
 from icu_common.core.config import settings_of
+from icu_common.core.frames import JOINTS
 
 
 def test_connects_checks_settings_and_waits_unhomed() -> None:
@@ -654,3 +657,27 @@ def test_a_pause_that_presses_for_longer_than_a_rest_may_is_a_stop() -> None:
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
     assert "left extended for 3.0 s, 3 s are allowed" in rig.states[-1]
     assert rig.board.mpos[2] == pytest.approx(HOMED[2]) and rig.machine.homed
+
+
+@pytest.mark.parametrize("banner", [True, False])
+def test_marlin_is_told_from_the_others_and_nothing_but_a_question_is_sent_to_it(banner: bool) -> None:
+    machine, now, sent = Machine(DriverConfig(enabled_at_start=True)), 0.0, b""
+    machine.opened(now)
+    if banner:
+        machine.receive(b"start\necho:Marlin 2.1.2\necho: Last Updated: 2024-01-01\n", 0.1)
+    while machine.state != "mismatch":
+        now += 0.05
+        assert now < 6.0
+        machine.tick(now)
+        sent += machine.output(now)
+        if b"M115\n" in sent:
+            machine.receive(b"FIRMWARE_NAME:Marlin 2.1.2 SOURCE_CODE_URL:x PROTOCOL_VERSION:1.0\nok\n", now)
+    assert set(sent.replace(b"M115\n", b"")) <= set(b"?") and (b"M115" in sent) is not banner
+    assert machine.state_text.startswith("mismatch: the firmware is Marlin, which has no feed hold")
+    machine.heartbeat(now)
+    refused = machine.run("g", JOINTS, [Waypoint(positions_m=(0.1, 0.1, 0.0))], age_s=0.0, now=now)
+    assert "the firmware is Marlin" in refused.reason and "Marlin" in machine.home(now)
+    assert "Marlin" in machine.write_settings(now) or "no settings" in machine.write_settings(now)
+    assert "nothing to accept" in machine.accept_settings(now)
+    machine.stop("stop requested", now)
+    assert machine.output(now) == b""

@@ -11,9 +11,9 @@ from pathlib import Path
 from types import FrameType
 from typing import TextIO
 
-from gantry_driver.mock.board import BoardOptions
 from gantry_driver.mock.machine import Machine
 from gantry_driver.mock.mechanics import MechanicsOptions
+from gantry_driver.mock.processor import RX_BYTES, BoardOptions
 from gantry_driver.mock.service import Service
 from gantry_driver.mock.settings import SettingsError, make_eeprom, parse_assignment, read_settings_file
 
@@ -69,6 +69,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--start", type=_start, metavar="X,Y,Z", help="where the axes stand at power-up, mm")
     parser.add_argument("--keep-running", action="store_true", help="opening the port does not reset the board")
+    parser.add_argument("--dialect", choices=tuple(RX_BYTES), default="GRBL", help="banner, build and buffer size")
     parser.add_argument("--mist", action="store_true", help="built with M7")
     return parser
 
@@ -93,7 +94,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             mechanics = MechanicsOptions() if options.start is None else MechanicsOptions(start_mm=options.start)
             machine = Machine(
                 make_eeprom(assignments),
-                board=BoardOptions(baud=options.baud, latency_s=options.latency / 1000.0, mist=options.mist),
+                board=BoardOptions(
+                    baud=options.baud,
+                    latency_s=options.latency / 1000.0,
+                    mist=options.mist,
+                    dialect=options.dialect,
+                ),
                 mechanics=mechanics,
                 seed=options.seed,
             )

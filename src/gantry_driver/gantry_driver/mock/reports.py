@@ -7,7 +7,11 @@ from collections.abc import Sequence
 from gantry_driver.mock.gcode import MM_PER_INCH, ParserState
 from gantry_driver.mock.settings import Eeprom, shown
 
-BANNER = "\r\nGrbl 1.1h ['$' for help]"
+BANNERS = {
+    "GRBL": "\r\nGrbl 1.1h ['$' for help]",
+    "grblHAL": "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]",
+    "FluidNC": "\r\nGrbl 3.7 [FluidNC v3.7.8 (wifi) '$' for help]",
+}
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 UNLOCK_HINT = "[MSG:'$H'|'$X' to unlock]"
 RESET_HINT = "[MSG:Reset to continue]"
@@ -66,6 +70,11 @@ def modes(state: ParserState, inches: bool) -> str:
     )
 
 
-def build_info(eeprom: Eeprom, mist: bool, planner: int, receive: int) -> list[str]:
+def build_info(eeprom: Eeprom, mist: bool, planner: int, receive: int, dialect: str) -> list[str]:
     """Return the answer to ``$I``."""
+    if dialect == "grblHAL":
+        options = f"[OPT:V{'M' * mist}NZ,{planner},{receive},3,0]"
+        return [f"[VER:1.1f.20240812:{eeprom.build_info}]", options, "[NEWOPT:ENUMS,RT-]", "[FIRMWARE:grblHAL]"]
+    if dialect == "FluidNC":
+        return ["[VER:3.7 FluidNC v3.7.8:]", "[OPT:PHS]", "[MSG: Machine: gantry]"]
     return [f"[VER:1.1h.20190825:{eeprom.build_info}]", f"[OPT:V{'M' * mist},{planner},{receive}]"]
