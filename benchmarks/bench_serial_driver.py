@@ -8,7 +8,8 @@ published sender that counts characters as well, with its own defaults.
 Stop latency: from the call of the service, the publication of the topic and the delivery of SIGTERM to ``!`` at the
 board, while a path is being streamed and the cameras' part of the graph runs beside it: simulated pair, corners,
 stereo, stylus, recognition, page. The node runs in a process of its own; for the signal its process only notes that
-it should end, so that the same process can be asked again.
+it should end, so that the same process can be asked again. It asks for real-time scheduling as the program does, and so
+do the two that measure: who asks, and the board that notes when the byte came.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import serial
 from pygrbl_streamer import GrblStreamer
 from rows import Row, bound, row, write
 
+from gantry_driver.adapters.real_time import ask_for_real_time
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.trajectory_gcode import Waypoint, write_motion
 from icu_common.core.frames import JOINTS
@@ -127,6 +129,10 @@ def throughput(repeats: int) -> list[Row]:
 # --- stop ---------------------------------------------------------------------------------------------------------
 
 
+def ordinary() -> None:
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
 @contextmanager
 def camera_graph() -> Iterator[None]:
     """Run the graph's cameras and what looks through them, as ``make demo`` does, without anything that moves."""
@@ -137,7 +143,7 @@ def camera_graph() -> Iterator[None]:
         for program in ("serial_driver", "gantry_controller", "hand_eye"):
             command += ["--without", program]
         with Path(folder, "log").open("wb") as log:
-            process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+            process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, preexec_fn=ordinary)
         try:
             yield
             if process.poll() is not None:
@@ -171,6 +177,7 @@ def run_node(port: str) -> int:
     from gantry_driver.nodes.serial_driver_node import SerialDriverNode
     from icu_common.nodes.runtime import prepare_transport
 
+    ask_for_real_time()
     prepare_transport()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 
@@ -201,6 +208,7 @@ def stops(count: int) -> list[Row]:
     from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
     from icu_common.nodes.runtime import prepare_transport
 
+    scheduling = "normal" if ask_for_real_time() else "real-time"
     prepare_transport()
     rclpy.init()
     node = rclpy.create_node("stop_bench")
@@ -229,6 +237,7 @@ def stops(count: int) -> list[Row]:
         until(future.done)
 
     with camera_graph(), board(0) as mock:
+        ask_for_real_time(mock.process.pid)
         until(lambda: len(seen) > 20, 60.0)
         command = [sys.executable, __file__, "--node", str(mock.port)]
         child = subprocess.Popen(command, env=python_environment(), stderr=subprocess.DEVNULL)
@@ -274,7 +283,8 @@ def stops(count: int) -> list[Row]:
     rclpy.shutdown()
     if pictures < 1.0:
         raise RuntimeError(f"{pictures:.1f} pictures a second came through the camera graph: it did not run")
-    print(f"beside a camera graph with {pictures:.1f} pictures a second, load {os.getloadavg()[0]:.1f}")
+    load = os.getloadavg()[0]
+    print(f"beside a camera graph with {pictures:.1f} pictures a second, {scheduling} scheduling, load {load:.1f}")
     rows = []
     for name, moments in asked.items():
         took = [1e3 * (min(t for t in heard if t > moment - clock.width_s) - moment) for moment in moments]

@@ -3,15 +3,17 @@
 The same run is made in virtual time (:class:`~campaign.virtual_link.VirtualRig`) and on a pseudo-terminal
 (:class:`~campaign.port_rig.PortRig`).
 
-Each seed is one run: a random path, one fault at a random moment, and then the promises: no line lost, doubled or
-reordered without being reported; no false done; nothing moves after the answer but the stylus upwards; no byte beyond
-the buffer; no unbounded wait. In virtual time one seed reproduces one run, to the byte.
+Each seed is one run: a random path, as a trajectory or as a G-code program, one fault at a random moment, and then the
+promises: no line lost, doubled or reordered without being reported; no false done; nothing moves after the answer but
+the stylus upwards; no byte beyond the buffer; no unbounded wait. In virtual time one seed reproduces one run, to the
+byte.
 """
 
 from __future__ import annotations
 
 import math
 import random
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -37,7 +39,7 @@ class Rig(Protocol):
 
     def home(self) -> None: ...
     def go(self, points: Sequence[Point], goal_id: str) -> GoalResult: ...
-    def call(self, action: Callable[[Machine, float], str]) -> str: ...
+    def call(self, action: Callable[[Machine, float], Any]) -> Any: ...
     def stop(self, reason: str) -> None: ...
     def fault(self, kind: str, **arguments: Any) -> None: ...
     def until(self, condition: Callable[[], Any], within_s: float) -> None: ...
@@ -132,7 +134,13 @@ def run_seed(seed: int, rig: Rig) -> str:
     since, way = rig.entry, path(rng)
     if fault.before:
         fault.do(rig, rng)
-    assert rig.go(way, str(seed)).outcome.value == "accepted"
+    program = bool(seed // len(FAULTS) % 2)
+    sent = program_of(way, rng) if program else moves_of(way)
+    if program:
+        accepted = rig.call(lambda machine, now: machine.run_program(str(seed), source_of(sent), now))
+    else:
+        accepted = rig.go(way, str(seed))
+    assert accepted.outcome.value == "accepted", accepted
     if not fault.before:
         rig.run_for(rng.choice([0.02, 0.3, 4.0]) * rng.random())
         fault.do(rig, rng)
@@ -141,14 +149,14 @@ def run_seed(seed: int, rig: Rig) -> str:
     reached = answer.outcome.value == "reached"
     assert reached or (answer.outcome.value == "aborted" and answer.reason), answer
     assert reached or not fault.must_reach, answer
-    judge(rig, fault, way, since, reached=reached)
+    judge(rig, fault, way, sent, since, reached=reached)
     assert rig.counter("bytes_lost_overflow") == 0, "more bytes than the buffer holds"
     assert rig.counter("bytes_lost_eeprom") == 0, "bytes to a board that stores a setting"
     assert [r.goal_id for r in rig.results] == [str(seed)] * 2, "one acceptance and one final answer"
     return f"{fault.name}: {answer.outcome.value}"
 
 
-def judge(rig: Rig, fault: Fault, way: list[Point], since: int, *, reached: bool) -> None:
+def judge(rig: Rig, fault: Fault, way: list[Point], sent: list[str], since: int, *, reached: bool) -> None:
     if reached:
         x, y, z = way[-1]
         target = (HOMED[0] + 1000 * x, HOMED[1] + 1000 * y, HOMED[2] - 1000 * z)
@@ -162,7 +170,6 @@ def judge(rig: Rig, fault: Fault, way: list[Point], since: int, *, reached: bool
     assert after[2] >= before[2] - 1e-6, f"the stylus went down after the answer: {before}, {after}"
     if fault.powerless:
         return
-    sent = moves_of(way)
     # A board that was reset while moving is locked (error:9) and refuses what was still on the wire. One that was reset
     # at rest is not: of what reaches it then, neither a line nor the rest of one may be obeyed.
     first_banner = min((entry["n"] for entry in rig.lines(since, "banner")), default=math.inf)
@@ -195,3 +202,30 @@ def moves_of(way: list[Point]) -> list[str]:
             feed = word
         here = point
     return lines
+
+
+RAPID = "F17234"
+"""The highest feed of all axes together: how a rapid move is sent."""
+
+
+def program_of(way: list[Point], rng: random.Random) -> list[str]:
+    """Return the lines of a path of which some moves are rapid."""
+    lines, feed, own = [], "", ""
+    for line in moves_of(way):
+        word, axes = re.fullmatch(r"(F[\d.]+)?(.*)G53G1", line).groups()  # type: ignore[union-attr]
+        own = word or own
+        new = RAPID if rng.random() < 0.2 else own
+        lines.append(f"{new if new != feed else ''}{axes}G53G1")
+        feed = new
+    return lines
+
+
+def source_of(lines: list[str]) -> list[str]:
+    """Return such lines as people write them: the command first, every feed, and G0 where it is meant."""
+    source, feed = ["G21 G90 ; a path"], ""
+    for line in lines:
+        word, axes = re.fullmatch(r"(F[\d.]+)?(.*)G53G1", line).groups()  # type: ignore[union-attr]
+        feed = word or feed
+        spaced = re.sub(r"([XYZ])", r" \1", axes)
+        source.append(f"G53 G0{spaced}" if feed == RAPID else f"G53 G1{spaced} {feed}")
+    return source

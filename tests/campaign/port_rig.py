@@ -38,7 +38,7 @@ class PortRig:
     def go(self, points: Sequence[tuple[float, float, float]], goal_id: str) -> GoalResult:
         return self._rig.go(*points, goal_id=goal_id)
 
-    def call(self, action: Callable[[Machine, float], str]) -> str:
+    def call(self, action: Callable[[Machine, float], Any]) -> Any:
         return self._rig.link.call(action)
 
     def stop(self, reason: str) -> None:

@@ -62,7 +62,7 @@ class VirtualRig:
         else:
             self._reading = False
 
-    def call(self, action: Callable[[Machine, float], str]) -> str:
+    def call(self, action: Callable[[Machine, float], Any]) -> Any:
         return action(self.machine, self.now)
 
     def stop(self, reason: str) -> None:

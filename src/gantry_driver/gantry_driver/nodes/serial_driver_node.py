@@ -10,6 +10,7 @@ parameter ``autostart`` it takes both steps by itself. Its topics and services a
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from typing import Any
 
@@ -20,6 +21,7 @@ from std_msgs.msg import Empty, Header, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from gantry_driver.adapters.real_time import ask_for_real_time, is_real_time
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
@@ -183,6 +185,7 @@ class SerialDriverNode(LifecycleNode):
         if settings and settings != self._settings_told:
             self._settings_told = settings
             self._settings.publish(String(data=settings))
+        values.append(("real_time", str(is_real_time())))
         level = LEVELS.get(state.partition(":")[0], "error")
         status = diagnostic_status(f"{self.get_name()}: board", level, state, values)
         self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
@@ -207,6 +210,8 @@ def _fill(response: Any, refusal: str, success: str) -> Any:
 
 
 def main() -> int:
+    if refusal := ask_for_real_time():
+        print(f"serial_driver: {refusal}; under load a stop may take longer, see README, Hardware", file=sys.stderr)
     return run(SerialDriverNode)
 
 
