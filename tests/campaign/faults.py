@@ -11,6 +11,7 @@ byte.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import random
 import re
@@ -19,16 +20,19 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine_config import DriverConfig, StylusConfig
 from icu_common.core.results import GoalResult
 
 HOMED = (-359.0, -219.0, -1.0)
 Point = tuple[float, float, float]
 
 
+MAY_PRESS_MM = 0.52
+"""Extension that is not worth a retreat, and a step."""
 ANSWER_WITHIN_S = 120.0
 REST_WITHIN_S = 60.0
 CONFIG = DriverConfig(enabled_at_start=True, answer_timeout_s=1.5)
+SERVO = dataclasses.replace(CONFIG, stylus=StylusConfig(kind="servo_m3"))
 
 
 class Rig(Protocol):
@@ -45,6 +49,7 @@ class Rig(Protocol):
     def until(self, condition: Callable[[], Any], within_s: float) -> None: ...
     def run_for(self, seconds: float) -> None: ...
     def mpos(self) -> Point: ...
+    def servo(self) -> float: ...
     def counter(self, name: str) -> int: ...
     def lines(self, since: int, kind: str = "line") -> list[dict[str, Any]]: ...
     @property
@@ -115,6 +120,11 @@ def fault_of(seed: int) -> Fault:
     return FAULTS[seed % len(FAULTS)]
 
 
+def config_of(seed: int) -> DriverConfig:
+    """A Z axis for two thirds of the seeds, a servo for the others."""
+    return SERVO if seed // len(FAULTS) % 3 == 2 else CONFIG
+
+
 def path(rng: random.Random) -> list[Point]:
     """Return a path of short and of longer segments somewhere in the travel, with the stylus up or down."""
     size = rng.choice([0.002, 0.02, 0.1])
@@ -135,11 +145,17 @@ def run_seed(seed: int, rig: Rig) -> str:
     if fault.before:
         fault.do(rig, rng)
     program = bool(seed // len(FAULTS) % 2)
+    if rig.machine.config is SERVO:
+        low, way = way[0][2] > 0, [(x, y, 0.0) for x, y, _ in way]
+        points = [(x, y, 0.02 if low and n < len(way) - 1 else 0.0) for n, (x, y, _) in enumerate(way)]
+    else:
+        low, points = False, way
     sent = program_of(way, rng) if program else moves_of(way)
     if program:
-        accepted = rig.call(lambda machine, now: machine.run_program(str(seed), source_of(sent), now))
+        source = [*(["M3 S800"] if low else []), *source_of(sent), *(["M3 S200"] if low else [])]
+        accepted = rig.call(lambda machine, now: machine.run_program(str(seed), source, now))
     else:
-        accepted = rig.go(way, str(seed))
+        accepted = rig.go(points, str(seed))
     assert accepted.outcome.value == "accepted", accepted
     if not fault.before:
         rig.run_for(rng.choice([0.02, 0.3, 4.0]) * rng.random())
@@ -168,6 +184,8 @@ def judge(rig: Rig, fault: Fault, way: list[Point], sent: list[str], since: int,
     after = rig.mpos()
     assert max(abs(a - b) for a, b in zip(after[:2], before[:2])) < 1e-6, f"motion after the answer: {before}, {after}"
     assert after[2] >= before[2] - 1e-6, f"the stylus went down after the answer: {before}, {after}"
+    if not reached and rig.machine.homed and fault.name != "door" and "not lifted" not in rig.machine.state_text:
+        assert after[2] > HOMED[2] - MAY_PRESS_MM and rig.servo() != CONFIG.stylus.servo_down, f"a stop that presses: {after}"
     if fault.powerless:
         return
     # A board that was reset while moving is locked (error:9) and refuses what was still on the wire. One that was reset
@@ -178,7 +196,7 @@ def judge(rig: Rig, fault: Fault, way: list[Point], sent: list[str], since: int,
         for entry in rig.lines(since)
         if entry["answer"] == "ok" or (entry["answer"] != "error:9" and entry["n"] < first_banner)
     ]
-    taken = [text for text in heard if "X" in text or "Y" in text]
+    taken = [text for text in heard if text[:1] != "$" and ("X" in text or "Y" in text)]
     assert taken == sent[: len(taken)], f"lost, doubled or reordered: {taken}, {sent}"
     assert not reached or len(taken) == len(sent)
 

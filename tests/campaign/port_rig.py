@@ -58,6 +58,9 @@ class PortRig:
     def mpos(self) -> tuple[float, float, float]:
         return self._board.mpos()
 
+    def servo(self) -> float:
+        return float(self._board.ask("state")["spindle"])
+
     def counter(self, name: str) -> int:
         return self._board.counters().get(name, 0)
 

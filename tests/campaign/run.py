@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from campaign.faults import CONFIG, FAULTS, fault_of, run_seed
+from campaign.faults import FAULTS, config_of, fault_of, run_seed
 from campaign.port_rig import PortRig
 from campaign.virtual_link import VirtualRig
 
@@ -38,7 +38,7 @@ def port_seeds(count: int) -> Iterator[int]:
 
 
 def run_on_port(seed: int) -> str:
-    with tempfile.TemporaryDirectory() as folder, PortRig(CONFIG, seed, Path(folder)) as rig:
+    with tempfile.TemporaryDirectory() as folder, PortRig(config_of(seed), seed, Path(folder)) as rig:
         return run_seed(seed, rig)
 
 
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"seeds {given.seeds[0]} to {given.seeds[-1]}, {len(FAULTS)} faults; {given.port_seeds} on a port")
     for number, (where, seed) in enumerate(jobs, 1):
         try:
-            outcomes[run_on_port(seed) if where else run_seed(seed, VirtualRig(CONFIG, seed))] += 1
+            outcomes[run_on_port(seed) if where else run_seed(seed, VirtualRig(config_of(seed), seed))] += 1
         except Exception as error:
             broken.append(f"seed {seed} ({fault_of(seed).name}){where}: {type(error).__name__}: {error}")
             print(f"\r{broken[-1]}")

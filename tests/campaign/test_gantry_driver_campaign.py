@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from campaign.faults import CONFIG, FAULTS, fault_of, run_seed
+from campaign.faults import CONFIG, FAULTS, config_of, fault_of, run_seed
 from campaign.port_rig import PortRig
 from campaign.run import main
 from campaign.virtual_link import VirtualRig
@@ -21,13 +21,13 @@ LINK_FAULTS = ("unplug", "full", "vanishes", "operator stop")
 @pytest.mark.parametrize("seed", range(SHORT))
 def test_promises_hold_under_a_fault(seed: int) -> None:
     print(f"seed {seed}: {fault_of(seed).name}")
-    run_seed(seed, VirtualRig(CONFIG, seed))
+    run_seed(seed, VirtualRig(config_of(seed), seed))
 
 
 @pytest.mark.parametrize("seed", [s for s in range(len(FAULTS)) if fault_of(s).name in LINK_FAULTS])
 def test_promises_hold_on_a_real_port(seed: int, tmp_path: Path) -> None:
     print(f"seed {seed}: {fault_of(seed).name}")
-    with PortRig(CONFIG, seed, tmp_path) as rig:
+    with PortRig(config_of(seed), seed, tmp_path) as rig:
         run_seed(seed, rig)
 
 
@@ -35,7 +35,7 @@ def test_one_seed_is_one_run() -> None:
     for seed in range(len(FAULTS)):
         journals = []
         for _ in range(2):
-            rig = VirtualRig(CONFIG, seed)
+            rig = VirtualRig(config_of(seed), seed)
             run_seed(seed, rig)
             journals.append(list(rig.board.journal.entries))
         assert journals[0] == journals[1], f"seed {seed}"

@@ -101,6 +101,9 @@ class VirtualRig:
         x, y, z = self.mock.mechanics.mpos_mm()
         return x, y, z
 
+    def servo(self) -> float:
+        return self.mock.mechanics.spindle_rpm
+
     def counter(self, name: str) -> int:
         return self.board.journal.counts[name]
 
