@@ -185,7 +185,9 @@ def judge(rig: Rig, fault: Fault, way: list[Point], sent: list[str], since: int,
     assert max(abs(a - b) for a, b in zip(after[:2], before[:2])) < 1e-6, f"motion after the answer: {before}, {after}"
     assert after[2] >= before[2] - 1e-6, f"the stylus went down after the answer: {before}, {after}"
     if not reached and rig.machine.homed and fault.name != "door" and "not lifted" not in rig.machine.state_text:
-        assert after[2] > HOMED[2] - MAY_PRESS_MM and rig.servo() != CONFIG.stylus.servo_down, f"a stop that presses: {after}"
+        assert after[2] > HOMED[2] - MAY_PRESS_MM and rig.servo() != CONFIG.stylus.servo_down, (
+            f"a stop that presses: {after}"
+        )
     if fault.powerless:
         return
     # A board that was reset while moving is locked (error:9) and refuses what was still on the wire. One that was reset

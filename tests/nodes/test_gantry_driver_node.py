@@ -367,3 +367,29 @@ def test_lifecycle_from_unconfigured_to_active_and_back(operator: Callable[..., 
     assert change("shutdown") and lifecycle() == "finalized"
     op.state("disconnected")
     assert op.call("home").success is False
+
+
+def test_a_flood_of_goals_moves_what_the_first_one_says(operator: Callable[..., Operator]) -> None:
+    op = operator().ready()
+    since = op.board.log()[-1]["n"]
+    op.go(*[(0.3 - 0.1 * (k % 2), 0.0, 0.0) for k in range(20)], frame_id="first")
+    op.until(lambda: op.results)
+    for number in range(10):
+        for _ in range(5):  # only the newest waits, the others are not even answered
+            op.go((0.0, 0.001 * number, 0.0), frame_id=f"flood {number}")
+        op.until(lambda n=number: op.results[-1].goal_id == f"flood {n}")
+    op.until(lambda: any(r.goal_id == "first" and r.outcome.value == "reached" for r in op.results))
+    others = [r for r in op.results if r.goal_id != "first"]
+    assert len(others) >= 10 and {r.outcome.value for r in others} == {"rejected"}
+    assert {r.reason for r in others} == {"the driver is moving"}
+    moves = [e["text"] for e in op.board.lines(since) if e["text"].endswith("G53G1")]
+    assert len(moves) == 20 and not any("Y" in text for text in moves)
+    assert op.board.mpos() == pytest.approx((-159.0, -219.0, -1.0), abs=0.02)
+
+
+def test_the_program_has_real_time_scheduling_or_says_why_not() -> None:
+    code = "from gantry_driver.adapters.real_time import *; print([ask_for_real_time(), is_real_time()])"
+    done = subprocess.run([sys.executable, "-c", code], env=python_environment(), capture_output=True, text=True)
+    allowed = done.stdout.strip() == "['', True]"
+    assert allowed or done.stdout.startswith("['real-time scheduling is not allowed ("), done
+    assert allowed or done.stdout.strip().endswith("False]"), done
