@@ -218,8 +218,9 @@ def moves_of(way: list[Point]) -> list[str]:
         length = sum((1000 * (a - b)) ** 2 for a, b in zip(point, here)) ** 0.5
         if words:
             word = f"F{format(length / seconds * 60, '.1f').rstrip('0').rstrip('.')}"
-            lines.append(f"{word if word != feed else ''}{words}G53G1")
-            feed = word
+            if not feed or abs(float(word[1:]) / float(feed[1:]) - 1.0) > 0.005:
+                feed, words = word, word + words
+            lines.append(f"{words}G53G1")
         here = point
     return lines
 

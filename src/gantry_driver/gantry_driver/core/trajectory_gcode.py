@@ -16,6 +16,8 @@ _ROUNDING_M = 1e-6
 """Readings this far outside are rounding, not intent, and are clipped."""
 MODES = "G21G90G94"
 """Millimetres, absolute, feed per minute: a start-up block on the board may have chosen others."""
+SAME_FEED = 0.005
+"""Relative change of speed that is rounding of positions and times, and not worth a line that must wait for answers."""
 SYNCHRONISE = "G4P0"
 """Answered only when the planner is empty (measured on 1.1h)."""
 
@@ -92,8 +94,9 @@ def write_motion(
         total += seconds + (config.stylus.dwell_s if config.stylus.kind != "z_axis" and target[2] != here[2] else 0.0)
         for speed, line in new:
             # F stays in force, and a line without it is refused by a board that was reset: lines-after-a-reset.md.
-            lines.append(speed + line if speed != feed else line)
-            feed = speed or feed
+            if speed and (not feed or abs(float(speed[1:]) - float(feed[1:])) > SAME_FEED * float(feed[1:])):
+                feed, line = speed, speed + line
+            lines.append(line)
         here = target
     return Motion(lines=(*lines, SYNCHRONISE), end_m=here, seconds=total)
 
