@@ -38,6 +38,7 @@ from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.mechanics import Mechanism, draw_errors
 from scope_bench.core.optics import Camera
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel
+from scope_bench.core.stylus_picture import StylusPainter
 
 ROOT = Path(__file__).parents[1]
 LAYOUT = load_layout(ROOT / "config/scopes/dso_bench_4.yaml")
@@ -45,6 +46,7 @@ STEPS_PER_M = np.array([80e3, 80e3, 400e3])
 _MS = 1_000_000
 _PERIOD_NS = 66 * _MS
 _NOISE_REACH_PX = 90
+_OUT_OF_SIGHT = (-0.6, 0.6, 0.0)
 Picture = npt.NDArray[np.uint8]
 
 
@@ -81,12 +83,17 @@ class Studio:
             return self.renderer.render(moment)
         key = (round(reading[0] * 500), round(reading[1] * 500), round(reading[2] * 1000))
         if key not in self._drawn:
-            self.renderer.render(moment)  # coarsely, as the carriage has only just stopped
-            self._drawn[key] = np.asarray(moment.carriage), self.renderer.render(moment)
+            away = replace(moment, tip=_OUT_OF_SIGHT)
+            self.renderer.render(away)  # coarsely, as the carriage has only just stopped
+            self._drawn[key] = np.asarray(moment.carriage), self.renderer.render(away)
         place, drawn = self._drawn[key]
         shift = np.asarray(moment.carriage) - place
         cameras = (self.renderer.rig.left, self.renderer.rig.right)
-        return [self._shifted(p, c, shift, place) for p, c in zip(drawn, cameras)]
+        pictures = [self._shifted(p, c, shift, place) for p, c in zip(drawn, cameras)]
+        for picture, view in zip(pictures, self.renderer.views):
+            tip = np.asarray(moment.tip) - np.array([*moment.carriage, 0.0])
+            StylusPainter(view, self.config.stylus).draw(picture, tip)
+        return pictures
 
     def _shifted(self, picture: Picture, camera: Camera, shift: Array, place: Array) -> Picture:
         """Return the picture from a camera moved by ``shift`` (2,) m; exact for the panel's face."""

@@ -29,6 +29,7 @@ setup(
             "hand_eye = harris_perception.nodes.hand_eye_node:main",
             "harris = harris_perception.cli.harris:main",
             "camera_calibration = harris_perception.cli.calibrate:main",
+            "hand_eye_solve = harris_perception.cli.hand_eye:main",
             "stereo_evaluate = harris_perception.cli.stereo:main",
         ],
     },

@@ -92,7 +92,9 @@ def test_exact_data_give_axes_pose_and_stylus() -> None:
 
 def test_noise_gives_the_predicted_error_and_aims_well() -> None:
     """The rotation noise of a pose, 0.4 mrad, would move the panel's far origin by 0.1 mm; the shared one does not."""
-    solver = HandEyeConfig(common_error=0.0, tip_sigma_m=0.00003, depth_sigma_m=0.00015)
+    solver = HandEyeConfig(
+        common_error=0.0, panel_depth_sigma_m=0.0, panel_sigma_m=0.0, tip_sigma_m=0.00003, depth_sigma_m=0.00015
+    )
     errors, squares = [], []
     query = np.array([(0.05, 0.05, 0.0), (0.3, 0.15, 0.0), (0.18, 0.1, 0.006)])
     for seed in range(60):

@@ -110,6 +110,10 @@ def calibrate_on_carriage(
     fit = robust_fit(
         np.column_stack([readings[:, :2], np.ones(len(readings))]), points, least_covariance(points, config), config
     )
+    ray = points.mean(axis=0) / np.linalg.norm(points.mean(axis=0))
+    along = np.outer(ray, ray)
+    common = config.panel_sigma_m**2 * (np.eye(3) - along) + config.panel_depth_sigma_m**2 * along
+    fit = dataclasses.replace(fit, common=fit.common + common)
     camera_from_axes, axes = split_axes(-fit.regression[0], -fit.regression[1], config)
     if contacts:
         if len(contacts) > MAX_CONTACTS:
@@ -220,7 +224,7 @@ def _stylus(tips: Sequence[Sample], rotation: Array, config: HandEyeConfig) -> t
             regression=mean[np.newaxis],
             spread=np.array([[1 / count]]),
             noise=shape,
-            common_error=0.0,
+            common=np.zeros((3, 3)),
             variance_factor=1.0,
             rms_m=rms,
             used=used,

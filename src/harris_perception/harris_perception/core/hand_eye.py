@@ -48,6 +48,20 @@ class HandEyeConfig(Config):
         minimum=0.0,
         maximum=2.0,
     )
+    panel_sigma_m: float = setting(
+        0.000025,
+        "Error of the panel's place across the line of sight, which all its sightings share",
+        minimum=0.0,
+        maximum=0.01,
+        unit="m",
+    )
+    panel_depth_sigma_m: float = setting(
+        0.00026,
+        "Error of the panel's distance as one camera sees it, which all its sightings share",
+        minimum=0.0,
+        maximum=0.05,
+        unit="m",
+    )
     contact_sigma_m: float = setting(0.0003, "How well a touched point is known", minimum=1e-6, maximum=0.01, unit="m")
     outlier_sigmas: float = setting(4.5, "Samples beyond so many standard deviations are left out", minimum=2.0)
     max_outliers: float = setting(0.3, "Part of the samples that may be left out", minimum=0.0, maximum=0.49)
@@ -91,8 +105,8 @@ class Fit:
         (P, P) inverse normal matrix.
     noise
         (3, 3) m^2, covariance of one sample, a posteriori.
-    common_error
-        See :class:`HandEyeConfig`.
+    common
+        (3, 3) m^2, covariance of what all samples share.
     variance_factor
         Squared residuals over what the samples' own covariances predict (chi-square per degree of freedom).
     rms_m
@@ -104,7 +118,7 @@ class Fit:
     regression: Array
     spread: Array
     noise: Array
-    common_error: float
+    common: Array
     variance_factor: float
     rms_m: float
     used: npt.NDArray[np.bool_]
@@ -112,7 +126,7 @@ class Fit:
     def covariance(self, design: Array) -> Array:
         """Return (N, 3, 3) m^2: how sure the fitted point of each row of ``design`` (N, P) is."""
         leverage = np.einsum("ni,ij,nj->n", design, self.spread, design)
-        return np.asarray((leverage + self.common_error**2)[:, None, None] * self.noise)
+        return np.asarray(leverage[:, None, None] * self.noise + self.common)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -253,7 +267,7 @@ def robust_fit(design: Array, points: Array, shape: Array, config: HandEyeConfig
         regression=regression,
         spread=spread,
         noise=shape * factor,
-        common_error=config.common_error,
+        common=config.common_error**2 * shape * factor,
         variance_factor=factor,
         rms_m=rms,
         used=used,

@@ -1,0 +1,123 @@
+"""Hand-eye calibration of an arm whose wrist turns, from a file of poses: AX = XB and AX = ZB.
+
+The file has one row per pose, comma separated, with an optional first line of names: x, y, z in metres and the
+quaternion x, y, z, w of base_from_gripper, then the same seven of camera_from_target.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from harris_perception.core.hand_eye import DegenerateError
+from harris_perception.core.wrist_camera import WristCamera, WristConfig, calibrate_wrist
+from icu_common.core.config import ConfigError
+from icu_common.core.geometry import Transform
+
+COLUMNS = 14
+
+
+def read_poses(path: Path) -> tuple[list[Transform], list[Transform]]:
+    """Return base_from_gripper and camera_from_target of each row.
+
+    Raises
+    ------
+    ValueError
+        With the line that is wrong.
+    """
+    grippers, targets = [], []
+    with path.open(newline="", encoding="utf-8") as file:
+        for number, row in enumerate(csv.reader(file), 1):
+            cells = [cell.strip() for cell in row]
+            if not any(cells) or cells[0].startswith("#"):
+                continue
+            try:
+                values = np.array([float(cell) for cell in cells])
+            except ValueError as error:
+                if not grippers:
+                    continue  # names
+                raise ValueError(f"{path}, line {number}: {error}") from error
+            if len(values) != COLUMNS:
+                raise ValueError(f"{path}, line {number}: {len(values)} values, {COLUMNS} are needed")
+            try:
+                grippers.append(Transform.from_quaternion(values[3:7], values[:3]))
+                targets.append(Transform.from_quaternion(values[10:14], values[7:10]))
+            except ValueError as error:
+                raise ValueError(f"{path}, line {number}: {error}") from error
+    return grippers, targets
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the command line's description."""
+    result = argparse.ArgumentParser(prog="hand_eye_solve", description=__doc__)
+    result.add_argument("poses", type=Path, help="CSV file")
+    result.add_argument("--fixed-camera", action="store_true", help="the camera stands still and sees the gripper")
+    result.add_argument("--min-turn-deg", type=float, default=10.0, help="least turn that counts (%(default)s)")
+    result.add_argument("-o", "--output", type=Path, help="write the result there as YAML")
+    return result
+
+
+def report(result: WristCamera, names: tuple[str, str]) -> str:
+    """Return the result for people."""
+    turn, shift = result.sigmas()
+    left_out = np.flatnonzero(~result.used) + 1
+    lines = [
+        f"{int(result.used.sum())} poses used"
+        + (f", left out: {', '.join(map(str, left_out))}" if len(left_out) else ""),
+        f"misfit {np.degrees(result.rotation_rms_rad):.4f} degrees and {1e3 * result.translation_rms_m:.4f} mm rms; "
+        f"best start: {result.start}",
+        f"predicted sigma of {names[0]}: {np.degrees(turn):.4f} degrees and {1e3 * shift:.4f} mm",
+    ]
+    for name, transform in zip(names, (result.gripper_from_camera, result.base_from_target)):
+        x, y, z, w = transform.quaternion()
+        place = ", ".join(f"{v:.6f}" for v in transform.translation)
+        lines.append(f"{name}: ({place}) m, quaternion ({x:.6f}, {y:.6f}, {z:.6f}, {w:.6f})")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command."""
+    options = parser().parse_args(arguments)
+    names = (
+        ("base_from_camera", "gripper_from_target")
+        if options.fixed_camera
+        else (
+            "gripper_from_camera",
+            "base_from_target",
+        )
+    )
+    try:
+        grippers, targets = read_poses(options.poses)
+        if options.fixed_camera:
+            grippers = [g.inverse() for g in grippers]
+        result = calibrate_wrist(grippers, targets, WristConfig(min_turn_rad=float(np.radians(options.min_turn_deg))))
+    except (DegenerateError, ConfigError, ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(report(result, names))
+    if options.output is not None:
+        document = {
+            name: {"translation_m": t.translation.tolist(), "quaternion_xyzw": t.quaternion().tolist()}
+            for name, t in zip(names, (result.gripper_from_camera, result.base_from_target))
+        }
+        figures = {
+            "poses_used": np.flatnonzero(result.used).tolist(),
+            "rotation_rms_rad": result.rotation_rms_rad,
+            "translation_rms_m": result.translation_rms_m,
+            "covariance": result.covariance.tolist(),
+        }
+        try:
+            options.output.write_text(yaml.safe_dump({**document, **figures}, sort_keys=False), encoding="utf-8")
+        except OSError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,328 @@
+"""Hand-eye calibration of an arm whose wrist turns: AX = XB and AX = ZB, for any number of poses.
+
+With ``base_from_gripper`` A, ``gripper_from_camera`` X, ``camera_from_target`` B and ``base_from_target`` Z every pose
+says ``A X B = Z``. Pairs of poses eliminate Z (AX = XB), from which three closed forms give starts; the best of them is
+refined over all poses and both unknowns jointly. A camera that stands still and sees a target on the gripper is the
+same problem with ``gripper_from_base`` in place of A.
+
+Sources: F. Park, B. Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group" (1994); R. Horaud,
+F. Dornaika, "Hand-eye calibration" (1995); K. Daniilidis, "Hand-eye calibration using dual quaternions" (1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.hand_eye import DegenerateError
+from icu_common.core.config import Config, setting
+from icu_common.core.geometry import Array, Transform, nearest_rotation
+
+METHODS = ("park", "horaud", "daniilidis")
+_MAX_PAIRS = 2000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WristConfig(Config):
+    """When poses determine the calibration."""
+
+    min_turn_rad: float = setting(
+        0.17, "Least turn between two poses that counts", minimum=0.001, maximum=3.0, unit="rad"
+    )
+    min_axes_rad: float = setting(
+        0.17, "Least angle between the axes of two of these turns", minimum=0.001, maximum=1.5, unit="rad"
+    )
+    outlier_sigmas: float = setting(4.5, "Poses beyond so many standard deviations are left out", minimum=2.0)
+    max_outliers: float = setting(0.3, "Part of the poses that may be left out", minimum=0.0, maximum=0.49)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class WristCamera:
+    """A calibration.
+
+    Attributes
+    ----------
+    gripper_from_camera, base_from_target
+        X and Z.
+    start
+        The closed form whose result the refinement began with.
+    rotation_rms_rad, translation_rms_m
+        Misfit of the poses that were used, per degree of freedom.
+    covariance
+        (12, 12) of small turns (rad) and shifts (m): X's turn and shift in its own frame, then Z's.
+    used
+        (N,) bool, which poses those were.
+    """
+
+    gripper_from_camera: Transform
+    base_from_target: Transform
+    start: str
+    rotation_rms_rad: float
+    translation_rms_m: float
+    covariance: Array
+    used: npt.NDArray[np.bool_]
+
+    def sigmas(self) -> tuple[float, float]:
+        """Return the standard deviations of X: of its rotation (rad) and of its translation (m), all axes together."""
+        variance = np.diag(self.covariance)
+        return float(np.sqrt(variance[:3].sum())), float(np.sqrt(variance[3:6].sum()))
+
+
+def calibrate_wrist(
+    base_from_gripper: Sequence[Transform], camera_from_target: Sequence[Transform], config: WristConfig | None = None
+) -> WristCamera:
+    """Solve A X B = Z for X and Z; wrong poses are left out.
+
+    Raises
+    ------
+    DegenerateError
+        For too few poses, a wrist that did not turn or turned about one axis only (with the motion that would help),
+        and too many poses that do not fit.
+    """
+    config = config if config is not None else WristConfig()
+    count = len(base_from_gripper)
+    if count != len(camera_from_target):
+        raise DegenerateError(f"{count} gripper poses and {len(camera_from_target)} target poses do not pair")
+    a, b = list(base_from_gripper), list(camera_from_target)
+    check_turns(a, config)
+    used = np.ones(count, dtype=bool)
+    for _ in range(10):
+        result = _solve([t for t, u in zip(a, used) if u], [t for t, u in zip(b, used) if u], used)
+        again = _fitting(a, b, result, config)
+        left_out = np.flatnonzero(~again)
+        if len(left_out) > config.max_outliers * count:
+            numbers = ", ".join(str(i + 1) for i in left_out)
+            raise DegenerateError(f"{len(left_out)} of {count} poses do not fit the rest (numbers {numbers})")
+        if (again == used).all():
+            break
+        used = again
+        check_turns([t for t, u in zip(a, used) if u], config)
+    return result
+
+
+def closed_form(
+    method: str, base_from_gripper: Sequence[Transform], camera_from_target: Sequence[Transform]
+) -> Transform:
+    """Return gripper_from_camera by one of ``METHODS``, unrefined.
+
+    Raises
+    ------
+    ValueError
+        For another method.
+    """
+    pairs = _motions(base_from_gripper, camera_from_target)
+    if method == "daniilidis":
+        return _daniilidis(pairs)
+    if method not in METHODS:
+        raise ValueError(f"method {method!r} is none of {', '.join(METHODS)}")
+    rotation = _park(pairs) if method == "park" else _horaud(pairs)
+    return Transform(rotation, _translation(pairs, rotation))
+
+
+def check_turns(base_from_gripper: Sequence[Transform], config: WristConfig) -> None:
+    """Refuse poses that leave a part of the calibration unknown.
+
+    Raises
+    ------
+    DegenerateError
+        With the motion that would help.
+    """
+    count = len(base_from_gripper)
+    if count < 3:
+        raise DegenerateError(f"{count} poses, 3 are needed: turn the wrist and add one")
+    turns = np.array([_log((x.inverse() @ y).rotation) for x, y in _pairs(base_from_gripper)])
+    angles = np.linalg.norm(turns, axis=1)
+    need = np.degrees(config.min_turn_rad)
+    if angles.max() < config.min_turn_rad:
+        raise DegenerateError(
+            f"the wrist turned by at most {np.degrees(angles.max()):.1f} degrees, {need:.0f} are needed: without turns "
+            "the camera's place does not show; turn it about two different axes"
+        )
+    axes = turns[angles >= config.min_turn_rad] / angles[angles >= config.min_turn_rad, None]
+    # The second largest singular value of unit axes is the sine of their spread about the main one.
+    main = np.linalg.svd(axes)[2][0]
+    spread = float(np.arcsin(min(1.0, np.linalg.norm(np.cross(axes, main), axis=1).max())))
+    if spread < config.min_axes_rad:
+        across = np.eye(3)[int(np.argmin(np.abs(main)))]
+        raise DegenerateError(
+            f"all turns are about one axis, ({main[0]:.2f}, {main[1]:.2f}, {main[2]:.2f}) of the gripper, to within "
+            f"{np.degrees(spread):.1f} degrees: the camera's place along it does not show; turn the wrist by "
+            f"{need:.0f} degrees or more about ({across[0]:.0f}, {across[1]:.0f}, {across[2]:.0f}) too"
+        )
+
+
+def _pairs(poses: Sequence[Transform]) -> list[tuple[Transform, Transform]]:
+    indices = [(i, j) for i in range(len(poses)) for j in range(i + 1, len(poses))]
+    return [(poses[i], poses[j]) for i, j in indices[:: max(1, -(-len(indices) // _MAX_PAIRS))]]
+
+
+def _motions(a: Sequence[Transform], b: Sequence[Transform]) -> list[tuple[Transform, Transform]]:
+    """Return pairs A' X = X B': the motions of the gripper and of the camera between two poses."""
+    # A_i X B_i = A_j X B_j, so (A_j^-1 A_i) X = X (B_j B_i^-1).
+    return [
+        (a_j.inverse() @ a_i, b_j @ b_i.inverse()) for (a_i, a_j), (b_i, b_j) in zip(_pairs(list(a)), _pairs(list(b)))
+    ]
+
+
+def _park(pairs: Sequence[tuple[Transform, Transform]]) -> Array:
+    m = sum((np.outer(_log(a.rotation), _log(b.rotation)) for a, b in pairs), np.zeros((3, 3)))
+    return nearest_rotation(m)  # (M^T M)^-1/2 M^T of the paper, by singular values
+
+
+def _horaud(pairs: Sequence[tuple[Transform, Transform]]) -> Array:
+    total = np.zeros((4, 4))
+    for a, b in pairs:
+        difference = _left(_quaternion(a)) - _right(_quaternion(b))
+        total += difference.T @ difference
+    w, x, y, z = np.linalg.eigh(total)[1][:, 0]
+    return Transform.from_quaternion((x, y, z, w), np.zeros(3)).rotation
+
+
+def _translation(pairs: Sequence[tuple[Transform, Transform]], rotation: Array) -> Array:
+    matrix = np.vstack([a.rotation - np.eye(3) for a, _ in pairs])
+    right = np.concatenate([rotation @ b.translation - a.translation for a, b in pairs])
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
+
+
+def _daniilidis(pairs: Sequence[tuple[Transform, Transform]]) -> Transform:
+    rows = []
+    for a, b in pairs:
+        (qa, da), (qb, db) = _dual(a), _dual(b)
+        top = np.hstack([(qa - qb)[1:, None], _cross((qa + qb)[1:]), np.zeros((3, 4))])
+        low = np.hstack([(da - db)[1:, None], _cross((da + db)[1:]), (qa - qb)[1:, None], _cross((qa + qb)[1:])])
+        rows += [top, low]
+    v = np.linalg.svd(np.vstack(rows))[2]
+    (u1, v1), (u2, v2) = ((v[k][:4], v[k][4:]) for k in (6, 7))
+    # q = l1 u1 + l2 u2 with |q| = 1 and q . d = 0: a quadratic in l1 / l2.
+    roots = np.roots([u1 @ v1, u1 @ v2 + u2 @ v1, u2 @ v2]) if abs(u1 @ v1) > 1e-15 else np.zeros(1)
+    best, scale = 0.0, 0.0
+    for s in roots.real:
+        length = float(s * s * (u1 @ u1) + 2 * s * (u1 @ u2) + u2 @ u2)
+        if length > scale:
+            best, scale = float(s), length
+    q = (best * u1 + u2) / np.sqrt(scale)
+    d = (best * v1 + v2) / np.sqrt(scale)
+    return Transform.from_quaternion((*q[1:], q[0]), 2 * (_right(_conjugate(q)) @ d)[1:])
+
+
+def _solve(a: Sequence[Transform], b: Sequence[Transform], used: npt.NDArray[np.bool_]) -> WristCamera:
+    """Refine the best closed form over X and Z together, by Gauss-Newton, with weights from the residuals."""
+    starts = {}
+    for method in METHODS:
+        x = closed_form(method, a, b)
+        z = _mean([p @ x @ q for p, q in zip(a, b)])
+        starts[method] = (float(np.sum(_residuals(a, b, x, z) ** 2)), x, z)
+    start = min(starts, key=lambda name: starts[name][0])
+    _, x, z = starts[start]
+    count = len(a)
+    freedom = max(1, 3 * count - 6)  # of turns, and as many of shifts
+    normal = np.eye(12)
+    for turn in range(30):
+        error = _residuals(a, b, x, z)
+        # Turns and shifts have their own noise; both are estimated from what is left.
+        sigmas = np.sqrt(np.sum(error.reshape(count, 2, 3) ** 2, axis=(0, 2)) / freedom)
+        weight = np.tile(np.repeat(1 / np.maximum(sigmas, 1e-12), 3), count)
+        slope = _slopes(a, b, x, z, error)
+        normal = (slope * weight[:, None] ** 2).T @ slope
+        step = -np.linalg.solve(normal, (slope * weight[:, None] ** 2).T @ error)
+        x, z = _moved(x, step[:6]), _moved(z, step[6:])
+        if turn > 2 and np.abs(step).max() < 1e-10:
+            break
+    error = _residuals(a, b, x, z).reshape(count, 2, 3)
+    rotation_rms, translation_rms = np.sqrt(np.sum(error**2, axis=(0, 2)) / freedom)
+    return WristCamera(
+        gripper_from_camera=x,
+        base_from_target=z,
+        start=start,
+        rotation_rms_rad=float(rotation_rms),
+        translation_rms_m=float(translation_rms),
+        covariance=np.asarray(np.linalg.inv(normal)),
+        used=used,
+    )
+
+
+def _residuals(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Transform) -> Array:
+    """Return (6 N,): turn (rad) and shift (m) from what A X B says to Z, in the target's frame."""
+    back = z.inverse()
+    rows = []
+    for p, q in zip(a, b):
+        off = back @ (p @ x @ q)
+        rows += [_log(off.rotation), off.translation]
+    return np.concatenate(rows)
+
+
+def _slopes(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Transform, error: Array) -> Array:
+    size = 1e-6
+    columns = []
+    for k in range(12):
+        step = np.zeros(12)
+        step[k] = size
+        columns.append((_residuals(a, b, _moved(x, step[:6]), _moved(z, step[6:])) - error) / size)
+    return np.column_stack(columns)
+
+
+def _fitting(a: list[Transform], b: list[Transform], result: WristCamera, config: WristConfig) -> npt.NDArray[np.bool_]:
+    error = _residuals(a, b, result.gripper_from_camera, result.base_from_target).reshape(-1, 2, 3)
+    size = np.linalg.norm(error, axis=2)
+    # The median of a three-dimensional normal's length is 1.538 of its standard deviation.
+    sigma = np.maximum(np.median(size, axis=0) / 1.538, (1e-9, 1e-9))
+    return np.asarray((size <= config.outlier_sigmas * 1.5 * sigma).all(axis=1))
+
+
+def _moved(transform: Transform, step: Array) -> Transform:
+    return Transform(
+        nearest_rotation(transform.rotation @ _exp(step[:3])), transform.translation + transform.rotation @ step[3:]
+    )
+
+
+def _mean(poses: Sequence[Transform]) -> Transform:
+    rotation = nearest_rotation(np.mean([p.rotation for p in poses], axis=0))
+    return Transform(rotation, np.mean([p.translation for p in poses], axis=0))
+
+
+def _log(rotation: Array) -> Array:
+    """Return the rotation vector (3,) rad of a matrix (3, 3)."""
+    q = Transform(rotation, np.zeros(3)).quaternion()
+    sine = float(np.linalg.norm(q[:3]))
+    return np.asarray(q[:3] * (2 * np.arctan2(sine, q[3]) / sine if sine > 1e-12 else 2.0))
+
+
+def _exp(vector: Array) -> Array:
+    angle = float(np.linalg.norm(vector))
+    k = _cross(vector)
+    if angle < 1e-12:
+        return np.asarray(np.eye(3) + k)
+    return np.asarray(np.eye(3) + np.sin(angle) / angle * k + (1 - np.cos(angle)) / angle**2 * (k @ k))
+
+
+def _cross(v: Array) -> Array:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def _quaternion(transform: Transform) -> Array:
+    """Return (4,) w, x, y, z with w >= 0; AX = XB gives A and B the same w, so the signs agree."""
+    return np.roll(transform.quaternion(), 1)
+
+
+def _dual(transform: Transform) -> tuple[Array, Array]:
+    q = _quaternion(transform)
+    return q, 0.5 * _left(np.array([0.0, *transform.translation])) @ q
+
+
+def _left(q: Array) -> Array:
+    """Return (4, 4) L(q) with L(q) p = q p; quaternions are w, x, y, z."""
+    w, x, y, z = q
+    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+
+
+def _right(q: Array) -> Array:
+    """Return (4, 4) R(q) with R(q) p = p q."""
+    w, x, y, z = q
+    return np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
+
+
+def _conjugate(q: Array) -> Array:
+    return q * (1.0, -1.0, -1.0, -1.0)

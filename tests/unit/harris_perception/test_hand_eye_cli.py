@@ -1,0 +1,61 @@
+"""The command that solves AX = XB from a file: its figures, its file, and what it says about bad input."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from harris_perception.cli.hand_eye import main
+from icu_common.core.geometry import Transform
+
+X = Transform(np.asarray(cv2.Rodrigues(np.array([0.1, -0.2, 1.5]))[0], dtype=float), np.array([0.03, -0.05, 0.11]))
+Z = Transform(np.asarray(cv2.Rodrigues(np.array([0.5, 0.3, -0.4]))[0], dtype=float), np.array([0.6, 0.1, 0.02]))
+
+
+def rows(fixed: bool = False, turn: float = 0.8) -> list[str]:
+    rng = np.random.default_rng(1)
+    lines = []
+    for _ in range(10):
+        rotation = np.asarray(cv2.Rodrigues(rng.uniform(-turn, turn, 3))[0], dtype=float)
+        a = Transform(rotation, rng.uniform(-0.3, 0.3, 3))
+        b = X.inverse() @ a @ Z if fixed else (a @ X).inverse() @ Z
+        lines.append(",".join(f"{v:.9f}" for t in (a, b) for v in (*t.translation, *t.quaternion())))
+    return lines
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_poses_become_both_transforms(fixed: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    poses, out = tmp_path / "poses.csv", tmp_path / "out.yaml"
+    poses.write_text("\n".join(["px,py,pz," + "q," * 10 + "qw", "", *rows(fixed)]))
+    assert main([str(poses), "-o", str(out), *(["--fixed-camera"] if fixed else [])]) == 0
+    said = capsys.readouterr().out
+    assert "10 poses used" in said and "predicted sigma of" in said
+    document = yaml.safe_load(out.read_text())
+    names = ("base_from_camera", "gripper_from_target") if fixed else ("gripper_from_camera", "base_from_target")
+    for name, truth in zip(names, (X, Z)):
+        np.testing.assert_allclose(document[name]["translation_m"], truth.translation, atol=1e-6)
+        np.testing.assert_allclose(document[name]["quaternion_xyzw"], truth.quaternion(), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("\n".join(rows()[:2]), "2 poses, 3 are needed"),
+        ("\n".join(rows(turn=0.01)), "10 are needed: without turns"),
+        (rows()[0] + "\n1,2,3", "line 2: 3 values, 14 are needed"),
+        (rows()[0] + "\n" + rows()[1].replace("0.", "x.", 1), "line 2: could not convert"),
+        (",".join(["0"] * 14), "line 1: quaternion .* has no direction"),
+    ],
+)
+def test_bad_files_are_refused_by_line(
+    text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    poses = tmp_path / "poses.csv"
+    poses.write_text(text)
+    assert main([str(poses)]) == 1
+    assert re.search(message, capsys.readouterr().err)

@@ -1,0 +1,130 @@
+"""AX = XB and AX = ZB on synthetic motions: exact, with noise as predicted, beside OpenCV's where it has them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from harris_perception.core.hand_eye import DegenerateError
+from harris_perception.core.wrist_camera import METHODS, calibrate_wrist, closed_form
+from icu_common.core.geometry import Transform
+
+
+def turned(vector: tuple[float, float, float], translation: tuple[float, float, float]) -> Transform:
+    return Transform(np.asarray(cv2.Rodrigues(np.array(vector))[0], dtype=float), np.array(translation))
+
+
+X = turned((0.1, -0.2, 1.5), (0.03, -0.05, 0.11))
+Z = turned((0.5, 0.3, -0.4), (0.6, 0.1, 0.02))
+
+
+def motions(
+    count: int, rng: np.random.Generator, turn_sigma: float = 0.0, shift_sigma: float = 0.0
+) -> tuple[list[Transform], list[Transform]]:
+    grippers, targets = [], []
+    for _ in range(count):
+        a = turned(tuple(rng.uniform(-0.8, 0.8, 3)), tuple(rng.uniform(-0.3, 0.3, 3)))
+        noise = turned(tuple(rng.normal(0, turn_sigma, 3)), tuple(rng.normal(0, shift_sigma, 3)))
+        grippers.append(a)
+        targets.append((a @ X).inverse() @ Z @ noise)
+    return grippers, targets
+
+
+def apart(a: Transform, b: Transform) -> tuple[float, float]:
+    off = a.inverse() @ b
+    angle = float(np.linalg.norm(cv2.Rodrigues(off.rotation)[0]))
+    return angle, float(np.linalg.norm(off.translation))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("count", [3, 12])
+def test_closed_forms_are_exact_on_exact_motions(method: str, count: int) -> None:
+    for seed in range(10):
+        angle, shift = apart(closed_form(method, *motions(count, np.random.default_rng(seed))), X)
+        assert angle < 1e-6 and shift < 1e-6, (seed, angle, shift)
+
+
+def test_joint_solution_is_exact_and_gives_both_unknowns() -> None:
+    result = calibrate_wrist(*motions(8, np.random.default_rng(1)))
+    assert max(apart(result.gripper_from_camera, X)) < 1e-8
+    assert max(apart(result.base_from_target, Z)) < 1e-8
+    assert result.start in METHODS and result.used.all()
+
+
+def test_a_fixed_camera_is_the_same_problem_with_the_inverse() -> None:
+    """The camera stands at base_from_camera and sees a target on the gripper."""
+    grippers, _ = motions(8, np.random.default_rng(2))
+    base_from_camera, gripper_from_target = Z, X
+    seen = [base_from_camera.inverse() @ g @ gripper_from_target for g in grippers]
+    result = calibrate_wrist([g.inverse() for g in grippers], seen)
+    assert max(apart(result.gripper_from_camera, base_from_camera)) < 1e-8
+    assert max(apart(result.base_from_target, gripper_from_target)) < 1e-8
+
+
+def test_error_is_as_predicted_and_below_every_closed_form() -> None:
+    squares, ours = [], []
+    peers: dict[str, list[float]] = {method: [] for method in METHODS}
+    for seed in range(30):
+        poses = motions(15, np.random.default_rng(seed), 0.002, 0.0005)
+        result = calibrate_wrist(*poses)
+        off = X.inverse() @ result.gripper_from_camera
+        error = np.concatenate([cv2.Rodrigues(off.rotation)[0][:, 0], off.translation])
+        squares.append(error @ np.linalg.solve(result.covariance[:6, :6], error) / 6)
+        ours.append(apart(X, result.gripper_from_camera)[1])
+        for method in METHODS:
+            peers[method].append(apart(X, closed_form(method, *poses))[1])
+    rms = {name: float(np.sqrt(np.mean(np.square(v)))) * 1e3 for name, v in {"joint": ours, **peers}.items()}
+    print({k: round(v, 3) for k, v in rms.items()}, f"chi-square/dof {np.mean(squares):.2f}")
+    assert 0.8 < np.mean(squares) < 1.25
+    assert all(rms["joint"] <= 1.001 * rms[method] for method in METHODS)
+
+
+def test_wrong_poses_are_left_out() -> None:
+    rng = np.random.default_rng(3)
+    grippers, targets = motions(16, rng, 0.001, 0.0003)
+    for i in (4, 9):
+        targets[i] = targets[i] @ turned((0.0, 0.3, 0.0), (0.05, 0.0, 0.02))
+    result = calibrate_wrist(grippers, targets)
+    assert np.flatnonzero(~result.used).tolist() == [4, 9]
+    assert apart(result.gripper_from_camera, X)[1] < 0.001
+
+
+def test_what_cannot_be_solved_is_refused_with_the_motion_that_helps() -> None:
+    grippers, targets = motions(8, np.random.default_rng(4))
+    with pytest.raises(DegenerateError, match="2 poses, 3 are needed: turn the wrist"):
+        calibrate_wrist(grippers[:2], targets[:2])
+    with pytest.raises(DegenerateError, match="8 gripper poses and 7 target poses do not pair"):
+        calibrate_wrist(grippers, targets[:7])
+    still = [turned((0.0, 0.0, 0.001 * k), (0.1 * k, 0.0, 0.02 * k)) for k in range(8)]
+    with pytest.raises(DegenerateError, match=r"turned by at most 0\.4 degrees, 10 are needed: .* two different axes"):
+        calibrate_wrist(still, [(g @ X).inverse() @ Z for g in still])
+    one_axis = [turned((0.0, 0.0, 0.2 * k), (0.1 * k, 0.0, 0.02 * k)) for k in range(8)]
+    with pytest.raises(DegenerateError, match=r"about one axis, \(.*1\.00\) of the gripper.* 10 degrees or more about"):
+        calibrate_wrist(one_axis, [(g @ X).inverse() @ Z for g in one_axis])
+
+
+@pytest.mark.skipif(not hasattr(cv2, "calibrateHandEye"), reason="this OpenCV has no calibrateHandEye")
+@pytest.mark.parametrize(("method", "name"), [("park", "PARK"), ("horaud", "HORAUD"), ("daniilidis", "DANIILIDIS")])
+def test_closed_forms_agree_with_opencv(method: str, name: str) -> None:
+    poses = motions(12, np.random.default_rng(5), 0.001, 0.0003)
+    arguments = [[getattr(p, part) for p in side] for side in poses for part in ("rotation", "translation")]
+    rotation, translation = cv2.calibrateHandEye(*arguments, method=getattr(cv2, f"CALIB_HAND_EYE_{name}"))
+    theirs = Transform(np.asarray(rotation), np.asarray(translation)[:, 0])
+    angle, shift = apart(closed_form(method, *poses), theirs)
+    assert angle < 0.0005 and shift < 0.0003
+
+
+@pytest.mark.skipif(not hasattr(cv2, "calibrateRobotWorldHandEye"), reason="this OpenCV has no AX = ZB")
+def test_joint_solution_is_at_least_as_good_as_opencvs_ax_zb() -> None:
+    ours, theirs = [], []
+    for seed in range(20):
+        grippers, targets = motions(12, np.random.default_rng(seed), 0.002, 0.0005)
+        world = list(targets)  # OpenCV's "world" is the target, its "base" seen from the gripper
+        back = [g.inverse() for g in grippers]
+        parts = [[getattr(p, part) for p in side] for side in (world, back) for part in ("rotation", "translation")]
+        _, _, rotation, translation = cv2.calibrateRobotWorldHandEye(*parts)
+        found = Transform(np.asarray(rotation), np.asarray(translation)[:, 0]).inverse()
+        theirs.append(apart(X, found)[1])
+        ours.append(apart(X, calibrate_wrist(grippers, targets).gripper_from_camera)[1])
+    assert np.sqrt(np.mean(np.square(ours))) <= 1.05 * np.sqrt(np.mean(np.square(theirs)))
