@@ -46,7 +46,7 @@ STEPS_PER_M = np.array([80e3, 80e3, 400e3])
 _MS = 1_000_000
 _PERIOD_NS = 66 * _MS
 _NOISE_REACH_PX = 90
-_OUT_OF_SIGHT = (-0.6, 0.6, 0.0)
+OUT_OF_SIGHT = (-0.6, 0.6, 0.0)
 Picture = npt.NDArray[np.uint8]
 
 
@@ -83,8 +83,7 @@ class Studio:
             return self.renderer.render(moment)
         key = (round(reading[0] * 500), round(reading[1] * 500), round(reading[2] * 1000))
         if key not in self._drawn:
-            away = replace(moment, tip=_OUT_OF_SIGHT)
-            self.renderer.render(away)  # coarsely, as the carriage has only just stopped
+            away = replace(moment, tip=OUT_OF_SIGHT)
             self._drawn[key] = np.asarray(moment.carriage), self.renderer.render(away)
         place, drawn = self._drawn[key]
         shift = np.asarray(moment.carriage) - place
@@ -197,8 +196,9 @@ class Robot:
             if found.tip is not None:
                 actions = run.tip(self.now_ns, found.tip, self.now_ns)
             if not actions and looks:
-                looks -= 1
-                actions = run.panel(self.now_ns, self._panel_in(pictures), self.now_ns)
+                panel = self._panel_in(pictures)
+                looks -= panel is not None
+                actions = run.panel(self.now_ns, panel, self.now_ns) if panel is not None else []
             actions = actions or run.tick(self.now_ns)
         return actions
 
@@ -237,9 +237,13 @@ class Robot:
         RuntimeError
             If it is not found.
         """
-        return self._panel_in(self.pictures())
+        for _ in range(5):
+            seen = self._panel_in(self.pictures())
+            if seen is not None:
+                return seen
+        raise RuntimeError(f"seed {self.seed}: the panel was not recognised")
 
-    def _panel_in(self, pictures: list[Picture]) -> Transform:
+    def _panel_in(self, pictures: list[Picture]) -> Transform | None:
         gray = cv2.cvtColor(pictures[0], cv2.COLOR_BGR2GRAY)
         noise = self.rng.normal(0.0, 0.6 * self.studio.config.light.noise, gray.shape)
         gray = np.clip(np.rint(gray + noise), 0, 255).astype(np.uint8)
@@ -248,6 +252,4 @@ class Robot:
         seen = recogniser.locate(gray, np.empty((0, 2)), camera)
         if seen is None:
             seen = recogniser.locate(gray, self.studio.detector.detect(gray).xy, camera)
-        if seen is None:
-            raise RuntimeError(f"seed {self.seed}: the panel was not recognised")
-        return seen.camera_from_panel
+        return None if seen is None else seen.camera_from_panel

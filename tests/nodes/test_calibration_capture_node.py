@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Image
+from std_msgs.msg import String
 from unit.harris_perception.drawn_board import picture, poses
 
 from harris_perception.core.board import Board
@@ -31,6 +32,7 @@ def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Pa
     ros.node(lambda **o: CalibrationCaptureNode(topics, folders, collection, lines.append, **o))
     probe = ros.plain()
     reports = ros.collect(probe, DiagnosticArray, "/diagnostics")
+    coverage = ros.collect(probe, String, "calibration/camera_coverage", qos.LATCHED)
     publishers = [probe.create_publisher(Image, topic, qos.IMAGES) for topic in topics]
     ros.spin_until(lambda: all(p.get_subscription_count() for p in publishers), 10)
 
@@ -48,7 +50,12 @@ def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Pa
     assert any("hold the board still" in line for line in lines)
     ros.spin_until(lambda: any("2/2 views" in r.status[0].message for r in reports), 10, lambda: lines)
     values = {pair.key: pair.value for pair in reports[-1].status[0].values}
-    assert set(values) == {"x", "y", "size", "skew"}
+    names = ("x", "y", "size", "skew")
+    assert set(values) == {"views", "wanted", *names, *(f"{name}_missing" for name in names)}
+    assert (values["views"], values["wanted"]) == ("2", "2")
+    assert "tilt the board" in values["skew_missing"]
+    ros.spin_until(lambda: coverage and coverage[-1].data == lines[-1], 10, lambda: lines)
+    assert "2/2 views; " in coverage[-1].data
 
     # Pictures of different moments are no pair.
     count = len(lines)

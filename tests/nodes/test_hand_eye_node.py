@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, TransformStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -28,6 +29,7 @@ from icu_common.nodes.conversions import (
     header,
     joint_message,
     point_message,
+    pose_message,
     result_message,
     stamp_ns,
     transform_of_message,
@@ -60,6 +62,7 @@ class Rig:
         self.ros = ros
         self.reading = np.zeros(3)
         self.rng = np.random.default_rng(1)
+        self.off = np.zeros(3)
         self.outcome, self.reason = Outcome.REACHED, ""
         self.goals: list[PointStamped] = []
         self.node = ros.node(HandEyeNode, {**QUICK, **parameters})
@@ -105,9 +108,11 @@ class Rig:
 
     def look(self) -> None:
         self.joints.publish(joint_message(JOINTS, self.reading, header(self.now(), BASE)))
-        base = np.array([*(AXES @ self.reading[:2]), -self.reading[2]])
-        tip = POSE.apply(base) + self.rng.normal(0, (0.00003, 0.00003, 0.00012))
+        tip = POSE.apply(self.tip_base() + self.off) + self.rng.normal(0, (0.00003, 0.00003, 0.00012))
         self.tips.publish(point_message(tip, header(self.now(), CAMERA_LEFT)))
+
+    def tip_base(self) -> Any:
+        return np.array([*(AXES @ self.reading[:2]), -self.reading[2]])
 
     def watch(self, condition: Any, within_s: float) -> None:
         def looked() -> Any:
@@ -270,3 +275,107 @@ def test_broken_file_is_named(ros: Any, tmp_path: Path) -> None:
     path.write_text("nonsense")
     rig = Rig(ros, calibration_file=str(path))
     assert rig.state == f"failed: {path}: not a hand-eye calibration: format 2 is needed"
+
+
+def test_calibration_in_use_is_withdrawn_when_the_camera_changes(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    stored(path)
+    rig = Rig(ros, calibration_file=str(path), machine="bench")
+    rig.cameras()
+    ros.spin_until(lambda: rig.state.startswith("calibrated") and rig.axes, 10.0)
+    changed = replace(camera(1703.0))
+    rig.infos[0].publish(camera_info_message(changed, header(2, CAMERA_LEFT)))
+    ros.spin_until(lambda: rig.state.startswith("failed") and not rig.axes[-1].data, 10.0)
+    assert rig.state == (
+        "failed: the calibration in use is refused: the left camera's calibration has changed by 3.00 px since it was "
+        "made"
+    )
+
+
+def test_calibration_of_other_machine_settings_is_refused(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    save(replace(stored(path), settings="$100=80 $101=80"), path)
+    rig = Rig(ros, calibration_file=str(path), machine="bench")
+    settings = rig.probe.create_publisher(String, "machine_settings", qos.LATCHED)
+    settings.publish(String(data="$100=80 $101=80"))
+    rig.cameras()
+    ros.spin_until(lambda: rig.state.startswith("calibrated"), 10.0)
+    settings.publish(String(data="$100=80 $101=160"))
+    ros.spin_until(lambda: rig.state.startswith("failed"), 10.0)
+    assert rig.state.endswith("the machine's settings have changed since it was made: $101 was 80, now 160")
+
+
+def test_drift_of_the_tip_is_told_and_ends(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    stored(path)
+    rig = Rig(ros, calibration_file=str(path), machine="bench", **{"drift.times": 1})
+    reports = ros.collect(rig.probe, DiagnosticArray, "/diagnostics")
+    rig.cameras()
+    ros.spin_until(lambda: rig.state.startswith("calibrated"), 10.0)
+    rig.reading = np.array([0.1, 0.1, 0.0])
+    rig.off = np.array([0.003, 0.0, 0.0])
+    rig.watch(lambda: "drift: the tip is seen" in rig.state, 15.0)
+    assert "calibrate again" in rig.state and rig.state.startswith("calibrated: ")
+    rig.watch(lambda: any(r.status[0].level == b"\x01" for r in reports[-1:]), 10.0)
+    values = {pair.key: pair.value for pair in reports[-1].status[0].values}
+    assert 2.5 < float(values["tip_off_mm"]) < 3.5
+    rig.off = np.zeros(3)
+    rig.watch(lambda: "drift" not in rig.state, 15.0)
+
+
+def test_contacts_are_kept_and_refused_with_the_reason(ros: Any) -> None:
+    rig = Rig(ros)
+    contact = rig.probe.create_publisher(PointStamped, "contact", qos.RESULTS)
+    ros.spin_until(lambda: contact.get_subscription_count() == 1, 10.0)
+    rig.reading = np.array([0.12, 0.08, 0.033])
+    rig.watch(lambda: rig.node._reading is not None, 10.0)
+    contact.publish(point_message((0.1, 0.05, 0.0), header(1, BASE)))
+    for count in range(6):
+        contact.publish(point_message((0.1, 0.05, 0.001), header(1, "panel_link")))
+        ros.spin_until(lambda c=count: len(rig.node._contacts) == min(c + 1, 5), 10.0)
+    kept = rig.node._contacts[0]
+    np.testing.assert_allclose(kept.in_panel, (0.1, 0.05, 0.003))
+    np.testing.assert_allclose(kept.reading, rig.reading)
+
+
+class RidingRig(Rig):
+    """The same with the cameras on the carriage: the tip rests in the picture, and the panel moves."""
+
+    def look(self) -> None:
+        super().look()
+        if not hasattr(self, "panels"):
+            self.panels = self.probe.create_publisher(PoseStamped, "panel/pose", qos.LATCHED)
+        moved = np.array([*(AXES @ self.reading[:2]), 0.0])
+        pose = Transform(TURN, POSE.apply(PANEL_AT - moved) + self.rng.normal(0, 0.00002, 3))
+        self.panels.publish(pose_message(pose, header(self.now(), CAMERA_LEFT)))
+
+    def tip_base(self) -> Any:
+        return np.array([0.0, 0.0, -self.reading[2]])
+
+
+PANEL_AT = np.array([0.02, 0.025, -0.035])
+
+
+def test_cameras_on_the_carriage_are_calibrated_by_the_same_service(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    rig = RidingRig(ros, calibration_file=str(path), **{"run.mounting": "carriage", "still.panels": 2})
+    rig.cameras()
+    rig.say_driver("idle")
+    assert rig.call("run") == (True, "calibrating; watch the state")
+    rig.watch(lambda: rig.state.startswith(("calibrated", "failed")), 60.0)
+    assert "cameras on the carriage" in rig.state, rig.state
+    ros.spin_until(lambda: rig.axes and rig.transforms, 10.0)
+    np.testing.assert_allclose(np.array(rig.axes[-1].data).reshape(2, 2), AXES, atol=0.001)
+    # camera_from_base follows the readings.
+    for place in ((0.05, 0.05, 0.0), (0.25, 0.12, 0.0)):
+        rig.reading = np.array(place)
+
+        def follows() -> bool:
+            here = transform_of_message(rig.transforms[-1]).inverse().apply(POSE.translation)
+            return bool(np.linalg.norm(here[:2] - AXES @ rig.reading[:2]) < 0.0005)
+
+        rig.watch(follows, 10.0)
+    kept = load(path)
+    assert kept.mounting == "carriage"
+    assert kept.base_from_panel is not None
+    np.testing.assert_allclose(kept.base_from_panel.translation, PANEL_AT, atol=0.0005)

@@ -225,7 +225,11 @@ class Bench:
             self.tell(msg.PanelState(seen=self._panel_seen()))
         if "tip" in self.talking:
             seen = self.tip_in_base() + self.noise_m * self.rng.standard_normal(3)
-            self.tell(msg.TipSeen(in_camera=CAMERA_FROM_BASE.apply(seen), stamp_ns=self.now_ns))
+            self.tell(msg.TipSeen(in_camera=self.camera_from_base().apply(seen), stamp_ns=self.now_ns))
+
+    def camera_from_base(self) -> Transform:
+        """Where base_link truly is in the camera's frame."""
+        return CAMERA_FROM_BASE
 
     def _panel_seen(self) -> PanelSeen:
         over = float(np.linalg.norm((BASE_FROM_PANEL.inverse().apply(self.tip_in_base()) - KNOB)[:2])) < 0.02
@@ -279,6 +283,33 @@ class Bench:
             self.tell(msg.MotionResult(result=result))
             if self.driver == "moving":
                 self._say_driver("idle")
+
+
+class RidingBench(Bench):
+    """The same with the cameras on the carriage; the panel's pose is told by way of them."""
+
+    def __init__(self, config: ControllerConfig | None = None, seed: int = 1) -> None:
+        super().__init__(config or ControllerConfig(camera_on_carriage=True), seed)
+        self.calibration = None
+        self.base_from_panel = BASE_FROM_PANEL
+
+    def start(self) -> Bench:
+        self.tell(msg.Axes(base_from_reading=self.true_axes))
+        return super().start()
+
+    def camera_from_base(self) -> Transform:
+        moved = self.true_axes @ self.carriage - (0.18, 0.10)
+        return self._from(moved)
+
+    def _from(self, moved: Array) -> Transform:
+        shift = CAMERA_FROM_BASE.rotation @ np.array([*moved, 0.0])
+        return Transform(CAMERA_FROM_BASE.rotation, CAMERA_FROM_BASE.translation - shift)
+
+    def _take_picture(self) -> None:
+        # Hand-eye knows the readings and the axes, not the backlash.
+        self.tell(msg.CameraFromBase(transform=self._from(self.true_axes @ self.readings[:2] - (0.18, 0.10))))
+        self.camera_from_panel = self.camera_from_base() @ self.base_from_panel
+        super()._take_picture()
 
 
 def config(**changes: object) -> ControllerConfig:

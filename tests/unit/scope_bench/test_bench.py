@@ -12,6 +12,7 @@ import pytest
 from icu_common.core.panel_layout import load_layout
 from scope_bench.core.bench import Bench
 from scope_bench.core.configuration import BenchConfig, PanelConfig
+from scope_bench.core.renderer import Renderer
 
 ROOT = Path(__file__).parents[3]
 LAYOUT = load_layout(ROOT / "config/scopes/dso_bench_4.yaml")
@@ -179,3 +180,38 @@ def test_samples_that_go_back_in_time_are_ignored() -> None:
     tip = rig.bench.tip_base()
     rig.bench.feed((-359.0, -219.0, -1.0), 0, False, rig.time - 0.5)
     assert np.array_equal(rig.bench.tip_base(), tip)
+
+
+def test_cameras_on_the_carriage_see_the_tip_at_rest_and_the_panel_moving() -> None:
+    """Their pictures are those of fixed cameras before a panel that moves the other way."""
+    camera = dataclasses.replace(BenchConfig().camera, mounting="carriage", width_px=320, height_px=180, focal_px=425.0)
+    camera = dataclasses.replace(camera, centre_px=(160.0, 90.0, 160.0, 90.0), aim_m=(0.0, 0.012, -0.022))
+    quiet = dataclasses.replace(BenchConfig().light, noise=0.0)
+    config = BenchConfig(camera=camera, light=quiet)
+    rig = Rig(config)
+    renderer = Renderer(LAYOUT, config, rig.bench.panel_from)
+    left = renderer.rig.left
+    seen = []
+    for x, y in ((60.0, 40.0), (200.0, 100.0)):
+        rig.go(x, y, 30)
+        rig.go(x, y, 30)
+        moment = rig.bench.moment(rig.time)
+        assert not moment.crossing
+        moved = np.array([*moment.carriage, 0.0])
+        tip_px = left.project(np.array(moment.tip) - moved)[0]
+        seen.append(tip_px)
+        picture = renderer.render(moment)[0].astype(int)
+        u, v = np.round(tip_px).astype(int)
+        blue, green, red = picture[v, u]
+        assert min(blue, red) - green > 60, "the magenta ball is where the moved camera projects it"
+        # A white letter's dark surroundings: the panel's corner is where it should be, too.
+        corner = left.project(rig.bench.panel_from.apply([0.0, 0.0, 0.0]) - moved)[0]
+        if 5 < corner[0] < 315 and 5 < corner[1] < 175:
+            c, r = np.round(corner).astype(int)
+            inside, outside = picture[r - 4, c + 4].sum(), picture[r - 4, c - 4].sum()
+            assert inside > outside + 60
+    np.testing.assert_allclose(seen[0], seen[1], atol=0.5, err_msg="the tip rests, but for the panel's tilt")
+    halfway = rig.time - 0.5
+    assert rig.bench.moment(halfway).crossing is False, "the second way had no length"
+    rig.go(60.0, 40.0, 30)
+    assert rig.bench.moment(rig.time - 0.5).crossing

@@ -19,7 +19,19 @@ from gantry_driver.core import controller_messages as msg
 from gantry_driver.core import motion_plan, targets
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.effects import Knob, effect, knob_of
-from gantry_driver.core.goal_job import FREE_VIEW, LOOKING, MOVING, PUSHING, STATES, UP, Fault, Job, Phase, Step
+from gantry_driver.core.goal_job import (
+    FREE_VIEW,
+    LOOKING,
+    MOVING,
+    PUSHING,
+    STANDING,
+    STATES,
+    UP,
+    Fault,
+    Job,
+    Phase,
+    Step,
+)
 from gantry_driver.core.motion_plan import OutOfReach, Path
 from gantry_driver.core.targets import Refused
 from gantry_driver.core.world import EXTENDED_M, NANO, World
@@ -679,7 +691,8 @@ class Controller:
         assert job.scene is not None
         if self.phase in FREE_VIEW and (fault := self._world.view_fault(self.config, job.touch.control)) is not None:
             return fault
-        return self._world.sight_fault(self.config, job.scene, job.touch.in_panel, pushing=self.phase in PUSHING)
+        pushing, crossing = self.phase in PUSHING, self.phase not in STANDING
+        return self._world.sight_fault(self.config, job.scene, job.touch.in_panel, pushing=pushing, crossing=crossing)
 
     def _break_off(self, job: Job, fault: Fault) -> None:
         """End the goal early: hold the machine, or let a motion in the air end and retract, or only report."""

@@ -50,6 +50,8 @@ UP = (Phase.LIFT, Phase.MEASURE, Phase.ASIDE, Phase.READ)
 """Here the touch is done, and neither a stalled camera nor a moved panel matters any more."""
 FREE_VIEW = (Phase.APPROACH, Phase.LOOK, Phase.CORRECT)
 """Here nothing but the stylus may hide the control."""
+STANDING = (Phase.LOOK, Phase.TOUCH, Phase.CONTACT)
+"""Here x and y rest: what cameras on the carriage see belongs to what is read."""
 PUSHING = (Phase.TOUCH, Phase.TURN)
 """Here a moved panel stops the machine at once; elsewhere the stylus is in the air and goes up."""
 # What /gantry/state shows; every other phase is "moving".

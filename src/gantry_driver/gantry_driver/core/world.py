@@ -88,7 +88,9 @@ class World:
             return Fault(cause=f"lost the operator: no heartbeat {age}")
         return None
 
-    def sight_fault(self, config: ControllerConfig, scene: Scene, in_panel: Array, *, pushing: bool) -> Fault | None:
+    def sight_fault(
+        self, config: ControllerConfig, scene: Scene, in_panel: Array, *, pushing: bool, crossing: bool
+    ) -> Fault | None:
         """Return what ends a touch at ``in_panel`` (3,): a stalled camera, a panel that has moved since ``scene``."""
         if self.age_s(self.camera_stamp_ns) > config.camera_timeout_s:
             age = since(self.age_s(self.camera_stamp_ns))
@@ -97,7 +99,8 @@ class World:
         if self.confidence >= config.min_confidence and self.camera_from_panel is not None:
             before, now = scene.camera_from_panel, self.camera_from_panel
             if config.camera_on_carriage:
-                if not self.panel_is_still(config) or self.camera_from_base is None:
+                # While the carriage moves, what is known of it and of the panel is of different moments.
+                if crossing or not self.panel_is_still(config) or self.camera_from_base is None:
                     return None
                 before, now = scene.base_from_panel, self.camera_from_base.inverse() @ now
             moved = float(np.linalg.norm(now.apply(in_panel) - before.apply(in_panel)))

@@ -29,6 +29,8 @@ from harris_perception.core.hand_eye import (
 from icu_common.core.geometry import Array, Transform, nearest_rotation
 
 MAX_CONTACTS = 5
+_PANEL_NOISE = 3.0
+"""A recognised panel scatters by so many times what the tip does, before its residuals tell better."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -101,15 +103,13 @@ def calibrate_on_carriage(
     config = config if config is not None else HandEyeConfig()
     rotation = mean_rotation(panels) if panels else np.eye(3)
     readings, points = checked([_origin(p, rotation) for p in panels], "the panel", config)
-    fit = robust_fit(
-        np.column_stack([readings[:, :2], np.ones(len(readings))]), points, least_covariance(points, config), config
-    )
+    design = np.column_stack([readings[:, :2], np.ones(len(readings))])
+    shape = _PANEL_NOISE**2 * least_covariance(points, config)
+    fit = robust_fit(design, points, shape, config)
     # Again without the panels that did not fit, whose rotation was in the mean.
     rotation = mean_rotation([p for p, used in zip(panels, fit.used) if used])
     points = np.array([_origin(p, rotation).tip for p in panels])
-    fit = robust_fit(
-        np.column_stack([readings[:, :2], np.ones(len(readings))]), points, least_covariance(points, config), config
-    )
+    fit = robust_fit(design, points, shape, config)
     ray = points.mean(axis=0) / np.linalg.norm(points.mean(axis=0))
     along = np.outer(ray, ray)
     common = config.panel_sigma_m**2 * (np.eye(3) - along) + config.panel_depth_sigma_m**2 * along

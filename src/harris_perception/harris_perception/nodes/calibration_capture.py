@@ -15,6 +15,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import Image
+from std_msgs.msg import String
 
 from harris_perception.core.board import Board
 from harris_perception.core.board_detection import BoardDetector
@@ -29,6 +30,9 @@ _MAX_APART_NS = 2_000_000
 
 class CalibrationCaptureNode(Node):
     """Listens to one topic of pictures per camera and writes the moments kept as PNG.
+
+    How far it is and what is missing goes to ``calibration/camera_coverage`` as one line, and to ``/diagnostics`` with
+    one value per direction.
 
     Parameters
     ----------
@@ -56,6 +60,7 @@ class CalibrationCaptureNode(Node):
         self._detector = BoardDetector(collection.board, quick=True)
         self._folders = [Path(folder) for folder in folders]
         self._newest: list[tuple[int, npt.NDArray[np.uint8]] | None] = [None] * len(topics)
+        self._coverage = self.create_publisher(String, "calibration/camera_coverage", qos.LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         self.create_timer(1.0, self._report)
         for side, topic in enumerate(topics):
@@ -89,11 +94,15 @@ class CalibrationCaptureNode(Node):
         if line != self._said:
             self._said = line
             self._say(line)
+            self._coverage.publish(String(data=line))
 
     def _report(self) -> None:
         self._tell()
         level = "ok" if self.collection.complete else "warn"
-        values = [(reach.name, f"{reach.low:.2f} to {reach.high:.2f}") for reach in self.collection.reaches]
+        values: list[tuple[str, Any]] = [("views", len(self.collection.kept)), ("wanted", self.collection.wanted)]
+        for reach in self.collection.reaches:
+            values.append((reach.name, f"{reach.low:.2f} to {reach.high:.2f}"))
+            values.append((f"{reach.name}_missing", reach.missing))
         status = diagnostic_status(self.get_fully_qualified_name(), level, self._said, values)
         head = header(self.get_clock().now().nanoseconds, "")
         self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))

@@ -471,7 +471,10 @@ class HandEyeNode(Node):
             self._drift.panel(base_from_camera @ panel.camera_from_panel, self._controls)
         text = self._drift.text
         if bool(text) != bool(before):
-            (self.get_logger().warning if text else self.get_logger().info)(text or "everything is in its place again")
+            if text:
+                self.get_logger().warning(text)
+            else:
+                self.get_logger().info("everything is seen in its place again")
             self._set_state(f"calibrated: {self._stored.summary()}" + (f"; drift: {text}" if text else ""))
         return text
 

@@ -21,6 +21,7 @@ from scope_bench.core.touch import Touch, TouchEvent
 GAP_S = 1.0
 """After a longer silence of the motors the way between two samples is unknown."""
 _HISTORY = 400
+_STILL_S, _STILL_M = 0.06, 1e-7
 _QUIET = ("running", "single_until_s", "phase_s", "held", "acted")
 """Fields of the state that the log writes in its own words or not at all."""
 
@@ -109,6 +110,7 @@ class Bench:
             now_s=time_s,
             sunk_mm=self.touch.sunk_mm(),
             carriage=(float(carriage[0]), float(carriage[1])),
+            crossing=bool(np.abs(carriage - self._places_at(time_s - _STILL_S)[1]).max() > _STILL_M),
         )
 
     def move_panel(self, dx_m: float, dy_m: float, turn_deg: float) -> None:

@@ -44,7 +44,7 @@ class Moment:
     """What is seen at one moment.
 
     The ball's centre in base_link (metres), the instrument, sunken buttons (mm), and how far the carriage has moved in
-    base_link (metres), which cameras that are mounted on it move along.
+    base_link (metres), which cameras that are mounted on it move along, and whether it is moving.
     """
 
     tip: tuple[float, float, float]
@@ -52,6 +52,7 @@ class Moment:
     now_s: float
     sunk_mm: tuple[tuple[str, float], ...] = ()
     carriage: tuple[float, float] = (0.0, 0.0)
+    crossing: bool = False
 
 
 class Renderer:
@@ -75,7 +76,7 @@ class Renderer:
         self._rays = Rays(self.rig.left), Rays(self.rig.right)
         self._surfaces = Surfaces.of(layout)
         self._panel_from = panel_from
-        self._camera_xy, self._asked_xy, self._samples = (0.0, 0.0), (0.0, 0.0), SAMPLES
+        self._camera_xy, self._samples = (0.0, 0.0), SAMPLES
         self._sides = self._make_sides()
         self._rng = np.random.default_rng(config.seed)
         self._still_of: InstrumentState | None = None
@@ -108,11 +109,8 @@ class Renderer:
         self._panel_from = panel_from
         self._draw_anew()
 
-    def _follow(self, carriage: tuple[float, float]) -> None:
-        """Let cameras on the carriage see from its place: coarsely while it moves, well once it stands."""
-        moving = np.abs(np.subtract(carriage, self._asked_xy)).max() > _STILL_M
-        self._asked_xy = carriage
-        samples = 1 if moving else _MOVED_SAMPLES
+    def _follow(self, carriage: tuple[float, float], samples: int) -> None:
+        """Let cameras on the carriage see from its place: coarsely while it moves, well when it stands."""
         here = np.abs(np.subtract(carriage, self._camera_xy)).max() <= _STILL_M
         if here and self._samples >= samples:
             return
@@ -137,7 +135,7 @@ class Renderer:
     def render(self, moment: Moment) -> list[Picture]:
         """Return the left and right picture, each (H, W, 3) BGR."""
         if self._config.camera.mounting == "carriage":
-            self._follow(moment.carriage)
+            self._follow(moment.carriage, _MOVED_SAMPLES if not moment.crossing else 1)
             tip = np.asarray(moment.tip) - np.array([*self._camera_xy, 0.0])
             moment = dataclasses.replace(moment, tip=tuple(tip.tolist()))
         light = self._emission(moment)
