@@ -6,6 +6,7 @@ repeated over many seeds. The truth comes from scope_bench, which shares no geom
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -46,6 +47,7 @@ STEPS_PER_M = np.array([80e3, 80e3, 400e3])
 _MS = 1_000_000
 _PERIOD_NS = 66 * _MS
 _NOISE_REACH_PX = 90
+_NOISE_ROOM = 256
 OUT_OF_SIGHT = (-0.6, 0.6, 0.0)
 Picture = npt.NDArray[np.uint8]
 
@@ -63,6 +65,10 @@ class Studio:
         self.camera_from_base = self.renderer.rig.rectified_left_from_base()
         self.recogniser = PanelRecogniser(LAYOUT)
         self.detector = HarrisDetector(HarrisConfig())
+        size = (config.camera.height_px + _NOISE_ROOM, config.camera.width_px + _NOISE_ROOM)
+        # A grey value is the weighted mean of three: its noise is 0.67 of theirs.
+        field = np.random.default_rng(7).normal(0.0, 0.67 * config.light.noise, size)
+        self.gray_noise = np.rint(field).astype(np.int16)
         self.on_carriage = config.camera.mounting == "carriage"
         self._drawn: dict[tuple[int, int, int], tuple[Array, list[Picture]]] = {}
 
@@ -87,8 +93,8 @@ class Studio:
             self._drawn[key] = np.asarray(moment.carriage), self.renderer.render(away)
         place, drawn = self._drawn[key]
         shift = np.asarray(moment.carriage) - place
-        cameras = (self.renderer.rig.left, self.renderer.rig.right)
-        pictures = [self._shifted(p, c, shift, place) for p, c in zip(drawn, cameras)]
+        # The panel is looked for in the left picture only; behind the ball it does not matter.
+        pictures = [self._shifted(drawn[0], self.renderer.rig.left, shift, place), drawn[1].copy()]
         for picture, view in zip(pictures, self.renderer.views):
             tip = np.asarray(moment.tip) - np.array([*moment.carriage, 0.0])
             StylusPainter(view, self.config.stylus).draw(picture, tip)
@@ -109,7 +115,7 @@ class Studio:
         moved = [
             _spread(part.reshape(rows, columns), camera.height, camera.width) for part in pixels.T.astype(np.float32)
         ]
-        y, x = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float32)
+        y, x = _pixels(camera.height, camera.width)
         return np.asarray(
             cv2.remap(picture, x + moved[0], y + moved[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         )
@@ -117,8 +123,13 @@ class Studio:
 
 def _spread(coarse: npt.NDArray[np.float32], height: int, width: int) -> npt.NDArray[np.float32]:
     """Interpolate values given at every 32nd pixel."""
-    y, x = np.mgrid[0:height, 0:width].astype(np.float32) / 32
-    return np.asarray(cv2.remap(coarse, x, y, cv2.INTER_LINEAR))
+    y, x = _pixels(height, width)
+    return np.asarray(cv2.remap(coarse, x / 32, y / 32, cv2.INTER_LINEAR))
+
+
+@functools.lru_cache(maxsize=2)
+def _pixels(height: int, width: int) -> npt.NDArray[np.float32]:
+    return np.mgrid[0:height, 0:width].astype(np.float32)
 
 
 class Machine:
@@ -245,8 +256,10 @@ class Robot:
 
     def _panel_in(self, pictures: list[Picture]) -> Transform | None:
         gray = cv2.cvtColor(pictures[0], cv2.COLOR_BGR2GRAY)
-        noise = self.rng.normal(0.0, 0.6 * self.studio.config.light.noise, gray.shape)
-        gray = np.clip(np.rint(gray + noise), 0, 255).astype(np.uint8)
+        # One large field of noise, laid over the picture at another place each time.
+        top, left = self.rng.integers(0, _NOISE_ROOM, 2)
+        noise = self.studio.gray_noise[top : top + gray.shape[0], left : left + gray.shape[1]]
+        gray = cv2.add(gray, noise, dtype=cv2.CV_8U)
         recogniser, camera = self.studio.recogniser, self.studio.stereo.left
         # As the node does, near the last sighting first; after a long way everywhere.
         seen = recogniser.locate(gray, np.empty((0, 2)), camera)

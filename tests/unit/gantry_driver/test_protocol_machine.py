@@ -24,6 +24,15 @@ def test_connects_checks_settings_and_waits_unhomed() -> None:
     assert rig.positions == []
 
 
+def test_settings_that_readings_depend_on_are_told_once_they_are_known() -> None:
+    rig = Rig()
+    assert rig.machine.settings_text() == ""
+    rig.connect()
+    told = dict(part.split("=") for part in rig.machine.settings_text().split())
+    assert list(told) == ["$3", "$23", "$27", "$100", "$101", "$102", "$130", "$131", "$132"]
+    assert [float(told[key]) for key in ("$100", "$102", "$131")] == [80.0, 400.0, 220.0]
+
+
 def test_a_board_that_is_already_idle_is_reset_without_loss() -> None:
     rig = Rig(locked=False)
     rig.machine.opened(0.0)

@@ -30,7 +30,8 @@ def read_poses(path: Path) -> tuple[list[Transform], list[Transform]]:
     ValueError
         With the line that is wrong.
     """
-    grippers, targets = [], []
+    grippers: list[Transform] = []
+    targets: list[Transform] = []
     with path.open(newline="", encoding="utf-8") as file:
         for number, row in enumerate(csv.reader(file), 1):
             cells = [cell.strip() for cell in row]
