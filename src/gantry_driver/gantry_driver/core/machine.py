@@ -189,9 +189,10 @@ class Machine:
 
     def settings_text(self) -> str:
         """Return the board's settings that readings depend on, ``$100=80 ...``; empty until they are known."""
-        if not all(number in self._settings for number in READING_SETTINGS):
-            return ""
-        return " ".join(f"${number}={self._settings[number].split()[0]}" for number in READING_SETTINGS)
+        if READING_SETTINGS[-1] not in self._settings:
+            return ""  # boards list them in rising order: the rest is still to come
+        known = [number for number in READING_SETTINGS if self._settings.get(number)]
+        return " ".join(f"${number}={self._settings[number].split()[0]}" for number in known)
 
     # --- what the link says ------------------------------------------------------------------------------------
 
