@@ -393,3 +393,24 @@ def test_the_program_has_real_time_scheduling_or_says_why_not() -> None:
     allowed = done.stdout.strip() == "['', True]"
     assert allowed or done.stdout.startswith("['real-time scheduling is not allowed ("), done
     assert allowed or done.stdout.strip().endswith("False]"), done
+
+
+def test_a_transport_that_stalls_delays_no_stop(operator: Callable[..., Operator]) -> None:
+    op = operator().ready()
+    driver = op.ros.nodes[0]
+    go_on = threading.Event()
+    publish = driver._joint_states.publish
+
+    def stall(message: JointState) -> None:
+        go_on.wait(20.0)
+        publish(message)
+
+    driver._joint_states.publish = stall
+    op.go((0.35, 0.0, 0.0))
+    op.until(lambda: op.board.mpos()[0] > HOMED[0] + 50)
+    op.stop.publish(Empty())
+    op.until(lambda: any(e["kind"] == "realtime" and e["byte"] == ord("!") for e in op.board.log()), 5.0)
+    op.until(lambda: op.board.ask("state")["state"] == "Idle", 5.0)
+    assert op.board.mpos()[0] < HOMED[0] + 349 and not any(text.startswith("stopped") for text in op.states)
+    go_on.set()
+    op.state("stopped: stop requested")

@@ -1,7 +1,7 @@
 """The serial driver's node: topics and services on one side, :class:`SerialLink` and :class:`Machine` on the other.
 
-Callbacks convert and call; the link's thread does the protocol and publishes what comes of it, so a busy executor
-delays neither a status report nor the hold after a lost heartbeat.
+Callbacks convert and call, the link's thread does the protocol, and a third thread publishes what comes of it. So
+neither a busy executor nor a slow transport delays a status report, a stop, or the hold after a lost heartbeat.
 
 A lifecycle node: configured, it has the port and watches the board; active, it moves what it is asked to. With the
 parameter ``autostart`` it takes both steps by itself. Its topics and services are there in every state and say why not.
@@ -12,6 +12,8 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+from collections.abc import Callable
+from queue import SimpleQueue
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -40,6 +42,8 @@ from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 from icu_common.nodes.runtime import run
 
 LINK_CHECK_S = 0.5
+PUBLISH_WITHIN_S = 2.0
+"""For what is still to be published when the driver ends."""
 LINK_ENDED = "the thread of the port has ended"
 LEVELS = {
     **dict.fromkeys(("idle", "moving", "homing"), "ok"),
@@ -61,6 +65,9 @@ class SerialDriverNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RESULTS)
         self._old_wakeup_fd: int | None = None
         self._configured = False
+        self._outbox: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._publisher = threading.Thread(target=self._publish_all, name="publisher", daemon=True)
+        self._publisher.start()
         self._link = self._make_link()
         self.create_subscription(JointTrajectory, "trajectory", self._on_trajectory, COMMAND)
         self.create_subscription(Empty, "stop_request", lambda _: self._link.stop("stop requested"), RESULTS)
@@ -79,6 +86,11 @@ class SerialDriverNode(LifecycleNode):
 
     def close(self) -> None:
         """Hold, lift the stylus, say so, and close the port."""
+        self._close_link()
+        self._outbox.put(None)
+        self._publisher.join(PUBLISH_WITHIN_S)
+
+    def _close_link(self) -> None:
         if self._old_wakeup_fd is not None:
             signal.set_wakeup_fd(self._old_wakeup_fd)
             self._old_wakeup_fd = None
@@ -107,7 +119,7 @@ class SerialDriverNode(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Bring the machine to rest and give the port back."""
-        self.close()
+        self._close_link()
         self._link = self._make_link()
         return super().on_cleanup(state)
 
@@ -163,10 +175,17 @@ class SerialDriverNode(LifecycleNode):
 
         self._link.call(replace)
 
-    # --- to the graph, in the link's thread ------------------------------------------------------------------------
+    # --- to the graph ----------------------------------------------------------------------------------------------
 
     def _on_events(self, events: list[Event]) -> None:
         stamp = self._now_ns()
+        self._outbox.put(lambda: self._publish_events(events, stamp))
+
+    def _publish_all(self) -> None:
+        for publish in iter(self._outbox.get, None):
+            publish()
+
+    def _publish_events(self, events: list[Event], stamp: int) -> None:
         for event in events:
             if isinstance(event, Position):
                 self._joint_states.publish(joint_message(JOINTS, event.reading_m, header(stamp, "")))
@@ -184,13 +203,18 @@ class SerialDriverNode(LifecycleNode):
         )
         if settings and settings != self._settings_told:
             self._settings_told = settings
-            self._settings.publish(String(data=settings))
+            self._outbox.put(lambda: self._settings.publish(String(data=settings)))
         values.append(("real_time", str(is_real_time())))
         level = LEVELS.get(state.partition(":")[0], "error")
         status = diagnostic_status(f"{self.get_name()}: board", level, state, values)
-        self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
+        message = DiagnosticArray(header=header(self._now_ns(), ""), status=[status])
+        self._outbox.put(lambda: self._diagnostics.publish(message))
 
     def _check_link(self) -> None:
+        if not self._publisher.is_alive():
+            raise RuntimeError(
+                "the thread that publishes has ended; the driver ends too, so that bring-up starts it anew"
+            )
         if self._configured and not self._link.alive:
             self._state.publish(String(data=f"disconnected: {LINK_ENDED}"))
             raise RuntimeError(f"{LINK_ENDED}; the driver ends too, so that bring-up starts it anew")
