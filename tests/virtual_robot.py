@@ -24,8 +24,9 @@ from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller import Controller
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import LOOKING, UP, Phase
-from gantry_driver.core.machine import Answered, Machine, Position, StateChanged
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine_states import Answered, Position, StateChanged
 from gantry_driver.core.targets import PanelMap
 from gantry_driver.core.trajectory_gcode import Waypoint
 from gantry_driver.mock.machine import Machine as MockMachine

@@ -1,0 +1,345 @@
+"""The driver's hold on one board: port, firmware, settings, and the state with its reason; no I/O and no clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gantry_driver.core.grbl_messages import (
+    Dialect,
+    Firmware,
+    Report,
+)
+from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine_states import (
+    OPEN_ENDS,
+    TRANSITIONS,
+    Answered,
+    CloseRequested,
+    Event,
+    Note,
+    Phase,
+    StateChanged,
+)
+from gantry_driver.core.session import (
+    HOLD,
+    Counts,
+    GrblSession,
+)
+from gantry_driver.core.settings_profile import differences, lines_to_write
+from icu_common.core.results import GoalResult, Outcome
+
+HOLD_REPEAT_S = 0.2
+"""A hold that the reports do not show is sent again."""
+STYLUS_DOWN_M = 0.0005
+"""Extension above which the stylus may touch something and is lifted after a stop."""
+TICK_S = 0.05
+READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
+"""Directions, homing corner, pull-off, steps and travel: with others a calibration of the readings is void."""
+
+Reading = tuple[float, float, float]
+
+
+@dataclass(slots=True, kw_only=True)
+class Goal:
+    """What is being done, and the line whose answer ends it."""
+
+    goal_id: str
+    text: str
+    end_m: tuple[float, float, float]
+    started: float
+    marker: int
+    acknowledged: bool = False
+
+
+class Connection:
+    """One board on one port, told apart, its settings compared; a Machine moves it."""
+
+    def __init__(self, config: DriverConfig, *, active: bool = True) -> None:
+        self.config = config
+        self.active = active
+        self.counts = Counts()
+        self.session = GrblSession(self.counts)
+        self.phase = Phase.CLOSED
+        self.reason = "not opened yet"
+        self.homed = False
+        self.enabled = config.enabled_at_start
+        self.dialect = Dialect.UNKNOWN
+        self.firmware = ""
+        self.connects = 0
+        self.reading_m: tuple[float, float, float] | None = None
+        self._settings: dict[int, str] = {}
+        self._profile: dict[int, float] = {}
+        self._latched = ""
+        self._mismatch = ""
+        self._misplaced = False
+        self._accepted_mismatch = ""
+        self._events: list[Event] = [StateChanged(text=self.state_text)]
+        self._goal: Goal | None = None
+        self._since = 0.0
+        self._heartbeat_at = -math.inf
+        self._marker = 0
+        self._marker_done = False
+        self._lift = True
+        self._critical = False
+        self._reset_not_before = 0.0
+        self._hold_sent = 0.0
+        self._probed = 0.0
+        self._probe_from = 0.0
+        self._stylus_down = self._lowers = False
+        self._pausing = self._resuming = False
+
+    # --- what the node sees --------------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> str:
+        """The published state without its reason; one that could move if it were enabled and active is ``disabled``."""
+        return "disabled" if self.phase is Phase.IDLE and not (self.enabled and self.active) else self.phase.state
+
+    @property
+    def state_text(self) -> str:
+        """The published state: ``state`` or ``state: reason``."""
+        reason = "inactive" if self.phase is Phase.IDLE and not self.active else self.reason
+        return f"{self.state}: {reason}" if reason else self.state
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether a stop, once begun, has come to its end."""
+        return self.phase not in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING, Phase.MOVING, Phase.HOMING)
+
+    @property
+    def retreating(self) -> bool:
+        """Whether only the stylus moves, off the panel, after a stop: a hold would leave it down."""
+        return self.phase is Phase.LIFTING
+
+    @property
+    def connected(self) -> bool:
+        """Whether a board has been identified on the port."""
+        return self.phase.state not in ("disconnected", "connecting")
+
+    @property
+    def needs_way_out(self) -> bool:
+        """Whether leaving now would leave something moving or pressing."""
+        return not self.at_rest or self._rests_extended()
+
+    def take_events(self) -> list[Event]:
+        """Return what has happened since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def output(self, now: float) -> bytes:
+        """Return the bytes to write."""
+        return self.session.output(now)
+
+    def deadline(self, now: float) -> float:
+        """Return when :meth:`tick` and :meth:`output` are due even if nothing happens."""
+        return min(self.session.deadline(now), now + TICK_S)
+
+    def diagnostics(self) -> list[tuple[str, str]]:
+        """Return names and values for the diagnostics topic."""
+        counts = self.counts
+        values: dict[str, object] = {name: getattr(counts, name) for name in counts.__slots__}
+        values |= {
+            "reconnects": max(0, self.connects - 1),
+            "under_way_bytes": self.session.in_flight_bytes,
+            "receive_buffer_bytes": self.session.rx_bytes,
+            "answer_latency_ms": f"{1000.0 * self.session.latency_s:.2f}",
+            "dialect": self.dialect.value,
+            "firmware": self.firmware,
+            "homed": self.homed,
+            "enabled": self.enabled,
+            "active": self.active,
+        }
+        return [(name, str(value)) for name, value in values.items()]
+
+    def settings_text(self) -> str:
+        """Return the board's settings that readings depend on, ``$100=80 ...``; empty until they are known."""
+        if READING_SETTINGS[-1] not in self._settings:
+            return ""  # boards list them in rising order: the rest is still to come
+        known = [number for number in READING_SETTINGS if self._settings.get(number)]
+        return " ".join(f"${number}={self._settings[number].split()[0]}" for number in known)
+
+    # --- the port and the board behind it ------------------------------------------------------------------------
+
+    def opened(self, now: float) -> None:
+        """The port is open; wait for a banner or ask a board that is already running."""
+        self.connects += 1
+        self._synchronise(now, "")
+        self._probe_from = now + self.config.banner_wait_s
+        if self._latched:
+            # Asked for while there was no port: a board that still runs what it had buffered is held at once.
+            self.session.realtime(HOLD)
+
+    def closed(self, reason: str, now: float) -> None:
+        """The port has gone; whatever was under way is aborted and the position is not trusted any more."""
+        self._finish(Outcome.ABORTED, f"link lost: {reason}", now)
+        self._forget_position()
+        self.session.start(now)
+        self._enter(Phase.CLOSED, now, reason)
+
+    def _synchronise(self, now: float, reason: str) -> None:
+        self.session.start(now)
+        self.dialect, self.firmware, self._settings, self._probed = Dialect.UNKNOWN, "", {}, 0.0
+        self._critical = False
+        self._probe_from = now
+        self._enter(Phase.SYNCHRONISE, now, reason)
+
+    def _report_synchronise(self, report: Report, now: float) -> None:
+        # The board was running already. What it still does is held first, for a reset while moving loses its position.
+        if self.session.awaiting_banner:
+            return
+        if report.state in ("Run", "Jog") or (report.state == "Hold" and report.substate == 1):
+            if now - self._hold_sent >= HOLD_REPEAT_S:
+                self._hold_sent = now
+                self.session.realtime(HOLD)
+            return
+        self.session.polling = False
+        self.session.soft_reset(now)
+
+    def _ask_for_marlin(self, age: float, now: float) -> None:
+        # A board that answers neither with a banner nor to `?` may be a Marlin, which has no real-time bytes.
+        if age > self.config.connect_timeout_s / 2 and not self._probed:
+            self._probed = now
+            self.session.queue("M115")
+
+    def _on_firmware(self, firmware: Firmware, now: float) -> None:
+        if firmware.dialect is not Dialect.UNKNOWN:
+            self.dialect = firmware.dialect
+        self.firmware = firmware.version
+        if firmware.dialect is Dialect.MARLIN and self.phase is Phase.SYNCHRONISE:
+            self._refuse_marlin(now)
+
+    def _refuse_marlin(self, now: float) -> None:
+        self.dialect, self._mismatch = Dialect.MARLIN, "the firmware is Marlin, which has no feed hold; GRBL is needed"
+        self.session.polling = False
+        self._enter(Phase.IDENTIFY, now)
+        self._enter(Phase.MISMATCH, now, self._mismatch)
+
+    def _identify(self, now: float, reason: str) -> None:
+        self._settings = {}
+        self._enter(Phase.IDENTIFY, now, reason)
+        self.session.polling = True
+        self._marker = self.session.queue("$I").number
+
+    def _waiting_for(self) -> str:
+        return {
+            Phase.SYNCHRONISE: "waiting for a banner",
+            Phase.IDENTIFY: "asking for the build",
+            Phase.SETTINGS: "reading the settings",
+            Phase.WRITING: "writing the settings",
+        }.get(self.phase, self.phase.state)
+
+    # --- settings ------------------------------------------------------------------------------------------------
+
+    @property
+    def settings(self) -> dict[int, str]:
+        """The board's settings as it printed them."""
+        return dict(self._settings)
+
+    def accept_settings(self, now: float) -> str:
+        """Accept that the board's settings differ from the configuration; holds for these differences only."""
+        if self.phase is not Phase.MISMATCH or not self._settings or self._misplaced:
+            return f"nothing to accept: the driver is {self.state_text}"
+        self._accepted_mismatch = self._mismatch
+        self._enter(Phase.UNHOMED, now)
+        return ""
+
+    def write_settings(self, now: float, profile: Mapping[int, float] | None = None) -> str:
+        """Write the configured machine's settings to the board, or those of a profile, and read all of them back.
+
+        Only those that differ are written. The machine is unhomed after it: steps or travel may be others.
+        """
+        if self.phase not in (Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE) or self._rests_extended():
+            return f"settings are written to a board at rest with the stylus up, the driver is {self.state_text}"
+        wanted = dict(profile if profile is not None else self.config.machine.expected_settings())
+        lines = lines_to_write(self._settings, wanted) if self._settings else []
+        if not lines:
+            return "nothing to write: " + ("it has these settings" if self._settings else "the board has no settings")
+        self._forget_position()
+        self._profile = wanted
+        self._enter(Phase.WRITING, now, f"writing {', '.join(text.partition('=')[0] for text in lines)}")
+        for text in lines:
+            self._marker = self.session.queue(text).number
+        return ""
+
+    def _read_settings(self, now: float, reason: str) -> None:
+        self._settings = {}
+        self._enter(Phase.SETTINGS, now, reason)
+        self._marker = self.session.queue("$$").number
+
+    def _check_settings(self, now: float) -> None:
+        self._mismatch = "; ".join(differences(self._settings, self.config.machine.expected_settings()))
+        profile, self._profile = self._profile, {}
+        for text in differences(self._settings, profile, "what was written"):
+            self._events.append(Note(level="error", text=f"the board did not keep a setting: {text}"))
+        if self._latched:
+            # Neither a lost link nor a reset of the board lifts a stop.
+            self._enter(Phase.STOPPED, now, self._latched)
+        elif self._blocked():
+            self._enter(Phase.MISMATCH, now, self._mismatch)
+        else:
+            self._enter(Phase.UNHOMED, now, self.reason)
+
+    # --- transitions ---------------------------------------------------------------------------------------------
+
+    def _enter(self, phase: Phase, now: float, reason: str = "") -> None:
+        if phase is not self.phase and phase not in TRANSITIONS[self.phase] and phase not in OPEN_ENDS:
+            raise AssertionError(f"{self.phase.name} to {phase.name} is not in the table")
+        before = self.state_text
+        self.phase, self.reason, self._since = phase, reason, now
+        self._misplaced = False
+        if phase is not Phase.MOVING:
+            self._pausing = self._resuming = False
+        moving = phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
+        rate = self.config.moving_status_rate_hz if moving else self.config.status_rate_hz
+        self.session.poll_interval_s = 1.0 / rate
+        self.session.poll_now()
+        self._say_if_changed(before)
+
+    def _say_if_changed(self, before: str) -> None:
+        if self.state_text != before:
+            self._events.append(StateChanged(text=self.state_text))
+
+    def _close(self, reason: str, now: float) -> None:
+        self._events.append(CloseRequested(reason=reason))
+        self.closed(reason, now)
+
+    def _forget_position(self) -> None:
+        self.homed = False
+        self.reading_m = None
+
+    def _finish(self, outcome: Outcome, reason: str, now: float, error_m: float = math.nan) -> None:
+        if self._goal is None:
+            return
+        goal, self._goal = self._goal, None
+        self._answer(
+            GoalResult(
+                goal_id=goal.goal_id,
+                goal=goal.text,
+                outcome=outcome,
+                reason=reason,
+                error_m=error_m,
+                duration_s=now - goal.started,
+            )
+        )
+
+    def _answer(self, result: GoalResult) -> GoalResult:
+        self._events.append(Answered(result=result))
+        return result
+
+    def _blocked(self) -> bool:
+        return bool(self._mismatch) and self._mismatch != self._accepted_mismatch
+
+    def _resting_phase(self) -> Phase:
+        if self._blocked():
+            return Phase.MISMATCH
+        return Phase.IDLE if self.homed else Phase.UNHOMED
+
+    def _stylus_is_down(self) -> bool:
+        if self.config.stylus.kind != "z_axis":
+            return self._stylus_down or self._lowers
+        return self.reading_m is not None and self.reading_m[2] > STYLUS_DOWN_M
+
+    def _rests_extended(self) -> bool:
+        return self.phase is Phase.IDLE and self._stylus_is_down()
