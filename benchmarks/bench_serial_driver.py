@@ -174,7 +174,7 @@ def run_node(port: str) -> int:
     from rclpy.parameter import Parameter
     from rclpy.signals import SignalHandlerOptions
 
-    from gantry_driver.nodes.serial_driver_node import SerialDriverNode
+    from gantry_driver.nodes.serial_driver_node import make_node
     from icu_common.nodes.runtime import prepare_transport
 
     ask_for_real_time()
@@ -186,7 +186,7 @@ def run_node(port: str) -> int:
 
     signal.signal(signal.SIGTERM, note)
     overrides = [Parameter("port", value=port), Parameter("enabled_at_start", value=True)]
-    node = SerialDriverNode(parameter_overrides=overrides)
+    node = make_node(parameter_overrides=overrides)
     executor = EventsExecutor()
     executor.add_node(node)
     parent = os.getppid()

@@ -9,6 +9,7 @@ parameter ``autostart`` it takes both steps by itself. Its topics and services a
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 import threading
@@ -233,10 +234,18 @@ def _fill(response: Any, refusal: str, success: str) -> Any:
     return response
 
 
+def make_node(**node_arguments: Any) -> SerialDriverNode:
+    """Return the node of a process of its own: what is there now stays, and no collection of garbage visits it."""
+    node = SerialDriverNode(**node_arguments)
+    gc.collect()
+    gc.freeze()
+    return node
+
+
 def main() -> int:
     if refusal := ask_for_real_time():
         print(f"serial_driver: {refusal}; under load a stop may take longer, see README, Hardware", file=sys.stderr)
-    return run(SerialDriverNode)
+    return run(make_node)
 
 
 if __name__ == "__main__":
