@@ -5,11 +5,13 @@ board's answer and the host (a USB adapter's timer). Counted at the board, in it
 line it took. The peers send the same lines on the same port: a minimal send-response loop, and ``pygrbl-streamer``, a
 published sender that counts characters as well, with its own defaults.
 
-Stop latency: from the call of the service, the publication of the topic and the delivery of SIGTERM to ``!`` at the
-board, while a path is being streamed and the cameras' part of the graph runs beside it: simulated pair, corners,
-stereo, stylus, recognition, page. The node runs in a process of its own; for the signal its process only notes that
-it should end, so that the same process can be asked again. It asks for real-time scheduling as the program does, and so
-do the two that measure: who asks, and the board that notes when the byte came.
+Stop latency: from the call of the service, the publication of the topic and the delivery of SIGTERM to ``!``, while a
+path is being streamed and the cameras' part of the graph runs beside it: simulated pair, corners, stereo, stylus,
+recognition, page. The node runs in a process of its own; for the signal its process only notes that it should end, so
+that the same process can be asked again. Two moments are noted: the driver's write to the port has returned, and the
+board has the byte. Between them lies the pseudo-terminal, whose bytes are carried by an ordinary thread of the kernel
+that waits for its turn beside the cameras, which those of a serial port do not. The node asks for real-time scheduling
+as the program does, and so do the two that measure: who asks, and the board that notes when the byte came.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ from rows import Row, bound, row, write
 
 from gantry_driver.adapters.real_time import ask_for_real_time
 from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.session import HOLD
 from gantry_driver.core.trajectory_gcode import Waypoint, write_motion
 from icu_common.core.frames import JOINTS
 
@@ -167,8 +170,8 @@ class Clock:
                 self.offset_s = (before + after) / 2 - board_s
 
 
-def run_node(port: str) -> int:
-    """The driver's process: as in the graph, but a signal does not end it."""
+def run_node(port: str, holds: str) -> int:
+    """The driver's process: as in the graph, but a signal does not end it, and each hold it writes is noted."""
     import rclpy
     from rclpy.experimental import EventsExecutor
     from rclpy.parameter import Parameter
@@ -183,6 +186,15 @@ def run_node(port: str) -> int:
 
     def note(number: int, frame: FrameType | None) -> None:
         """The node's wake-up descriptor has it already."""
+
+    def write_and_note(fd: int, data: bytes) -> int:
+        written = write_bytes(fd, data)
+        if data == HOLD:
+            write_bytes(notes, f"{time.monotonic()}\n".encode())
+        return written
+
+    notes, write_bytes = os.open(holds, os.O_WRONLY), os.write
+    os.write = write_and_note
 
     signal.signal(signal.SIGTERM, note)
     overrides = [Parameter("port", value=port), Parameter("enabled_at_start", value=True)]
@@ -236,10 +248,10 @@ def stops(count: int) -> list[Row]:
         future = services[name].call_async(Trigger.Request())
         until(future.done)
 
-    with camera_graph(), board(0) as mock:
+    with camera_graph(), tempfile.NamedTemporaryFile("r") as holds, board(0) as mock:
         ask_for_real_time(mock.process.pid)
         until(lambda: len(seen) > 20, 60.0)
-        command = [sys.executable, __file__, "--node", str(mock.port)]
+        command = [sys.executable, __file__, "--node", str(mock.port), holds.name]
         child = subprocess.Popen(command, env=python_environment(), stderr=subprocess.DEVNULL)
         try:
             until(lambda: all(service.service_is_ready() for service in services.values()))
@@ -275,6 +287,7 @@ def stops(count: int) -> list[Row]:
                     until(lambda: True)
                     executor.spin_once(timeout_sec=0.01)
             pictures = len(seen) / (time.monotonic() - began)
+            written = [float(text) for text in holds]
             heard = [e["t"] + clock.offset_s for e in mock.log() if e["kind"] == "realtime" and e["byte"] == ord("!")]
         finally:
             child.kill()
@@ -287,23 +300,25 @@ def stops(count: int) -> list[Row]:
     print(f"beside a camera graph with {pictures:.1f} pictures a second, {scheduling} scheduling, load {load:.1f}")
     rows = []
     for name, moments in asked.items():
-        took = [1e3 * (min(t for t in heard if t > moment - clock.width_s) - moment) for moment in moments]
-        p50, p99 = np.percentile(took, [50, 99])
-        print(f"stop by {name}: {len(took)} stops, longest {max(took):.2f} ms, clocks to {1e3 * clock.width_s:.2f} ms")
-        rows.append(bound(f"stop by {name} to the byte at the board, p50 [ms]", float(p50), 10.0))
-        rows.append(bound(f"stop by {name} to the byte at the board, p99 [ms]", float(p99), 10.0))
+        places = {"the port": (written, 0.0), "the board, by a pseudo-terminal": (heard, clock.width_s)}
+        for place, (times, width_s) in places.items():
+            took = [1e3 * (min(t for t in times if t > moment - width_s) - moment) for moment in moments]
+            p50, p99 = np.percentile(took, [50, 99])
+            print(f"stop by {name} to the byte at {place}: {len(took)} stops, longest {max(took):.2f} ms")
+            rows.append(bound(f"stop by {name} to {place}, p50 [ms]", float(p50), 10.0))
+            rows.append(bound(f"stop by {name} to {place}, p99 [ms]", float(p99), 10.0))
     return rows
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--node", metavar="PORT", help="run only the driver's node, for the stops")
+    parser.add_argument("--node", nargs=2, metavar=("PORT", "FILE"), help="run only the driver's node, for the stops")
     parser.add_argument("--repeats", type=int, default=3, help="turns of each throughput, the best counts (3)")
     parser.add_argument("--stops", type=int, default=100, help="stops by each way (100)")
     parser.add_argument("--only", choices=("throughput", "stops"), help="half of it")
     given = parser.parse_args()
     if given.node:
-        return run_node(given.node)
+        return run_node(*given.node)
     rows = throughput(given.repeats) if given.only != "stops" else []
     rows += stops(given.stops) if given.only != "throughput" else []
     # Both need the processor within a millisecond or two: on a machine that is busy otherwise they measure its load.
