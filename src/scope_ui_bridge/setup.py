@@ -21,6 +21,8 @@ setup(
     entry_points={
         "console_scripts": [
             "ui_bridge = scope_ui_bridge.nodes.bridge_node:main",
+            "page_admin = scope_ui_bridge.cli.page_admin:main",
+            "foxglove_sidecar = scope_ui_bridge.nodes.foxglove_sidecar:main",
         ],
     },
 )

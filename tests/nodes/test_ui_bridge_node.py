@@ -47,7 +47,9 @@ from scope_ui_bridge.nodes.bridge_node import BridgeNode
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
 WITHIN_S = 15.0
 SERVICES = dict.fromkeys(
-    ("gantry/stop", "gantry/home", "gantry/reset", "gantry/accept_settings", "calibration/run"), Trigger
+    [f"gantry/{name}" for name in ("stop", "home", "reset", "accept_settings")]
+    + [f"calibration/{name}" for name in ("run", "add_sample", "solve", "save")],
+    Trigger,
 )
 
 

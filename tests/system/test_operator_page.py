@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from system.conftest import executable
 from system.operator_browser import Operator, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,12 +52,13 @@ class Instrument:
     def start_bridge(self, port: int) -> None:
         arguments: dict[str, Any] = {"port": port, "token_file": self.folder / "token", **self.limits}
         arguments["audit_file"] = self.folder / "audit.jsonl"
+        arguments["record_folder"] = self.folder / "sessions"
         arguments["layout"] = ROOT / "config" / "scopes" / "dso_bench_4.yaml"
         given = [text for name, value in arguments.items() for text in ("-p", f"{name}:={value}")]
         self.output = self.folder / f"bridge_{time.monotonic_ns()}.log"
         with self.output.open("wb") as out:
             self.bridge = subprocess.Popen(
-                [sys.executable, "-m", "scope_ui_bridge.nodes.bridge_node", "--ros-args", *given],
+                [executable("scope_ui_bridge", "ui_bridge"), "--ros-args", *given],
                 env=self.environment,
                 stdout=out,
                 stderr=subprocess.STDOUT,

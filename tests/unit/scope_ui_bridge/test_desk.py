@@ -315,6 +315,31 @@ def test_a_viewer_may_stop_and_never_gets_control() -> None:
     assert of_type(rig.ask(viewer, type="stop"), StopNow)
 
 
+def test_a_recorded_session_is_looked_at_only() -> None:
+    rig = Rig(BridgeConfig(replay=True), operator=False)
+    for step in ("take", "request"):
+        assert refusal(rig.ask(rig.a, type="lease", step=step)) == "replay"
+    assert refusal(rig.ask(rig.a, type="call", service="home")) == "no_lease"
+    assert rig.hello["replay"] is True
+    assert of_type(rig.ask(rig.a, type="stop"), StopNow), "a stop is always good"
+
+
+def test_what_programs_say_goes_to_engineers_and_their_reports_to_all() -> None:
+    rig = Rig()
+    engineer, _ = rig.desk.join("Ada", Role.ENGINEER)
+    for number in range(60):
+        rig.desk.said({"wall_ms": 1, "level": "warn", "name": "serial_driver", "text": f"line {number}"})
+    rig.desk.machine.set_facts("calibration", {"rms_mm": "0.03"})
+    effects = rig.wait(0.05, alive=True)
+    (said,) = [e for e in of_type(effects, Send) if e.message["type"] == "console"]
+    assert said.viewer == engineer
+    assert len(said.message["lines"]) == 40, "a chatty program does not fill the link"
+    (facts,) = [e.message["facts"] for e in of_type(effects, Broadcast) if e.message["type"] == "facts"]
+    assert facts == {"calibration": {"rms_mm": "0.03"}}
+    later = rig.wait(0.2, alive=True)
+    assert not [e for e in of_type(later, (Send, Broadcast)) if e.message["type"] in ("console", "facts")]
+
+
 def test_other_settings_are_accepted_by_engineers_only() -> None:
     rig = Rig()
     assert refusal(rig.ask(rig.a, type="call", service="accept_settings")) == "role_needed"

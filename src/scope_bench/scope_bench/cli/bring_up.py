@@ -54,6 +54,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--run-dir", type=Path, help="folder for sockets (default: a new temporary one)")
     result.add_argument("--scope", default="", help="model in config/scopes (default: graph.yaml's)")
     result.add_argument("--namespace", default="", help="put every name of the graph under this namespace")
+    result.add_argument("--only", action="append", default=[], metavar="PROGRAM", help="start nothing but this")
     result.add_argument("--without", action="append", default=[], metavar="PROGRAM", help="leave a program out")
     result.add_argument("--set", action="append", default=[], metavar="PROGRAM.PARAMETER=VALUE", help="one value more")
     result.add_argument("--prepare", action="store_true", help="enable, home and calibrate (bench only)")
@@ -104,7 +105,7 @@ class BringUp:
 
     def _check_names(self, programs: list[Program]) -> None:
         names = {p.name for p in programs}
-        given = {*self.options.without, *(text.partition(".")[0] for text in self.options.set)}
+        given = {*self.options.only, *self.options.without, *(text.partition(".")[0] for text in self.options.set)}
         if given - names:
             raise GraphError(f"no program {', '.join(sorted(given - names))}; there are {', '.join(sorted(names))}")
 
@@ -114,7 +115,8 @@ class BringUp:
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
         group = ProcessGroup(environment, self._output, self._event)
         try:
-            waiting = [p for p in programs if p.name not in self.options.without]
+            wanted = {*self.options.only} or {p.name for p in programs}
+            waiting = [p for p in programs if p.name in wanted - {*self.options.without}]
             patience = time.monotonic() + WAIT_S
             while not self.stopping and not group.misconfigured:
                 late = time.monotonic() > patience

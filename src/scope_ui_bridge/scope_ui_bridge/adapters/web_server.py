@@ -22,6 +22,7 @@ from icu_common.core.config import ConfigError
 from scope_ui_bridge.adapters.front_door import FrontDoor
 from scope_ui_bridge.adapters.graph_port import GraphError, GraphPort
 from scope_ui_bridge.adapters.mailbox import Mailbox
+from scope_ui_bridge.adapters.recorder import Recorder
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.adapters.turned_away import SUSPECT
 from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
@@ -82,6 +83,7 @@ class WebServer:
         self._encoder = ThreadPoolExecutor(1, "jpeg")
         self._writer = ThreadPoolExecutor(1, "audit")  # one thread keeps the records in order
         self.video = VideoHub(desk, self._encoder, lambda: desk.config.jpeg_quality, graph.ros_ns)
+        self.recorder = Recorder(config.record_folder)
         self._outboxes: dict[str, asyncio.Queue[str]] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -119,6 +121,7 @@ class WebServer:
             self._thread.join(_START_TIMEOUT_S)
         self._encoder.shutdown(wait=False, cancel_futures=True)
         self.door.close()
+        self.recorder.close()
         self._writer.shutdown(wait=True)
         if self._audit is not None:
             self._audit.close()
@@ -327,6 +330,9 @@ class WebServer:
                 self._graph.send_command(order.text)
             elif isinstance(order, SendGoal):
                 self._graph.send_goal(order.frame, order.point, order.stamp_ns)
+            elif isinstance(order, CallService) and order.service in ("record", "end_record"):
+                done = self.recorder.start() if order.service == "record" else self.recorder.end()
+                self._service_answered(order.entry, True, done)
             elif isinstance(order, CallService):
                 self._graph.call(order.service, lambda ok, text: self._service_answered(order.entry, ok, text))
         except OSError as error:

@@ -36,6 +36,12 @@ class BridgeConfig(Config):
         "", "Layout file of the panel, for the controls' labels, empty = labels made from their names", read_only=True
     )
     max_viewers: int = setting(24, "Pages served at the same time", minimum=1, maximum=200, read_only=True)
+    replay: bool = setting(
+        False, "A recorded session is shown: nobody gets control and nothing is sent", read_only=True
+    )
+    record_folder: str = setting(
+        "", "Folder for recorded sessions, each in a folder of its own, empty = none", read_only=True
+    )
     jpeg_quality: int = setting(80, "Quality of the live picture", minimum=20, maximum=100)
     frame_amber_s: float = setting(0.25, "A picture older than this is shown as late", minimum=0.05, unit="s")
     frame_max_age_s: float = setting(

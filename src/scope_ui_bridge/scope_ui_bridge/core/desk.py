@@ -41,6 +41,8 @@ STATE_PERIOD_S = (0.1, 1.0)
 _MESSAGES_PER_S, _BURST = 40.0, 80.0
 _SAME_STOP_S = 0.5
 _WATCHDOG = "Watchdog"
+_TIP_SEEN_NS = 1_000_000_000
+_MAX_LINES = 40  # in one tick
 _FOR_ENGINEERS = ("accept_settings",)
 
 
@@ -86,6 +88,9 @@ class Desk:
         self._presses: deque[str] = deque(maxlen=64)
         self._last_heartbeat_s = -math.inf
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
+        self._last_facts: dict[str, Any] = {}
+        self._ros_ns = 0
+        self._said: list[dict[str, Any]] = []
 
     # --- pages -----------------------------------------------------------------------------------------------------
 
@@ -113,6 +118,8 @@ class Desk:
             "boot": self.boot_id,
             "you": {"id": viewer, "name": name, "role": role.value},
             "title": self.title,
+            "replay": self.config.replay,
+            "facts": self.machine.facts,
             "limits": limits,
             "log": self._log.messages(),
             "selection": self._selection.message() if self._selection else None,
@@ -207,6 +214,7 @@ class Desk:
     def tick(self, now: Now) -> list[Effect]:
         """Call every 50 ms: heartbeat, watchdogs, answers that did not come, state for the pages."""
         effects: list[Effect] = []
+        self._ros_ns = now.ros_ns
         silence = self.lease.silence_s(now.mono_s)
         if (
             silence <= self.config.keepalive_fresh_s
@@ -216,12 +224,29 @@ class Desk:
             effects.append(Heartbeat())
         effects += self._watch(silence, now)
         effects += self._log.expire(self.machine.active, self.config.answer_timeout_s, now)
+        effects += self._pass_on()
         state = self._snapshot(now)
         fastest, slowest = STATE_PERIOD_S
         age = now.mono_s - self._last_state[0]
         if age >= slowest or (age >= fastest - 0.01 and state != self._last_state[1]):
             self._last_state = (now.mono_s, state)
             effects.append(Broadcast(message={"type": "state", **state}))
+        return effects
+
+    def said(self, line: dict[str, Any]) -> None:
+        """Keep what a program of the graph said (wall_ms, level, name, text) for the engineers' consoles."""
+        if len(self._said) < _MAX_LINES:
+            self._said.append(line)
+
+    def _pass_on(self) -> list[Effect]:
+        lines, self._said = self._said, []
+        engineers = [viewer for viewer, page in self._viewers.items() if page.role is Role.ENGINEER]
+        effects: list[Effect] = []
+        if lines:
+            effects += [Send(viewer=viewer, message={"type": "console", "lines": lines}) for viewer in engineers]
+        if self.machine.facts != self._last_facts:
+            self._last_facts = dict(self.machine.facts)
+            effects.append(Broadcast(message={"type": "facts", "facts": self._last_facts}))
         return effects
 
     def _watch(self, silence_s: float, now: Now) -> list[Effect]:
@@ -243,6 +268,8 @@ class Desk:
 
     def _lease_step(self, viewer: str, step: str, now: Now) -> list[Effect]:
         if step in ("take", "request"):
+            if self.config.replay:
+                raise Refusal("replay")
             self._need_role(viewer, Role.OPERATOR)
         epoch = self.lease.epoch
         if step == "take":
@@ -449,6 +476,7 @@ class Desk:
                 "requester": lease.requester,
                 "requester_name": self._name(lease.requester),
             },
+            "tip_seen": self.scene.tip_ns > 0 and self._ros_ns - self.scene.tip_ns < _TIP_SEEN_NS,
             "viewers": len(self._viewers),
             "refusal": None,
         }

@@ -36,6 +36,7 @@ class MachineView:
         self._position: tuple[float, float, float] | None = None
         self._frames: dict[str, deque[int]] = {camera: deque(maxlen=90) for camera in wire.CAMERAS}
         self._picture_s = -math.inf
+        self.facts: dict[str, dict[str, str]] = {}
         self._moving_since_s = math.inf
 
     # --- what the graph says ---------------------------------------------------------------------------------------
@@ -60,6 +61,10 @@ class MachineView:
     def position(self) -> tuple[float, float, float] | None:
         """Where the tip is, as in :meth:`set_position`; None while unknown."""
         return self._position
+
+    def set_facts(self, part: str, facts: dict[str, str]) -> None:
+        """Note what a part reports of itself as names and values."""
+        self.facts = {**self.facts, part: facts}
 
     def picture_came(self, now: Now) -> None:
         """Note that a camera has delivered a picture."""

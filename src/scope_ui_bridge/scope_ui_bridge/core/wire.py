@@ -100,7 +100,10 @@ class Call(Message):
 
 
 LEASE_STEPS = ("take", "release", "request", "grant", "decline")
-SERVICES = ("home", "reset", "enable", "disable", "calibrate", "accept_settings")
+SERVICES = (
+    *("home", "reset", "enable", "disable", "calibrate", "add_sample", "solve", "save", "accept_settings"),
+    *("record", "end_record"),
+)
 CAMERAS = ("left", "right")
 GESTURES = ("press", "hold", "turn")
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from rcl_interfaces.msg import Log
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
@@ -64,7 +65,14 @@ _SERVICES = {
     "disable": "gantry/enable",
     "calibrate": "calibration/run",
     "accept_settings": "gantry/accept_settings",
+    "add_sample": "calibration/add_sample",
+    "solve": "calibration/solve",
+    "save": "calibration/save",
 }
+
+
+_REPORTERS = {"hand_eye": "calibration", "serial_driver": "driver"}
+_LEVELS = {20: "info", 30: "warn", 40: "error", 50: "fatal"}
 
 
 class BridgeNode(Node):
@@ -75,6 +83,7 @@ class BridgeNode(Node):
         parameters = LiveParameters(self, BridgeConfig, self._on_config)
         config = parameters.config
         self._layout = _read_layout(config)
+        self._replay = config.replay
         self._cameras: dict[str, CameraInfo] = {}
         self._axes = np.eye(2)
         self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "")
@@ -148,6 +157,8 @@ class BridgeNode(Node):
         self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, self._calibration_seen)
         self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, self._axes_seen)
         self._hear(JointState, "joint_states", qos.SENSOR, self._joints_seen)
+        self._hear(DiagnosticArray, "/diagnostics", qos.RESULTS, self._facts_seen)
+        self._hear(Log, "/rosout", qos.RESULTS, self._said)
         self._hear(DiagnosticArray, "gantry/result", qos.RESULTS, self._result_seen)
 
     def _hear(self, message_type: Any, topic: str, profile: Any, take: Callable[[Any], None]) -> None:
@@ -166,7 +177,8 @@ class BridgeNode(Node):
             except ValueError as error:
                 self.get_logger().error(f"{side} picture ignored: {error}", throttle_duration_sec=5.0)
                 return
-            stamp = stamp_ns(message.header.stamp)
+            # A recorded picture is as old as its session; what counts then is when it came.
+            stamp = self.ros_ns() if self._replay else stamp_ns(message.header.stamp)
             self._mail.newest(side, self._server.video.offer, side, stamp, message.encoding, picture)
             self._mail.newest("picture", self._server.post_value, self._desk.machine.picture_came)
 
@@ -229,6 +241,20 @@ class BridgeNode(Node):
 
     def _confidence_seen(self, message: Float32) -> None:
         self._mail.newest("confidence", self._server.post_value, self._desk.machine.set_confidence, float(message.data))
+
+    def _facts_seen(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            part = next((part for name, part in _REPORTERS.items() if name in status.name), "")
+            if part:
+                facts = {pair.key: pair.value for pair in status.values}
+                self._mail.newest(f"facts {part}", self._desk.machine.set_facts, part, facts)
+
+    def _said(self, message: Log) -> None:
+        level = _LEVELS.get(message.level)
+        if level:
+            wall_ms = stamp_ns(message.stamp) // 1_000_000
+            line = {"wall_ms": wall_ms, "level": level, "name": message.name, "text": message.msg[:300]}
+            self._mail.each(self._desk.said, line)
 
     def _result_seen(self, message: DiagnosticArray) -> None:
         self._server.post(self._desk.result, result_of_message(message))

@@ -13,6 +13,7 @@ class Desk {
   state = null;
   selection = null;
   problem = "";
+  replay = false;
   frozen = false; // the picture before is held over the live one
   changed = () => {};
 
@@ -28,6 +29,7 @@ class Desk {
   /** Why nothing can be moved at all now; empty when it can. */
   get whyNoMotion() {
     if (this.link.silent) return t("link_down");
+    if (this.replay) return t("replay");
     if (!this.mine) return t(this.me.role === "viewer" ? "role_viewer" : "no_lease");
     if (this.frozen) return t("frozen_no_action");
     const age = this.video.ageMs;

@@ -3,6 +3,7 @@
 import { choose, wireActions } from "./actions.js";
 import { CommandLog, ICONS, spoken } from "./command_log.js";
 import { Console } from "./console.js";
+import { renderGuide, sampleGuide, setFacts } from "./guide.js";
 import { desk } from "./desk.js";
 import { find, press, put, say } from "./dom.js";
 import { renderMove, wireMove } from "./move.js";
@@ -32,6 +33,8 @@ link.addEventListener("hello", ({ detail }) => {
   restarted = lastBoot !== "" && lastBoot !== detail.boot;
   lastBoot = detail.boot;
   desk.me = detail.you;
+  desk.replay = detail.replay;
+  setFacts(detail.facts);
   desk.limits = detail.limits;
   if (detail.title) {
     find("title").textContent = detail.title;
@@ -42,6 +45,7 @@ link.addEventListener("hello", ({ detail }) => {
   setSelection(detail.selection);
   setState(detail.state);
 });
+link.addEventListener("facts", ({ detail }) => setFacts(detail.facts));
 link.addEventListener("state", ({ detail }) => setState(detail));
 link.addEventListener("selection", ({ detail }) => setSelection(detail.selection));
 link.addEventListener("console", ({ detail }) => lines.add(detail.lines));
@@ -161,7 +165,7 @@ function renderLease() {
   const { me, mine } = desk;
   const { holder, holder_name: name, requester, requester_name: asking } = desk.state.lease;
   const asked = mine && requester;
-  const may = me.role !== "viewer";
+  const may = me.role !== "viewer" && !desk.replay;
   let text = mine ? t("lease_mine") : holder ? t("lease_other", { name }) : t("lease_free");
   if (asked) text = t("lease_asked", { name: asking });
   if (requester === me.id && me.id) text = t("lease_waiting", { name });
@@ -195,17 +199,13 @@ function renderSelection() {
 }
 
 function renderMachine() {
-  const { driver, calibration, moving } = desk.state;
+  const { driver, moving } = desk.state;
   for (const button of document.querySelectorAll("[data-call]")) {
-    button.disabled = !desk.mine || (button.dataset.call !== "disable" && moving);
+    button.disabled = !desk.mine || (moving && !["disable", "record", "end_record"].includes(button.dataset.call));
   }
   find("reset").hidden = !["stopped", "alarm", "mismatch"].includes(driver.state);
   find("accept").hidden = driver.state !== "mismatch" || desk.me.role !== "engineer";
-  put(find("calibration-text"), calibration.reason
-    ? `${t("chip_calibration")}: ${t(`state_${calibration.state}`, calibration)}${
-        calibration.state === "calibrating" ? "" : ` – ${calibration.reason}`
-      }`
-    : "");
+  renderGuide();
 }
 
 function renderAge() {
@@ -226,6 +226,7 @@ function renderAge() {
   const { state: driver, reason } = state?.driver ?? {};
   banner(find("banner"), [
     { when: silent, look: "bad", text: t("banner_link") },
+    { when: desk.replay, look: "waiting", text: t("banner_replay") },
     { when: driver === "alarm", look: "bad", text: t("banner_alarm", { reason }) },
     {
       when: driver === "stopped",
@@ -262,6 +263,7 @@ function beat(now) {
   if (now - lastPlotted >= 250) {
     lastPlotted = now;
     sample(now);
+    sampleGuide();
     renderPlots(now);
   }
   requestAnimationFrame(beat);

@@ -1,0 +1,142 @@
+"""What belongs to the operator page and is done in the terminal: passwords, a certificate, checking the audit file.
+
+Exit codes: 0 done, 1 not done or not intact (with the reason), 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import ipaddress
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from scope_ui_bridge.adapters.secret_files import read_users, write_secret
+from scope_ui_bridge.core.audit import AuditError, verify
+from scope_ui_bridge.core.passwords import PasswordError, Role, new_user
+
+STATE = Path("~/.local/state/icu_gantry")
+_DAYS = 825  # what browsers take at most
+
+
+class AdminError(Exception):
+    """It could not be done; the message says why."""
+
+
+def parser() -> argparse.ArgumentParser:
+    result = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = result.add_subparsers(dest="command", required=True)
+    password = commands.add_parser("password", help="let somebody sign in by name, or change role or password")
+    password.add_argument("name")
+    password.add_argument("--role", choices=[role.value for role in Role], default=Role.OPERATOR.value)
+    password.add_argument("--remove", action="store_true", help="let this name in no longer")
+    password.add_argument("--file", type=Path, default=STATE / "passwords", help="default: %(default)s")
+    certificate = commands.add_parser("certificate", help="make a certificate for TLS, signed by itself")
+    certificate.add_argument("host", nargs="+", help="names or addresses by which browsers reach this machine")
+    certificate.add_argument("--folder", type=Path, default=STATE / "tls", help="default: %(default)s")
+    audit = commands.add_parser("audit", help="check that no record was changed, removed or inserted")
+    audit.add_argument("file", type=Path, nargs="?", default=STATE / "audit.jsonl", help="default: %(default)s")
+    audit.add_argument("--hash", help="hash of the last line that was noted before, which must be among the records")
+    return result
+
+
+def change_password(name: str, role: str, path: Path, password: str | None) -> str:
+    """Put a user into the file, or take it out (``password`` None); return what was done."""
+    users = read_users(path) if path.exists() else {}
+    if password is None:
+        if users.pop(name, None) is None:
+            raise AdminError(f"{name} is not in {path}")
+    else:
+        users[name] = new_user(name, role, password, os.urandom(16))
+    write_secret(path, "\n".join(user.line() for user in users.values()))
+    return f"{name} is no longer in {path}" if password is None else f"{name} ({role}) can sign in; {path}"
+
+
+def ask_password() -> str:
+    """Ask twice on a terminal; else read one line."""
+    if not sys.stdin.isatty():
+        return sys.stdin.readline().rstrip("\n")
+    first = getpass.getpass("Password: ")
+    if getpass.getpass("Once more: ") != first:
+        raise AdminError("the two are not the same")
+    return first
+
+
+def make_certificate(hosts: Sequence[str], folder: Path) -> str:
+    """Make key and certificate with openssl; return what was done and how it is used."""
+    program = shutil.which("openssl")
+    if program is None:
+        raise AdminError("openssl is not installed (Debian and Ubuntu: apt install openssl)")
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    key, certificate = folder / "key.pem", folder / "certificate.pem"
+    for path in (key, certificate):
+        if path.exists():
+            raise AdminError(f"{path} exists; move it away first")
+    names = ",".join(f"{_kind(host)}:{host}" for host in hosts)
+    command = [program, "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-sha256"]
+    command += ["-days", str(_DAYS), "-keyout", str(key), "-out", str(certificate), "-subj", f"/CN={hosts[0]}"]
+    command += ["-addext", f"subjectAltName={names}", "-addext", "extendedKeyUsage=serverAuth"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise AdminError(f"openssl: {done.stderr.strip()}")
+    key.chmod(0o600)
+    shown = subprocess.run(
+        [program, "x509", "-in", str(certificate), "-noout", "-fingerprint", "-sha256", "-enddate"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.strip()
+    return (
+        f"{certificate}\n{key}\n{shown}\nUse them: --set ui_bridge.host={hosts[0]} "
+        f"--set ui_bridge.tls_certificate={certificate} --set ui_bridge.tls_key={key}"
+    )
+
+
+def _kind(host: str) -> str:
+    if not host or (any(character in host for character in ",:=/ ") and ":" not in host):
+        raise AdminError(f"{host!r} is no name or address")
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        if not all(part.replace("-", "").isalnum() for part in host.split(".")):
+            raise AdminError(f"{host!r} is no name or address") from None
+        return "DNS"
+    return "IP"
+
+
+def check_audit(path: Path, noted: str | None) -> str:
+    """Check a chain; ``noted`` is a hash that must be one of its lines'."""
+    text = path.read_text(encoding="utf-8").splitlines()
+    count, last = verify(text)
+    # Each line names the hash of the one before, so a noted hash stands in the line after it, or is the last one's.
+    if noted is not None and noted != last and not any(f'"previous":"{noted}"' in line for line in text[1:]):
+        raise AdminError(f"{path} is a whole chain, but the noted hash is not in it: another file, or cut short")
+    return f"{path}: {count} records, intact; hash of the last: {last}"
+
+
+def run(options: argparse.Namespace) -> str:
+    """Carry a command out."""
+    if options.command == "password":
+        password = None if options.remove else ask_password()
+        return change_password(options.name, options.role, options.file.expanduser(), password)
+    if options.command == "certificate":
+        return make_certificate(options.host, options.folder.expanduser())
+    return check_audit(options.file.expanduser(), options.hash)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    options = parser().parse_args(arguments)
+    try:
+        print(run(options))
+    except (AdminError, AuditError, PasswordError, OSError) as error:
+        print(f"page_admin: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,85 @@
+"""Shows the graph in Foxglove, beside the operator page: read only, on this machine only, and only when it is started.
+
+It has no services, no parameters and no client publishing, so nothing can be sent into the graph. The server of
+foxglove-sdk takes any origin, though: while it runs, any web page open in a browser on this machine can read
+the pictures. That is why it is no part of the graph.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rosbags.typesys import Stores, TypesysError, get_typestore
+
+from icu_common.nodes import qos
+from icu_common.nodes.runtime import run
+
+PORT = 8765
+_LATCHED = ("/pose", "/controls", "state", "/target", "camera_from_base", "/axes")
+
+
+class FoxgloveSidecar(Node):
+    """Hands every topic of the graph on as it is (CDR bytes with the message's definition)."""
+
+    def __init__(self, port: int, **kwargs: Any) -> None:
+        super().__init__("foxglove_sidecar", **kwargs)
+        import foxglove
+
+        self._foxglove = foxglove
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+        self._channels: dict[str, Any] = {}
+        self._server = foxglove.start_server(name="icu_gantry", host="127.0.0.1", port=port, capabilities=[])
+        self.port = int(self._server.port)
+        print(f"Foxglove: open ws://127.0.0.1:{self.port} with config/foxglove_layout.json", flush=True)
+        self.create_timer(1.0, self._look_for_topics)
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.stop()
+
+    def _look_for_topics(self) -> None:
+        for topic, kinds in self.get_topic_names_and_types():
+            if topic not in self._channels and kinds:
+                self._channels[topic] = self._open(topic, kinds[0])
+
+    def _open(self, topic: str, kind: str) -> Any:
+        """Return the channel of a topic, or None for a type that is not known."""
+        try:
+            text = self._types.generate_msgdef(kind, ros_version=2)[0]
+            package, _, name = kind.split("/")
+            message_type = getattr(importlib.import_module(f"{package}.msg"), name)
+        except (KeyError, ImportError, AttributeError, ValueError, TypesysError) as error:
+            self.get_logger().warning(f"{topic} is left out: {kind}: {error}")
+            return None
+        schema = self._foxglove.Schema(name=kind, encoding="ros2msg", data=text.encode())
+        channel = self._foxglove.Channel(topic, schema=schema, message_encoding="cdr")
+        profile = qos.LATCHED if topic.endswith(_LATCHED) else qos.SENSOR
+        self.create_subscription(message_type, topic, partial(self._pass_on, channel), profile, raw=True)
+        return channel
+
+    def _pass_on(self, channel: Any, data: bytes) -> None:
+        channel.log(bytes(data), log_time=int(self.get_clock().now().nanoseconds))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    given = rclpy.utilities.remove_ros_args(sys.argv if arguments is None else arguments)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--port", type=int, default=PORT, help="TCP port on loopback (%(default)s)")
+    options = parser.parse_args(given[1:])
+    try:
+        import foxglove  # noqa: F401
+    except ImportError:
+        print("foxglove_sidecar: foxglove-sdk is missing; pip install foxglove-sdk==0.30.3", file=sys.stderr)
+        return 1
+    return run(lambda: FoxgloveSidecar(options.port))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

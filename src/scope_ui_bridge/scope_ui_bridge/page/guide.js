@@ -1,0 +1,75 @@
+// Calibration step by step: what is fulfilled, how far it is, where the tip was looked at, and how good it became.
+
+import { desk } from "./desk.js";
+import { find, put } from "./dom.js";
+import { t } from "./strings.js";
+
+const NS = "http://www.w3.org/2000/svg";
+const TRAVEL_MM = [360, 220];
+const GOOD_MM = 0.25;
+let facts = {};
+let places = []; // [x, y] mm, where the tip was when the count rose
+let lastDone = 0;
+
+export function setFacts(next) {
+  facts = next;
+  const text = Object.entries(facts.driver ?? {}).map(([name, value]) => `${name} ${value}`);
+  put(find("driver-facts"), text.join(" · "));
+}
+
+function progress() {
+  const { state, reason } = desk.state.calibration;
+  const [, done, all] = /^(\d+)\/(\d+)/.exec(state === "calibrating" ? reason : "") ?? [];
+  return { done: Number(done ?? 0), all: Number(all ?? 0) };
+}
+
+/** Note a place each time one more has been looked at. */
+export function sampleGuide() {
+  if (!desk.state) return;
+  const { done } = progress();
+  if (done < lastDone || (done > 0 && lastDone === 0)) places = [];
+  if (done > lastDone && desk.state.position_mm) {
+    places.push(desk.state.position_mm.slice(0, 2));
+    find("coverage").replaceChildren(...places.map(dot));
+  }
+  lastDone = done;
+}
+
+function dot([x, y]) {
+  const circle = document.createElementNS(NS, "circle");
+  circle.setAttribute("cx", x);
+  circle.setAttribute("cy", TRAVEL_MM[1] - y);
+  circle.setAttribute("r", 6);
+  return circle;
+}
+
+function step(id, done) {
+  const item = find(id);
+  item.dataset.done = done ? "yes" : "no";
+  put(item.querySelector(".icon"), done ? "✓" : "○");
+  put(item.querySelector(".unseen"), t(done ? "yes" : "no"));
+}
+
+export function renderGuide() {
+  const { driver, calibration, tip_seen } = desk.state;
+  const { done, all } = progress();
+  const { rms_mm: rms, held_out_max_mm: held, predicted_sigma_mm: predicted } = facts.calibration ?? {};
+  const calibrated = calibration.state === "calibrated";
+  step("guide-machine", ["idle", "moving"].includes(driver.state));
+  step("guide-tip", tip_seen);
+  step("guide-run", calibrated);
+  step("guide-result", calibrated && Number(held ?? 0) <= GOOD_MM);
+  put(find("guide-run-text"), all ? t("guide_run", { done, all }) : t("guide_run_idle"));
+  put(find("calibration-text"), calibration.reason
+    ? `${t("chip_calibration")}: ${t(`state_${calibration.state}`, calibration)}${
+        calibration.state === "calibrating" ? "" : ` – ${calibration.reason}`
+      }`
+    : "");
+  put(find("guide-numbers"), calibrated && rms
+    ? t("guide_numbers", { rms: Number(rms).toFixed(3), held: Number(held).toFixed(3), predicted: Number(predicted).toFixed(3) })
+    : "");
+  const xs = places.map(([x]) => x);
+  const ys = places.map(([, y]) => y);
+  const span = (values) => (values.length ? `${Math.min(...values).toFixed(0)} … ${Math.max(...values).toFixed(0)}` : "–");
+  put(find("coverage-text"), `X ${span(xs)} mm · Y ${span(ys)} mm`);
+}

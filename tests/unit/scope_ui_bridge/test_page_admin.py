@@ -1,0 +1,89 @@
+"""The command page_admin: passwords, a certificate that serves the page, and the check of the audit file."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import shutil
+import ssl
+import stat
+from pathlib import Path
+
+import aiohttp
+import pytest
+from unit.scope_ui_bridge.web_rig import Rig
+
+from scope_ui_bridge.adapters.secret_files import AuditFile, read_users
+from scope_ui_bridge.cli import page_admin
+from scope_ui_bridge.core.passwords import Role, matches
+
+
+def test_a_password_is_set_changed_and_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "state" / "passwords"
+    for name, role, password in (("ada", "engineer", "first password"), ("eve", "viewer", "of another one")):
+        monkeypatch.setattr("sys.stdin", io.StringIO(password + "\n"))
+        assert page_admin.main(["password", name, "--role", role, "--file", str(file)]) == 0
+    monkeypatch.setattr("sys.stdin", io.StringIO("second password\n"))
+    assert page_admin.main(["password", "ada", "--file", str(file)]) == 0
+    users = read_users(file)
+    assert {name: user.role for name, user in users.items()} == {"ada": Role.OPERATOR, "eve": Role.VIEWER}
+    assert matches("second password", users["ada"].hashed)
+    assert "password" not in file.read_text()
+    assert page_admin.main(["password", "eve", "--remove", "--file", str(file)]) == 0
+    assert list(read_users(file)) == ["ada"]
+    monkeypatch.setattr("sys.stdin", io.StringIO("short\n"))
+    assert page_admin.main(["password", "ada", "--file", str(file)]) == 1
+    assert "10 to 256" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_the_certificate_serves_the_page_and_strict_cookies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "tls"
+    assert page_admin.main(["certificate", "localhost", "127.0.0.1", "--folder", str(folder)]) == 0
+    assert "sha256 Fingerprint=" in capsys.readouterr().out
+    key, certificate = folder / "key.pem", folder / "certificate.pem"
+    assert stat.S_IMODE(key.stat().st_mode) == 0o600
+    assert page_admin.main(["certificate", "localhost", "--folder", str(folder)]) == 1, "no key is overwritten"
+    assert page_admin.main(["certificate", "a,DNS:b", "--folder", str(tmp_path / "other")]) == 1
+
+    async def scenario(rig: Rig) -> None:
+        trusted = ssl.create_default_context(cafile=str(certificate))
+        url = f"https://127.0.0.1:{rig.server.port}/"
+        async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
+            async with session.get(url, params={"token": rig.token}, ssl=trusted) as answer:
+                assert answer.status == 200
+                assert "Secure" in answer.headers["Set-Cookie"]
+            origin = {"Origin": url.rstrip("/")}
+            async with session.ws_connect(url + "control", headers=origin, ssl=trusted) as control:
+                assert (await control.receive_json(timeout=5.0))["type"] == "hello"
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await session.ws_connect(
+                    url + "control", headers={"Origin": origin["Origin"].replace("https", "http")}, ssl=trusted
+                )
+
+    with Rig(tls_certificate=str(certificate), tls_key=str(key)) as rig:
+        asyncio.run(scenario(rig))
+
+
+def test_the_audit_file_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "audit.jsonl"
+    audit = AuditFile(path)
+    for number in range(3):
+        audit.append({"command": f"press:{number}"})
+    assert page_admin.main(["audit", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "3 records, intact" in said
+    noted = said.split()[-1]
+    audit.append({"command": "stop"})
+    audit.close()
+    assert page_admin.main(["audit", str(path), "--hash", noted]) == 0
+    text = path.read_text().splitlines()
+    path.write_text("\n".join(text[:2]) + "\n")
+    assert page_admin.main(["audit", str(path)]) == 0, "a chain that was cut short is a chain"
+    assert page_admin.main(["audit", str(path), "--hash", noted]) == 1, "but the noted hash is missing"
+    path.write_text("\n".join([text[0], text[1].replace("press:1", "press:7"), *text[2:]]) + "\n")
+    assert page_admin.main(["audit", str(path)]) == 1
+    assert "line 3 does not follow" in capsys.readouterr().err
+    assert page_admin.main(["audit", str(tmp_path / "missing")]) == 1
