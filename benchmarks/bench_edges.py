@@ -17,11 +17,11 @@ from pathlib import Path
 import cv2
 import numba
 import numpy as np
-from bench_harris import picture
+from bench_harris import SIZES, picture
 from rows import Row, bound, data_folder, interleaved_ms, row, tune_malloc, write
 
-from harris_perception.core.edges import EDGE, EdgeConfig, EdgeDetector
-from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector
+from harris_perception.core.harris import HarrisDetector
 
 Maps = Callable[[np.ndarray], Iterator[np.ndarray]]
 LEVELS = np.geomspace(0.7, 30.0, 24)
@@ -149,33 +149,40 @@ def _rows(what: str, pictures: list[tuple[np.ndarray, list[np.ndarray]]]) -> lis
             rows.append(row(f"{what}, {ours}: ODS", ods, a, name, higher_is_better=True))
             rows.append(row(f"{what}, {ours}: OIS", ois, b, name, higher_is_better=True))
             rows.append(bound(f"{what}, {ours}: ODS ahead of {name} [points]", 100 * (ods - a), 3.0, at_least=True))
+            rows.append(bound(f"{what}, {ours}: OIS ahead of {name} [points]", 100 * (ois - b), 3.0, at_least=True))
     return rows
 
 
 def speed() -> list[Row]:
+    """Time of the combined pass beside the corners alone, which it contains, and of outlines."""
     cv2.setNumThreads(1)
-    gray = picture(1280, 720)
-    corners, fast, edges = (
-        HarrisDetector(HarrisConfig(gradient="gaussian", window="gaussian")),
-        HarrisDetector(),
-        EdgeDetector(),
-    )
-    xy = corners.detect(gray).xy
-    ms = interleaved_ms(
-        {
-            "edges": lambda: edges.detect(gray, xy),
-            "gaussian corners": lambda: corners.detect(gray),
-            "corners": lambda: fast.detect(gray),
-            "canny": lambda: cv2.Canny(cv2.GaussianBlur(gray, (0, 0), 2.0), 10, 30, L2gradient=True),
-        },
-        repeats=20,
-    )
-    return [
-        row("1280x720: edges as chains [ms]", ms["edges"], ms["canny"], "cv2.GaussianBlur + Canny, pixels only"),
-        bound(
-            "1280x720: (edges + corners) / corners, 1988 kernels", (ms["edges"] + ms["corners"]) / ms["corners"], 2.0
-        ),
-    ]
+    rows = []
+    corners, combined, outlines = HarrisDetector(), CombinedDetector(), EdgeDetector()
+    for width, height in SIZES:
+        gray = picture(width, height)
+        xy = corners.detect(gray).xy
+        ms = interleaved_ms(
+            {
+                "corners": lambda gray=gray: corners.detect(gray),
+                "combined": lambda gray=gray: combined.detect(gray),
+                "outlines": lambda gray=gray, xy=xy: outlines.detect(gray, xy),
+                "canny": lambda gray=gray: cv2.Canny(gray, 80, 160, L2gradient=True),
+                "soft canny": lambda gray=gray: cv2.Canny(cv2.GaussianBlur(gray, (0, 0), 2.0), 10, 30, L2gradient=True),
+            },
+            repeats=20,
+        )
+        what = f"{width}x{height}, {(combined.detect(gray)[1].labels == EDGE).sum()} px of edges"
+        rows += [
+            bound(f"{what}: combined pass / corners alone", ms["combined"] / ms["corners"], 2.0),
+            row(
+                f"{what}: combined - corners [ms]",
+                ms["combined"] - ms["corners"],
+                ms["canny"],
+                "cv2.Canny, pixels only",
+            ),
+            row(f"{width}x{height}: outlines as chains [ms]", ms["outlines"], ms["soft canny"], "cv2 blur + Canny"),
+        ]
+    return rows
 
 
 def main() -> int:

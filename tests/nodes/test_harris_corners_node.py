@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -178,8 +179,12 @@ def test_only_the_newest_picture_is_worked_on_and_the_others_are_counted(ros: An
     assert values["corners"] == "4" and float(values["ms_per_frame"]) >= 0.0
 
 
-def test_edges_are_labelled_only_while_somebody_looks(ros: Any) -> None:
-    rig = Rig(ros, {"edges.max_gap_px": 8.0, "edges.high": 10.0})
+@pytest.mark.parametrize(
+    "parameters",
+    [{"combined.max_gap_px": 8.0}, {"edge_method": "outlines", "edges.max_gap_px": 8.0, "edges.high": 10.0}],
+)
+def test_edges_are_labelled_only_while_somebody_looks(ros: Any, parameters: dict[str, Any]) -> None:
+    rig = Rig(ros, parameters)
     rig.corners_of(image_message(square(), "mono8", header(1, "c")))
     labels: list[Image] = ros.collect(rig.probe, Image, "edges", qos.IMAGES)
     ros.spin_until(lambda: rig.node.count_subscribers("edges") == 1, 10.0)
@@ -192,12 +197,36 @@ def test_edges_are_labelled_only_while_somebody_looks(ros: Any) -> None:
     assert set(np.unique(picture).tolist()) == {0, 128, 255}
     assert (picture[11:14, 14:46] == 128).any(axis=0).all()  # the upper side
     assert not picture[18:26, 16:44].any()  # inside
-    assert not rig.node.set_parameters([Parameter("edges.high", value=-1.0)])[0].successful
+    for refused in (Parameter("edges.high", value=-1.0), Parameter("combined.low_of_high", value=1.5)):
+        assert not rig.node.set_parameters([refused])[0].successful
+
+
+def test_outlines_see_colors_of_one_lightness(ros: Any) -> None:
+    lab = np.full((60, 80, 3), 128, np.uint8)
+    lab[:, 40:, 1] = 160
+    picture = cv2.cvtColor(lab, cv2.COLOR_LAB2BGR)
+    rig = Rig(ros, {"edge_method": "outlines"})
+    labels: list[Image] = ros.collect(rig.probe, Image, "edges", qos.IMAGES)
+    ros.spin_until(lambda: rig.node.count_subscribers("edges") == 1, 10.0)
+    ros.spin_until(lambda: rig.probe.count_publishers("edges") == 1, 10.0)
+    for stamp, encoding, seen in ((1, "bgr8", picture), (2, "rgb8", np.ascontiguousarray(picture[:, :, ::-1]))):
+        rig.corners_of(image_message(seen, encoding, header(stamp, "c")))
+        found = image_array(ros.spin_until(lambda n=stamp: len(labels) == n and labels[-1], 10.0)) == 128
+        assert found.any(axis=1).all() and np.abs(np.nonzero(found)[1] - 39.5).max() < 1.0, encoding
+
+
+def test_edges_of_the_corners_pass_need_its_response(ros: Any) -> None:
+    rig = Rig(ros)
+    answer = rig.node.set_parameters([Parameter("response", value="noble")])[0]
+    assert not answer.successful and "edge_method" in answer.reason
+    outlines = [Parameter("edge_method", value="outlines"), Parameter("response", value="noble")]
+    assert rig.node.set_parameters_atomically(outlines).successful
 
 
 def test_parameter_file_names_every_setting_and_holds_the_defaults() -> None:
     path = Path(__file__).parents[2] / "config" / "params" / "corners.yaml"
     values = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
-    edges = {f"edges.{name}": value for name, value in values.pop("edges").items()}
+    nested = ("combined", "edges")
+    edges = {f"{part}.{name}": value for part in nested for name, value in values.pop(part).items()}
     assert values | edges == to_mapping(CornersNodeConfig())
     assert from_mapping(CornersNodeConfig, values | edges) == CornersNodeConfig()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edges as edges_module
-from harris_perception.core.edges import CORNER, EDGE, FLAT, EdgeConfig, EdgeDetector
+from harris_perception.core.edges import CORNER, EDGE, FLAT, CombinedDetector, EdgeConfig, EdgeDetector, TracingConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector, gaussian_taps
 
 
@@ -137,10 +137,15 @@ def test_hysteresis_keeps_weak_pixels_only_with_a_strong_one_and_drops_small_pie
     thinned[5, 40:58] = 1.0  # below the low threshold
     expected = np.zeros(thinned.shape, bool)
     expected[5, 5:35] = True
-    np.testing.assert_array_equal(kernels.hysteresis(thinned, 8.0, 2.0, 20, 10.0), expected)
+
+    def kept(weight_px: float) -> np.ndarray:
+        config = EdgeConfig(high=8.0, low_of_high=0.25, min_length_px=20, min_weight_px=weight_px, max_spur_px=0)
+        return EdgeDetector(config).edges_of(thinned).labels == EDGE
+
+    np.testing.assert_array_equal(kept(10.0), expected)
     # The sum of the piece is 29 * 3 + 9 = 96.
-    assert kernels.hysteresis(thinned, 8.0, 2.0, 20, 12.0).any()
-    assert not kernels.hysteresis(thinned, 8.0, 2.0, 20, 12.1).any()
+    assert kept(12.0).any()
+    assert not kept(12.1).any()
 
 
 def test_spur_is_removed_and_the_branch_of_a_t_stays() -> None:
@@ -189,8 +194,8 @@ def test_skeleton_keeps_the_pieces_together(seed: int, density: float) -> None:
     rng = np.random.default_rng(seed)
     mask = rng.random((20, 22)) < density
     before = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[0]
-    thin = mask.copy()
-    kernels.skeletonise(thin, rng.random(mask.shape).astype(np.float32))
+    config = EdgeConfig(high=0.1, min_length_px=1, min_weight_px=0.0, max_spur_px=0)
+    thin = EdgeDetector(config).edges_of(mask.astype(np.float32)).labels == EDGE
     assert (thin <= mask).all()
     assert cv2.connectedComponents(thin.astype(np.uint8), connectivity=8)[0] == before
 
@@ -200,6 +205,98 @@ def test_skeleton_keeps_the_pieces_together(seed: int, density: float) -> None:
 def test_pictures_without_edges(shape: tuple[int, int], value: float) -> None:
     found = EdgeDetector().detect(np.full(shape, value, np.float32))
     assert found.labels.shape == shape and not found.labels.any() and found.chains == []
+
+
+def naive_edge_pixels(picture: np.ndarray, least: float, k: float = 0.04) -> dict[tuple[int, int], float]:
+    """Return the pixels of the paper's definition, written pixel by pixel, with their strengths."""
+    height, width = picture.shape
+    p = picture.astype(np.float64)
+    gx, gy, response = (np.zeros(picture.shape) for _ in range(3))
+    for y in range(1, height - 1):
+        for x in range(1, width - 1):
+            gx[y, x] = (p[y - 1 : y + 2, x + 1] - p[y - 1 : y + 2, x - 1]).sum()
+            gy[y, x] = (p[y + 1, x - 1 : x + 2] - p[y - 1, x - 1 : x + 2]).sum()
+    for y in range(2, height - 2):
+        for x in range(2, width - 2):
+            here = np.s_[y - 1 : y + 2, x - 1 : x + 2]
+            a, b, c = (gx[here] ** 2).sum(), (gy[here] ** 2).sum(), (gx[here] * gy[here]).sum()
+            response[y, x] = a * b - c * c - k * (a + b) ** 2
+    found = {}
+    for y in range(3, height - 3):
+        for x in range(3, width - 3):
+            r = response[y, x]
+            along_x = abs(gx[y, x]) >= abs(gy[y, x])
+            before, after = (response[y, x - 1], response[y, x + 1]) if along_x else response[[y - 1, y + 1], x]
+            strength = (max(-r, 0.0) / k) ** 0.25 / 18.0  # kernels and window of ones answer to a slope of one by 18
+            if r < before and r <= after and strength >= least:
+                found[x, y] = strength
+    return found
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 100_000),
+    height=st.integers(1, 24),
+    width=st.integers(1, 40),
+    least=st.floats(1.0, 30.0),
+    bands=st.integers(1, 3),
+)
+def test_edge_pixels_of_the_corners_pass_are_those_of_the_definition(
+    seed: int, height: int, width: int, least: float, bands: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    picture = cv2.blur(rng.integers(0, 256, (height, width)).astype(np.uint8), (3, 3))
+    detector = HarrisDetector(HarrisConfig(), bands=bands)
+    corners, pixels = detector.detect_with_edges(picture, least)
+    y, x = np.divmod(pixels.places, width + 2)
+    found = dict(zip(zip((x - 1).tolist(), (y - 1).tolist()), pixels.strength.tolist()))
+    expected = naive_edge_pixels(picture, least)
+    # Float32 may fall on the other side of the threshold, or of a tie.
+    assert all(abs(value - least) < 1e-3 * least for place, value in expected.items() if place not in found)
+    assert all(abs(value - least) < 1e-3 * least for place, value in found.items() if place not in expected)
+    for place in found.keys() & expected.keys():
+        assert found[place] == pytest.approx(expected[place], rel=1e-3)
+    np.testing.assert_array_equal(corners.xy, detector.detect(picture).xy)
+
+
+def test_wide_pictures_have_the_same_edge_pixels_as_their_transposes() -> None:
+    rng = np.random.default_rng(7)
+    picture = cv2.GaussianBlur(rng.integers(0, 256, (60, 1300)).astype(np.float32), (0, 0), 2.0) * 3
+    places = []
+    for p in (picture, np.ascontiguousarray(picture.T)):
+        pixels = HarrisDetector().detect_with_edges(p, 2.0)[1]
+        y, x = np.divmod(pixels.places, p.shape[1] + 2)
+        places.append(set(zip((x - 1).tolist(), (y - 1).tolist())))
+    assert len(places[0]) > 1000
+    assert len({(y, x) for x, y in places[0]} ^ places[1]) <= 0.01 * len(places[0])  # ties of the two axes
+
+
+@pytest.mark.parametrize("config", [HarrisConfig(), HarrisConfig(gradient="gaussian", window="gaussian")])
+def test_combined_detector_finds_the_square_with_either_kernels(config: HarrisConfig) -> None:
+    picture = square()
+    corners, edges = CombinedDetector(config, TracingConfig(max_gap_px=8.0)).detect(picture)
+    np.testing.assert_array_equal(corners.xy, HarrisDetector(config).detect(picture).xy)
+    assert len(corners) == 4 and (edges.labels == CORNER).sum() == 4
+    sides = np.zeros(picture.shape, np.uint8)
+    cv2.rectangle(sides, (30, 25), (79, 74), 1)
+    far = cv2.distanceTransform(1 - sides, cv2.DIST_L2, 5)
+    assert max(far[y, x] for chain in edges.chains for x, y in chain) <= 2.0
+    reached = cv2.distanceTransform(np.where(edges.labels == FLAT, 1, 0).astype(np.uint8), cv2.DIST_L2, 5)
+    assert (reached[sides > 0] <= 2.5).mean() > 0.97
+    assert sum(len(chain) > 20 for chain in edges.chains) == 4, "each side is one chain between its corners"
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (2, 40), (6, 7), (30, 30)])
+@pytest.mark.parametrize("value", [0.0, 77.0, np.nan, np.inf])
+@pytest.mark.parametrize("gradient", ["harris", "gaussian"])
+def test_combined_detector_on_pictures_without_edges(shape: tuple[int, int], value: float, gradient: str) -> None:
+    corners, found = CombinedDetector(HarrisConfig(gradient=gradient)).detect(np.full(shape, value, np.float32))
+    assert len(corners) == 0 and found.labels.shape == shape and not found.labels.any() and found.chains == []
+
+
+def test_combined_detector_refuses_responses_that_know_no_edges() -> None:
+    with pytest.raises(ValueError, match="'noble'"):
+        CombinedDetector(HarrisConfig(response="noble")).detect(np.zeros((30, 30), np.uint8))
 
 
 def test_bad_input_is_refused() -> None:

@@ -106,6 +106,14 @@ def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.Capture
     colored = cv2.imread(str(drawn))
     assert colored.shape == (80, 90, 3) and colored[20, 20, 1] > colored[20, 20, 0] + 50
     assert (colored[17:23, 45] == (255, 160, 0)).all(axis=1).any()  # the upper side
+    labels, chains = tmp_path / "labels.png", tmp_path / "chains.json"
+    assert main(["detect", str(source), "--edges", "combined", "--labels", str(labels), "--chains", str(chains)]) == 0
+    seen = cv2.imread(str(labels), cv2.IMREAD_UNCHANGED)
+    assert seen.shape == (80, 90) and (seen == 255).sum() == 4
+    linked = {(row["x_px"], row["y_px"]) for row in json.loads(chains.read_text())}
+    assert linked - {(20, 20), (69, 20), (20, 59), (69, 59)} == {(int(x), int(y)) for y, x in np.argwhere(seen == 128)}
+    assert main(["detect", str(source), "--labels", str(labels)]) == 2
+    assert "--edges" in capsys.readouterr().err
 
 
 def test_match_finds_a_shifted_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

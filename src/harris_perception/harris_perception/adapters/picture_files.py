@@ -22,7 +22,16 @@ def read_gray(path: Path) -> npt.NDArray[np.uint8]:
     ValueError
         If the file is missing or no picture.
     """
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
+    return _read(path, cv2.IMREAD_GRAYSCALE)
+
+
+def read_bgr(path: Path) -> npt.NDArray[np.uint8]:
+    """Read a picture as (H, W, 3) uint8; raises as :func:`read_gray`."""
+    return _read(path, cv2.IMREAD_COLOR)
+
+
+def _read(path: Path, how: int) -> npt.NDArray[np.uint8]:
+    picture = cv2.imread(str(path), how) if path.is_file() else None
     if picture is None:
         raise ValueError(f"{path} is no picture that can be read")
     return np.asarray(picture, np.uint8)

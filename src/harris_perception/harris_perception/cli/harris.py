@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import yaml
 
-from harris_perception.adapters.picture_files import SUFFIXES, pairs_of_sequence, read_gray, sequences
-from harris_perception.core.edges import EDGE, EdgeConfig, EdgeDetector
+from harris_perception.adapters.picture_files import SUFFIXES, pairs_of_sequence, read_bgr, read_gray, sequences
+from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
 from harris_perception.core.gray import bgr_of_gray
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
@@ -88,22 +88,31 @@ def _write_picture(path: Path, picture: Any) -> None:
 
 def detect(options: argparse.Namespace) -> int:
     gray = read_gray(options.picture)
-    corners = HarrisDetector(_settings(HarrisConfig, options.set)).detect(gray)
-    rows = [
-        {"x_px": float(x), "y_px": float(y), "response": float(r)} for (x, y), r in zip(corners.xy, corners.response)
-    ]
+    config = _settings(HarrisConfig, options.set)
     drawn = bgr_of_gray(gray)
-    said = f"{len(corners)} corners"
-    if options.edges:
-        edges = EdgeDetector(_settings(EdgeConfig, options.set_edges)).detect(gray, corners.xy)
+    edges: Edges | None = None
+    if options.edges == "combined":
+        corners, edges = CombinedDetector(config, _settings(TracingConfig, options.set_edges)).detect(gray)
+    else:
+        corners = HarrisDetector(config).detect(gray)
+        if options.edges == "outlines":
+            detector = EdgeDetector(_settings(EdgeConfig, options.set_edges))
+            edges = detector.detect(read_bgr(options.picture), corners.xy)
+    if edges is not None:
         drawn[edges.labels == EDGE] = EDGE_COLOR
-        said += f", {len(edges.chains)} chains of edges"
     draw_corners(drawn, corners.xy)
     if options.output:
         _write_picture(options.output, drawn)
+    if options.labels and edges is not None:
+        _write_picture(options.labels, np.ascontiguousarray(edges.labels))
     if options.table:
-        _write_table(options.table, rows)
-    print(said)
+        columns = ("x_px", "y_px", "response")
+        values = np.column_stack((corners.xy, corners.response)).tolist()
+        _write_table(options.table, [dict(zip(columns, row)) for row in values])
+    if options.chains and edges is not None:
+        rows = [{"chain": i, "x_px": x, "y_px": y} for i, chain in enumerate(edges.chains) for x, y in chain.tolist()]
+        _write_table(options.chains, rows)
+    print(f"{len(corners)} corners" + (f", {len(edges.chains)} chains of edges" if edges is not None else ""))
     return 0
 
 
@@ -225,7 +234,15 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("picture", type=Path)
     one.add_argument("-o", "--output", type=Path, help="picture with the corners drawn")
     one.add_argument("--table", type=Path, help="corners as .csv or .json")
-    one.add_argument("--edges", action="store_true", help="edges too")
+    one.add_argument(
+        "--edges",
+        nargs="?",
+        const="outlines",
+        choices=("outlines", "combined"),
+        help="edges too: outlines, by color and two scales (as without a word), or combined, in the corners' own pass",
+    )
+    one.add_argument("--labels", type=Path, help="picture of labels: 0 flat, 128 edge, 255 corner; needs --edges")
+    one.add_argument("--chains", type=Path, help="linked pixels of the edges as .csv or .json; needs --edges")
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one of {known}")
     one.add_argument("--set-edges", action="append", default=[], metavar="KEY=VALUE", help="settings of the edges")
     one.set_defaults(run=detect)
@@ -256,6 +273,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; errors in what the user gave end with code 2 and one line."""
     options = _parser().parse_args(arguments)
     try:
+        if options.run is detect and options.edges is None and (options.labels or options.chains):
+            raise ValueError("--labels and --chains need --edges")
         return int(options.run(options))
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -16,33 +16,75 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core import edge_kernels as kernels
-from harris_perception.core.harris import gaussian_taps
+from harris_perception.core import edge_tracing as tracing
+from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, gaussian_taps
 from icu_common.core.config import Config, setting
 
 FLAT, EDGE, CORNER = 0, 128, 255
 """Values of the label picture."""
 
+_SHRUNK = 4
+"""The coarse scale is computed on a picture so many times smaller."""
+
+
+def _bins(low: float, high: float, count: int) -> npt.NDArray[np.float32]:
+    """Return for each of ``count`` overlapping bins how much each of 256 values belongs to it, (count, 256)."""
+    values, centres = np.clip(np.arange(256.0), low, high), np.linspace(low, high, count)
+    share = np.abs(values - centres[:, None]) / (centres[1] - centres[0])
+    return np.asarray(np.maximum(1.0 - share, 0.0), np.float32)
+
+
+_LIGHT_BINS = _bins(0.0, 255.0, 8)
+_COLOR_BINS = _bins(88.0, 168.0, 8)  # colors of photographs lie near to grey, which is 128
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EdgeConfig(Config):
-    """What is an edge; strengths are (-R / k)^(1/4), which on a straight edge is the gradient in grey levels per px.
+class TracingConfig(Config):
+    """How thinned pixels become chains.
 
-    The window over the products is 1 2 1 both ways. Strengths at a fine and a coarse scale are combined by their
-    geometric mean, and what surrounds a pixel on average is subtracted, so that texture counts less than outlines.
+    Strengths are (-R / k)^(1/4), which on a straight edge is the gradient in grey levels per px.
+    """
+
+    high: float = setting(20.0, "Strength that starts an edge", minimum=0.0, maximum=1e5, unit="grey levels per px")
+    low_of_high: float = setting(0.5, "Strength that continues an edge, as a fraction", minimum=0.0, maximum=1.0)
+    min_length_px: int = setting(10, "Smaller connected pieces are removed", minimum=1, maximum=10_000, unit="px")
+    min_weight_px: float = setting(
+        0.0,
+        "Pieces are removed whose strengths add up to less than so many pixels of the strength 'high'",
+        minimum=0.0,
+        maximum=1e5,
+        unit="px",
+    )
+    max_spur_px: int = setting(3, "Branches up to this length are removed", minimum=0, maximum=100, unit="px")
+    max_gap_px: float = setting(
+        3.0, "Free ends this near to a corner are led to it", minimum=0.0, maximum=50.0, unit="px"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EdgeConfig(TracingConfig):
+    """What is an outline.
+
+    The window over the products is 1 2 1 both ways. Strengths are multiplied by how different the values (coded in
+    soft bins) are on either side at a coarse scale, and what surrounds a pixel on average is subtracted, so that
+    texture counts less than outlines.
     """
 
     sigma_d_px: float = setting(1.5, "Scale of the derivatives", minimum=0.5, maximum=10.0, unit="px")
     coarse_sigma_px: float = setting(
-        4.0, "Scale at which an edge must be seen as well, 0 = none", minimum=0.0, maximum=40.0, unit="px"
+        6.0, "Scale at which the sides of an edge must differ as well, 0 = none", minimum=0.0, maximum=40.0, unit="px"
     )
     k: float = setting(
-        0.15, "Weight of trace^2 in the response; more keeps bent edges whole", minimum=0.001, maximum=0.24
+        0.24, "Weight of trace^2 in the response; more keeps bent edges whole", minimum=0.001, maximum=0.24
     )
     surround: float = setting(
-        1.0, "The strength averaged over the surroundings is subtracted so many times", minimum=0.0, maximum=4.0
+        0.75, "The strength averaged over the surroundings is subtracted so many times", minimum=0.0, maximum=4.0
     )
     surround_px: float = setting(40.0, "Size (sigma) of the surroundings", minimum=8.0, maximum=500.0, unit="px")
-    color: float = setting(4.0, "Weight of the Lab colors a and b in color pictures", minimum=0.0, maximum=20.0)
+    along_px: int = setting(
+        6, "Strengths are averaged along the edge so far, both ways", minimum=0, maximum=50, unit="px"
+    )
+    color: float = setting(5.0, "Weight of the Lab colors a and b in color pictures", minimum=0.0, maximum=20.0)
     high: float = setting(3.0, "Strength that starts an edge", minimum=0.0, maximum=1e5, unit="grey levels per px")
     low_of_high: float = setting(0.3, "Strength that continues an edge, as a fraction", minimum=0.0, maximum=1.0)
     min_length_px: int = setting(20, "Smaller connected pieces are removed", minimum=1, maximum=10_000, unit="px")
@@ -67,12 +109,20 @@ class Edges:
     ----------
     labels
         (H, W) uint8: FLAT, EDGE or CORNER.
-    chains
-        Each (N, 2) int32 px x, y of neighbouring pixels; a closed one ends where it starts.
+    points
+        (K, 2) int32 px x, y of all chains, one after the other.
+    starts
+        (C + 1,) int64: chain i is points[starts[i]:starts[i + 1]].
     """
 
     labels: npt.NDArray[np.uint8]
-    chains: list[npt.NDArray[np.int32]]
+    points: npt.NDArray[np.int32]
+    starts: npt.NDArray[np.int64]
+
+    @property
+    def chains(self) -> list[npt.NDArray[np.int32]]:
+        """Each (N, 2) int32 px x, y of neighbouring pixels; a closed one ends where it starts."""
+        return np.split(self.points, self.starts[1:-1].tolist()) if len(self.starts) > 1 else []
 
 
 class EdgeDetector:
@@ -91,8 +141,7 @@ class EdgeDetector:
     def __init__(self, config: EdgeConfig | None = None) -> None:
         self.config = config if config is not None else EdgeConfig()
         self._fine = _half_taps(self.config.sigma_d_px)
-        # The coarse scale is computed on a picture of half the size.
-        self._coarse = _half_taps(max(0.5 * self.config.coarse_sigma_px, 0.3))
+        self._coarse = _half_taps(max(self.config.coarse_sigma_px / _SHRUNK, 0.3))
 
     def warm(self) -> None:
         """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
@@ -106,27 +155,48 @@ class EdgeDetector:
         The picture is as for ``detect``.
         """
         channels = self._channels(picture)
-        shape = picture.shape[:2]
-        if 0 in shape:
-            return np.zeros(shape, np.float32)
+        if 0 in picture.shape[:2]:
+            return np.zeros(picture.shape[:2], np.float32)
         config = self.config
         a, b, c = _structure(channels, self._fine)
         strength = kernels.strength_of(a, b, c, config.k)
-        size = (shape[1], shape[0])
+        size = (strength.shape[1], strength.shape[0])
         if config.coarse_sigma_px > 0.0:
-            half = tuple(max((side + 1) // 2, 1) for side in size)
-            small = [(cv2.resize(channel, half, interpolation=cv2.INTER_AREA), w) for channel, w in channels]
-            a2, b2, c2 = _structure(small, self._coarse)
-            coarse = kernels.strength_of(a2, b2, c2, config.k)
-            kernels.combine(strength, cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR))
+            kernels.weigh(strength, cv2.resize(self._difference(channels), size, interpolation=cv2.INTER_LINEAR))
         if config.surround > 0.0:
             eighth = tuple(max(side // 8, 1) for side in size)
-            small_strength = cv2.resize(strength, eighth, interpolation=cv2.INTER_AREA)
-            around = cv2.GaussianBlur(small_strength, (0, 0), config.surround_px / 8, borderType=cv2.BORDER_REFLECT)
+            small = cv2.resize(strength, eighth, interpolation=cv2.INTER_AREA)
+            around = cv2.GaussianBlur(small, (0, 0), config.surround_px / 8, borderType=cv2.BORDER_REFLECT)
             around = cv2.resize(around, size, interpolation=cv2.INTER_LINEAR)
             strength = cv2.scaleAdd(around, -config.surround, strength)
         framed = cv2.copyMakeBorder(strength, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-        return np.asarray(kernels.thin(framed, a, b, c), np.float32)
+        maxima = kernels.thin(framed, a, b, c)
+        if config.along_px > 0:
+            kernels.mean_along(maxima, strength, a, b, c, config.along_px)
+        return np.asarray(maxima, np.float32)
+
+    def _difference(self, channels: list[tuple[npt.NDArray[Any], float]]) -> npt.NDArray[np.float32]:
+        """Return how different the sides of each pixel of the shrunk picture are, about 1 for nothing in common.
+
+        Each channel is coded by how much of it falls into each of some bins that overlap (the channel representation
+        of G. Granlund); the strength of that picture of many channels compares local histograms.
+        """
+        height, width = channels[0][0].shape
+        size = (-(-width // _SHRUNK), -(-height // _SHRUNK))
+        coded = []
+        for number, (channel, weight) in enumerate(channels):
+            if weight == 0.0:
+                continue
+            small = cv2.resize(channel, size, interpolation=cv2.INTER_AREA)
+            bins = _COLOR_BINS if number else _LIGHT_BINS
+            if small.dtype != np.uint8:  # no range is agreed on for these: that of the picture is coded
+                small = np.where(np.isfinite(small), small, 0.0)
+                low, high = float(small.min()), float(small.max())
+                small = np.asarray((small - low) * (255.0 / max(high - low, 1e-9)), np.uint8)
+            coded += [(np.asarray(cv2.LUT(small, table), np.float32), 1.0) for table in bins]
+        strength: npt.NDArray[np.float32] = kernels.strength_of(*_structure(coded, self._coarse), self.config.k)
+        # A smoothed step between two bins has a gradient of sqrt(2) / (sigma sqrt(2 pi)).
+        return strength * np.float32(np.sqrt(np.pi) * self.config.coarse_sigma_px / _SHRUNK)
 
     def _channels(self, picture: npt.NDArray[Any]) -> list[tuple[npt.NDArray[Any], float]]:
         """Return grey, or the three of Lab, each with the weight of its squared gradient."""
@@ -159,24 +229,77 @@ class EdgeDetector:
 
     def edges_of(self, thinned: npt.NDArray[Any], corners_xy: npt.ArrayLike = ()) -> Edges:
         """Do the second half of ``detect``, from what ``thinned`` has returned."""
-        config = self.config
-        corners = np.rint(np.asarray(corners_xy, np.float64).reshape(-1, 2)).astype(np.int32)
-        if ((corners < 0) | (corners >= thinned.shape[::-1])).any():
-            raise ValueError(f"a corner lies outside the picture of {thinned.shape[1]} x {thinned.shape[0]} px")
-        low = config.low_of_high * config.high
-        mask = kernels.hysteresis(thinned, config.high, low, config.min_length_px, config.min_weight_px)
-        kernels.skeletonise(mask, thinned)
-        points, starts = kernels.link(mask)
-        while config.max_spur_px > 0 and kernels.remove_spurs(mask, points, starts, config.max_spur_px):
-            kernels.skeletonise(mask, thinned)  # what a branch leaves behind may be a thick bend
-            points, starts = kernels.link(mask)
-        if len(corners) and config.max_gap_px > 0.0:
-            kernels.lead_to_corners(mask, corners, config.max_gap_px)
-            points, starts = kernels.link(mask)
-        labels = np.multiply(mask.view(np.uint8), np.uint8(EDGE), dtype=np.uint8)
-        labels[corners[:, 1], corners[:, 0]] = CORNER
-        chains = [points[i:j] for i, j in zip(starts[:-1].tolist(), starts[1:].tolist())]
-        return Edges(labels, chains)
+        low = self.config.low_of_high * self.config.high
+        places, values = tracing.candidates(np.ascontiguousarray(thinned, np.float32), low)
+        return traced(places, values, thinned.shape, self.config, corners_xy)
+
+
+class CombinedDetector:
+    """Corners and edges of one pass, as in the paper of 1988: as fast as possible, at the scale of the corners.
+
+    For outlines of objects rather than of texture see :class:`EdgeDetector`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> picture = np.zeros((60, 60), np.uint8)
+    >>> picture[20:, 30:] = 200
+    >>> corners, edges = CombinedDetector().detect(picture)
+    >>> corners.xy.round().astype(int).tolist(), [len(chain) for chain in edges.chains]
+    ([[30, 20]], [24, 34])
+    >>> sorted({int(value) for value in np.unique(edges.labels)}) == [FLAT, EDGE, CORNER]
+    True
+    """
+
+    def __init__(self, config: HarrisConfig | None = None, edges: TracingConfig | None = None) -> None:
+        self.edges = edges if edges is not None else TracingConfig()
+        self._detector = HarrisDetector(config)
+
+    def warm(self) -> None:
+        """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
+        checks = np.indices((64, 64)).sum(axis=0) // 16 % 2 * 100
+        for dtype in (np.uint8, np.uint16, np.float32):
+            self.detect(checks.astype(dtype))
+
+    def detect(self, gray: npt.NDArray[Any]) -> tuple[Corners, Edges]:
+        """Return corners and edges of (H, W) uint8, uint16 or float32; the corners are those of ``HarrisDetector``.
+
+        Raises
+        ------
+        ValueError
+            For another shape or dtype, or a response other than ``harris``.
+        """
+        config = self.edges
+        corners, pixels = self._detector.detect_with_edges(gray, config.low_of_high * config.high)
+        return corners, traced(pixels.places, pixels.strength, gray.shape, config, corners.xy)
+
+
+def traced(
+    places: npt.NDArray[np.int32],
+    values: npt.NDArray[np.float32],
+    shape: tuple[int, ...],
+    config: TracingConfig,
+    corners_xy: npt.ArrayLike,
+) -> Edges:
+    """Return the edges of a picture of ``shape`` (H, W) from its thinned pixels, in the form of ``tracing.trace``."""
+    height, width = shape
+    corners = np.rint(np.asarray(corners_xy, np.float64).reshape(-1, 2)).astype(np.int32)
+    if ((corners < 0) | (corners >= (width, height))).any():
+        raise ValueError(f"a corner lies outside the picture of {width} x {height} px")
+    state, points, starts = tracing.trace(
+        places,
+        values,
+        height,
+        width,
+        config.high,
+        config.low_of_high * config.high,
+        config.min_length_px,
+        config.min_weight_px,
+        config.max_spur_px,
+        corners,
+        config.max_gap_px,
+    )
+    return Edges(state[1:-1, 1:-1], points, starts)
 
 
 def _half_taps(sigma: float) -> npt.NDArray[np.float32]:

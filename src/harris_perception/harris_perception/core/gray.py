@@ -77,6 +77,11 @@ def bgr_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(picture), _TO_BGR[encoding]), np.uint8)
 
 
+def has_color(encoding: str) -> bool:
+    """Tell whether pictures of an encoding that :func:`bgr_of` takes have color."""
+    return encoding == "bgr8" or encoding in _TO_BGR
+
+
 def bgr_of_gray(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     """Return (H, W, 3) uint8 to draw on; 16-bit and float pictures are stretched to their largest value."""
     if gray.dtype != np.uint8:

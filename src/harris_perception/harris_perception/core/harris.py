@@ -25,8 +25,8 @@ from icu_common.core.config import Config, ConfigError, setting
 
 F32 = npt.NDArray[Any]
 
-Peaks = tuple[F32, float]
-BandMap = Callable[[Callable[[Callable[[], Peaks]], Peaks], Iterable[Callable[[], Peaks]]], Iterable[Peaks]]
+Band = tuple[F32, float, npt.NDArray[np.int32], F32]
+BandMap = Callable[[Callable[[Callable[[], Band]], Band], Iterable[Callable[[], Band]]], Iterable[Band]]
 
 _RESPONSES = ("harris", "shi_tomasi", "noble")
 
@@ -108,6 +108,22 @@ class Corners:
         return len(self.response)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgePixels:
+    """Pixels with R < 0 that are minima of R across the edge.
+
+    Attributes
+    ----------
+    places
+        (N,) int32 ``(y + 1) * (width + 2) + x + 1``.
+    strength
+        (N,) float32 (-R / k)^(1/4), on a straight edge the gradient in grey levels per px.
+    """
+
+    places: npt.NDArray[np.int32]
+    strength: F32
+
+
 class HarrisDetector:
     """Detector with one configuration; it keeps no state between pictures.
 
@@ -166,14 +182,18 @@ class HarrisDetector:
         ValueError
             For another shape or dtype.
         """
-        picture = _checked(gray)
+        return self._response(_checked(gray))[0]
+
+    def _response(self, picture: npt.NDArray[Any]) -> tuple[F32, F32, F32]:
+        """Return the response, and the sums of gx^2 and gy^2 without the frame of ``margin_px``."""
         result = np.zeros(picture.shape, np.float32)
         margin = self.margin_px
-        if min(picture.shape) > 2 * margin:
-            a, b, c = self.structure(picture)
-            kind = _RESPONSES.index(self.config.response)
-            kernels.response_of(a, b, c, kind, self.config.k, result[margin:-margin, margin:-margin])
-        return result
+        if min(picture.shape) <= 2 * margin:
+            return result, result[:0, :0], result[:0, :0]
+        a, b, c = self.structure(picture)
+        kind = _RESPONSES.index(self.config.response)
+        kernels.response_of(a, b, c, kind, self.config.k, result[margin:-margin, margin:-margin])
+        return result, a, b
 
     def structure(self, gray: npt.NDArray[Any]) -> tuple[F32, F32, F32]:
         """Return the sums of gx^2, gy^2 and gx gy over the window, where kernels and window lie inside the picture.
@@ -230,36 +250,70 @@ class HarrisDetector:
             return self._detect([gray])[0]
         return self._detect(gray)
 
+    def detect_with_edges(self, gray: npt.NDArray[Any], least: float) -> tuple[Corners, EdgePixels]:
+        """Return the corners, and the pixels of edges of at least a strength: both halves of the detector of 1988.
+
+        Parameters
+        ----------
+        gray
+            (H, W) uint8, uint16 or float32.
+        least
+            Strength in grey levels per px.
+
+        Raises
+        ------
+        ValueError
+            For another shape or dtype, or where the response is not ``harris``, which alone is negative on edges.
+        """
+        if self.config.response != "harris":
+            raise ValueError(f"response = {self.config.response!r}: edges need 'harris'")
+        # On a straight edge R = -k trace^2, and the trace is the squared gradient times the gain of kernels and window.
+        x = np.arange(len(self._derivative)) - len(self._derivative) // 2
+        gain = float((self._derivative * x).sum() * self._smooth.sum() * self._window.sum())
+        ceiling = -self.config.k * (gain * max(least, 1e-6)) ** 4
+        picture = _checked(gray)
+        if self._fused:
+            found = list(self._run(_call, self._tasks(picture, ceiling)))
+            places, responses = (np.concatenate([band[i] for band in found]) for i in (2, 3))
+        else:
+            response, a, b = self._response(picture)
+            found = list(self._run(_call, self._tasks(picture, response=response)))
+            places, responses = kernels.minima_of(response, a, b, self.margin_px + 1, ceiling)
+        strength = np.sqrt(np.sqrt(responses * np.float32(-1.0 / self.config.k))) * np.float32(1.0 / gain)
+        return self._selected(found), EdgePixels(places, strength)
+
     def _detect(self, pictures: Sequence[npt.NDArray[Any]]) -> list[Corners]:
         tasks = [task for picture in pictures for task in self._tasks(_checked(picture))]
         found = list(self._run(_call, tasks))
         each = len(found) // len(pictures) if pictures else 0
         return [self._selected(found[i * each : (i + 1) * each]) for i in range(len(pictures))]
 
-    def _tasks(self, picture: npt.NDArray[Any]) -> list[Callable[[], Peaks]]:
+    def _tasks(
+        self, picture: npt.NDArray[Any], ceiling: float = math.nan, response: F32 | None = None
+    ) -> list[Callable[[], Band]]:
         """Return one task for each band of rows; every picture gets the same number."""
         config = self.config
         border = max(self.margin_px + 1, config.border_px)
         height, width = picture.shape
         if width <= 2 * border or height <= 2 * border:
-            return [lambda: (np.empty((0, 3), np.float32), 0.0)] * self._bands
+            return [_nothing] * self._bands
         thresholds: tuple[Any, ...] = (config.absolute_threshold, config.relative_threshold, config.subpixel)
         if self._fused:
             rows = np.ascontiguousarray(picture, np.uint8 if picture.dtype == np.uint8 else np.float32)
             centre = self._smooth[1:2].astype(np.int16 if rows.dtype == np.uint8 else np.float32)
-            find: Callable[..., Peaks] = partial(kernels.fused_peaks, rows, centre, border)
-            thresholds = (config.k, *thresholds)
+            find: Callable[..., Band] = partial(kernels.fused_peaks, rows, centre, border)
+            thresholds = (config.k, *thresholds, ceiling)
         else:
-            find = partial(kernels.peaks_of, self.response(picture), border)
+            find = partial(_peaks_of, self._response(picture)[0] if response is None else response, border)
         limits = np.linspace(border, height - border, self._bands + 1).astype(int).tolist()
         return [partial(find, first, last, *thresholds) for first, last in pairwise(limits)]
 
-    def _selected(self, bands: Sequence[Peaks]) -> Corners:
+    def _selected(self, bands: Sequence[Band]) -> Corners:
         config = self.config
-        peaks = bands[0][0] if len(bands) == 1 else np.concatenate([peaks for peaks, _ in bands])
+        peaks = bands[0][0] if len(bands) == 1 else np.concatenate([band[0] for band in bands])
         spaced = config.even_spread or config.suppression_radius_px > 1.0
         limit = config.max_corners or len(peaks)
-        xy, response = kernels.ranked(peaks, max(floor for _, floor in bands), len(peaks) if spaced else limit)
+        xy, response = kernels.ranked(peaks, max(band[1] for band in bands), len(peaks) if spaced else limit)
         if spaced and len(xy) > 0:
             even = config.even_spread and len(xy) > limit
             find = _spread if even else kernels.apart
@@ -268,8 +322,16 @@ class HarrisDetector:
         return Corners(xy, response)
 
 
-def _call(task: Callable[[], Peaks]) -> Peaks:
+def _call(task: Callable[[], Band]) -> Band:
     return task()
+
+
+def _nothing() -> Band:
+    return np.empty((0, 3), np.float32), 0.0, np.empty(0, np.int32), np.empty(0, np.float32)
+
+
+def _peaks_of(*arguments: Any) -> Band:
+    return (*kernels.peaks_of(*arguments), *_nothing()[2:])
 
 
 def _checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -83,6 +83,45 @@ def _mark_peaks(above: Any, here: Any, below: Any, marks: Any, n: int, floor: An
 
 
 @inlined
+def _mark_both(
+    above: Any, here: Any, below: Any, g: Any, row: int, marks: Any, edges: Any, n: int, floor: Any, ceiling: Any
+) -> None:
+    """Mark peaks as ``_mark_peaks`` and, in ``edges``, minima below ``ceiling`` along the axis nearer to the gradient.
+
+    Element x of the responses lies under element x + 1 of the gradients, which begin at ``row`` of ``g``. This is the
+    thinning of the paper of 1988.
+    """
+    for x in range(1, n - 1):
+        r, west, east, north, south = here[x], here[x - 1], here[x + 1], above[x], below[x]
+        u, v = np.float32(g[row + x + 1]), np.float32(g[row + _ROW + x + 1])
+        along_x = u * u >= v * v
+        before, after = west if along_x else north, east if along_x else south
+        marks[x] = (r > floor) & (r > west) & (r >= east) & (r > north) & (r >= south)
+        edges[x] = (r < ceiling) & (r < before) & (r <= after)
+
+
+@called
+def _collect_edges(
+    here: Any, words: Any, n: int, place: int, places: Any, values: Any, count: int
+) -> tuple[Any, Any, int]:
+    """Append ``place`` + x and the response of the marked columns; returns the lists, longer where full, and count."""
+    marks = words.view(np.uint8)
+    if count + n + 8 > len(places):
+        places = np.concatenate((places, np.empty(len(places) + n + 8, places.dtype)))
+        values = np.concatenate((values, np.empty(len(values) + n + 8, values.dtype)))
+    for block in range((n + 31) // 32):
+        w = 4 * block
+        if (words[w] | words[w + 1] | words[w + 2] | words[w + 3]) == 0:
+            continue
+        for word in range(w, w + 4):
+            if words[word] != 0:
+                for x in range(8 * word, 8 * word + 8):
+                    places[count], values[count] = place + x, here[x]
+                    count += marks[x]
+    return places, values, count
+
+
+@inlined
 def _quadratic_peak(above: Any, here: Any, below: Any, x: int) -> tuple[Any, Any]:
     """Return the offset (dx, dy) of the maximum of the quadratic through a 3x3 neighbourhood, at most half a pixel."""
     half = np.float32(0.5)
@@ -203,8 +242,11 @@ def fused_peaks(
     absolute: float,
     relative: float,
     subpixel: bool,
-) -> tuple[Array, Any]:
+    ceiling: float,
+) -> tuple[Array, Any, Array, Array]:
     """Return the peaks of the Harris response with a 3x3 gradient and a 3x3 box window in the rows first to last - 1.
+
+    And, where ``ceiling`` is a number, the pixels of edges: minima of the response below it, across the edge.
 
     Parameters
     ----------
@@ -223,16 +265,20 @@ def fused_peaks(
         Thresholds; the second as a fraction of the strongest peak so far.
     subpixel
         Refine by the quadratic through 3x3 responses.
+    ceiling
+        Negative; NaN for no edges.
 
     Returns
     -------
     tuple
-        (N, 3) float32 x, y, response, and the threshold reached, which the first of them may not exceed.
+        (N, 3) float32 x, y, response, and the threshold reached, which the first of them may not exceed; of the pixels
+        of edges the places (M,) int32 ``(y + 1) * (W + 2) + x + 1`` and the responses (M,) float32.
     """
     width = gray.shape[1]
     centre = weight[0]
     vertical = np.empty(4 * _ROW, weight.dtype)
-    gradients = np.empty(4 * _ROW, weight.dtype)
+    # gx, gy of two rows, and of the two rows before, which tell where the minima are looked for.
+    g0, g1 = np.empty(4 * _ROW, weight.dtype), np.empty(4 * _ROW, weight.dtype)
     rows = np.empty(16 * _ROW, np.float32)
     r0, r1 = rows[12 * _ROW : 13 * _ROW], rows[13 * _ROW : 14 * _ROW]
     r2, r3 = rows[14 * _ROW : 15 * _ROW], rows[15 * _ROW :]
@@ -242,42 +288,56 @@ def fused_peaks(
     weight_k, fraction, floor = np.float32(k), np.float32(relative), np.float32(absolute)
     found = np.empty((2048, 3), np.float32)
     count = 0
+    edges = not np.isnan(ceiling)
+    edge_words = np.zeros(_ROW // 8 + 4, np.uint64)
+    edge_marks = edge_words.view(np.uint8)
+    deepest = np.float32(ceiling)
+    places = np.empty(8192 if edges else 0, np.int32)
+    values = np.empty(8192 if edges else 0, np.float32)
+    edge_count = 0
     for start in range(border, width - border, _STRIP):
         x0 = start - 1  # column of the response's first element; its gradient starts one further left, the picture two
         n = min(start + _STRIP, width - border) + 1 - x0
         words[:] = 0
+        edge_words[:] = 0
         for y in range(first - 2, last + 2, 2):  # y and y + 1 are gradient rows; responses are y - 1 and y
             p = x0 - 2
             # The last pair may lack its second row; what is computed from the repeated one is not looked at.
             bottom = gray[min(y + 2, gray.shape[0] - 1), p:]
             _smooth_and_difference(gray[y - 1, p:], gray[y, p:], gray[y + 1, p:], bottom, vertical, n + 4, centre)
-            _gradient(vertical[:_ROW], vertical[_ROW : 2 * _ROW], gradients[:_ROW], gradients[_ROW:], n + 2, centre)
+            even = ((y - first) // 2) % 2 == 0
+            g, before = (g0, g1) if even else (g1, g0)
+            _gradient(vertical[:_ROW], vertical[_ROW : 2 * _ROW], g[:_ROW], g[_ROW : 2 * _ROW], n + 2, centre)
             _gradient(
                 vertical[2 * _ROW : 3 * _ROW],
                 vertical[3 * _ROW :],
-                gradients[2 * _ROW : 3 * _ROW],
-                gradients[3 * _ROW :],
+                g[2 * _ROW : 3 * _ROW],
+                g[3 * _ROW :],
                 n + 2,
                 centre,
             )
-            even = ((y - first) // 2) % 2 == 0
             if even:
-                _response_rows(gradients, rows, 0, 6 * _ROW, 12 * _ROW, n, weight_k)
+                _response_rows(g0, rows, 0, 6 * _ROW, 12 * _ROW, n, weight_k)
                 above, here, below, beyond = r2, r3, r0, r1
             else:
-                _response_rows(gradients, rows, 6 * _ROW, 0, 14 * _ROW, n, weight_k)
+                _response_rows(g1, rows, 6 * _ROW, 0, 14 * _ROW, n, weight_k)
                 above, here, below, beyond = r0, r1, r2, r3
-            if first <= y - 2 < last:
-                _mark_peaks(above, here, below, marks, n, floor)
+            for i in range(2):  # rows y - 2 and y - 1
+                row = y - 2 + i
+                if not first <= row < last:
+                    continue
+                one, middle, other = (above, here, below) if i == 0 else (here, below, beyond)
+                if edges:
+                    _mark_both(one, middle, other, before, 2 * i * _ROW, marks, edge_marks, n, floor, deepest)
+                    places, values, edge_count = _collect_edges(
+                        middle, edge_words, n, (row + 1) * (width + 2) + x0 + 1, places, values, edge_count
+                    )
+                else:
+                    _mark_peaks(one, middle, other, marks, n, floor)
                 found, count, floor = _collect(
-                    above, here, below, words, columns, n, x0, y - 2, floor, fraction, subpixel, found, count
+                    one, middle, other, words, columns, n, x0, row, floor, fraction, subpixel, found, count
                 )
-            if first <= y - 1 < last:
-                _mark_peaks(here, below, beyond, marks, n, floor)
-                found, count, floor = _collect(
-                    here, below, beyond, words, columns, n, x0, y - 1, floor, fraction, subpixel, found, count
-                )
-    return found[:count], floor
+    return found[:count], floor, places[:edge_count], values[:edge_count]
 
 
 @compiled
@@ -303,6 +363,30 @@ def peaks_of(
                 above, here, below, words, columns, n, x0, y, floor, fraction, subpixel, found, count
             )
     return found[:count], floor
+
+
+@compiled
+def minima_of(response: Array, a: Array, b: Array, border: int, ceiling: float) -> tuple[Array, Array]:
+    """Return places and responses of the pixels of edges, as ``fused_peaks``, of a response picture (H, W) float32.
+
+    ``a`` and ``b`` are the sums of gx^2 and gy^2 of all but the outermost ``border - 1`` pixels; nearer than ``border``
+    to the picture's edge there are no edges.
+    """
+    height, width = response.shape
+    words = np.zeros((width + 31) // 32 * 4 + 4, np.uint64)
+    marks = words.view(np.uint8)
+    places, values = np.empty(8192 + width, np.int32), np.empty(8192 + width, np.float32)
+    count = 0
+    deepest = np.float32(ceiling)
+    for y in range(border, height - border):
+        above, here, below = response[y - 1], response[y], response[y + 1]
+        ra, rb = a[y - border + 1], b[y - border + 1]
+        for x in range(border, width - border):
+            along_x = ra[x - border + 1] >= rb[x - border + 1]
+            before, after = (here[x - 1], here[x + 1]) if along_x else (above[x], below[x])
+            marks[x] = (here[x] < deepest) & (here[x] < before) & (here[x] <= after)
+        places, values, count = _collect_edges(here, words, width, (y + 1) * (width + 2) + 1, places, values, count)
+    return places[:count], values[:count]
 
 
 @compiled

@@ -12,11 +12,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
-from harris_perception.core.edges import EdgeConfig, EdgeDetector
-from harris_perception.core.gray import bgr_of_gray, gray_of
+from harris_perception.core.edges import CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
+from harris_perception.core.gray import bgr_of, bgr_of_gray, gray_of, has_color
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
 from harris_perception.core.overlay import draw_corners
-from icu_common.core.config import nested
+from icu_common.core.config import ConfigError, nested, setting
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     cloud_message,
@@ -34,9 +34,20 @@ COLUMNS = ("u", "v", "response")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CornersNodeConfig(HarrisConfig):
-    """The detector's settings, and those of the edges that are found while somebody looks."""
+    """The detector's settings, and those of the edges (two ways) that are found while somebody looks."""
 
+    edge_method: str = setting(
+        "combined",
+        "Edges of the corners' own pass (combined), or of two scales and of colors, which follow objects (outlines)",
+        choices=("combined", "outlines"),
+    )
+    combined: TracingConfig = nested(TracingConfig)
     edges: EdgeConfig = nested(EdgeConfig)
+
+    def __post_init__(self) -> None:
+        HarrisConfig.__post_init__(self)
+        if self.edge_method == "combined" and self.response != "harris":
+            raise ConfigError(f"response = {self.response!r}: edge_method 'combined' needs 'harris'")
 
 
 class CornersNode(Node):
@@ -58,8 +69,9 @@ class CornersNode(Node):
     def _use(self, config: CornersNodeConfig) -> None:
         self._detector = HarrisDetector(config)
         self._detector.warm()
-        self._edges = EdgeDetector(config.edges)
-        self._edges.warm()
+        self._combined = CombinedDetector(config, config.combined)
+        self._outlines = EdgeDetector(config.edges)
+        (self._combined if config.edge_method == "combined" else self._outlines).warm()
 
     def _on_image(self, message: Image) -> None:
         start = time.perf_counter()
@@ -69,11 +81,23 @@ class CornersNode(Node):
             self._refused += 1
             self.get_logger().warning(f"picture refused: {error}", throttle_duration_sec=5.0)
             return
-        corners = self._detector.detect(gray)
+        corners, edges = self._found_in(gray, message)
         self._publish(corners, gray, message)
+        if edges is not None:
+            self._labels.publish(image_message(edges.labels, "mono8", message.header))
         self._frames += 1
         self._found = len(corners)
         self._busy_s += time.perf_counter() - start
+
+    def _found_in(self, gray: npt.NDArray[Any], message: Image) -> tuple[Corners, Edges | None]:
+        if self._labels.get_subscription_count() == 0:
+            return self._detector.detect(gray), None
+        if self._live.config.edge_method == "combined":
+            return self._combined.detect(gray)
+        corners = self._detector.detect(gray)
+        colored = has_color(message.encoding) and gray.size > 0
+        picture = bgr_of(image_array(message), message.encoding) if colored else gray
+        return corners, self._outlines.detect(picture, corners.xy)
 
     def _publish(self, corners: Corners, gray: npt.NDArray[Any], message: Image) -> None:
         values = np.column_stack((corners.xy, corners.response))
@@ -82,9 +106,6 @@ class CornersNode(Node):
             drawn = bgr_of_gray(gray)
             draw_corners(drawn, corners.xy)
             self._picture.publish(image_message(drawn, "bgr8", message.header))
-        if self._labels.get_subscription_count() > 0:
-            edges = self._edges.detect(gray, corners.xy)
-            self._labels.publish(image_message(edges.labels, "mono8", message.header))
 
     def _report(self) -> None:
         new, dropped = self._frames - self._reported, self._images.dropped - self._dropped
