@@ -20,7 +20,7 @@ import numpy as np
 from rows import Row, bound, data_folder, interleaved_ms, row, tune_malloc, write
 
 from harris_perception.core.deriche import filtered, recursive_filter
-from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.harris import HarrisConfig, HarrisDetector, gaussian_derivative_taps, gaussian_taps
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080))
 GOALS = {(640, 480): 3.0, (1280, 720): 3.0, (1920, 1080): 4.0}
@@ -122,12 +122,45 @@ def recursion() -> list[Row]:
         calls = {kind: (lambda detector=detector: detector.structure(gray)) for kind, detector in detectors.items()}
         ms[sigma] = interleaved_ms(calls, repeats=10)
         what = f"1280x720: structure tensor by recursion, sigma {sigma:g} / {2 * sigma:g} [ms]"
-        rows.append(row(what, ms[sigma]["deriche"], ms[sigma]["gaussian"], "direct, cv2.sepFilter2D"))
+        rows.append(row(what, ms[sigma]["deriche"], ms[sigma]["gaussian"], "direct, one pass over rows"))
     rows.append(bound("recursion: time at the widest / narrowest sigma", ms[8.0]["deriche"] / ms[1.0]["deriche"], 1.25))
     filters = {s: (recursive_filter(s, True), recursive_filter(s, False)) for s in (1.0, 4.0, 16.0)}
     source = gray.astype(np.float32)
     one = interleaved_ms({str(s): (lambda f=f: filtered(source, *f)) for s, f in filters.items()}, repeats=10)
     rows += [row(f"1280x720: one derivative by recursion, sigma {s} [ms]", value, None, "") for s, value in one.items()]
+    return rows
+
+
+def five_filters(gray: np.ndarray) -> list[np.ndarray]:
+    """Return gx^2, gy^2, gx gy under a Gaussian window by OpenCV's filters, as one writes it."""
+    source = gray.astype(np.float32)
+    smooth, derivative, window = gaussian_taps(1.0), gaussian_derivative_taps(1.0), gaussian_taps(2.0)
+    gx = cv2.sepFilter2D(source, cv2.CV_32F, derivative, smooth)
+    gy = cv2.sepFilter2D(source, cv2.CV_32F, smooth, derivative)
+    return [cv2.sepFilter2D(product, cv2.CV_32F, window, window) for product in (gx * gx, gy * gy, gx * gy)]
+
+
+def gaussian() -> list[Row]:
+    """Time of the derivatives and window of Gaussians, and of larger boxes, by kernels as they are."""
+    cv2.setNumThreads(1)
+    gray, rows = picture(1280, 720), []
+    direct, wide = (
+        HarrisDetector(HarrisConfig(gradient="gaussian", window="gaussian")),
+        HarrisDetector(HarrisConfig(window_px=5)),
+    )
+    ms = interleaved_ms(
+        {
+            "direct": lambda: direct.structure(gray),
+            "filters": lambda: five_filters(gray),
+            "corners": lambda: direct.detect(gray),
+            "wide": lambda: wide.detect(gray),
+            "peer": lambda: cv2.goodFeaturesToTrack(gray, 2000, 0.01, 0, blockSize=5, useHarrisDetector=True, k=0.04),
+        },
+        repeats=20,
+    )
+    rows.append(row("1280x720: structure tensor, Gaussians 1 / 2 [ms]", ms["direct"], ms["filters"], "cv2.sepFilter2D"))
+    rows.append(row("1280x720: corners, Gaussians 1 / 2 [ms]", ms["corners"], None, ""))
+    rows.append(row("1280x720: corners, window 5 [ms]", ms["wide"], ms["peer"], "cv2.goodFeaturesToTrack"))
     return rows
 
 
@@ -139,7 +172,7 @@ def main() -> int:
         return 0
     subprocess.run([sys.executable, __file__, "--default-malloc"], check=True)
     tune_malloc()
-    rows = measure(1, "tuned malloc", goals=True) + measure(2, "tuned malloc", goals=False) + recursion()
+    rows = measure(1, "tuned malloc", goals=True) + measure(2, "tuned malloc", goals=False) + gaussian() + recursion()
     write("harris", rows, title="grey picture to corners")
     return 0
 

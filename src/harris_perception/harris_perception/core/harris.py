@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from harris_perception.core import deriche
 from harris_perception.core import harris_kernels as kernels
+from harris_perception.core.structure import structure_of
 from icu_common.core.config import Config, ConfigError, setting
 
 F32 = npt.NDArray[Any]
@@ -208,20 +209,28 @@ class HarrisDetector:
         tuple
             Three of (H - 2 margin_px, W - 2 margin_px) float32, without the frame of ``margin_px``.
         """
-        source, margin, taps = gray.astype(np.float32), self.margin_px, self._window
-        if self.config.gradient == "deriche":
-            smooth, derivative = (deriche.recursive_filter(self.config.sigma_d_px, order) for order in (False, True))
+        config, margin = self.config, self.margin_px
+        if "deriche" not in (config.gradient, config.window):
+            shape = (gray.shape[0] - 2 * margin, gray.shape[1] - 2 * margin)
+            a, b, c = (np.empty(shape, np.float32) for _ in range(3))
+            derivative, smooth, window = (t[len(t) // 2 :] for t in (self._derivative, self._smooth, self._window))
+            rows = np.ascontiguousarray(gray, np.uint8 if gray.dtype == np.uint8 else np.float32)
+            structure_of(rows, derivative[1:].copy(), smooth.copy(), window.copy(), a, b, c)
+            return a, b, c
+        source = gray.astype(np.float32)
+        if config.gradient == "deriche":
+            smooth, derivative = (deriche.recursive_filter(config.sigma_d_px, order) for order in (False, True))
             gx, gy = deriche.filtered(source, derivative, smooth), deriche.filtered(source, smooth, derivative)
         else:
             gx = cv2.sepFilter2D(source, cv2.CV_32F, self._derivative, self._smooth)
             gy = cv2.sepFilter2D(source, cv2.CV_32F, self._smooth, self._derivative)
         inside = np.s_[margin:-margin, margin:-margin]
         products = (gx * gx, gy * gy, gx * gy)
-        if self.config.window == "deriche":
-            window = deriche.recursive_filter(self.config.sigma_i_px, False)
+        if config.window == "deriche":
+            window = deriche.recursive_filter(config.sigma_i_px, False)
             a, b, c = (deriche.filtered(p, window, window)[inside] for p in products)
         else:
-            a, b, c = (cv2.sepFilter2D(p, cv2.CV_32F, taps, taps)[inside] for p in products)
+            a, b, c = (cv2.sepFilter2D(p, cv2.CV_32F, self._window, self._window)[inside] for p in products)
         return a, b, c
 
     @overload
