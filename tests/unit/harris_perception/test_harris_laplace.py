@@ -10,7 +10,7 @@ import pytest
 
 from harris_perception.core import harris_laplace
 from harris_perception.core.harris import HarrisConfig
-from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, repeatable
 from harris_perception.core.repeatability import Pair, repeatability
 
 GAUSSIAN = HarrisConfig(gradient="gaussian", window="gaussian", relative_threshold=0.001, max_corners=300)
@@ -68,6 +68,15 @@ def test_count_order_and_dtype() -> None:
     assert (np.diff(corners.response) <= 0).all() and (corners.scale >= 1.0).all() and corners.scale.max() > 1.5
     assert corners.xy.dtype == corners.scale.dtype == corners.response.dtype == np.float32
     assert (corners.xy > 0).all() and (corners.xy < 500).all()
+
+
+def test_octaves_give_falling_counts_at_places_of_their_own() -> None:
+    corners = HarrisLaplaceDetector(repeatable(350)).detect(scene(3))
+    counts = [int((corners.scale == scale).sum()) for scale in (1.0, 2.0, 4.0)]
+    assert counts[0] == 200 and counts[1] == 100 and 20 <= counts[2] <= 50, counts
+    distance = np.linalg.norm(corners.xy[:, None] - corners.xy[None], axis=2)
+    other = corners.scale[:, None] != corners.scale[None]
+    assert distance[other].min() >= 1.0
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (30, 7), (60, 60)])

@@ -17,8 +17,8 @@ import yaml
 from harris_perception.adapters.picture_files import SUFFIXES, pairs_of_sequence, read_bgr, read_gray, sequences
 from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
 from harris_perception.core.gray import bgr_of_gray
-from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, ScaledCorners, repeatable
 from harris_perception.core.matching import MatchConfig, describe_over_scales, match
 from harris_perception.core.overlay import draw_corners, matches_picture
 from harris_perception.core.repeatability import (
@@ -91,13 +91,20 @@ def detect(options: argparse.Namespace) -> int:
     config = _settings(HarrisConfig, options.set)
     drawn = bgr_of_gray(gray)
     edges: Edges | None = None
-    if options.edges == "combined":
+    corners: Corners | ScaledCorners
+    scales = None
+    if options.octaves:
+        if any(not pair.startswith("max_corners=") for pair in options.set):
+            raise ValueError(f"--octaves is one setting: of --set only max_corners goes with it, not {options.set}")
+        corners = HarrisLaplaceDetector(repeatable(config.max_corners, options.octaves)).detect(gray)
+        scales = corners.scale
+    elif options.edges == "combined":
         corners, edges = CombinedDetector(config, _settings(TracingConfig, options.set_edges)).detect(gray)
     else:
         corners = HarrisDetector(config).detect(gray)
-        if options.edges == "outlines":
-            detector = EdgeDetector(_settings(EdgeConfig, options.set_edges))
-            edges = detector.detect(read_bgr(options.picture), corners.xy)
+    if options.edges == "outlines":
+        detector = EdgeDetector(_settings(EdgeConfig, options.set_edges))
+        edges = detector.detect(read_bgr(options.picture), corners.xy)
     if edges is not None:
         drawn[edges.labels == EDGE] = EDGE_COLOR
     draw_corners(drawn, corners.xy)
@@ -106,8 +113,9 @@ def detect(options: argparse.Namespace) -> int:
     if options.labels and edges is not None:
         _write_picture(options.labels, np.ascontiguousarray(edges.labels))
     if options.table:
-        columns = ("x_px", "y_px", "response")
-        values = np.column_stack((corners.xy, corners.response)).tolist()
+        columns = ("x_px", "y_px", "response", "scale")[: 3 if scales is None else 4]
+        parts = (corners.xy, corners.response) if scales is None else (corners.xy, corners.response, scales)
+        values = np.column_stack(parts).tolist()
         _write_table(options.table, [dict(zip(columns, row)) for row in values])
     if options.chains and edges is not None:
         rows = [{"chain": i, "x_px": x, "y_px": y} for i, chain in enumerate(edges.chains) for x, y in chain.tolist()]
@@ -241,6 +249,12 @@ def _parser() -> argparse.ArgumentParser:
         choices=("outlines", "combined"),
         help="edges too: outlines, by color and two scales (as without a word), or combined, in the corners' own pass",
     )
+    one.add_argument(
+        "--octaves",
+        type=int,
+        default=0,
+        help="corners of so many octaves, at other places in each, by the setting that repeats best with 3",
+    )
     one.add_argument("--labels", type=Path, help="picture of labels: 0 flat, 128 edge, 255 corner; needs --edges")
     one.add_argument("--chains", type=Path, help="linked pixels of the edges as .csv or .json; needs --edges")
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one of {known}")
@@ -275,6 +289,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if options.run is detect and options.edges is None and (options.labels or options.chains):
             raise ValueError("--labels and --chains need --edges")
+        if options.run is detect and options.octaves and options.edges == "combined":
+            raise ValueError("--octaves: edges of the corners' own pass have one scale; take --edges outlines")
         return int(options.run(options))
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -213,22 +213,24 @@ class HarrisDetector:
         if "deriche" not in (config.gradient, config.window):
             shape = (gray.shape[0] - 2 * margin, gray.shape[1] - 2 * margin)
             a, b, c = (np.empty(shape, np.float32) for _ in range(3))
-            derivative, smooth, window = (t[len(t) // 2 :] for t in (self._derivative, self._smooth, self._window))
+            derivative, smooth, window = (
+                t[len(t) // 2 :].copy() for t in (self._derivative, self._smooth, self._window)
+            )
             rows = np.ascontiguousarray(gray, np.uint8 if gray.dtype == np.uint8 else np.float32)
-            structure_of(rows, derivative[1:].copy(), smooth.copy(), window.copy(), a, b, c)
+            structure_of(rows, derivative[1:], smooth, window, a, b, c)
             return a, b, c
         source = gray.astype(np.float32)
         if config.gradient == "deriche":
-            smooth, derivative = (deriche.recursive_filter(config.sigma_d_px, order) for order in (False, True))
-            gx, gy = deriche.filtered(source, derivative, smooth), deriche.filtered(source, smooth, derivative)
+            soft, slope = (deriche.recursive_filter(config.sigma_d_px, order) for order in (False, True))
+            gx, gy = deriche.filtered(source, slope, soft), deriche.filtered(source, soft, slope)
         else:
             gx = cv2.sepFilter2D(source, cv2.CV_32F, self._derivative, self._smooth)
             gy = cv2.sepFilter2D(source, cv2.CV_32F, self._smooth, self._derivative)
         inside = np.s_[margin:-margin, margin:-margin]
         products = (gx * gx, gy * gy, gx * gy)
         if config.window == "deriche":
-            window = deriche.recursive_filter(config.sigma_i_px, False)
-            a, b, c = (deriche.filtered(p, window, window)[inside] for p in products)
+            soft = deriche.recursive_filter(config.sigma_i_px, False)
+            a, b, c = (deriche.filtered(p, soft, soft)[inside] for p in products)
         else:
             a, b, c = (cv2.sepFilter2D(p, cv2.CV_32F, self._window, self._window)[inside] for p in products)
         return a, b, c

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, repeatable
 
 Gray = npt.NDArray[np.uint8]
 Points = npt.NDArray[Any]
@@ -188,7 +188,11 @@ def our_detectors() -> dict[str, Detect]:
         detector = HarrisConfig(max_corners=count, relative_threshold=0.0, **variants["impharris 1 / 2"])
         return HarrisLaplaceDetector(HarrisLaplaceConfig(detector=detector)).detect(gray).xy[:count]
 
-    return {name: make(settings) for name, settings in variants.items()} | {"harris-laplace 1 / 2": over_scales}
+    def over_octaves(gray: Gray, count: int) -> Points:
+        return HarrisLaplaceDetector(repeatable(count)).detect(gray).xy[:count]
+
+    several = {"harris-laplace 1 / 2": over_scales, "three octaves 1 / 1.5": over_octaves}
+    return {name: make(settings) for name, settings in variants.items()} | several
 
 
 def peer_detectors() -> dict[str, Detect]:
