@@ -100,7 +100,11 @@ for package in src/*/; do printf '%s\n' "$root/ros2_ws/build/$(basename "$packag
 kernels=$(cat src/harris_perception/harris_perception/core/*.py | sha256sum)
 if [ ! -f ros2_ws/install/.warm ] || [ "$(cat ros2_ws/install/.warm)" != "$kernels" ]; then
   echo "[4/4] compile the corner detector"
-  "$venv/bin/python" -c "from harris_perception.core.edges import CombinedDetector; CombinedDetector().warm()" \
+  "$venv/bin/python" -c "from harris_perception.core.edges import CombinedDetector, EdgeDetector
+from harris_perception.core.harris import HarrisConfig
+for config in (HarrisConfig(), HarrisConfig(gradient='gaussian', window='gaussian')):
+    CombinedDetector(config).warm()
+EdgeDetector().warm()" \
     || fail "the corner detector could not be compiled; see the lines above"
   echo "$kernels" > ros2_ws/install/.warm
 fi
