@@ -3,9 +3,9 @@ picture (OIS), beside OpenCV's and scikit-image's Canny at their best sigma; and
 
 Needs a folder of <name>.jpg and <name>.mat, by default edges/ in the data folder. Found and drawn pixels are matched
 one to one, nearest first, within 0.0075 of the diagonal; precision counts what any person drew, recall sums over the
-persons. Ours has its default settings, for grey and for color alike. They were chosen for the highest ODS on every
-second picture by name (the first, the third, ...) of twenty of the train part; the report is about the others, and
-the peers get the sigma that is best on those. Twenty pictures are few: the halves differ by more than the detectors.
+persons. Ours has its default settings, for grey and for color alike. They were chosen for the highest ODS and OIS on
+every second picture by name (the first, the third, ...) of twenty of the train part; the report is about the others,
+and the peers get the sigma that is best on those. Twenty pictures are few: the halves differ by more than we do.
 """
 
 from __future__ import annotations
