@@ -106,6 +106,8 @@ def test_the_command_prints_and_writes_what_it_found(tmp_path: Path, capsys: Any
         ("sparse", "ours"),
         ("sparse", "ORB"),
         ("sparse", "SIFT"),
+        ("sparse", "Harris"),
+        ("sparse", "Harris"),
     ]
     assert rows[0]["bad_2"] < 4.0 and rows[0]["bad_2"] < min(rows[1]["bad_2"], rows[2]["bad_2"])
     assert rows[3]["precision"] > 95.0 and f"{rows[3]['precision']:.4g}" in text

@@ -21,6 +21,7 @@ from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.stereo_matching import MatchConfig, match_corners
 
 MAX_POINTS = 1500
+_HALF = 5
 ROWS_PX = 1.5
 """Matches of the peers whose rows differ by more are dropped, as ours are: the pair is rectified."""
 Clock = Callable[[], float]
@@ -213,7 +214,76 @@ def sparse_methods(disparities: int) -> dict[str, Callable[[U8, U8], SparseResul
 
         return _described(finder, left, right, distinct)
 
-    return {"ours": ours, "ORB, cross check": orb, "SIFT, ratio 0.75": sift}
+    def mutual(left: U8, right: U8) -> SparseResult:
+        a, b = (detector.detect(picture).xy for picture in (left, right))
+        return _mutual_corners(left, right, a, b, disparities)
+
+    def whole_row(left: U8, right: U8) -> SparseResult:
+        return _whole_rows(left, right, detector.detect(left).xy, disparities)
+
+    return {
+        "ours": ours,
+        "ORB, cross check": orb,
+        "SIFT, ratio 0.75": sift,
+        "Harris, ZNCC, mutual best": mutual,
+        "Harris, ZNCC along the row": whole_row,
+    }
+
+
+def _mutual_corners(left: U8, right: U8, a: npt.ArrayLike, b: npt.ArrayLike, disparities: int) -> SparseResult:
+    """Match corners with corners by the correlation of 11x11 windows, each other's best; nothing else."""
+    sides = []
+    for picture, at in ((left, a), (right, b)):
+        px = np.asarray(at, np.float64).reshape(-1, 2)
+        whole = np.rint(px).astype(int)
+        height, width = picture.shape
+        inside = ((whole >= _HALF) & (whole < (width - _HALF, height - _HALF))).all(axis=1)
+        px, whole = px[inside], whole[inside]
+        windows = np.lib.stride_tricks.sliding_window_view(picture, (2 * _HALF + 1, 2 * _HALF + 1))
+        flat = windows[whole[:, 1] - _HALF, whole[:, 0] - _HALF].reshape(len(px), -1).astype(np.float32)
+        flat -= flat.mean(axis=1, keepdims=True)
+        sides.append((px, flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-6)))
+    (first, windows_a), (second, windows_b) = sides
+    if not len(first) or not len(second):
+        return SparseResult(np.asarray(a, np.float64), np.empty((0, 2)), np.empty(0))
+    shift = first[:, None, 0] - second[None, :, 0]
+    possible = (np.abs(first[:, None, 1] - second[None, :, 1]) <= ROWS_PX) & (shift >= 1) & (shift <= disparities)
+    score = np.where(possible, windows_a @ windows_b.T, -1.0)
+    to, back = score.argmax(axis=1), score.argmax(axis=0)
+    mine = np.flatnonzero((back[to] == np.arange(len(first))) & (score.max(axis=1) > 0.5))
+    return SparseResult(np.asarray(a, np.float64), first[mine], first[mine, 0] - second[to[mine], 0])
+
+
+def _whole_rows(left: U8, right: U8, a: npt.ArrayLike, disparities: int) -> SparseResult:
+    """Look for each corner's 11x11 window along the other picture's row, there and back, with a parabola's vertex."""
+    px = np.asarray(a, np.float64).reshape(-1, 2)
+    kept, found = [], []
+    for x, y in px:
+        there = _along(left, right, round(x), round(y), -disparities, -1)
+        if there is None:
+            continue
+        back = _along(right, left, round(round(x) + there), round(y), 1, disparities)
+        if back is not None and abs(there + back) <= 1.0:
+            kept.append((x, y))
+            found.append(-there)
+    return SparseResult(px, np.array(kept).reshape(-1, 2), np.array(found))
+
+
+def _along(picture: U8, other: U8, x: int, y: int, low: int, high: int) -> float | None:
+    """Return by how much the window at (x, y) is moved in the other picture's row, None when it is not there."""
+    height, width = picture.shape
+    low, high = max(low, _HALF - x), min(high, width - 1 - _HALF - x)
+    if not (_HALF <= x < width - _HALF and _HALF <= y < height - _HALF) or high - low < 2:
+        return None
+    window = picture[y - _HALF : y + _HALF + 1, x - _HALF : x + _HALF + 1]
+    strip = other[y - _HALF : y + _HALF + 1, x + low - _HALF : x + high + _HALF + 1]
+    score = cv2.matchTemplate(strip, window, cv2.TM_CCOEFF_NORMED)[0]
+    best = int(score.argmax())
+    if score[best] < 0.5 or best in (0, len(score) - 1):
+        return None
+    before, at, after = (float(v) for v in score[best - 1 : best + 2])
+    bend = before - 2 * at + after
+    return low + best + (0.5 * (before - after) / bend if bend < 0 else 0.0)
 
 
 def _described(finder: Any, left: U8, right: U8, match: Callable[[Any, Any], list[Any]]) -> SparseResult:

@@ -39,7 +39,7 @@ class MatchConfig(Config):
         1.5, "Rectified rows of a match differ by at most this.", minimum=0.1, maximum=10.0, unit="px"
     )
     window_px: int = setting(11, "Side of the compared windows, odd.", minimum=5, maximum=31, unit="px")
-    min_correlation: float = setting(0.8, "Least correlation of a match.", minimum=0.0, maximum=1.0)
+    min_correlation: float = setting(0.75, "Least correlation of a match.", minimum=0.0, maximum=1.0)
     max_ratio: float = setting(
         0.7,
         "Largest (1 - best) / (1 - next) of the correlations; the next is at another place. 1 accepts all.",
@@ -47,10 +47,10 @@ class MatchConfig(Config):
         maximum=1.0,
     )
     min_agreeing: int = setting(
-        3, "So many of the eight nearest matches must have a disparity that fits.", minimum=0, maximum=8
+        4, "So many of the eight nearest matches must have a disparity that fits.", minimum=0, maximum=8
     )
     max_slope: float = setting(
-        0.3,
+        0.2,
         "Disparity fits a neighbour's when it differs by at most this per pixel, plus 1 px.",
         minimum=0.0,
         maximum=5.0,
