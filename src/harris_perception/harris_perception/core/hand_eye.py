@@ -49,14 +49,14 @@ class HandEyeConfig(Config):
         maximum=2.0,
     )
     panel_sigma_m: float = setting(
-        0.000025,
+        0.000022,
         "Error of the panel's place across the line of sight, which all its sightings share",
         minimum=0.0,
         maximum=0.01,
         unit="m",
     )
     panel_depth_sigma_m: float = setting(
-        0.00026,
+        0.00016,
         "Error of the panel's distance as one camera sees it, which all its sightings share",
         minimum=0.0,
         maximum=0.05,
