@@ -37,6 +37,7 @@ link.addEventListener("hello", ({ detail }) => {
   setFacts(detail.facts);
   desk.limits = detail.limits;
   if (detail.title) {
+    delete find("title").dataset.text; // its name is the instrument's, in any language
     find("title").textContent = detail.title;
     document.title = `${detail.title} – ${t("product")}`;
   }
