@@ -56,6 +56,7 @@ class BarcodeCamera(Node):
 
 READER = f"""() => {{
   // Notes for each new picture on the page its code's age in ms, as soon as the pixels can be read.
+  if (window.ages) return; // once is enough: each further one would count every picture again
   const canvas = document.getElementById('picture');
   const context = canvas.getContext('2d');
   window.ages = []; window.drawn = [];
