@@ -146,20 +146,25 @@ class VirtualRobot:
 
     # What a user does
 
-    def prepare(self) -> None:
-        """Connect, home, calibrate, recognise."""
+    def prepare(self, *, calibrate: bool = True) -> None:
+        """Connect, home, calibrate (or take the calibration from the truth, which is quicker), recognise."""
         self.until(lambda: self.driver.state == "unhomed", 20.0)
         refusal = self.driver.home(self.now)
         assert not refusal, refusal
         self.until(lambda: self.driver.state == "idle", 60.0)
-        own = parameters("hand_eye")
-        parts = [
-            from_mapping(kind, _part(own, name))
-            for name, kind in (("run", RunConfig), ("still", StillConfig), ("solver", HandEyeConfig))
-        ]
-        self._procedure = CalibrationRun(parts[0], parts[1], parts[2], self.now_ns)
-        self._act(self._procedure.start(self.now_ns))
-        self.until(lambda: self._procedure is None, 240.0)
+        if calibrate:
+            own = parameters("hand_eye")
+            parts = [
+                from_mapping(kind, _part(own, name))
+                for name, kind in (("run", RunConfig), ("still", StillConfig), ("solver", HandEyeConfig))
+            ]
+            self._procedure = CalibrationRun(parts[0], parts[1], parts[2], self.now_ns)
+            self._act(self._procedure.start(self.now_ns))
+            self.until(lambda: self._procedure is None, 240.0)
+        else:
+            self._tell(msg.CameraFromBase(transform=self.renderer.rig.rectified_left_from_base()))
+            self._tell(msg.Axes(base_from_reading=self.bench.errors.base_from_carriage))
+            self.run_for(0.5)
         self.command("", place=(0.01, 0.01))
         self.look_at_panel(3 * PANEL_LOOKS)
         self.run_for(0.5)
@@ -167,10 +172,18 @@ class VirtualRobot:
     def command(self, text: str, *, place: tuple[float, float] | None = None) -> GoalResult:
         """Give a gesture, or a place in base_link (m) to go to, and return the final answer."""
         count = len(self.results)
+        self.begin(text, place=place)
+        return self.answer(count)
+
+    def begin(self, text: str, *, place: tuple[float, float] | None = None) -> None:
+        """Give a command and do not wait."""
         if place is None:
             self._tell(msg.Command(text=text))
         else:
             self._tell(msg.PointGoal(frame=BASE, xyz=np.array([*place, 0.0]), stamp_ns=self.now_ns))
+
+    def answer(self, count: int) -> GoalResult:
+        """Return the first final answer after the first ``count`` ones."""
         self.until(lambda: any(r.outcome.final for r in self.results[count:]), 120.0)
         return next(r for r in self.results[count:] if r.outcome.final)
 

@@ -22,8 +22,10 @@ setup(
         "console_scripts": [
             "serial_driver = gantry_driver.nodes.serial_driver_node:main",
             "gantry_controller = gantry_driver.nodes.controller_node:main",
+            "sequencer = gantry_driver.nodes.sequence_node:main",
             "mock_grbl = gantry_driver.mock.main:main",
             "gantry_goal = gantry_driver.cli.gantry_goal:main",
+            "gantry_sequence = gantry_driver.cli.gantry_sequence:main",
             "gantry_gcode = gantry_driver.cli.gantry_gcode:main",
             "gantry_monitor = gantry_driver.cli.gantry_monitor:main",
             "gantry_prepare = gantry_driver.cli.gantry_prepare:main",

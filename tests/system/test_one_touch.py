@@ -254,13 +254,33 @@ def test_command_line_presses_and_refuses(running_graph: Any, operator: Operator
     assert motion_lines(running_graph, log_start) == []
 
 
-def test_a_knob_turns(running_graph: Any, operator: Operator) -> None:
-    start = len(running_graph.truth_log())
-    operator.command.publish(String(data="turn:TIME_SCALE:60 id=turn"))
-    result = operator.answer("turn")
+def knob_deg(running_graph: Any, name: str) -> float:
+    return float(dict(running_graph.bench().ask(do="truth")["instrument"]["knobs"]).get(name, 0.0))
+
+
+def test_a_knob_is_set_by_its_marker(running_graph: Any, operator: Operator) -> None:
+    operator.command.publish(String(data="set:TIME_SCALE:60 id=set"))
+    result = operator.answer("set")
     assert result.outcome is Outcome.REACHED, result
-    turned = [e["turned_deg"] for e in running_graph.truth_log()[start:] if e.get("turned_deg")]
-    assert len(turned) == 1 and turned[0] == pytest.approx(60, abs=6)
+    assert knob_deg(running_graph, "TIME_SCALE") == pytest.approx(60, abs=3)
+
+
+def test_a_sequence_checks_each_step_and_stops_at_the_first_that_fails(running_graph: Any, operator: Operator) -> None:
+    operator.go(0.01, 0.01)
+    running = running_graph.bench().ask(do="truth")["instrument"]["running"]
+    lamp = "red" if running else "green"
+    before = knob_deg(running_graph, "CH1_SCALE")
+    steps = ["click:CH1_SCALE:2", f"press:RUN_STOP => lamp:RUN_STOP={lamp}, effect"]
+    done = running_graph.command("gantry_driver", "gantry_sequence", *steps, within_s=120.0)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert running_graph.bench().ask(do="truth")["instrument"]["running"] is (not running)
+    assert knob_deg(running_graph, "CH1_SCALE") - before == pytest.approx(-36, abs=3)
+
+    start = len(running_graph.truth_log())
+    steps = [f"press:CURSORS => lamp:RUN_STOP={'green' if lamp == 'red' else 'red'}", "press:MATH"]
+    failed = running_graph.command("gantry_driver", "gantry_sequence", *steps, within_s=120.0)
+    assert failed.returncode == 1 and "step 1 of 2" in failed.stderr, failed.stdout + failed.stderr
+    assert [e["control"] for e in running_graph.truth_log()[start:] if e["event"] == "press"] == ["CURSORS"]
 
 
 def test_stop_in_the_middle_of_a_move_keeps_the_position(running_graph: Any, operator: Operator) -> None:

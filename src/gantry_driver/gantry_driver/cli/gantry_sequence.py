@@ -1,0 +1,121 @@
+"""Carry out gestures one after the other, each checked before the next; be their operator, and say how it went.
+
+    gantry_sequence press:AUTO_SET "click:CH1_SCALE:2 => screen" "press:RUN_STOP => lamp:RUN_STOP=red"
+    gantry_sequence --file capture.yaml
+
+Exit codes: 0 all done, 1 rejected or stopped at a step that failed, 2 wrong usage, 3 no answer in time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import String
+
+from gantry_driver.cli.operator_session import (
+    FAILED,
+    REACHED,
+    TIMED_OUT,
+    Interrupted,
+    OperatorSession,
+    TimedOut,
+    complain,
+    operator_session,
+    own_arguments,
+    say,
+)
+from gantry_driver.core.sequence import SequenceError, parse_file, parse_steps
+from icu_common.core.results import GoalResult, Outcome
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import result_of_message
+
+
+def parse(arguments: Sequence[str]) -> tuple[str, float]:
+    """Return the sequence's text and the seconds allowed; argparse ends the program on wrong usage."""
+    parser = argparse.ArgumentParser(
+        prog="gantry_sequence", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("steps", nargs="*", metavar="STEP", help="gesture:target[:argument][ => checks]")
+    parser.add_argument("--file", type=Path, help="YAML file with steps")
+    parser.add_argument("--timeout", type=float, default=600.0, metavar="S", help="whole time (default: %(default)s)")
+    given = parser.parse_args(arguments)
+    if (given.file is None) == (not given.steps):
+        parser.error("give either steps or --file")
+    if not given.timeout > 0:
+        parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
+    try:
+        if given.file is None:
+            parse_steps(given.steps)
+            return yaml.safe_dump({"steps": given.steps}, width=10**6), given.timeout
+        text = given.file.read_text(encoding="utf-8")
+        parse_file(text, str(given.file))
+    except (OSError, UnicodeDecodeError, SequenceError) as error:
+        parser.error(str(error))
+    return text, given.timeout
+
+
+def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
+    """Publish the sequence, follow its steps, and return the exit code."""
+    until = time.monotonic() + timeout_s
+    run_id = f"cli-{os.getpid()}-{time.time_ns() % 10**9}"
+    answers: list[GoalResult] = []
+    node = session.node
+    node.create_subscription(
+        DiagnosticArray, "gantry/sequence_result", lambda m: answers.append(result_of_message(m)), qos.RESULTS
+    )
+    publisher = node.create_publisher(String, "gantry/sequence", qos.COMMAND)
+    sent = False
+    shown = 0
+
+    def final() -> GoalResult | None:
+        nonlocal shown
+        for step in [r for r in session.results if r.goal_id.startswith(run_id + ".")][shown:]:
+            shown += 1
+            if step.outcome.final:
+                effect = dict(step.details).get("effect", "")
+                say(f"{step.outcome.value}: {step.goal.partition(' id=')[0]} {step.reason or effect}".rstrip())
+        return next((r for r in answers if r.goal_id == run_id and r.outcome.final), None)
+
+    try:
+        session.wait_for(
+            lambda: publisher.get_subscription_count() > 0 and node.count_publishers("gantry/sequence_result") > 0,
+            until,
+            lambda: f"nobody takes {publisher.topic_name}: is the graph running, and in this ROS domain?",
+        )
+        session.wait_until_heard(until)
+        publisher.publish(String(data=f"id: {run_id}\n{text}"))
+        sent = True
+        result = session.wait_for(final, until, lambda: "the sequence has not ended in time")
+    except TimedOut as error:
+        complain(str(error))
+        if sent:
+            session.stop()
+        return TIMED_OUT
+    except Interrupted:
+        if sent:
+            say("interrupted: stopping")
+            session.stop()
+        return FAILED
+    if result.outcome is Outcome.REACHED:
+        say(f"done: {result.goal}, {result.duration_s:.1f} s")
+        return REACHED
+    complain(f"{result.outcome.value}: {result.reason}")
+    return FAILED
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    arguments = list(sys.argv if arguments is None else arguments)
+    text, timeout_s = parse(own_arguments(arguments))
+    with operator_session("gantry_sequence", arguments) as session:
+        return carry_out(session, text, timeout_s)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

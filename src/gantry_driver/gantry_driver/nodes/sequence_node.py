@@ -1,0 +1,117 @@
+"""Node that carries out sequences of gestures, one step after the other, and stops at the first that fails.
+
+``sequence`` takes the text of a sequence file (see core.sequence), with ``id: TEXT`` as its first line if its answers
+are to be told apart. It gives the controller one command at a time, so whatever stops a gesture stops the sequence.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from gantry_driver.core.sequence import (
+    Action,
+    SendCommand,
+    SequenceConfig,
+    SequenceError,
+    SequenceRun,
+    parse_file,
+)
+from icu_common.core.results import GoalResult, Outcome
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import panel_state_of_message, result_message, result_of_message
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import run
+
+TICK_S = 0.1
+
+
+class SequenceNode(Node):
+    """Subscribes to ``sequence``, ``result`` and ``panel/state``; publishes ``command`` and ``sequence_result``."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("sequencer", **options)
+        self._live = LiveParameters(self, SequenceConfig)
+        self._run: SequenceRun | None = None
+        self._count = 0
+        self._command = self.create_publisher(String, "command", qos.COMMAND)
+        self._answers = self.create_publisher(DiagnosticArray, "sequence_result", qos.RESULTS)
+        self._state = self.create_publisher(String, "sequence_state", qos.LATCHED)
+        self.create_subscription(String, "sequence", self._on_sequence, qos.COMMAND)
+        self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
+        self.create_subscription(DiagnosticArray, "panel/state", self._on_panel, qos.SENSOR)
+        self.create_timer(TICK_S, self._on_tick)
+        self._state.publish(String(data="idle"))
+
+    def close(self) -> None:
+        """Say that a sequence was cut short; the controller finishes the gesture it has and then rests."""
+        if self._run is not None:
+            self._act(self._run.abort("the sequencer is ending", self._now_ns()))
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _on_sequence(self, message: String) -> None:
+        first, _, rest = message.data.partition("\n")
+        self._count += 1
+        run_id = f"sequence-{self._count}"
+        text = message.data
+        if first.startswith("id:"):
+            # The line stays, emptied, so that errors name the lines that the sender has.
+            run_id, text = first[3:].strip()[:48], "\n" + rest
+        try:
+            if self._run is not None:
+                raise SequenceError(f"busy with {self._run.run_id!r}, {self._run.state}")
+            sequence = parse_file(text)
+        except SequenceError as error:
+            refused = GoalResult(goal_id=run_id, goal="sequence", outcome=Outcome.REJECTED, reason=str(error))
+            self._answers.publish(result_message(refused, self._now_ns()))
+            return
+        self._run = SequenceRun(sequence, run_id, self._live.config)
+        self._act(self._run.start(self._now_ns()))
+
+    def _on_result(self, message: DiagnosticArray) -> None:
+        if self._run is None:
+            return
+        try:
+            answer = result_of_message(message)
+        except ValueError as error:
+            self.get_logger().error(f"result: {error}")
+            return
+        self._act(self._run.result(answer, self._now_ns()))
+
+    def _on_panel(self, message: DiagnosticArray) -> None:
+        if self._run is None:
+            return
+        try:
+            seen = panel_state_of_message(message)
+        except ValueError as error:
+            self.get_logger().error(f"panel/state: {error}", throttle_duration_sec=5.0)
+            return
+        self._act(self._run.panel(seen, self._now_ns()))
+
+    def _on_tick(self) -> None:
+        if self._run is not None:
+            self._act(self._run.tick(self._now_ns()))
+
+    def _act(self, actions: list[Action]) -> None:
+        for action in actions:
+            if isinstance(action, SendCommand):
+                self._command.publish(String(data=action.text))
+            else:
+                self.get_logger().info(f"{action.result.goal}: {action.result.outcome.value} {action.result.reason}")
+                self._answers.publish(result_message(action.result, self._now_ns()))
+        if actions and self._run is not None:
+            self._state.publish(String(data="idle" if self._run.done else self._run.state))
+            self._run = None if self._run.done else self._run
+
+
+def main() -> int:
+    return run(SequenceNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,130 @@
+"""Sequences: what is read, errors with lines, and a run that checks each step and stops at the first that fails."""
+
+from __future__ import annotations
+
+import pytest
+
+from gantry_driver.core.sequence import (
+    Report,
+    SendCommand,
+    SequenceConfig,
+    SequenceError,
+    SequenceRun,
+    parse_file,
+    parse_steps,
+)
+from icu_common.core.panel_state import ControlSeen, PanelSeen
+from icu_common.core.results import GoalResult, Outcome
+
+S = 1_000_000_000
+FILE = """\
+name: capture
+steps:
+  - press:AUTO_SET => screen
+  - do: click:CH1_SCALE:2
+    check: [effect, "angle:CH1_SCALE=-36"]
+    within_s: 2
+  - "press:RUN_STOP => lamp:RUN_STOP=red"
+"""
+
+
+def test_file_and_command_line_say_the_same() -> None:
+    sequence = parse_file(FILE)
+    assert sequence.name == "capture" and len(sequence.steps) == 3
+    assert [c.text() for c in sequence.steps[1].checks] == ["effect", "angle:CH1_SCALE=-36"]
+    assert sequence.steps[1].within_s == 2
+    given = parse_steps(["press:AUTO_SET => screen", "press:RUN_STOP=>lamp:RUN_STOP=red"])
+    assert given.steps == (sequence.steps[0], sequence.steps[2])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("press:AUTO_SET", "poke:AUTO_SET", r"f\.yaml:3: gesture 'poke' is none of"),
+        ("=> screen", "=> smoke", r"f\.yaml:3: check 'smoke' is none of effect, screen, lamp"),
+        ("within_s: 2", "within_s: 0", r"f\.yaml:4: within_s = 0: seconds above 0"),
+        ("within_s: 2", "within: 2", r"f\.yaml:4: unknown key within; do"),
+        ("do: click", "dont: click", r"f\.yaml:4: unknown key dont"),
+        ("name: capture", "title: capture", r"f\.yaml:1: 'title': name"),
+        ("press:RUN_STOP", "press:RUN_STOP id=7", r"f\.yaml:7: .* ids are given by the sequencer"),
+        ("steps:\n", "steps: [\n", r"f\.yaml:\d+: "),
+    ],
+)
+def test_errors_name_the_line(old: str, new: str, message: str) -> None:
+    with pytest.raises(SequenceError, match=message):
+        parse_file(FILE.replace(old, new, 1), "f.yaml")
+
+
+def test_a_step_of_the_command_line_is_named_by_its_number() -> None:
+    with pytest.raises(SequenceError, match="step 2: gesture 'poke'"):
+        parse_steps(["press:A", "poke:B"])
+    with pytest.raises(SequenceError, match="0 steps; 1 to 100 are needed"):
+        parse_steps([])
+
+
+def answer(goal_id: str, outcome: Outcome = Outcome.REACHED, effect: str = "none seen", reason: str = "") -> GoalResult:
+    return GoalResult(goal_id=goal_id, goal="", outcome=outcome, reason=reason, details=(("effect", effect),))
+
+
+def seen(stamp: int, lamp: str = "green", angle: float = 0.0) -> PanelSeen:
+    controls = (
+        ControlSeen(name="RUN_STOP", kind="button", lamp=lamp),
+        ControlSeen(name="CH1_SCALE", kind="knob", angle_deg=angle),
+    )
+    return PanelSeen(stamp_ns=stamp, controls=controls)
+
+
+def run_of(text: str = FILE) -> SequenceRun:
+    return SequenceRun(parse_file(text), "r", SequenceConfig())
+
+
+def test_every_step_waits_for_its_answer_and_its_checks() -> None:
+    run = run_of()
+    first = run.start(0)
+    assert isinstance(first[0], Report) and first[0].result.outcome is Outcome.ACCEPTED
+    assert first[1] == SendCommand(text="press:AUTO_SET id=r.1")
+    assert run.result(answer("r.1", Outcome.ACCEPTED), S) == []
+    assert run.result(answer("other"), S) == []
+    assert run.result(answer("r.1", effect="screen changed"), 2 * S) == [SendCommand(text="click:CH1_SCALE:2.0 id=r.2")]
+    assert run.result(answer("r.2", effect="CH1_SCALE at -36.5 degrees"), 5 * S) == []
+    assert run.panel(seen(4 * S, angle=-36.0), 5 * S) == [], "a picture from before the answer"
+    assert run.panel(seen(6 * S, angle=-30.0), 6 * S) == []
+    assert run.panel(seen(6 * S + 1, angle=-35.0), 6 * S) == [SendCommand(text="press:RUN_STOP id=r.3")]
+    assert run.result(answer("r.3"), 9 * S) == [] and run.tick(10 * S) == []
+    (last,) = run.panel(seen(10 * S, "red"), 10 * S)
+    assert isinstance(last, Report) and last.result.outcome is Outcome.REACHED and run.done
+    assert last.result.duration_s == 10 and dict(last.result.details)["steps_done"] == "3"
+
+
+def test_a_check_that_is_not_seen_stops_it() -> None:
+    run = run_of("steps: ['press:RUN_STOP => lamp:RUN_STOP=red', 'press:SAVE']")
+    run.start(0)
+    run.result(answer("r.1"), S)
+    run.panel(seen(2 * S, "green"), 2 * S)
+    (end,) = run.tick(4 * S + 1)
+    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
+    assert end.result.reason == ("step 1 of 2, press:RUN_STOP: not seen in time: lamp:RUN_STOP=red (lamp green)")
+    assert run.result(answer("r.2"), 5 * S) == [] and run.tick(500 * S) == []
+
+
+@pytest.mark.parametrize(
+    ("outcome", "reason"), [(Outcome.ABORTED, "the camera has stalled"), (Outcome.REJECTED, "unknown control")]
+)
+def test_a_step_that_fails_stops_it(outcome: Outcome, reason: str) -> None:
+    run = run_of()
+    run.start(0)
+    (end,) = run.result(answer("r.1", outcome, reason=reason), S)
+    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED and reason in end.result.reason
+    assert dict(end.result.details)["steps_done"] == "0"
+
+
+def test_silence_and_an_effect_that_is_missing_stop_it() -> None:
+    run = run_of()
+    run.start(0)
+    (end,) = run.tick(90 * S + 1)
+    assert isinstance(end, Report) and "no answer within 90 s" in end.result.reason
+    strict = run_of("steps: ['press:SAVE => effect']")
+    strict.start(0)
+    strict.result(answer("r.1"), S)
+    (end,) = strict.tick(5 * S)
+    assert isinstance(end, Report) and "effect (none seen)" in end.result.reason
