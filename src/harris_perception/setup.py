@@ -25,6 +25,7 @@ setup(
             "stereo = harris_perception.nodes.stereo_node:main",
             "dense_stereo = harris_perception.nodes.dense_stereo_node:main",
             "stylus_tracker = harris_perception.nodes.stylus_node:main",
+            "panel_teach = harris_perception.cli.panel_teach:main",
             "recognition = harris_perception.nodes.recognition_node:main",
             "hand_eye = harris_perception.nodes.hand_eye_node:main",
             "harris = harris_perception.cli.harris:main",

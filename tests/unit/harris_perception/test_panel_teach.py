@@ -1,0 +1,88 @@
+"""Teaching a panel from a tilted picture: the layout has the controls' places, and recognition finds the panel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from unit.harris_perception import panel_scene as scene
+
+from harris_perception.cli.panel_teach import main
+from harris_perception.core.harris import HarrisDetector
+from harris_perception.core.recognition import PanelRecogniser
+from icu_common.core.panel_layout import load_layout
+
+LAYOUT = scene.bench_layout()
+CAMERA = scene.camera(k1=0.0)
+NAMES = ("SCREEN", "RUN_STOP", "CH1", "TIME_SCALE", "CH1_IN")
+
+
+def photo(folder: Path) -> tuple[Path, list[str], list[str]]:
+    """Write a picture; return it with the corners and controls as somebody would point at them."""
+    truth = scene.pose(LAYOUT, distance_m=0.5, below_deg=8.0)
+    path = folder / "photo.png"
+    cv2.imwrite(str(path), scene.picture(LAYOUT, CAMERA, truth, scene.Look(arm_x_mm=None, noise=1.0), 3))
+    width, height = LAYOUT.size_mm
+    face = np.array([(0, 0, 0), (width, 0, 0), (width, height, 0), (0, height, 0)]) / 1000
+    corners = [f"{u:.1f},{v:.1f}" for u, v in CAMERA.project(truth.apply(face))]
+    pointed = []
+    for name in NAMES:
+        control = LAYOUT.control(name)
+        u, v = CAMERA.project(truth.apply(np.array([*control.position_mm, 0.0]) / 1000))[0]
+        w, h = control.size_mm
+        pointed += ["--control", f"{name}:{control.kind}:{u:.1f},{v:.1f}:{w:g}x{h:g}:{control.height_mm:g}"]
+    return path, corners, pointed
+
+
+def test_a_panel_taught_from_a_picture_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, corners, pointed = photo(tmp_path)
+    arguments = ["picture", str(path), "--model", "taught", "--size-mm", "320", "150", "--corners", *corners]
+    assert main([*arguments, *pointed, "-o", str(tmp_path)]) == 0
+    assert "taught: 320 x 150 mm" in capsys.readouterr().out
+    layout = load_layout(tmp_path / "taught.yaml")
+    for name in NAMES:
+        apart = np.subtract(layout.control(name).position_mm, LAYOUT.control(name).position_mm)
+        # The test camera's tangential distortion stays in the picture.
+        assert np.abs(apart).max() < 1.0, name
+    template = cv2.imread(str(tmp_path / "taught.png"), cv2.IMREAD_GRAYSCALE)
+    assert template is not None and template.shape == (600, 1280)
+    recogniser = PanelRecogniser(layout, picture=template, picture_px_per_mm=4.0)
+    truth = scene.pose(LAYOUT, below_deg=20.0)
+    seen = scene.picture(LAYOUT, CAMERA, truth, scene.Look(), 4)
+    sighting = recogniser.locate(seen, HarrisDetector().detect(seen).xy, CAMERA)
+    assert sighting is not None
+    points = scene.control_points_m(LAYOUT)
+    error = np.linalg.norm(sighting.camera_from_panel.apply(points) - truth.apply(points), axis=1).max()
+    print(f"{1000 * error:.2f} mm")
+    assert error < 0.003
+    assert main([*arguments, *pointed, "-o", str(tmp_path)]) == 1
+    assert "is there already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("corners", ["1,1", "2,2", "3,3", "4,4"], "do not go round the face"),
+        ("corners", ["1,1", "2,2", "3,3", "a,4"], "pixels u,v are needed"),
+        ("control", ["--control", "START:lever:3,4:5x6"], "kind 'lever' is none of"),
+        ("control", ["--control", "START:button:3:5x6"], "NAME:kind:u,v:WIDTHxHEIGHT"),
+    ],
+)
+def test_what_does_not_make_a_panel_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: list[str], words: str
+) -> None:
+    path, corners, pointed = photo(tmp_path)
+    corners, pointed = (new, pointed) if old == "corners" else (corners, new)
+    code = main(["picture", str(path), "--model", "m", "--size-mm", "320", "150", "--corners", *corners, *pointed])
+    assert code == 1 and words in capsys.readouterr().err
+
+
+def test_check_of_a_layout_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(scene.LAYOUT), "--drawing", str(tmp_path / "face.png")]) == 0
+    assert "7 knob" in capsys.readouterr().out and (tmp_path / "face.png").stat().st_size > 1000
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("model: m\nsize_mm: [100, 50]\ncontrols:\n  - {name: A, kind: lever}\n")
+    assert main(["check", str(wrong)]) == 1
+    assert "wrong.yaml:4: " in capsys.readouterr().err
