@@ -545,7 +545,7 @@ def _homography(
 ) -> tuple[Array, npt.NDArray[np.bool_]] | None:
     """Return the homography that most points agree on, fitted to all of those, and which they are."""
     options: Any = {"ransacReprojThreshold": tolerance_px, "maxIters": 5000, "confidence": 0.999}
-    # MAGSAC, which OpenCV 5.0 ends after a few samples, found none of 60 views on its own, and added none to plain RANSAC.
+    # MAGSAC, which OpenCV 5.0 ends after a few samples, found none of 60 views alone and added none to RANSAC.
     found, mask = cv2.findHomography(points_mm, pixels, method=cv2.RANSAC, **options)
     if found is None:
         return None
