@@ -1,0 +1,94 @@
+"""The sequencer as a node: text in, commands to the controller one by one, one answer for the whole."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import String
+
+from gantry_driver.nodes.sequence_node import SequenceNode
+from icu_common.core.panel_state import ControlSeen, PanelSeen
+from icu_common.core.results import GoalResult, Outcome
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import header, panel_state_message, result_message, result_of_message
+
+
+class Rig:
+    """The node, and a controller played by the test."""
+
+    def __init__(self, ros: Any) -> None:
+        self.ros = ros
+        self.node = ros.node(SequenceNode, {"check_s": 0.5})
+        self.probe = ros.plain()
+        self.commands: list[String] = ros.collect(self.probe, String, "command", qos.COMMAND)
+        self.answers: list[DiagnosticArray] = ros.collect(self.probe, DiagnosticArray, "sequence_result", qos.RESULTS)
+        self.states: list[String] = ros.collect(self.probe, String, "sequence_state", qos.LATCHED)
+        self.sequence = self.probe.create_publisher(String, "sequence", qos.COMMAND)
+        self.result = self.probe.create_publisher(DiagnosticArray, "result", qos.RESULTS)
+        self.panel = self.probe.create_publisher(DiagnosticArray, "panel/state", qos.RESULTS)
+        for publisher in (self.sequence, self.result, self.panel):
+            ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 10.0)
+        for topic in ("command", "sequence_result", "sequence_state"):
+            ros.spin_until(lambda t=topic: self.probe.count_publishers(t) == 1, 10.0)
+        ros.spin_until(lambda: self.states, 10.0)
+
+    def now_ns(self) -> int:
+        return int(self.probe.get_clock().now().nanoseconds)
+
+    def wait_for_command(self, count: int) -> str:
+        self.ros.spin_until(lambda: len(self.commands) >= count, 10.0)
+        return str(self.commands[count - 1].data)
+
+    def reach(self, goal_id: str) -> None:
+        done = GoalResult(goal_id=goal_id, goal="", outcome=Outcome.REACHED, details=(("effect", "none seen"),))
+        self.result.publish(result_message(done, self.now_ns()))
+
+    def see(self, lamp: str) -> None:
+        seen = PanelSeen(stamp_ns=self.now_ns(), controls=(ControlSeen(name="RUN_STOP", kind="button", lamp=lamp),))
+        self.panel.publish(panel_state_message(seen, header(seen.stamp_ns, "camera")))
+
+    def final(self, goal_id: str) -> GoalResult:
+        def last() -> GoalResult | None:
+            results = [r for r in map(result_of_message, self.answers) if r.goal_id == goal_id]
+            return results[-1] if results and results[-1].outcome.final else None
+
+        result = self.ros.spin_until(last, 10.0)
+        assert isinstance(result, GoalResult)
+        return result
+
+
+def test_steps_follow_each_other_and_the_whole_is_answered(ros: Any) -> None:
+    rig = Rig(ros)
+    assert rig.states[-1].data == "idle"
+    rig.sequence.publish(String(data="id: mine\nsteps: ['press:RUN_STOP => lamp:RUN_STOP=red', 'press:SAVE']\n"))
+    assert rig.wait_for_command(1) == "press:RUN_STOP id=mine.1"
+    ros.spin_until(lambda: rig.states[-1].data == "step 1/2: press:RUN_STOP", 10.0)
+    rig.sequence.publish(String(data="id: other\nsteps: ['press:MENU']\n"))
+    ros.spin_until(lambda: any(result_of_message(m).outcome is Outcome.REJECTED for m in rig.answers), 10.0)
+    busy = next(r for r in map(result_of_message, rig.answers) if r.outcome is Outcome.REJECTED)
+    assert busy.goal_id == "other" and "busy with 'mine'" in busy.reason
+    rig.reach("mine.1")
+    # The check wants a picture from after the answer.
+    ros.spin_until(lambda: (rig.see("red"), len(rig.commands) == 2)[1], 10.0)
+    assert rig.wait_for_command(2) == "press:SAVE id=mine.2"
+    rig.reach("mine.2")
+    result = rig.final("mine")
+    assert result.goal_id == "mine" and result.outcome is Outcome.REACHED
+    assert dict(result.details)["steps_done"] == "2"
+    ros.spin_until(lambda: rig.states[-1].data == "idle", 10.0)
+
+
+def test_a_wrong_text_is_refused_with_its_line_and_a_missing_check_ends_it(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.sequence.publish(String(data="id: bad\nsteps:\n  - press:RUN_STOP\n  - poke:MENU\n"))
+    refused = rig.final("bad")
+    assert refused.goal_id == "bad" and refused.outcome is Outcome.REJECTED
+    assert "sequence:4: gesture 'poke'" in refused.reason
+    assert rig.commands == []
+    rig.sequence.publish(String(data="steps: ['press:RUN_STOP => lamp:RUN_STOP=red', 'press:SAVE']"))
+    goal_id = rig.wait_for_command(1).partition(" id=")[2]
+    rig.reach(goal_id)
+    ended = rig.final(goal_id.rpartition(".")[0])
+    assert ended.outcome is Outcome.ABORTED and "not seen in time: lamp:RUN_STOP=red" in ended.reason
+    assert len(rig.commands) == 1
