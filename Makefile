@@ -6,7 +6,7 @@ export PYTHON
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test check bench campaign setup clean picture
+.PHONY: help demo test check bench campaign docs setup clean picture
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -36,6 +36,11 @@ CAMPAIGN_SEEDS ?= 1000
 campaign: ## seeded faults against the mock board; CAMPAIGN_SEEDS=5000, or FIRST:LAST to repeat some
 	@scripts/setup.sh dev
 	@PYTHONPATH=$$(echo src/*/ tests | tr ' ' ':') $(VENV)/python -m campaign.run --seeds $(CAMPAIGN_SEEDS)
+
+docs: ## API documentation in artifacts/api; a warning is an error
+	@scripts/setup.sh dev
+	@$(VENV)/python -W error -W ignore::DeprecationWarning -m pdoc --docformat numpy --output-directory artifacts/api \
+		icu_common harris_perception gantry_driver scope_ui_bridge scope_bench
 
 picture: ## make the README's picture of the operator page anew
 	@scripts/setup.sh dev

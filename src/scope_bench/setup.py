@@ -28,6 +28,8 @@ setup(
             "bag_record = scope_bench.cli.bag_record:main",
             "bag_play = scope_bench.cli.bag_play:main",
             "bag_info = scope_bench.cli.bag_info:main",
+            "beds = scope_bench.nodes.beds_node:main",
+            "composed = scope_bench.cli.composed:main",
             "bring_up = scope_bench.cli.bring_up:main",
         ],
     },

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from rclpy.qos import QoSProfile
 from ros_rig import Ros
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
@@ -63,6 +64,8 @@ def test_what_is_recorded_is_played_again(ros: Ros, tmp_path: Path, storage: str
     ros.spin_until(lambda: words.get_subscription_count() and state.get_subscription_count(), 10.0)
     for i in range(50):
         words.publish(String(data=f"word {i}"))
+        # The publisher keeps ten; the player below keeps what it offered before, ten as well.
+        ros.spin_until(lambda i=i: sink.messages > i, 10.0, lambda: (sink.messages, sink.failure))
     ros.spin_until(lambda: sink.messages == 51, 10.0, lambda: (sink.messages, sink.failure))
     assert recorder.missing == ["/silent"]
     sink.close()
@@ -78,7 +81,7 @@ def test_what_is_recorded_is_played_again(ros: Ros, tmp_path: Path, storage: str
     talker.destroy_node()
 
     listener = ros.plain("listener")
-    heard = ros.collect(listener, String, "/words", qos.RESULTS)
+    heard = ros.collect(listener, String, "/words", QoSProfile(depth=100))
     latched = ros.collect(listener, String, "/robot/state", qos.LATCHED)
     times = ros.collect(listener, Clock, "/clock", qos.RESULTS)
     player = Command(

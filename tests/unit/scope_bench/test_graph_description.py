@@ -15,6 +15,7 @@ profiles:
   bench: {about: simulated}
   test: {about: with truth, extends: bench}
   hardware: {about: real}
+  replay: {about: recorded, set: {use_sim_time: true, a: 7}}
 programs:
   board:
     {package: p, executable: board, ros: false, only: [bench], arguments: [--link, $(run)/b],
@@ -54,12 +55,17 @@ def test_profiles_extend_each_other(config: Path) -> None:
     assert [load(config, p)["eye"].parameters["a"] for p in ("bench", "test", "hardware")] == [2, 2, 3]
 
 
+def test_a_profile_sets_values_of_all_nodes_that_their_own_override(config: Path) -> None:
+    eye = load(config, "replay")["eye"]
+    assert (eye.parameters["use_sim_time"], eye.parameters["a"]) == (True, 1)
+
+
 def test_command_line_of_a_node(config: Path) -> None:
     eye = load(config, "bench", "bed_1")["eye"]
     assert eye.namespace == "/bed_1/stereo"
     assert eye.ros_arguments(Path("/v.yaml")) == [
         *("--ros-args", "-r", "__node:=eye", "-r", "__ns:=/bed_1/stereo"),
-        *("-r", "image:=/bed_1/stereo/left/image", "-r", "local:=/abs"),
+        *("-r", "image:=/bed_1/stereo/left/image", "-r", "local:=/abs", "-r", "/diagnostics:=/bed_1/diagnostics"),
         *("--params-file", f"{config}/params/eye.yaml", "--params-file", "/v.yaml"),
     ]
     values = yaml.safe_load(eye.values_document())["/**"]["ros__parameters"]
@@ -86,5 +92,5 @@ def test_errors(config: Path, old: str, new: str, message: str) -> None:
 def test_unknown_scope_and_profile(config: Path) -> None:
     with pytest.raises(GraphError, match=r"no layout .*/gauge\.yaml; known scopes: dial"):
         load_graph(config, "bench", run=Path("/r"), state=Path("/s"), scope="gauge")
-    with pytest.raises(GraphError, match="'moon' is none of bench, test, hardware"):
+    with pytest.raises(GraphError, match="'moon' is none of bench, test, hardware, replay"):
         load(config, "moon")

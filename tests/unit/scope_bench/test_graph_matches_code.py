@@ -17,7 +17,7 @@ from icu_common.core.config import from_mapping, settings_of
 from scope_bench.core.graph_description import Program, load_graph
 
 ROOT = Path(__file__).resolve().parents[3]
-PROFILES = ("bench", "test", "carriage", "hardware")
+PROFILES = ("bench", "test", "carriage", "hardware", "replay")
 
 
 def programs(profile: str) -> list[Program]:
@@ -67,7 +67,9 @@ def test_executable_exists_and_every_value_is_accepted(profile: str, program: Pr
         for node, entry in file_values(path).items():
             if node in ("/**", f"/**/{program.name}", program.name):
                 values |= entry
-    from_mapping(config_class(program), {**values, **program.parameters})
+    values |= program.parameters
+    values.pop("use_sim_time", None)  # rclpy's own, known to every node
+    from_mapping(config_class(program), values)
 
 
 @pytest.mark.parametrize("program", [p for p in programs("test") if p.is_node], ids=lambda p: p.name)
@@ -98,3 +100,35 @@ def rclpy_attributes() -> list[str]:
     """Return the names that Node's constructor sets on itself."""
     source = inspect.getsource(Node.__init__)
     return re.findall(r"self\.(\w+)(?::[^=\n]+)? = ", source)
+
+
+def texts_of(module_name: str) -> set[str]:
+    """Return the strings in a node's module and in the modules of nodes that it uses; {side} is left and right."""
+    module = importlib.import_module(module_name)
+    assert module.__file__ is not None
+    tree = ast.parse(Path(module.__file__).read_text())
+    found = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            for side in ("left", "right"):
+                found.add("".join(p.value if isinstance(p, ast.Constant) else side for p in node.values))
+        elif isinstance(node, ast.ImportFrom) and re.match(r"(?!icu_common)\w+\.nodes\.", node.module or ""):
+            found |= texts_of(str(node.module))
+    return found
+
+
+@pytest.mark.parametrize("program", [p for p in programs("test") if p.is_node], ids=lambda p: p.name)
+def test_every_remapping_names_a_topic_of_the_node(program: Program) -> None:
+    names = texts_of(entry_points(program.package)[program.executable])
+    assert {source for source, _ in program.remappings} - names == set()
+
+
+def test_every_remapping_leads_to_a_topic_that_somebody_publishes() -> None:
+    """A target is the name of another node's topic: its namespace and one of the strings in its code."""
+    nodes = [p for p in programs("test") if p.is_node]
+    known = {
+        f"{p.namespace.rstrip('/')}/{name}" for p in nodes for name in texts_of(entry_points(p.package)[p.executable])
+    }
+    targets = {target: p.name for p in nodes for _, target in p.remappings}
+    from_people = {"/operator/heartbeat"}  # of the page, whose own name for it is remapped, and of the command line
+    assert {t: name for t, name in targets.items() if t not in known | from_people} == {}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import os
 import signal
 import sys
@@ -33,13 +34,15 @@ class Closable(Protocol):
 
 
 def prepare_transport() -> None:
-    """Choose the transport profile, loopback-only discovery and a malloc that keeps picture-sized blocks.
+    """Choose the transport profile, loopback alone, and a malloc that keeps picture-sized blocks.
 
-    What the user has set in the environment stays.
+    What the user has set in the environment stays. Another discovery range than LOCALHOST, named peers or a discovery
+    server open the network; see docs/decisions/several-machines.md.
     """
-    profile = resources.files("icu_common") / "fastdds_profile.xml"
+    opened = [name for name in ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER") if os.environ.get(name)]
+    local = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST") == "LOCALHOST" and not opened
+    profile = resources.files("icu_common") / ("fastdds_local_profile.xml" if local else "fastdds_profile.xml")
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     # mallopt(3): without it each picture is mapped and unmapped anew (1080p: 6.9 instead of 0.4 ms to serialise).
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL(None)
@@ -86,24 +89,56 @@ def ros_session(arguments: Sequence[str] | None = None) -> Iterator[Session]:
         rclpy.shutdown()
 
 
-def run(make_node: Callable[[], Node], arguments: Sequence[str] | None = None) -> int:
+_collected: list[Callable[..., Node]] | None = None
+
+
+def run(make_node: Callable[..., Node], arguments: Sequence[str] | None = None) -> int:
     """Start rclpy, make the node, spin until SIGINT or SIGTERM, close it, and return the exit code.
 
     The node's ``close`` (if it has one) runs while topics still work, so that a last state can be published.
+    ``make_node`` takes options for ``rclpy.node.Node``.
     """
+    if _collected is not None:
+        _collected.append(make_node)
+        return 0
+    return _run([make_node], arguments)
+
+
+def run_together(programs: Sequence[tuple[Callable[[], int], Sequence[str]]]) -> int:
+    """Run the nodes of several programs in this process, by one executor.
+
+    Parameters
+    ----------
+    programs
+        The ``main`` of each, which calls :func:`run`, and its ROS arguments.
+    """
+    global _collected
+    _collected = []
+    try:
+        for main, _ in programs:
+            main()
+        makers = [
+            functools.partial(make, cli_args=list(own), use_global_arguments=False)
+            for make, (_, own) in zip(_collected, programs, strict=True)
+        ]
+    finally:
+        _collected = None
+    return _run(makers, [])
+
+
+def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None) -> int:
     with ros_session(arguments) as session:
+        nodes: list[Node] = []
         try:
-            node = make_node()
-        except ConfigError as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 2
-        try:
-            session.executor.add_node(node)
+            for make in makers:
+                nodes.append(make())
+                session.executor.add_node(nodes[-1])
             while session.goes_on:
                 session.spin()
         except ConfigError as error:
             print(f"error: {error}", file=sys.stderr)
             return 2
         finally:
-            session.end(node)
+            for node in nodes:
+                session.end(node)
     return 0

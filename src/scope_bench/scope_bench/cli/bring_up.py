@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import signal
@@ -57,15 +58,19 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--only", action="append", default=[], metavar="PROGRAM", help="start nothing but this")
     result.add_argument("--without", action="append", default=[], metavar="PROGRAM", help="leave a program out")
     result.add_argument("--set", action="append", default=[], metavar="PROGRAM.PARAMETER=VALUE", help="one value more")
+    result.add_argument("--composed", action="store_true", help="all nodes but the simulated ones in one process")
     result.add_argument("--prepare", action="store_true", help="enable, home and calibrate (bench only)")
     result.add_argument("--verbose", action="store_true", help="print everything that the programs say")
     return result
 
 
-def state_folder(given: Path | None) -> Path:
-    """Return the folder that keeps calibration and sign-in, made if need be, readable by this user alone."""
+def state_folder(given: Path | None, namespace: str = "") -> Path:
+    """Return the folder that keeps calibration and sign-in, made if need be, readable by this user alone.
+
+    Each namespace has its own: one robot's calibration is wrong for another.
+    """
     base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
-    folder = given or base / "icu_gantry"
+    folder = given or base / "icu_gantry" / namespace.strip("/")
     folder.mkdir(parents=True, exist_ok=True)
     folder.chmod(stat.S_IRWXU)
     return folder.resolve()
@@ -86,7 +91,7 @@ class BringUp:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._stop)
         config = (self.options.config or configuration_folder()).resolve()
-        state = state_folder(self.options.state)
+        state = state_folder(self.options.state, self.options.namespace)
         if self.options.prepare and self.options.profile == "hardware":
             raise GraphError("--prepare moves the machine by itself; on hardware use the page")
         with tempfile.TemporaryDirectory(prefix="icu_gantry_") as temporary:
@@ -117,17 +122,22 @@ class BringUp:
         try:
             wanted = {*self.options.only} or {p.name for p in programs}
             waiting = [p for p in programs if p.name in wanted - {*self.options.without}]
+            together = [p for p in waiting if self.options.composed and p.is_node and not p.ends_last]
+            waiting = [p for p in waiting if p not in together]
             patience = time.monotonic() + WAIT_S
             while not self.stopping and not group.misconfigured:
                 late = time.monotonic() > patience
                 for program in [p for p in waiting if late or p.waits_for is None or p.waits_for.exists()]:
                     waiting.remove(program)
-                    values = temporary / f"{program.name}.yaml"
-                    values.write_text(program.values_document(), encoding="utf-8")
                     path = find_executable(program.package, program.executable, here)
-                    arguments = [*program.ros_arguments(values), *self._single_values(program.name)]
+                    arguments = self._arguments(program, temporary)
                     group.start(program.name, [str(path), *arguments], ends_last=program.ends_last)
-                if not waiting and not self.complete:
+                if together and (late or all(p.waits_for is None or p.waits_for.exists() for p in together)):
+                    table = temporary / "composed.json"
+                    table.write_text(json.dumps([[p.executable, self._arguments(p, temporary)] for p in together]))
+                    group.start("composed", [str(find_executable("scope_bench", "composed", here)), str(table)])
+                    together = []
+                if not waiting and not together and not self.complete:
                     self.complete = True
                     self.say(f"started {len(group.running())} programs of the profile {self.options.profile}")
                     if self.options.prepare:
@@ -140,6 +150,11 @@ class BringUp:
             if killed:
                 self.say(f"had to be killed: {', '.join(killed)}")
         return 1 if group.gave_up or killed else 0
+
+    def _arguments(self, program: Program, temporary: Path) -> list[str]:
+        values = temporary / f"{program.name}.yaml"
+        values.write_text(program.values_document(), encoding="utf-8")
+        return [*program.ros_arguments(values), *self._single_values(program.name)]
 
     def _start_preparation(self, group: ProcessGroup, here: Path) -> None:
         path = find_executable("gantry_driver", "gantry_prepare", here)

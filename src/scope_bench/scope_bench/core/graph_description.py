@@ -107,6 +107,8 @@ def load_graph(
         raise GraphError(f"there is no layout {layout}; known scopes: {known}")
     words = {"$(config)": str(config), "$(run)": str(run), "$(state)": str(state), "$(scope)": str(layout)}
     root = PurePosixPath("/") / robot_namespace.strip("/")
+    # /diagnostics is absolute by convention; two robots in one domain would mix theirs.
+    diagnostics = (("/diagnostics", str(root / "diagnostics")),) if str(root) != "/" else ()
     programs = []
     for name, entry in document["programs"].items():
         _check_keys(name, entry, profiles)
@@ -118,7 +120,8 @@ def load_graph(
             if not path.is_file():
                 raise GraphError(f"{name}: parameter file {path} does not exist")
         remap = {source: target for part in parts for source, target in part.get("remap", {}).items()}
-        values = {key: value for part in parts for key, value in part.get("set", {}).items()}
+        shared = [document["profiles"][p] for p in chain] if entry.get("ros", True) else []
+        values = {key: value for part in (*shared, *parts) for key, value in part.get("set", {}).items()}
         waits = [part["waits_for"] for part in parts if "waits_for" in part]
         programs.append(
             Program(
@@ -128,7 +131,7 @@ def load_graph(
                 namespace=str(root / entry.get("namespace", "")),
                 parameter_files=tuple(files),
                 parameters=_fill(values, words),
-                remappings=tuple((source, str(root / target)) for source, target in remap.items()),
+                remappings=tuple((source, str(root / target)) for source, target in remap.items()) + diagnostics,
                 arguments=tuple(_fill([a for part in parts for a in part.get("arguments", ())], words)),
                 is_node=entry.get("ros", True),
                 ends_last=entry.get("ends_last", False),

@@ -331,8 +331,8 @@ def _open_audit(config: BridgeConfig) -> AuditFile | None:
         raise ConfigError(f"audit_file = {config.audit_file!r}: {error}; look at it and move it away") from error
 
 
-def _make() -> BridgeNode:
-    node = BridgeNode()
+def _make(**options: Any) -> BridgeNode:
+    node = BridgeNode(**options)
     signal.signal(signal.SIGUSR1, lambda number, frame: node.issue_token())
     return node
 

@@ -1,0 +1,41 @@
+"""Run the nodes of several programs in one process; bring_up --composed writes the table and starts this."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from icu_common.nodes.runtime import run_together
+
+
+def program(name: str) -> Callable[[], int]:
+    """Return the ``main`` of an installed executable.
+
+    Raises
+    ------
+    LookupError
+        If no package installs one of this name.
+    """
+    for entry in entry_points(group="console_scripts", name=name):
+        return entry.load()  # type: ignore[no-any-return]
+    raise LookupError(f"no package installs {name}; run: scripts/setup.sh")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(prog="composed", description=__doc__)
+    parser.add_argument("table", type=Path, help="JSON: pairs of an executable's name and its ROS arguments")
+    table = json.loads(parser.parse_args(arguments).table.read_text(encoding="utf-8"))
+    try:
+        return run_together([(program(name), own) for name, own in table])
+    except LookupError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,103 @@
+"""Node that hears several robots and shows them on one page; it publishes nothing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+
+from icu_common.core.config import Config, ConfigError, setting
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import image_array, stamp_ns
+from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import run
+from scope_bench.adapters.beds_server import BedsServer
+
+STATES = {"controller": "gantry/state", "driver": "gantry/driver_state", "calibration": "calibration/state"}
+_WIDTH = 640
+_BED = re.compile(r"(?P<name>[a-zA-Z]\w*)(=(?P<url>https?://\S+))?")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BedsConfig(Config):
+    """Which robots are shown, and where."""
+
+    beds: tuple[str, ...] = setting(
+        ("bed_1", "bed_2"), "Namespaces, each with =ADDRESS of its own page if there is one", read_only=True
+    )
+    port: int = setting(8090, "Of this page; 0: a free one", minimum=0, maximum=65535, read_only=True)
+
+
+class BedsNode(Node):
+    """Subscribes to each bed's states and left picture."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("beds", **options)
+        config = LiveParameters(self, BedsConfig).config
+        links = dict(_bed(text) for text in config.beds)
+        self._states: dict[str, dict[str, str]] = {name: dict.fromkeys(STATES, "") for name in links}
+        self._pictures: dict[str, Image] = {}
+        for name in links:
+            for what, topic in STATES.items():
+                self.create_subscription(String, f"/{name}/{topic}", self._hear(name, what), qos.LATCHED)
+            NewestSubscription(self, Image, f"/{name}/stereo/left/image_raw", self._see(name))
+        try:
+            self.server = BedsServer(config.port, links, tuple(STATES), self._state, self._picture)
+        except OSError as error:
+            raise ConfigError(f"port = {config.port}: {error}") from error
+        self.get_logger().warning(f"beds: {self.server.address}")
+
+    def _hear(self, name: str, what: str) -> Callable[[String], None]:
+        def heard(message: String) -> None:
+            self._states[name][what] = message.data
+
+        return heard
+
+    def _see(self, name: str) -> Callable[[Image], None]:
+        def seen(message: Image) -> None:
+            self._pictures[name] = message
+
+        return seen
+
+    def _state(self) -> dict[str, object]:
+        now_ns = self.get_clock().now().nanoseconds
+        ages = {name: (now_ns - stamp_ns(picture.header.stamp)) / 1e9 for name, picture in self._pictures.items()}
+        return {name: {"states": states, "age_s": ages.get(name)} for name, states in self._states.items()}
+
+    def _picture(self, name: str) -> bytes:
+        message = self._pictures.get(name)
+        if message is None:
+            return b""
+        pixels = image_array(message)
+        scale = min(1.0, _WIDTH / pixels.shape[1])
+        small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        done, data = cv2.imencode(".jpg", np.ascontiguousarray(small))
+        return data.tobytes() if done else b""
+
+    def close(self) -> None:
+        """End the page."""
+        self.server.close()
+
+
+def _bed(text: str) -> tuple[str, str]:
+    match = _BED.fullmatch(text)
+    if match is None:
+        raise ConfigError(f"beds: {text!r} is not NAMESPACE or NAMESPACE=http://...")
+    return match["name"], match["url"] or ""
+
+
+def main() -> int:
+    """Run the node."""
+    return run(BedsNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

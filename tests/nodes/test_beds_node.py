@@ -1,0 +1,59 @@
+"""One page for two robots in two namespaces: each shows its own states and picture, and nothing of the other."""
+
+from __future__ import annotations
+
+import json
+import urllib.error
+import urllib.request
+
+import cv2
+import numpy as np
+import pytest
+from ros_rig import Ros
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+
+from icu_common.core.config import ConfigError
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import header, image_message
+from scope_bench.nodes.beds_node import BedsNode
+
+
+def get(address: str) -> bytes:
+    with urllib.request.urlopen(address, timeout=5) as answer:
+        return bytes(answer.read())
+
+
+def test_two_beds_on_one_page(ros: Ros) -> None:
+    beds = ["bed_1=http://127.0.0.1:8080", "bed_2=http://127.0.0.1:8081"]
+    node = ros.node(BedsNode, {"beds": beds, "port": 0})
+    robots = ros.plain("robots")
+    states = {b: robots.create_publisher(String, f"/{b}/gantry/state", qos.LATCHED) for b in ("bed_1", "bed_2")}
+    eyes = {b: robots.create_publisher(Image, f"/{b}/stereo/left/image_raw", qos.IMAGES) for b in ("bed_1", "bed_2")}
+    ros.spin_until(lambda: all(p.get_subscription_count() for p in (*states.values(), *eyes.values())), 10.0)
+    states["bed_1"].publish(String(data="ready"))
+    states["bed_2"].publish(String(data="alarm: limit"))
+    for bed, gray in (("bed_1", 40), ("bed_2", 200)):
+        pixels = np.full((72, 128, 3), gray, np.uint8)
+        eyes[bed].publish(image_message(pixels, "bgr8", header(node.get_clock().now().nanoseconds, "eye")))
+    ros.spin_until(lambda: len(node._pictures) == 2, 10.0)
+    ros.spin_until(lambda: all(s["controller"] for s in node._states.values()), 10.0)
+
+    shown = json.loads(get(node.server.address + "state"))
+    assert {b: v["states"]["controller"] for b, v in shown.items()} == {"bed_1": "ready", "bed_2": "alarm: limit"}
+    assert all(0 <= v["age_s"] < 20 for v in shown.values())
+    for bed, gray in (("bed_1", 40), ("bed_2", 200)):
+        picture = cv2.imdecode(np.frombuffer(get(f"{node.server.address}{bed}.jpg"), np.uint8), cv2.IMREAD_COLOR)
+        assert picture.shape == (72, 128, 3) and abs(float(picture.mean()) - gray) < 2
+    page = get(node.server.address).decode()
+    assert 'id="bed_1"' in page and 'href="http://127.0.0.1:8081"' in page
+    port = node.server.address.split("/")[2]
+    assert port.startswith("127.0.0.1:")
+    for path in ("/", "/state", "/wrong/state", "/wrong/bed_1.jpg"):
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            get(f"http://{port}{path}")
+
+
+def test_wrong_names_are_refused(ros: Ros) -> None:
+    with pytest.raises(ConfigError, match=r"'bed 1' is not NAMESPACE"):
+        ros.node(BedsNode, {"beds": ["bed 1"], "port": 0})

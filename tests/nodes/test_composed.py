@@ -1,0 +1,76 @@
+"""Several programs in one process: each node keeps its own name, namespace, remappings and parameters."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from rcl_interfaces.srv import GetParameters
+from ros_rig import Ros
+from sensor_msgs.msg import Image, PointCloud2
+
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import header, image_message
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def start(ros: Ros, folder: Path, table: list[list[object]]) -> subprocess.Popen[str]:
+    (folder / "table.json").write_text(json.dumps(table))
+    environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.context.get_domain_id()), ROS_LOG_DIR=str(folder / "log"))
+    return subprocess.Popen(
+        [sys.executable, "-m", "scope_bench.cli.composed", str(folder / "table.json")],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def test_two_nodes_in_one_process(ros: Ros, tmp_path: Path) -> None:
+    table: list[list[object]] = [
+        [
+            "corners",
+            ["--ros-args", "-r", f"__node:=corners_{side}", "-r", f"__ns:=/stereo/{side}"]
+            + ["-r", f"image_raw:=/eye_{side}", "-p", f"max_corners:={count}"],
+        ]
+        for side, count in (("left", 11), ("right", 22))
+    ]
+    probe = ros.plain()
+    process = start(ros, tmp_path, table)
+    try:
+        clients = {
+            s: probe.create_client(GetParameters, f"/stereo/{s}/corners_{s}/get_parameters") for s in ("left", "right")
+        }
+        ros.spin_until(lambda: all(c.service_is_ready() for c in clients.values()), 40.0)
+        values = {}
+        for side, client in clients.items():
+            future = client.call_async(GetParameters.Request(names=["max_corners"]))
+            ros.spin_until(future.done, 10.0)
+            values[side] = future.result().values[0].integer_value
+        assert values == {"left": 11, "right": 22}
+        picture = probe.create_publisher(Image, "/eye_right", qos.IMAGES)
+        found = {s: ros.collect(probe, PointCloud2, f"/stereo/{s}/corners", qos.RESULTS) for s in ("left", "right")}
+        ros.spin_until(lambda: picture.get_subscription_count() == 1, 10.0)
+        noise = np.random.default_rng(1).integers(0, 256, (60, 80), np.uint8)
+        picture.publish(image_message(noise, "mono8", header(5, "eye")))
+        ros.spin_until(lambda: found["right"], 10.0)
+        assert found["right"][0].width == 22 and not found["left"]
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=15)
+        assert process.returncode == 0, output
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+
+
+def test_a_wrong_value_ends_the_process_with_its_reason(ros: Ros, tmp_path: Path) -> None:
+    process = start(ros, tmp_path, [["corners", ["--ros-args", "-p", "no_such_setting:=1"]]])
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 2 and "no_such_setting" in output

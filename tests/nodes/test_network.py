@@ -1,0 +1,74 @@
+"""By default nothing of the graph can be reached from another machine."""
+
+from __future__ import annotations
+
+import os
+import socket
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from ros_rig import Ros
+from std_msgs.msg import String
+
+from icu_common.nodes import qos
+from icu_common.nodes.runtime import prepare_transport
+
+
+def own_udp_sockets() -> list[tuple[str, int]]:
+    inodes = set()
+    for link in Path("/proc/self/fd").iterdir():
+        try:
+            inodes.add(str(link.readlink()).removeprefix("socket:[").removesuffix("]"))
+        except OSError:
+            continue
+    found = []
+    for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
+        fields = line.split()
+        if fields[9] in inodes:
+            address, port = fields[1].split(":")
+            found.append((socket.inet_ntoa(bytes.fromhex(address)[::-1]), int(port, 16)))
+    return found
+
+
+def test_dds_hears_on_loopback_alone(ros: Ros) -> None:
+    node = ros.plain("talker")
+    publisher = node.create_publisher(String, "words", qos.RESULTS)
+    heard = ros.collect(node, String, "words", qos.RESULTS)
+    ros.spin_until(publisher.get_subscription_count, 10.0)
+    publisher.publish(String(data="x"))
+    ros.spin_until(lambda: heard, 5.0)
+    first = 7400 + 250 * ros.context.get_domain_id()  # the ports of a domain (RTPS 9.6.2.3)
+    ports = [(address, port) for address, port in own_udp_sockets() if first <= port < first + 250]
+    assert ports and {address for address, _ in ports} == {"127.0.0.1"}, ports
+    # What else is open is for sending: nobody reads there, and its ports are chosen by the system.
+    with Path("/proc/sys/net/ipv4/ip_local_port_range").open() as stream:
+        least = int(stream.read().split()[0])
+    others = [(a, p) for a, p in own_udp_sockets() if a != "127.0.0.1" and p < least]
+    assert others == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "profile"),
+    [
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST", "fastdds_local_profile.xml"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET", "fastdds_profile.xml"),
+        ("ROS_STATIC_PEERS", "192.0.2.7", "fastdds_profile.xml"),
+        ("ROS_DISCOVERY_SERVER", "192.0.2.7:11811", "fastdds_profile.xml"),
+    ],
+)
+def test_only_a_wish_opens_the_network(monkeypatch: pytest.MonkeyPatch, name: str, value: str, profile: str) -> None:
+    for variable in ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv(name, value)
+    prepare_transport()
+    assert Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).name == profile
+
+
+def test_the_profiles_differ_in_the_interface_alone() -> None:
+    def lines(name: str) -> set[str]:
+        return set((resources.files("icu_common") / name).read_text().splitlines()[2:])
+
+    assert lines("fastdds_profile.xml") < lines("fastdds_local_profile.xml")
+    more = lines("fastdds_local_profile.xml") - lines("fastdds_profile.xml")
+    assert [line.strip() for line in more] == ["<interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>"]

@@ -1,0 +1,160 @@
+"""What makes the project portable agrees with the code: package.xml, setup.py, workflow, containers, launch files."""
+
+from __future__ import annotations
+
+import ast
+import re
+import runpy
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import pytest
+import setuptools
+import yaml
+from catkin_pkg.package import parse_package
+
+from scope_bench.core.graph_description import load_graph
+
+ROOT = Path(__file__).resolve().parents[3]
+PACKAGES = sorted(p.parent for p in ROOT.glob("src/*/package.xml"))
+each_package = pytest.mark.parametrize("package", PACKAGES, ids=lambda p: p.name)
+
+SYSTEM_KEYS = {
+    "python3-aiohttp": "aiohttp",
+    "python3-numba": "numba",
+    "python3-numpy": "numpy",
+    "python3-opencv": "cv2",
+    "python3-serial": "serial",
+    "python3-yaml": "yaml",
+}
+"""Keys of rosdep (rosdistro/rosdep/python.yaml) and their modules; rosbags has none, numba none for Ubuntu."""
+OF_ROS = {
+    "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "launch", "launch_ros",
+    "lifecycle_msgs", "rcl_interfaces", "rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "stereo_msgs",
+    "trajectory_msgs", "visualization_msgs",
+}  # fmt: skip
+"""Packages of Jazzy's ros-base."""
+BY_PIP = {"rosbags", "apsw"}
+
+
+def imports(package: Path) -> set[str]:
+    found = set()
+    for path in [*package.glob(f"{package.name}/**/*.py"), *package.glob("launch/*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                found.add(node.module.partition(".")[0])
+    return found - set(sys.stdlib_module_names) - {package.name}
+
+
+@each_package
+def test_package_xml_is_complete_for_bloom_and_names_what_is_imported(package: Path) -> None:
+    warnings: list[str] = []
+    description = parse_package(str(package), warnings=warnings)
+    description.validate(warnings=warnings)
+    assert warnings == []
+    assert description.get_build_type() == "ament_python" and description.licenses == ["Apache-2.0"]
+    assert {u.type for u in description.urls} >= {"website", "bugtracker", "repository"}, "bloom asks for them"
+    named = {d.name for d in description.exec_depends}
+    assert named <= OF_ROS | set(SYSTEM_KEYS) | {p.name for p in PACKAGES}, "a key that rosdep does not resolve"
+    modules = {SYSTEM_KEYS.get(name, name) for name in named}
+    optional = {"scipy", "matplotlib", "skimage", "foxglove"}  # only for evaluation, and asked for by name when missing
+    assert imports(package) - modules - BY_PIP - optional == set()
+
+
+@each_package
+def test_setup_py_says_the_same(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(setuptools, "setup", lambda **keywords: given.update(keywords))
+    monkeypatch.chdir(package)
+    runpy.run_path("setup.py")
+    description = parse_package(str(package))
+    assert (given["name"], given["version"], given["license"]) == (package.name, description.version, "Apache-2.0")
+    assert given["description"] == description.description
+    for entry in given["entry_points"]["console_scripts"] if "entry_points" in given else ():
+        module, _, function = entry.partition("=")[2].strip().partition(":")
+        tree = ast.parse((package / (module.replace(".", "/") + ".py")).read_text())
+        assert function in {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}, entry
+    assert f"## {description.version}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_the_workflow_calls_what_exists() -> None:
+    text = (ROOT / ".github" / "workflows" / "ci.yml").read_text()
+    jobs = yaml.safe_load(text)["jobs"]
+    assert jobs["jazzy"]["container"] == "ros:jazzy-ros-base"
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.M))
+    assert set(re.findall(r"make (\w+)", text)) - {"python3"} <= targets
+    for name in re.findall(r"tests/[\w/]+|scripts/[\w.]+", text):
+        assert (ROOT / name).exists(), name
+    for path in (
+        ".pre-commit-config.yaml",
+        "Dockerfile",
+        ".devcontainer/devcontainer.json",
+        "LICENSE",
+        "CONTRIBUTING.md",
+    ):
+        assert (ROOT / path).stat().st_size > 200
+
+
+class Recorded:
+    """Stands for an action or substitution of `launch`, which is not among the wheels: keeps what it was given."""
+
+    def __init__(self, *values: Any, **keywords: Any) -> None:
+        self.values, self.keywords = values, keywords
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self.values[0]]
+
+
+def launch_modules(share: Path) -> dict[str, types.ModuleType]:
+    kinds = {
+        "launch": ["LaunchDescription", "LaunchContext"],
+        "launch.actions": ["DeclareLaunchArgument", "ExecuteProcess", "IncludeLaunchDescription", "OpaqueFunction"],
+        "launch.substitutions": ["LaunchConfiguration"],
+        "launch.launch_description_sources": ["PythonLaunchDescriptionSource"],
+        "launch_ros": [],
+        "launch_ros.actions": ["Node"],
+        "launch_ros.substitutions": ["ExecutableInPackage"],
+        "ament_index_python": [],
+        "ament_index_python.packages": [],
+    }
+    modules = {name: types.ModuleType(name) for name in kinds}
+    for name, classes in kinds.items():
+        for kind in classes:
+            setattr(modules[name], kind, type(kind, (Recorded,), {}))
+    modules["ament_index_python.packages"].get_package_share_directory = lambda name: str(share)  # type: ignore[attr-defined]
+    return modules
+
+
+@pytest.mark.parametrize("profile", ["bench", "test", "hardware", "replay"])
+@pytest.mark.parametrize("namespace", ["", "bed_1"])
+def test_ros2_launch_starts_the_graph_that_bring_up_starts(
+    profile: str, namespace: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The launch file is run against recording stand-ins; what it would start is what bring-up's table says."""
+    for name, module in launch_modules(ROOT).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    launch = runpy.run_path(str(ROOT / "src/scope_bench/launch/graph.launch.py"))
+    declared = {
+        a.values[0]
+        for a in launch["generate_launch_description"]().values[0]
+        if type(a).__name__ == "DeclareLaunchArgument"
+    }
+    context = {"profile": profile, "config": str(ROOT / "config"), "state": str(tmp_path), "namespace": namespace}
+    context |= {"scope": "", "package": "", "run": str(tmp_path / "run")}
+    assert declared == set(context)
+    started = launch["start"](context)
+    programs, _ = load_graph(ROOT / "config", profile, run=tmp_path / "run", state=tmp_path, robot_namespace=namespace)
+    for action, program in zip(started, programs, strict=True):
+        given = action.keywords
+        if not program.is_node:
+            assert given["cmd"][0].keywords == {"package": program.package, "executable": program.executable}
+            assert given["cmd"][1:] == list(program.arguments)
+            continue
+        assert (given["package"], given["executable"]) == (program.package, program.executable)
+        assert (given["name"], given["namespace"]) == (program.name, program.namespace)
+        assert given["parameters"] == [*map(str, program.parameter_files), dict(program.parameters)]
+        assert given["remappings"] == list(program.remappings)
