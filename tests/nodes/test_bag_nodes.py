@@ -103,9 +103,10 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:
         for name, kind in (("/a", "String"), ("/b", "String"), ("/operator/heartbeat", "Header")):
             bag.add_topic(BagTopic(name=name, type=f"std_msgs/msg/{kind}"))
         for i in range(4):
-            bag.write("/a", 10**9 + i, serialize_message(String(data=f"{i}")))
-            bag.write("/b", 10**9 + i, serialize_message(String(data=f"{i}")))
-            bag.write("/operator/heartbeat", 10**9 + i, serialize_message(Header(stamp=Time(sec=i))))
+            stamp_ns = 10**9 + 20_000_000 * i
+            bag.write("/a", stamp_ns, serialize_message(String(data=f"{i}")))
+            bag.write("/b", stamp_ns, serialize_message(String(data=f"{i}")))
+            bag.write("/operator/heartbeat", stamp_ns, serialize_message(Header(stamp=Time(sec=i))))
     listener = ros.plain("listener")
     a = ros.collect(listener, String, "/a", qos.RESULTS)
     b = ros.collect(listener, String, "/b", qos.RESULTS)
