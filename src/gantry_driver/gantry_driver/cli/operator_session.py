@@ -19,6 +19,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Empty, Header, String
 
@@ -30,6 +31,7 @@ from icu_common.nodes.runtime import prepare_transport
 REACHED, FAILED, USAGE, TIMED_OUT = 0, 1, 2, 3
 """Exit codes."""
 HEARTBEAT_S = 0.2
+_TOLD_BY = ("gantry/driver_state", "gantry/result")
 BEATS_HEARD = 6
 """Heartbeats before the first goal: three with driver and controller listening, six with one of them known."""
 
@@ -97,7 +99,7 @@ class OperatorSession:
         return value
 
     def wait_until_heard(self, until: float) -> None:
-        """Wait until driver and controller have had the heartbeat; which nodes listen is not known, so by count."""
+        """Wait until driver and controller have had the heartbeat."""
         self.wait_for(lambda: self.latest("gantry/state"), until, lambda: "no gantry/state: is the controller running?")
         self.wait_for(
             lambda: self._beats_heard >= BEATS_HEARD,
@@ -116,9 +118,11 @@ class OperatorSession:
         self.node.destroy_node()
 
     def _beat(self) -> None:
-        # Discovery of a second listener can take longer than that of the first.
-        listeners = self._heartbeat.get_subscription_count()
-        self._beats_heard += 2 if listeners > 1 else 1 if listeners else 0
+        # Who drives and who controls is told by what they publish; a recorder or a page may listen as well.
+        # Discovery of the second can take longer than that of the first.
+        listeners = _nodes(self.node.get_subscriptions_info_by_topic(self._heartbeat.topic_name))
+        roles = (_nodes(self.node.get_publishers_info_by_topic(topic)) for topic in _TOLD_BY)
+        self._beats_heard += sum(bool(nodes & listeners) for nodes in roles)
         self._heartbeat.publish(Header(stamp=time_message(self.now_ns()), frame_id="operator"))
 
     def _on_result(self, message: DiagnosticArray) -> None:
@@ -126,6 +130,10 @@ class OperatorSession:
             self.results.append(result_of_message(message))
         except ValueError as error:
             self.node.get_logger().warning(f"gantry/result: {error}")
+
+
+def _nodes(ends: Sequence[TopicEndpointInfo]) -> set[tuple[str, str]]:
+    return {(end.node_namespace, end.node_name) for end in ends}
 
 
 @contextmanager
