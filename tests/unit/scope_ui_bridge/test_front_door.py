@@ -95,15 +95,15 @@ def test_a_flood_of_sign_ins_is_refused_recorded_briefly_and_does_not_delay_a_st
                 async with attacker.post("/sign-in", data=form, headers=client.origin) as answer:
                     return answer.status
 
-            flood = asyncio.gather(*(guess(number) for number in range(200)))
+            flood = [asyncio.ensure_future(guess(number)) for number in range(200)]
             begin = time.monotonic()
             async with client.session.post("/stop", headers=client.origin) as answer:
                 assert answer.status == 200
-            took = time.monotonic() - begin
-            codes = await flood
+            took, waiting = time.monotonic() - begin, sum(not sign_in.done() for sign_in in flood)
+            codes = await asyncio.gather(*flood)
             assert sorted(set(codes)) == [401, 429]
             assert codes.count(401) <= 3
-            assert took < 5.0
+            assert took < 1.0 or waiting > 100, "on a slow machine the stop still overtakes most of the flood"
 
     with_rig(scenario, audit=AuditFile(path))
     refused = [entry for entry in records(path) if entry["command"] == "sign-in" and "refused" in entry["result"]]
