@@ -100,6 +100,8 @@ export class Overlay extends EventTarget {
       style.top = `${(100 * (y + 0.5)) / height}%`;
       style.width = `${(100 * w) / width}%`;
       style.height = `${(100 * h) / height}%`;
+      style.setProperty("--w", `${(100 * w) / width}%`);
+      style.setProperty("--h", `${(100 * h) / width}%`);
       style.zIndex = String(Math.max(1, 1000 - Math.round(Math.sqrt(w * h)))); // small controls lie on top
     }
   }
