@@ -217,6 +217,17 @@ def test_a_command_without_an_answer_fails_visibly_and_frees_the_desk() -> None:
     assert of_type(rig.act(), SendCommand)
 
 
+def test_a_recorder_may_take_its_time_and_holds_nobody_up() -> None:
+    rig = Rig()
+    rig.ask(rig.a, type="call", service="end_record")
+    rig.select(control="RUN_STOP")
+    assert of_type(rig.act(), SendCommand)
+    ended = [(entry["action"], entry["status"]) for entry in logged(rig.wait(30.0, alive=True))]
+    assert ended == [("press", "no_answer")]
+    ended = [(entry["action"], entry["status"]) for entry in logged(rig.wait(31.0, alive=True))]
+    assert ended == [("end_record", "no_answer")]
+
+
 def test_an_accepted_goal_whose_end_was_lost_is_given_up_once_the_controller_rests() -> None:
     rig = Rig()
     rig.select(control="RUN_STOP")

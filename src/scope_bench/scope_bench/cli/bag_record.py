@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     try:
-        _record(sink, options, given[split:])
+        _record(sink, path, options, given[split:])
     finally:
         sink.close()
     print(f"{path}: {sink.messages} messages, {sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped")
@@ -54,11 +54,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if sink.failure else 0
 
 
-def _record(sink: BagSink, options: argparse.Namespace, ros_arguments: Sequence[str]) -> None:
+def _record(sink: BagSink, path: Path, options: argparse.Namespace, ros_arguments: Sequence[str]) -> None:
     line = ProgressLine()
     with ros_session(ros_arguments) as session:
         node = BagRecorder(sink, options.topics, options.exclude)
         session.executor.add_node(node)
+        # Whoever started this program may send SIGINT from now on: the handlers are there.
+        print(f"recording to {path}", flush=True)
         start_s = time.monotonic()
         try:
             while session.goes_on and not sink.failure and (now_s := time.monotonic()) - start_s < options.duration:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from scope_ui_bridge.adapters.graph_port import GraphError
 
 _END_S = 10.0
+Answered = Callable[[bool, str], None]
 
 
 def bag_record() -> Path:
@@ -21,51 +24,87 @@ def bag_record() -> Path:
 class Recorder:
     """At most one recording at a time.
 
+    The program takes a while to start, and to write what waits at its end; a signal before it listens would end it
+    without a bag. So the answers are given, in a thread, when it says that it records and when it has ended.
+
     Parameters
     ----------
     folder
         Where the sessions go, each in a folder named by its time; empty = nothing can be recorded.
+    program
+        What records.
     """
 
-    def __init__(self, folder: str) -> None:
+    def __init__(self, folder: str, program: Path | None = None) -> None:
         self._folder = Path(folder).expanduser() if folder else None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._program = program or bag_record()
+        self._change = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
         self._output = Path()
+        self._records = False
+        self._ended: Answered | None = None
 
-    def start(self) -> str:
-        """Begin, and return where; GraphError when it cannot be."""
+    def start(self, answered: Answered) -> None:
+        """Begin, and answer where once it records; GraphError when it cannot be."""
         if self._folder is None:
             raise GraphError("record_folder is empty: nothing is recorded here")
-        if self._process is not None and self._process.poll() is None:
-            raise GraphError(f"already recording to {self._output}")
-        program = bag_record()
-        if not program.is_file():
-            raise GraphError("bag_record is not installed beside this program")
-        self._output = self._folder / time.strftime("%Y-%m-%d_%H-%M-%S")
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            self._process = subprocess.Popen(
-                [str(program), "-o", str(self._output), "--compress", "jpeg"], stdout=subprocess.DEVNULL
-            )
-        except OSError as error:
-            raise GraphError(f"cannot record to {self._output}: {error}") from error
-        return f"recording to {self._output}"
+        with self._change:
+            if self._process is not None and self._process.poll() is None:
+                raise GraphError(f"already recording to {self._output}")
+            if not self._program.is_file():
+                raise GraphError("bag_record is not installed beside this program")
+            self._output = self._folder / time.strftime("%Y-%m-%d_%H-%M-%S")
+            command = [str(self._program), "-o", str(self._output), "--compress", "jpeg"]
+            try:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+            except OSError as error:
+                raise GraphError(f"cannot record to {self._output}: {error}") from error
+            self._records, self._ended = False, None
+            follow = (self._process, self._output, answered)
+            threading.Thread(target=self._follow, args=follow, name="recorder", daemon=True).start()
 
-    def end(self) -> str:
-        """Ask the recording to end, which it does by itself with a whole bag; return where it is."""
-        if self._process is None or self._process.poll() is not None:
-            raise GraphError("nothing is being recorded")
-        self._process.send_signal(signal.SIGINT)
-        return f"recorded to {self._output}"
+    def end(self, answered: Answered) -> None:
+        """Ask the recording to end, and answer what it holds once the bag is whole; GraphError when there is none."""
+        with self._change:
+            if self._process is None or self._process.poll() is not None:
+                raise GraphError("nothing is being recorded")
+            if self._ended is not None:
+                raise GraphError(f"{self._output} is being finished already")
+            self._ended = answered
+            if self._records:
+                self._process.send_signal(signal.SIGINT)
 
     def close(self) -> None:
         """End with the bridge."""
-        if self._process is None:
+        with self._change:
+            process = self._process
+        if process is None:
             return
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGINT)
         try:
-            self._process.wait(_END_S)
+            process.wait(_END_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            process.kill()
+            process.wait()
+
+    def _follow(self, process: subprocess.Popen[str], output: Path, started: Answered) -> None:
+        assert process.stdout is not None
+        with process.stdout as said:
+            records = bool(said.readline())
+            with self._change:
+                self._records = records
+                if records and self._ended is not None:
+                    process.send_signal(signal.SIGINT)
+            if records:
+                started(True, f"recording to {output}")
+            summary = said.read().strip()
+        whole = process.wait() == 0
+        why = f"bag_record ended with {process.returncode}; {summary}".rstrip("; ")
+        if not records:
+            started(False, why)
+        with self._change:
+            # Another recording may have begun when this one ended by itself.
+            ended = self._ended if self._process is process else None
+        if ended is not None:
+            ended(whole, f"recorded to {summary}" if whole else why)

@@ -330,15 +330,20 @@ class WebServer:
                 self._graph.send_command(order.text)
             elif isinstance(order, SendGoal):
                 self._graph.send_goal(order.frame, order.point, order.stamp_ns)
-            elif isinstance(order, CallService) and order.service in ("record", "end_record"):
-                done = self.recorder.start() if order.service == "record" else self.recorder.end()
-                self._service_answered(order.entry, True, done)
             elif isinstance(order, CallService):
-                self._graph.call(order.service, lambda ok, text: self._service_answered(order.entry, ok, text))
+                self._call(order.service, lambda ok, text: self._service_answered(order.entry, ok, text))
         except OSError as error:
             self._carry_out(self._desk.order_failed(order, f"the record could not be written: {error}"))
         except GraphError as error:
             self._carry_out(self._desk.order_failed(order, str(error)))
+
+    def _call(self, service: str, answered: Callable[[bool, str], None]) -> None:
+        if service == "record":
+            self.recorder.start(answered)
+        elif service == "end_record":
+            self.recorder.end(answered)
+        else:
+            self._graph.call(service, answered)
 
     def _service_answered(self, entry: int, success: bool, text: str) -> None:
         self.post(self._desk.service_answered, entry, success, text)

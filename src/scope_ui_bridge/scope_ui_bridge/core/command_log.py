@@ -11,6 +11,8 @@ from icu_common.core.results import GoalResult
 from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Record
 
 _OPEN = ("sent", "accepted")
+# A recorder starts as a program, and writes up to 256 MB of pictures at its end; it answers in any case.
+_PATIENCE_S = {"record": 60.0, "end_record": 60.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,8 +62,8 @@ class CommandLog:
 
     @property
     def waiting(self) -> bool:
-        """Whether any command has no end yet."""
-        return bool(self._pending)
+        """Whether any command of the machine has no end yet; a recording holds nobody up."""
+        return any(entry.action not in _PATIENCE_S for entry in self._pending.values())
 
     @property
     def motion_waiting(self) -> bool:
@@ -113,7 +115,7 @@ class CommandLog:
         for entry in list(self._pending.values()):
             # An accepted goal may take its time, but not while the controller rests: then its end was lost.
             since_s = max(entry.sent_mono_s, self._last_active_s if entry.status == "accepted" else -math.inf)
-            if now.mono_s - since_s > timeout_s:
+            if now.mono_s - since_s > max(timeout_s, _PATIENCE_S.get(entry.action, 0.0)):
                 effects.append(shown(self.update(entry, status="no_answer")))
         return effects
 

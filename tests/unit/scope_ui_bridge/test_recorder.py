@@ -1,0 +1,67 @@
+"""Tests of recording from the page: the answers tell the truth, and no end comes too early for the program."""
+
+from __future__ import annotations
+
+import os
+import queue
+import sys
+from pathlib import Path
+
+import pytest
+
+from scope_ui_bridge.adapters.graph_port import GraphError
+from scope_ui_bridge.adapters.recorder import Recorder
+
+WITHIN_S = 10.0
+# Like bag_record: slow to start (here until somebody opens the fifo), then it says so, and ends by SIGINT.
+PROGRAM = """#!{python}
+import pathlib, signal, sys
+here = pathlib.Path(__file__).parent
+(here / "gate").read_text()
+signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+print("recording", flush=True)
+signal.sigwait([signal.SIGINT])
+pathlib.Path(sys.argv[2]).write_text("whole")
+print(sys.argv[2] + ": 7 messages")
+"""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    path = tmp_path / "record"
+    path.write_text(PROGRAM.format(python=sys.executable))
+    path.chmod(0o755)
+    os.mkfifo(tmp_path / "gate")
+    return path
+
+
+def test_an_end_that_is_asked_before_the_program_listens_still_leaves_a_whole_bag(program: Path) -> None:
+    answers: queue.Queue[tuple[str, bool, str]] = queue.Queue()
+    recorder = Recorder(str(program.parent / "sessions"), program)
+    recorder.start(lambda ok, text: answers.put(("start", ok, text)))
+    with pytest.raises(GraphError, match="already recording to"):
+        recorder.start(lambda ok, text: None)
+    recorder.end(lambda ok, text: answers.put(("end", ok, text)))
+    with pytest.raises(GraphError, match="is being finished already"):
+        recorder.end(lambda ok, text: None)
+    assert answers.empty(), "it neither records nor has it ended"
+    (program.parent / "gate").write_text("go")
+    what, ok, text = answers.get(timeout=WITHIN_S)
+    assert (what, ok) == ("start", True)
+    bag = Path(text.removeprefix("recording to "))
+    assert answers.get(timeout=WITHIN_S) == ("end", True, f"recorded to {bag}: 7 messages")
+    assert bag.read_text() == "whole"
+    with pytest.raises(GraphError, match="nothing is being recorded"):
+        recorder.end(lambda ok, text: None)
+    recorder.close()
+
+
+def test_a_program_that_cannot_record_is_told(tmp_path: Path) -> None:
+    program = tmp_path / "record"
+    program.write_text("#!/bin/sh\nexit 2\n")
+    program.chmod(0o755)
+    answers: queue.Queue[tuple[bool, str]] = queue.Queue()
+    recorder = Recorder(str(tmp_path / "sessions"), program)
+    recorder.start(lambda ok, text: answers.put((ok, text)))
+    assert answers.get(timeout=WITHIN_S) == (False, "bag_record ended with 2")
+    recorder.close()
