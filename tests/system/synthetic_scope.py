@@ -25,7 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 from icu_common.core.camera_model import CameraModel
-from icu_common.core.frames import CAMERA_LEFT, JOINTS, PANEL
+from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.geometry import Transform
 from icu_common.core.gesture import parse_gesture
 from icu_common.core.panel_layout import PanelLayout, load_layout, rgb
@@ -225,7 +225,10 @@ class SyntheticScope(Node):
 
     def on_goal(self, message: PointStamped) -> None:
         text = f"({message.point.x:.1f}, {message.point.y:.1f})@{message.header.frame_id}"
-        self.start(str(stamp_ns(message.header.stamp)), text, np.array([0.1, 0.1]))
+        # Base and panel are one here; only metres of the base are a place, a point of the picture is pressed anywhere.
+        metres = message.header.frame_id == BASE
+        place = np.array([message.point.x, message.point.y]) if metres else np.array([0.1, 0.1])
+        self.start(str(stamp_ns(message.header.stamp)), text, place)
 
     def stop(self, why: str) -> None:
         if self.goal is not None:
