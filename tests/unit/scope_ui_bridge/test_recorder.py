@@ -65,3 +65,17 @@ def test_a_program_that_cannot_record_is_told(tmp_path: Path) -> None:
     recorder.start(lambda ok, text: answers.put((ok, text)))
     assert answers.get(timeout=WITHIN_S) == (False, "bag_record ended with 2")
     recorder.close()
+
+
+def test_a_recording_that_does_not_end_with_the_bridge_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    program = tmp_path / "record"
+    program.write_text("#!/bin/sh\ntrap '' INT\necho recording\nexec tail -f /dev/null\n")
+    program.chmod(0o755)
+    began: queue.Queue[bool] = queue.Queue()
+    recorder = Recorder(str(tmp_path / "sessions"), program, end_s=0.1)
+    recorder.start(lambda ok, text: began.put(ok))
+    assert began.get(timeout=WITHIN_S)
+    recorder.close()
+    assert "was cut off; save it with: bag_info" in caplog.text

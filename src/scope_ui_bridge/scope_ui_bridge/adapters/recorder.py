@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 
 from scope_ui_bridge.adapters.graph_port import GraphError
 
-_END_S = 10.0
+_LOG = logging.getLogger(__name__)
 Answered = Callable[[bool, str], None]
 
 
@@ -33,9 +34,12 @@ class Recorder:
         Where the sessions go, each in a folder named by its time; empty = nothing can be recorded.
     program
         What records.
+    end_s
+        How long the end of the bridge waits for a whole bag.
     """
 
-    def __init__(self, folder: str, program: Path | None = None) -> None:
+    def __init__(self, folder: str, program: Path | None = None, end_s: float = 10.0) -> None:
+        self._end_s = end_s
         self._folder = Path(folder).expanduser() if folder else None
         self._program = program or bag_record()
         self._change = threading.Lock()
@@ -83,10 +87,11 @@ class Recorder:
             return
         process.send_signal(signal.SIGINT)
         try:
-            process.wait(_END_S)
+            process.wait(self._end_s)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+            _LOG.warning("%s was cut off; save it with: bag_info %s --repair NEW_BAG", self._output, self._output)
 
     def _follow(self, process: subprocess.Popen[str], output: Path, started: Answered) -> None:
         assert process.stdout is not None
