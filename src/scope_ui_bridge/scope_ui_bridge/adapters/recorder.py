@@ -19,7 +19,8 @@ Answered = Callable[[bool, str], None]
 
 def bag_record() -> Path:
     """Return the program, which is installed beside this one."""
-    return Path(sys.argv[0]).resolve().parents[3] / "scope_bench" / "lib" / "scope_bench" / "bag_record"
+    here = Path(sys.argv[0]).resolve().parent
+    return here / ".." / ".." / ".." / "scope_bench" / "lib" / "scope_bench" / "bag_record"
 
 
 class Recorder:
