@@ -230,6 +230,8 @@ def test_a_session_is_recorded_from_the_page_and_replayed_in_it(
     page.click("#tab-machine")
     page.click("[data-call=record]")
     folder = Path(re.findall(r"recording to (\S+)", operator.logs("Record.*done recording to", 30.0))[0])
+    # The recorder finds the topics by and by; pictures in the file show that it has.
+    wait_for(lambda: sum(file.stat().st_size for file in folder.glob("*.mcap")) > 300_000, 30.0, "pictures in the bag")
     operator.selects("RUN_STOP", "Run / Stop")
     operator.confirms()
     operator.logs("Press Run / Stop.*done", 10.0)
