@@ -79,6 +79,11 @@ def test_command_line_of_a_node(config: Path) -> None:
         ("remap:", "remaps:", "eye: unknown key remaps"),
         ("hardware: {set: {a: 3}}", "hardwear: {set: {a: 3}}", "eye: when 'hardwear'"),
         ("hardware: {set: {a: 3}}", "hardware: {package: q}", "eye: when hardware: only"),
+        (
+            "    when:\n      bench:",
+            "    set: {b: 1}\n    when:\n      bench:",
+            r"line 20: .set. stands here a second time",
+        ),
         ("params/eye.yaml", "params/ear.yaml", r"eye: parameter file .*ear\.yaml does not exist"),
     ],
 )

@@ -96,9 +96,11 @@ def load_graph(
     Raises
     ------
     GraphError
-        For unknown keys, profiles and scopes, and parameter files that do not exist.
+        For unknown and repeated keys, unknown profiles and scopes, and parameter files that do not exist.
     """
-    document = yaml.safe_load((config / "graph.yaml").read_text(encoding="utf-8"))
+    text = (config / "graph.yaml").read_text(encoding="utf-8")
+    _refuse_repeated_keys(yaml.compose(text, yaml.SafeLoader))
+    document = yaml.safe_load(text)
     profiles = list(document["profiles"])
     chain = _chain(document["profiles"], profile)
     layout = config / "scopes" / f"{scope or document['scope']}.yaml"
@@ -139,6 +141,20 @@ def load_graph(
             )
         )
     return programs, profiles
+
+
+def _refuse_repeated_keys(node: Any) -> None:
+    """YAML's loader keeps the last of equal keys and says nothing; what the others set would be missing."""
+    if isinstance(node, yaml.MappingNode):
+        seen = set()
+        for key, value in node.value:
+            if key.value in seen:
+                raise GraphError(f"graph.yaml, line {key.start_mark.line + 1}: {key.value!r} stands here a second time")
+            seen.add(key.value)
+            _refuse_repeated_keys(value)
+    elif isinstance(node, yaml.SequenceNode):
+        for value in node.value:
+            _refuse_repeated_keys(value)
 
 
 def _chain(profiles: Mapping[str, Any], profile: str) -> list[str]:
