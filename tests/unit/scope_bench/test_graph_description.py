@@ -82,7 +82,7 @@ def test_command_line_of_a_node(config: Path) -> None:
         (
             "    when:\n      bench:",
             "    set: {b: 1}\n    when:\n      bench:",
-            r"line 20: .set. stands here a second time",
+            r"line 18: 'set' stands here a second time",
         ),
         ("params/eye.yaml", "params/ear.yaml", r"eye: parameter file .*ear\.yaml does not exist"),
     ],
