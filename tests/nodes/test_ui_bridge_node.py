@@ -28,6 +28,7 @@ from icu_common.core.frames import CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.geometry import Transform
 from icu_common.core.gesture import parse_gesture
 from icu_common.core.panel_layout import load_layout
+from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
@@ -37,6 +38,7 @@ from icu_common.nodes.conversions import (
     header,
     image_message,
     joint_message,
+    panel_state_message,
     point_message,
     pose_message,
     result_message,
@@ -79,6 +81,7 @@ class Graph:
                 ("panel/pose", PoseStamped, qos.LATCHED),
                 ("panel/controls", MarkerArray, qos.LATCHED),
                 ("panel/confidence", Float32, qos.RESULTS),
+                ("panel/state", DiagnosticArray, qos.RESULTS),
                 ("stylus/tip", PointStamped, qos.SENSOR),
                 ("gantry/target", PointStamped, qos.LATCHED),
                 ("gantry/state", String, qos.LATCHED),
@@ -124,6 +127,10 @@ class Graph:
         self.publish("panel/controls", controls_message(load_layout(LAYOUT), header(stamp, PANEL)))
         self.publish("panel/pose", pose_message(panel_pose(), header(stamp, CAMERA_LEFT)))
         self.publish("panel/confidence", Float32(data=0.9))
+        lit = ControlSeen(name="RUN_STOP", kind="button", lamp="green")
+        knob = ControlSeen(name="CH1_SCALE", kind="knob", angle_deg=36.2, detent_deg=18.0, marks=(("X1", 30.0),))
+        seen = PanelSeen(stamp_ns=stamp, controls=(lit, knob))
+        self.publish("panel/state", panel_state_message(seen, header(stamp, CAMERA_LEFT)))
         self.publish("stylus/tip", point_message([0.0, 0.0, 0.5], header(stamp, CAMERA_LEFT)))
         self.publish("gantry/target", point_message([0.05, 0.0, 0.5], header(stamp, CAMERA_LEFT)))
         self.publish(
@@ -274,6 +281,9 @@ def test_the_page_shows_what_the_topics_say(ros: Any, bridge: Any) -> None:
     # base_from_reading = [[1, 0.1], [0, 1]]: x = 100 + 0.1 * 50 mm
     assert browser.state()["position_mm"] == [105.0, 50.0, 20.0]
     assert browser.state()["confidence"] == 0.9
+    lit, knob = ros.spin_until(lambda: browser.latest("panel"), WITHIN_S)["controls"]
+    assert (lit["name"], lit["lamp"]) == ("RUN_STOP", "green")
+    assert (knob["angle_deg"], knob["detent_deg"], knob["marks"]) == (36, 18.0, {"X1": 30.0})
 
 
 def test_a_control_is_pressed_and_the_result_comes_back(ros: Any, bridge: Any) -> None:

@@ -28,7 +28,8 @@ from icu_common.core.camera_model import CameraModel
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.geometry import Transform
 from icu_common.core.gesture import parse_gesture
-from icu_common.core.panel_layout import PanelLayout, load_layout, rgb
+from icu_common.core.panel_layout import Control, PanelLayout, load_layout, rgb
+from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
@@ -38,6 +39,7 @@ from icu_common.nodes.conversions import (
     header,
     image_message,
     joint_message,
+    panel_state_message,
     point_message,
     pose_message,
     result_message,
@@ -109,11 +111,14 @@ class SyntheticScope(Node):
         self.heartbeat_timeout = 0.6
         self.motion = 1.5
         self.controller, self.driver = "ready", "idle"
+        self.knobs = {c.name: c.marks[0][1] if c.marks else 10.0 for c in self.layout.controls if c.kind == "knob"}
+        self.changed_ns = 0
         self.images = {s: self.create_publisher(Image, f"{s}/image_raw", qos.IMAGES) for s in self.models}
         self.infos = {s: self.create_publisher(CameraInfo, f"{s}/camera_info", qos.IMAGES) for s in self.models}
         self.poses = self.create_publisher(PoseStamped, "panel/pose", qos.LATCHED)
         self.controls = self.create_publisher(MarkerArray, "panel/controls", qos.LATCHED)
         self.confidences = self.create_publisher(Float32, "panel/confidence", qos.SENSOR)
+        self.panels = self.create_publisher(DiagnosticArray, "panel/state", qos.RESULTS)
         self.corners = self.create_publisher(PointCloud2, "corners", qos.RESULTS)
         self.tips = self.create_publisher(PointStamped, "stylus/tip", qos.SENSOR)
         self.targets = self.create_publisher(PointStamped, "gantry/target", qos.LATCHED)
@@ -163,6 +168,7 @@ class SyntheticScope(Node):
         self.joints.publish(joint_message(JOINTS, self.position, header(stamp, "")))
         tip = pose.apply(np.array([self.position[0], self.position[1], 0.03 - self.position[2]]))
         self.tips.publish(point_message(tip, header(stamp, CAMERA_LEFT)))
+        self.panels.publish(panel_state_message(self.seen(stamp), header(stamp, CAMERA_LEFT)))
         if self.stalled:
             return
         face = draw_face(self.layout, self.running, self.phase)
@@ -184,6 +190,32 @@ class SyntheticScope(Node):
             self.images[side].publish(image_message(picture, "bgr8", header(stamp, CAMERA_LEFT)))
             self.infos[side].publish(camera_info_message(model, header(stamp, CAMERA_LEFT)))
 
+    def seen(self, stamp: int) -> PanelSeen:
+        """Return what recognition would read: RUN/STOP's lamp, the knobs' markers, when the screen changed."""
+
+        def one(control: Control) -> ControlSeen:
+            lamp = ("green" if self.running else "off") if control.name == "RUN_STOP" else ""
+            angle = self.knobs.get(control.name, math.nan)
+            changed = self.changed_ns if control.kind == "touch_area" else 0
+            more = {"detent_deg": control.detent_deg, "marks": control.marks, "changed_ns": changed}
+            return ControlSeen(name=control.name, kind=control.kind, lamp=lamp, angle_deg=angle, **more)
+
+        return PanelSeen(stamp_ns=stamp, controls=tuple(one(control) for control in self.layout.controls))
+
+    def has_effect(self, text: str) -> None:
+        """Do to the instrument what a gesture does."""
+        gesture = parse_gesture(text) if not text.startswith("(") else None
+        if gesture is None or not isinstance(gesture.target, str):
+            self.changed_ns = self.now()
+        elif gesture.target in self.knobs:
+            knob = self.layout.control(gesture.target)
+            way = -gesture.argument * knob.detent_deg if gesture.kind == "click" else gesture.argument
+            place = dict(knob.marks).get(gesture.mark, gesture.argument)
+            angle = place if gesture.kind == "set" else self.knobs[knob.name] + way
+            self.knobs[knob.name] = math.remainder(angle, 360.0)
+        elif gesture.target == "RUN_STOP":
+            self.running = not self.running
+
     def on_tick(self) -> None:
         if self.goal is None:
             return
@@ -193,7 +225,7 @@ class SyntheticScope(Node):
         elif self.now() - started > self.motion * 1e9:
             self.goal = None
             self.controller, self.driver = "ready", "idle"
-            self.running = self.running != ("RUN_STOP" in text)
+            self.has_effect(text)
             self.answer(goal_id, text, Outcome.REACHED, error_m=ERROR_M, duration_s=self.motion)
             self.say()
 
@@ -217,10 +249,11 @@ class SyntheticScope(Node):
 
     def on_command(self, message: String) -> None:
         gesture = parse_gesture(message.data)
-        name = gesture.target
-        place = (
-            np.array(self.layout.control(name).position_mm) * 1e-3 if isinstance(name, str) else np.array([0.1, 0.1])
-        )
+        target = gesture.target
+        if isinstance(target, str):
+            place = np.array(self.layout.control(target).position_mm) * 1e-3
+        else:
+            place = np.array([target.x, target.y] if target.frame == PANEL else [0.1, 0.1])
         self.start(gesture.id or message.data, message.data, place)
 
     def on_goal(self, message: PointStamped) -> None:

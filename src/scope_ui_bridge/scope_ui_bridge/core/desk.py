@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from icu_common.core.frames import BASE, CAMERA_LEFT
-from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
+from icu_common.core.gesture import Point
 from icu_common.core.results import GoalResult, Outcome
 from scope_ui_bridge.core import command_log, wire
 from scope_ui_bridge.core.command_log import CommandLog, LogEntry, record, shown
@@ -31,10 +31,11 @@ from scope_ui_bridge.core.effects import (
 from scope_ui_bridge.core.jog import HeldJog
 from scope_ui_bridge.core.lease import OperatorLease
 from scope_ui_bridge.core.machine_view import MachineView
+from scope_ui_bridge.core.panel_view import PanelView
 from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.refusal import Refusal
-from scope_ui_bridge.core.scene import Scene, moved_m
-from scope_ui_bridge.core.selection import GESTURES_OF, Selection, make_selection
+from scope_ui_bridge.core.scene import Scene
+from scope_ui_bridge.core.selection import Selection, action_text, make_gesture, make_selection
 
 HEARTBEAT_PERIOD_S = 0.2
 STATE_PERIOD_S = (0.1, 1.0)
@@ -75,6 +76,7 @@ class Desk:
         self.title = title
         self.scene = Scene()
         self.machine = MachineView()
+        self.panel = PanelView()
         self.lease = OperatorLease()
         self.stops = 0
         self._viewers: dict[str, _Viewer] = {}
@@ -89,6 +91,7 @@ class Desk:
         self._last_heartbeat_s = -math.inf
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
         self._last_facts: dict[str, Any] = {}
+        self._last_panel: list[dict[str, Any]] = []
         self._ros_ns = 0
         self._said: list[dict[str, Any]] = []
 
@@ -120,6 +123,7 @@ class Desk:
             "title": self.title,
             "replay": self.config.replay,
             "facts": self.machine.facts,
+            "panel": self.panel.message,
             "limits": limits,
             "log": self._log.messages(),
             "selection": self._selection.message() if self._selection else None,
@@ -247,6 +251,9 @@ class Desk:
         if self.machine.facts != self._last_facts:
             self._last_facts = dict(self.machine.facts)
             effects.append(Broadcast(message={"type": "facts", "facts": self._last_facts}))
+        if self.panel.message != self._last_panel:
+            self._last_panel = self.panel.message
+            effects.append(Broadcast(message={"type": "panel", "controls": self._last_panel}))
         return effects
 
     def _watch(self, silence_s: float, now: Now) -> list[Effect]:
@@ -303,11 +310,11 @@ class Desk:
     # --- selection and actuation -----------------------------------------------------------------------------------
 
     def _select(self, message: wire.Select, now: Now) -> list[Effect]:
-        if not message.control and message.point_px is None:
+        if not message.control and message.point_px is None and message.line_m is None:
             return self._clear_selection()
         self.machine.check_frame(message.camera, message.stamp_ns, self.config, now)
         pose = self.machine.check_recognition(self.scene.camera_from_panel, self.config, now)
-        self._selection = make_selection(self._selection_count + 1, message, self.scene, pose)
+        self._selection = make_selection(self._selection_count + 1, message, self.scene, pose, self.panel.seen)
         self._selection_count += 1
         return [Broadcast(message={"type": "selection", "selection": self._selection.message()})]
 
@@ -315,37 +322,25 @@ class Desk:
         selection = self._selection
         if selection is None or selection.number != message.selection:
             raise Refusal("selection_gone")
-        if message.gesture not in GESTURES_OF.get(selection.kind, ()):
-            raise Refusal("wrong_gesture", gesture=message.gesture, kind=selection.kind)
+        goal_id = f"ui-{self.boot_id[:6]}-{self._log.count + 1}"
+        gesture = make_gesture(selection, message, self.panel.seen, goal_id)
         self.machine.check_frame(message.camera, message.stamp_ns, self.config, now)
         pose = self.machine.check_recognition(self.scene.camera_from_panel, self.config, now)
         self.machine.check_ready()
         if self._log.waiting:
             raise Refusal("busy_pending")
-        moved = moved_m(selection.camera_from_panel, pose, selection.in_panel)
+        moved = selection.moved_m(pose)
         if moved > self.config.panel_moved_limit_m:
             self._selection = None
             raise Refusal(
                 "panel_moved", moved_mm=round(moved * 1e3, 1), limit_mm=round(self.config.panel_moved_limit_m * 1e3, 1)
             )
-        return self._gesture(viewer, selection, message, now)
-
-    def _gesture(self, viewer: str, selection: Selection, message: wire.Act, now: Now) -> list[Effect]:
-        target: str | Point = selection.control
-        if not selection.control:
-            assert selection.pixel is not None
-            target = Point(x=selection.pixel[0], y=selection.pixel[1], frame=CAMERA_LEFT)
-        goal_id = f"ui-{self.boot_id[:6]}-{self._log.count + 1}"
-        gesture = Gesture(kind=message.gesture, target=target, argument=message.argument, id=goal_id)
-        try:
-            parse_gesture(gesture.text())
-        except GestureError as error:
-            raise Refusal("malformed", what=str(error)) from error
         seen = {"camera": message.camera, "frame": str(message.stamp_ns)}
-        action = gesture.kind if math.isnan(gesture.argument) else f"{gesture.kind} {gesture.argument:g}"
-        if isinstance(target, Point) and gesture.kind == "press":
+        action = action_text(gesture)
+        if isinstance(gesture.target, Point) and gesture.kind == "press":
             entry = self._goal_entry(viewer, action, selection.name, now)
-            return [self._goal(entry, CAMERA_LEFT, (target.x, target.y), gesture.text(), seen, now), shown(entry)]
+            place = gesture.target.x, gesture.target.y
+            return [self._goal(entry, CAMERA_LEFT, place, gesture.text(), seen, now), shown(entry)]
         entry = self._log.add(self._name(viewer), action, selection.name, now, status="sent", goal_id=goal_id)
         return [SendCommand(**self._marks(entry, gesture.text(), seen, now), text=gesture.text()), shown(entry)]
 

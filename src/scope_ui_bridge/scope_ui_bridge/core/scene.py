@@ -31,6 +31,11 @@ class Face:
     centre: tuple[float, float, float]
     size: tuple[float, float]
 
+    def contains(self, point: Array) -> bool:
+        """Tell whether a point (x, y in m, panel_link) lies on the face."""
+        x, y = (np.asarray(point)[:2] - self.centre[:2]) / self.size * 2
+        return bool(x * x + y * y <= 1) if self.circle else bool(max(abs(x), abs(y)) <= 1)
+
     def outline(self) -> Array:
         """Return (N, 3) points in metres around the face, in panel_link."""
         if self.circle:
@@ -163,13 +168,13 @@ class Scene:
         }.get(frame)
         return None if camera_from is None else camera_from.apply(point)
 
-    def panel_point(self, pixel: tuple[float, float]) -> Array | None:
-        """Return (3,) m in panel_link where the ray of a raw pixel of the left picture meets the panel's face."""
+    def panel_point(self, pixel: tuple[float, float], height_m: float = 0.0) -> Array | None:
+        """Return (3,) m in panel_link where a left raw pixel's ray meets the panel's face, or the plane above it."""
         if self.left is None or self.camera_from_panel is None:
             return None
         pose = self.camera_from_panel
         try:
-            point = Plane.through(pose.translation, pose.rotation[:, 2]).intersect_ray(
+            point = Plane.through(pose.apply([0.0, 0.0, height_m]), pose.rotation[:, 2]).intersect_ray(
                 np.zeros(3), self.left.rays([pixel])[0]
             )
         except ValueError:

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
+from icu_common.core.gesture import GESTURES
 from scope_ui_bridge.core.refusal import Refusal
 
 MAX_BYTES = 4096
@@ -52,23 +53,32 @@ class Lease(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Select(Message):
-    """A control's name, or a point (raw pixel), on the picture with this stamp; neither = clear the selection."""
+    """A control's name, a point or a line, on the picture with this stamp; none of them = clear the selection.
+
+    Points are raw pixels; a line goes from ``point_px`` to ``to_px``, or over the face as ``line_m`` (x, y to x, y).
+    """
 
     camera: str
     stamp_ns: int
     control: str = ""
     point_px: tuple[float, float] | None = None
+    to_px: tuple[float, float] | None = None
+    line_m: tuple[float, float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Act(Message):
-    """Confirm: do the gesture at the selection, having seen the picture with this stamp."""
+    """Confirm: do the gesture at the selection, having seen the picture with this stamp.
+
+    ``argument`` is NaN where the gesture has none; ``mark`` is a knob's marked position, instead of an argument.
+    """
 
     gesture: str
     argument: float
     selection: int
     camera: str
     stamp_ns: int
+    mark: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +115,8 @@ SERVICES = (
     *("record", "end_record"),
 )
 CAMERAS = ("left", "right")
-GESTURES = ("press", "hold", "turn")
+_WITH_ARGUMENT = ("hold", "turn", "click")
+_LINE = ("x_mm", "y_mm", "to_x_mm", "to_y_mm")
 
 
 def decode(text: str | bytes) -> Message:
@@ -188,15 +199,21 @@ def _typed(raw: dict[str, Any]) -> Message:
     elif kind == "select":
         control = read.text("control") if "control" in raw else ""
         point = (read.number("u"), read.number("v")) if "u" in raw else None
-        if control and point:
-            read.wrong("control", control, "either a control or a point")
-        message = Select(**head, **read.picture(), control=control, point_px=point)
+        to = (read.number("to_u"), read.number("to_v")) if point and "to_u" in raw else None
+        x, y, to_x, to_y = (read.length(name) if _LINE[0] in raw else math.nan for name in _LINE)
+        line = None if math.isnan(x) else (x, y, to_x, to_y)
+        if bool(control) + bool(point) + bool(line) > 1:
+            read.wrong("control", control, "either a control, a point or a line")
+        message = Select(**head, **read.picture(), control=control, point_px=point, to_px=to, line_m=line)
     elif kind == "act":
         gesture = read.choice("gesture", GESTURES)
+        mark = read.text("mark") if gesture == "set" and "mark" in raw else ""
+        wants = gesture in _WITH_ARGUMENT or (gesture == "set" and not mark)
         message = Act(
             **head,
             gesture=gesture,
-            argument=math.nan if gesture == "press" else read.number("argument"),
+            argument=read.number("argument") if wants else math.nan,
+            mark=mark,
             selection=read.integer("selection"),
             **read.picture(),
         )

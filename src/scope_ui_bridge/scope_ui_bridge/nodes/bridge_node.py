@@ -37,6 +37,7 @@ from icu_common.nodes.conversions import (
     header,
     image_array,
     joint_positions,
+    panel_state_of_message,
     point_array,
     point_message,
     result_of_message,
@@ -148,6 +149,7 @@ class BridgeNode(Node):
         self._hear(PointCloud2, "corners", qos.SENSOR, self._corners_seen)
         self._hear(PoseStamped, "panel/pose", qos.LATCHED, self._pose_seen)
         self._hear(MarkerArray, "panel/controls", qos.LATCHED, self._controls_seen)
+        self._hear(DiagnosticArray, "panel/state", qos.SENSOR, self._panel_seen)
         self._hear(Float32, "panel/confidence", qos.SENSOR, self._confidence_seen)
         self._hear(PointStamped, "stylus/tip", qos.SENSOR, self._tip_seen)
         self._hear(PointStamped, "gantry/target", qos.LATCHED, self._target_seen)
@@ -202,6 +204,10 @@ class BridgeNode(Node):
         controls, outline = controls_of_message(message)
         faces = tuple(_face(control, self._label(control)) for control in controls)
         self._mail.newest("controls", self._set_scene, {"faces": faces, "outline": outline})
+
+    def _panel_seen(self, message: DiagnosticArray) -> None:
+        seen = panel_state_of_message(message)
+        self._mail.newest("panel", self._server.post_value, self._desk.panel.show, seen)
 
     def _label(self, control: Control) -> str:
         known = {c.name: c.label for c in self._layout.controls} if self._layout else {}

@@ -2,6 +2,7 @@
 
 import { desk } from "./desk.js";
 import { find, say } from "./dom.js";
+import { wireGestures } from "./gestures.js";
 import { t } from "./strings.js";
 
 const ARMED_MS = 4000;
@@ -19,14 +20,9 @@ export function stop() {
 
 export async function choose({ byKey, ...what }) {
   const good = await desk.ask("select", { ...desk.seen, ...what });
-  if (good && byKey) find("confirm").querySelector("button:not([disabled]):not([hidden])")?.focus();
-}
-
-function act(gesture, argument) {
-  if (!desk.selection?.gestures.includes(gesture) || desk.whyNot !== "") return;
-  const more = gesture === "press" ? {} : { argument };
-  document.dispatchEvent(new Event("acting")); // the picture before is kept for comparing
-  desk.ask("act", { gesture, selection: desk.selection.number, ...desk.seen, ...more });
+  if (!good || !byKey) return;
+  const able = [...find("confirm").querySelectorAll("button:not([disabled])")];
+  able.find((button) => button.offsetParent !== null)?.focus();
 }
 
 function wireStop() {
@@ -41,14 +37,7 @@ function wireStop() {
   });
 }
 
-function wireGestures() {
-  for (const button of document.querySelectorAll("[data-act]")) {
-    button.addEventListener("click", () => {
-      const sign = Number(button.dataset.sign ?? 1);
-      const value = Number(find(button.dataset.act === "hold" ? "hold-seconds" : "turn-degrees").value);
-      act(button.dataset.act, button.dataset.act === "hold" ? value : sign * value);
-    });
-  }
+function wireSelection() {
   find("clear").addEventListener("click", () => desk.ask("select", desk.seen));
   find("chooser").addEventListener("change", (event) => {
     if (event.target.value) choose({ control: event.target.value, byKey: false });
@@ -83,6 +72,9 @@ function wireKeys() {
     l: () => desk.state && !desk.state.lease.holder && find("lease-take").click(),
     "[": () => document.querySelector('[data-act="turn"][data-sign="1"]').click(),
     "]": () => document.querySelector('[data-act="turn"][data-sign="-1"]').click(),
+    "<": () => document.querySelector('[data-act="click"][data-sign="-1"]').click(),
+    ">": () => document.querySelector('[data-act="click"][data-sign="1"]').click(),
+    d: () => find("draw").offsetParent && find("draw").click(),
     "?": () => find("help").showModal(),
   };
   document.addEventListener(
@@ -106,6 +98,7 @@ function wireKeys() {
 
 export function wireActions() {
   wireStop();
+  wireSelection();
   wireGestures();
   for (const step of ["take", "request", "release", "grant", "decline"]) {
     find(`lease-${step}`).addEventListener("click", () => desk.ask("lease", { step }));

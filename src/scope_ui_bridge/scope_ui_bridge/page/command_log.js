@@ -108,7 +108,13 @@ export function actionText(entry) {
   const [name, argument] = entry.action.split(" ");
   if (!has(`action_${name}`)) return entry.action;
   const value = Number(argument);
-  const details = { hold: ` ${value} s`, turn: ` ${value > 0 ? "↺" : "↻"} ${Math.abs(value)}°` }[name] ?? "";
+  const details =
+    {
+      hold: ` ${value} s`,
+      turn: ` ${value > 0 ? "↺" : "↻"} ${Math.abs(value)}°`,
+      click: ` ${value > 0 ? "↻" : "↺"} ${Math.abs(value)}`,
+      set: ` ${Number.isFinite(value) ? `${value}°` : argument}`,
+    }[name] ?? "";
   return t(`action_${name}`) + details;
 }
 

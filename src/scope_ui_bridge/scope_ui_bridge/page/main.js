@@ -6,8 +6,11 @@ import { Console } from "./console.js";
 import { renderGuide, sampleGuide, setFacts } from "./guide.js";
 import { desk } from "./desk.js";
 import { find, press, put, say } from "./dom.js";
+import { renderDraw, wireDraw } from "./draw.js";
+import { renderGestures } from "./gestures.js";
 import { renderMove, wireMove } from "./move.js";
 import { Overlay } from "./overlay.js";
+import { renderPanel, seenText, setPanel } from "./panel_seen.js";
 import { addError, renderPlots, sample } from "./plots.js";
 import { banner, chip, stateChip } from "./status.js";
 import { keepLanguage, language, startLanguage, t } from "./strings.js";
@@ -18,7 +21,7 @@ const KEEP_ALIVE_MS = 200;
 
 startLanguage();
 const { link, video } = desk;
-const overlay = new Overlay(find("stage"), find("overlay"), find("controls"));
+const overlay = new Overlay(find("stage"), find("overlay"), find("controls"), seenText);
 const log = new CommandLog(find("log"));
 const lines = new Console(find("console-lines"));
 let lastBoot = "";
@@ -35,6 +38,7 @@ link.addEventListener("hello", ({ detail }) => {
   desk.me = detail.you;
   desk.replay = detail.replay;
   setFacts(detail.facts);
+  setPanel(detail.panel);
   desk.limits = detail.limits;
   if (detail.title) {
     delete find("title").dataset.text; // its name is the instrument's, in any language
@@ -47,6 +51,10 @@ link.addEventListener("hello", ({ detail }) => {
   setState(detail.state);
 });
 link.addEventListener("facts", ({ detail }) => setFacts(detail.facts));
+link.addEventListener("panel", ({ detail }) => {
+  setPanel(detail.controls);
+  overlay.relabel();
+});
 link.addEventListener("state", ({ detail }) => setState(detail));
 link.addEventListener("selection", ({ detail }) => setSelection(detail.selection));
 link.addEventListener("console", ({ detail }) => lines.add(detail.lines));
@@ -157,6 +165,7 @@ function render() {
   renderLease();
   renderSelection();
   renderMachine();
+  renderPanel(overlay.controls);
   renderMove();
   renderTools();
   renderAge();
@@ -182,16 +191,16 @@ function renderSelection() {
   const { selection } = desk;
   const reason = desk.whyNot;
   find("selection-card").dataset.look = selection ? "chosen" : "";
-  put(find("selection-name"), selection ? selection.label || t("selection_point") : t("selection_none"));
+  find("selection-card").dataset.kind = selection?.kind ?? "";
+  put(find("selection-name"), selection ? selection.label || t(selection.to_mm ? "selection_a_line" : "selection_point") : t("selection_none"));
   const [x, y] = selection?.panel_mm ?? [];
-  put(find("selection-detail"), selection
-    ? t("selection_detail", { kind: t(`kind_${selection.kind}`), x: x?.toFixed(1), y: y?.toFixed(1) })
-    : t("selection_hint"));
-  for (const button of document.querySelectorAll("[data-act]")) {
-    const able = selection ? selection.gestures.includes(button.dataset.act) : button.dataset.act === "press";
-    (button.closest("[data-for]") ?? button).hidden = !able;
-    button.disabled = !selection || !able || reason !== "";
-  }
+  const seen = seenText(selection?.control);
+  const detail = selection?.to_mm
+    ? t("selection_line", { x: x.toFixed(1), y: y.toFixed(1), to_x: selection.to_mm[0], to_y: selection.to_mm[1] })
+    : selection && t("selection_detail", { kind: t(`kind_${selection.kind}`), x: x?.toFixed(1), y: y?.toFixed(1) });
+  put(find("selection-detail"), detail ? `${detail}${seen && ` · ${seen}`}` : t("selection_hint"));
+  renderGestures();
+  renderDraw(overlay.controls);
   find("clear").hidden = !selection;
   find("clear").disabled = !desk.mine;
   const element = find("refusal");
@@ -271,6 +280,7 @@ function beat(now) {
 }
 
 wireActions();
+wireDraw(overlay);
 wireMove();
 wireTools();
 wireTabs(find("tabs"));

@@ -14,13 +14,16 @@ export class Overlay extends EventTarget {
   #panel = { outline: [], controls: [] };
   #selection = null;
   #size = [1280, 720];
+  #seen;
 
-  constructor(stage, svg, box) {
+  /** `seen` returns what is seen of a control, in words. */
+  constructor(stage, svg, box, seen = () => "") {
     super();
+    this.#seen = seen;
     this.#stage = stage;
     this.#svg = svg;
     this.#box = box;
-    for (const name of ["outline", "controls", "corners", "target", "tip", "chosen"]) {
+    for (const name of ["outline", "controls", "corners", "target", "tip", "chosen", "line"]) {
       const group = document.createElementNS(NS, "g");
       group.setAttribute("class", `layer-${name}`);
       svg.append(group);
@@ -51,12 +54,26 @@ export class Overlay extends EventTarget {
     this.#selection = selection;
     for (const [name, button] of this.#buttons) button.setAttribute("aria-pressed", String(selection?.control === name));
     this.#drawControls();
-    this.#mark("chosen", selection && !selection.control ? selection.pixel : null);
+    this.#mark("chosen", selection && !selection.control && !selection.to_pixel ? selection.pixel : null);
+    this.line(null);
   }
 
-  /** Name the buttons anew, in another language. */
+  /** Draw an arrow from one pixel to another; without one, the selected line. */
+  line(ends) {
+    const { pixel, to_pixel: to } = this.#selection ?? {};
+    const [from, end] = ends ?? (to ? [pixel, to] : []);
+    this.#layers.line.replaceChildren(...(from ? doubled("path", { d: arrow(from, end) }) : []));
+  }
+
+  /** Name the buttons anew, in another language or after something has changed on the panel. */
   relabel() {
-    for (const control of this.#panel.controls) label(this.#buttons.get(control.name), control);
+    for (const control of this.#panel.controls) this.#label(control);
+  }
+
+  #label(control) {
+    const button = this.#buttons.get(control.name);
+    const name = [control.label, t(`kind_${control.kind}`), this.#seen(control.name)].filter(Boolean).join(", ");
+    if (button && button.getAttribute("aria-label") !== name) button.setAttribute("aria-label", name);
   }
 
   #show(panel) {
@@ -81,10 +98,10 @@ export class Overlay extends EventTarget {
       button.dataset.control = control.name;
       button.dataset.kind = control.kind;
       button.dataset.tag = control.label;
-      label(button, control);
       button.setAttribute("aria-pressed", String(this.#selection?.control === control.name));
       if (control.kind === "connector") button.setAttribute("aria-disabled", "true");
       this.#buttons.set(control.name, button);
+      this.#label(control);
       this.#box.append(button);
       if (focused === control.name) button.focus();
     }
@@ -141,10 +158,16 @@ export class Overlay extends EventTarget {
       this.dispatchEvent(new CustomEvent("choose", { detail: { control: button.dataset.control, byKey } }));
       return;
     }
+    const [u, v] = this.pixel(event);
+    this.dispatchEvent(new CustomEvent("choose", { detail: { u, v, byKey } }));
+  }
+
+  /** The picture's pixel under a pointer. */
+  pixel(event) {
     const area = this.#svg.getBoundingClientRect();
     const u = ((event.clientX - area.left) / area.width) * this.#size[0] - 0.5;
     const v = ((event.clientY - area.top) / area.height) * this.#size[1] - 0.5;
-    this.dispatchEvent(new CustomEvent("choose", { detail: { u: round(u), v: round(v), byKey } }));
+    return [round(u), round(v)];
   }
 
   /** Arrow keys go to the nearest control in that direction. */
@@ -167,8 +190,12 @@ export class Overlay extends EventTarget {
   }
 }
 
-function label(button, control) {
-  button?.setAttribute("aria-label", `${control.label}, ${t(`kind_${control.kind}`)}`);
+/** A ring where it begins, and a head where it ends. */
+function arrow([u, v], [toU, toV]) {
+  const length = Math.hypot(toU - u, toV - v) || 1;
+  const [du, dv] = [(12 * (toU - u)) / length, (12 * (toV - v)) / length];
+  const head = [[-du - dv / 2, -dv + du / 2], [-du + dv / 2, -dv - du / 2]].map(([a, b]) => `M${toU} ${toV}l${a} ${b}`);
+  return `M${u - 6} ${v}a6 6 0 1 0 12 0a6 6 0 1 0 -12 0M${u} ${v}L${toU} ${toV}${head.join("")}`;
 }
 
 function centre(control) {

@@ -1,0 +1,48 @@
+"""What recognition sees of the panel, as the pages show it: lit lamps, knobs' angles, when a screen changed."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from icu_common.core.panel_state import PanelSeen
+from scope_ui_bridge.core.effects import Now
+
+
+class PanelView:
+    """The newest state of the panel; ``message`` is made anew only when people would see a difference."""
+
+    def __init__(self) -> None:
+        self.seen: PanelSeen | None = None
+        self.message: list[dict[str, Any]] = []
+        self._changed: dict[str, tuple[int, int]] = {}
+
+    def show(self, seen: PanelSeen, now: Now) -> None:
+        """Take what was seen."""
+        self.seen = seen
+        shown = []
+        for control in seen.controls:
+            shown.append(
+                {
+                    "name": control.name,
+                    "kind": control.kind,
+                    "hidden_by": control.hidden_by,
+                    "lamp": control.lamp,
+                    # Whole degrees: the noise of the reading is no news.
+                    "angle_deg": None if math.isnan(control.angle_deg) else round(control.angle_deg),
+                    "changed_ms": self._changed_ms(control.name, control.changed_ns, now),
+                    "detent_deg": control.detent_deg,
+                    "marks": dict(control.marks),
+                }
+            )
+        self.message = shown
+
+    def _changed_ms(self, name: str, changed_ns: int, now: Now) -> int:
+        """Return the wall time of a change, 0 for none; the graph's clock may be a recording's."""
+        if not changed_ns:
+            return 0
+        known = self._changed.get(name)
+        if known is None or known[0] != changed_ns:
+            known = changed_ns, round(now.wall_s * 1e3 - (now.ros_ns - changed_ns) / 1e6)
+            self._changed[name] = known
+        return known[1]

@@ -1,0 +1,98 @@
+// What can be done with the selection: press, double, long, hold; turn, clicks and positions of a knob; draw a line.
+
+import { desk } from "./desk.js";
+import { find } from "./dom.js";
+import { seenOf } from "./panel_seen.js";
+
+const NS = "http://www.w3.org/2000/svg";
+let dialOf = 0; // the selection whose angle the dial was set to
+
+/** The fields of a confirmation, besides the selection and the picture. */
+function wanted(button) {
+  const gesture = button.dataset.act;
+  const sign = Number(button.dataset.sign ?? 1);
+  const value = (id) => find(id).valueAsNumber || Number(find(id).value);
+  if (gesture === "hold") return { argument: value("hold-seconds") };
+  if (gesture === "turn") return { argument: sign * value("turn-degrees") };
+  if (gesture === "click") return { argument: sign * value("click-count") };
+  if (gesture === "set") {
+    const mark = find("set-mark").value;
+    return mark ? { mark } : { argument: value("set-degrees") };
+  }
+  return {};
+}
+
+function act(button) {
+  const gesture = button.dataset.act;
+  if (!desk.selection?.gestures.includes(gesture) || desk.whyNot !== "") return;
+  document.dispatchEvent(new Event("acting")); // the picture before is kept for comparing
+  desk.ask("act", { gesture, selection: desk.selection.number, ...desk.seen, ...wanted(button) });
+}
+
+// --- the dial: where a knob's marker stands, and where it shall stand; degrees counter-clockwise from up ---------------
+
+function turned(event) {
+  const area = find("dial").getBoundingClientRect();
+  const [x, y] = [event.clientX - area.left - area.width / 2, event.clientY - area.top - area.height / 2];
+  if (Math.hypot(x, y) < 6) return;
+  find("set-degrees").value = String(Math.round((Math.atan2(-x, -y) * 180) / Math.PI));
+  find("set-mark").value = "";
+  renderDial();
+}
+
+function hand(name, degrees) {
+  const line = find("dial").querySelector(`.${name}`);
+  line.setAttribute("visibility", Number.isFinite(degrees) ? "visible" : "hidden");
+  if (Number.isFinite(degrees)) line.setAttribute("transform", `rotate(${-degrees})`);
+}
+
+function renderDial() {
+  const seen = seenOf(desk.selection?.control);
+  const mark = find("set-mark").value;
+  hand("seen", seen?.angle_deg ?? NaN);
+  hand("wanted", mark ? seen?.marks[mark] ?? NaN : find("set-degrees").valueAsNumber);
+}
+
+function newKnob(seen) {
+  const marks = Object.keys(seen?.marks ?? {});
+  find("set-mark").replaceChildren(new Option("–", ""), ...marks.map((name) => new Option(name, name)));
+  find("set-mark").closest("label").hidden = marks.length === 0;
+  find("set-degrees").value = String(seen?.angle_deg ?? 0);
+  const ticks = Object.values(seen?.marks ?? {}).map((degrees) => {
+    const tick = document.createElementNS(NS, "path");
+    tick.setAttribute("d", "M0 -46V-38");
+    tick.setAttribute("transform", `rotate(${-degrees})`);
+    return tick;
+  });
+  find("dial").querySelector(".marks").replaceChildren(...ticks);
+}
+
+export function wireGestures() {
+  for (const button of document.querySelectorAll("[data-act]")) button.addEventListener("click", () => act(button));
+  const dial = find("dial");
+  dial.addEventListener("pointerdown", (event) => {
+    dial.setPointerCapture(event.pointerId);
+    turned(event);
+  });
+  dial.addEventListener("pointermove", (event) => dial.hasPointerCapture(event.pointerId) && turned(event));
+  find("set-degrees").addEventListener("input", () => {
+    find("set-mark").value = "";
+    renderDial();
+  });
+  find("set-mark").addEventListener("change", renderDial);
+}
+
+export function renderGestures() {
+  const { selection } = desk;
+  const reason = desk.whyNot;
+  for (const button of document.querySelectorAll("[data-act]")) {
+    const able = selection ? selection.gestures.includes(button.dataset.act) : button.dataset.act === "press";
+    (button.closest("[data-for]") ?? button).hidden = !able;
+    button.disabled = !selection || !able || reason !== "";
+  }
+  if (selection && selection.kind === "knob") {
+    if (dialOf !== selection.number) newKnob(seenOf(selection.control));
+    renderDial();
+  }
+  dialOf = selection?.number ?? 0;
+}

@@ -1,0 +1,68 @@
+// What recognition sees of the panel: lit lamps, knobs' angles, screens that changed, and what hides a control.
+
+import { find, put } from "./dom.js";
+import { has, t } from "./strings.js";
+
+let controls = new Map();
+let labels = new Map();
+
+export function setPanel(list) {
+  controls = new Map(list.map((control) => [control.name, control]));
+}
+
+export function seenOf(name) {
+  return controls.get(name);
+}
+
+/** What is seen of a control, in words; empty where there is nothing to say. */
+export function seenText(name) {
+  const seen = controls.get(name);
+  if (!seen) return "";
+  if (seen.hidden_by) return t(`hidden_${seen.hidden_by}`);
+  if (seen.lamp) return t("lamp", { colour: has(`lamp_${seen.lamp}`) ? t(`lamp_${seen.lamp}`) : seen.lamp });
+  if (seen.angle_deg !== null) return markText(seen) ?? t("at_degrees", { degrees: degrees(seen.angle_deg) });
+  if (!seen.changed_ms) return "";
+  return t("changed_at", { time: new Date(seen.changed_ms).toLocaleTimeString([], { hour12: false }) });
+}
+
+/** The marked position that a knob stands at, with its angle. */
+function markText({ marks, angle_deg: angle }) {
+  const near = Object.entries(marks).find(([, place]) => Math.abs(((angle - place + 540) % 360) - 180) <= 4);
+  return near ? t("at_mark", { mark: near[0], degrees: degrees(angle) }) : undefined;
+}
+
+function degrees(value) {
+  return `${value > 0 ? "+" : ""}${value}`;
+}
+
+/** List what can be said of the panel; `shown` are the controls of the picture, which have labels. */
+export function renderPanel(shown) {
+  labels = new Map(shown.map((control) => [control.name, control.label]));
+  const list = find("seen");
+  const said = [...controls.keys()].map((name) => [name, seenText(name)]).filter(([, text]) => text !== "");
+  const names = said.map(([name]) => name).join();
+  if (list.dataset.names !== names) {
+    list.dataset.names = names;
+    list.replaceChildren(...said.map(([name]) => row(name)));
+  }
+  for (const [name, text] of said) {
+    const item = list.querySelector(`[data-seen="${name}"]`);
+    const { lamp = "", hidden_by: hidden } = controls.get(name);
+    item.dataset.lamp = hidden ? "" : lamp;
+    item.dataset.hidden = hidden;
+    put(item.querySelector("dt"), labels.get(name) ?? name);
+    put(item.querySelector("dd span:last-child"), text);
+  }
+  find("seen-none").hidden = said.length > 0;
+}
+
+function row(name) {
+  const item = document.createElement("div");
+  item.dataset.seen = name;
+  const [term, value, dot, text] = ["dt", "dd", "span", "span"].map((tag) => document.createElement(tag));
+  dot.className = "lamp";
+  dot.setAttribute("aria-hidden", "true");
+  value.append(dot, text);
+  item.append(term, value);
+  return item;
+}
