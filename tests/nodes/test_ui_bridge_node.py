@@ -353,7 +353,7 @@ def test_heartbeats_are_published_only_with_the_operators_keep_alives(ros: Any, 
     browser.alive()
     assert browser.ask(type="call", service="home")["code"] == "no_lease"
     assert len(graph.heartbeats) == count
-    assert browser.latest("log")["entry"]["target"] == "stopped_page_silent"
+    assert browser.latest("log")["entry"]["target"] == "stopped_page_frozen"
 
 
 @pytest.mark.parametrize(

@@ -22,16 +22,26 @@ class Room:
     def __init__(self, rig: MachineRig, browser: Any) -> None:
         self.rig, self.browser = rig, browser
         self.operator = Operator(browser, rig.by_link(rig.address()))
-        self.witness = Operator(browser, rig.new_address())
+        self.witness = self.looks_on()
         page = self.operator.page
         page.click("#lease-take")
         self.operator.sees("#lease-text", "You are in control")
         self.operator.sees("#chip-driver", "Not homed", within_s=20.0)
         page.click("[data-call=enable]")
-        page.click("[data-call=home]")
-        page.click("[data-call=home]")
-        self.operator.sees("#chip-driver", "Idle", within_s=60.0)
+        for _ in range(3):
+            page.click("[data-call=home]")
+            page.click("[data-call=home]")
+            self.operator.sees("#chip-driver", "Homing")
+            if "Idle" in self.operator.sees("#chip-driver", "Idle|Stopped", within_s=60.0):
+                break
+            # A machine so loaded that the page was late is stopped, as it should be; a person goes on.
+            print(page.inner_text("#banner"))
+            self.resets(then="Not homed|Idle")
         page.click("#tab-move")
+
+    def looks_on(self) -> Operator:
+        """Return a second person, whose page speaks German."""
+        return Operator(self.browser, self.rig.new_address(), locale="de-DE")
 
     def moves(self) -> int:
         """Begin a long move; return the board's log number and the time at which it is under way."""
@@ -51,7 +61,7 @@ class Room:
                 break
         return self.rig.mark()
 
-    def resets(self) -> None:
+    def resets(self, then: str = "Idle") -> None:
         """Go on as a person would: take control if it was lost, reset."""
         operator = self.operator
         operator.sees("#chip-driver", "Stopped", within_s=10.0)
@@ -64,7 +74,7 @@ class Room:
             operator.page.click("#lease-take")
         operator.until(lambda: operator.page.is_enabled("#reset"), 5.0, lambda: "reset can be pressed")
         operator.page.click("#reset")
-        operator.sees("#chip-driver", "Idle", within_s=10.0)
+        operator.sees("#chip-driver", then, within_s=10.0)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +96,8 @@ def test_stop(room: Room) -> None:
     begin = time.monotonic()
     room.operator.page.keyboard.press("Escape")
     check("Escape", begin, room.rig.halted_s(since))
-    room.witness.sees("#banner", "STOPPED")
+    room.operator.sees("#banner", "STOPPED – STOP was pressed by Operator 1")
+    room.witness.sees("#banner", "GESTOPPT – Operator 1 hat STOP gedrückt")
     room.resets()
 
 
@@ -97,8 +108,10 @@ def test_the_page_freezes(room: Room) -> None:
         "() => { setTimeout(() => { const t = performance.now(); while (performance.now() - t < 1500); }) }"
     )
     check("page frozen", begin, room.rig.halted_s(since))
-    row = room.witness.logs("STOP.*page was silent", 5.0)
+    row = room.witness.logs("STOP.*Seite des Bedieners antwortete nicht mehr", 5.0)
     assert "Watchdog" in row
+    room.witness.sees("#banner", r"GESTOPPT – die Seite des Bedieners antwortete nicht.*0\.\d s lang nichts")
+    room.operator.sees("#banner", "STOPPED – the operator’s page did not respond")
     room.operator.sees("#lease-text", "Nobody is in control")
     assert not room.operator.page.is_enabled("#reset"), "nothing resumes by itself"
     room.resets()
@@ -113,9 +126,19 @@ def test_the_tab_is_hidden(room: Room) -> None:
             window.requestAnimationFrame = (f) => waiting.push(f);
             window.show = () => { window.requestAnimationFrame = frame; waiting.forEach((f) => frame(f)); }; }"""
     )
-    check("tab hidden", begin, room.rig.halted_s(since))
-    room.witness.logs("STOP.*page was silent", 5.0)
+    check("no animation frames", begin, room.rig.halted_s(since))
+    room.witness.sees("#banner", "GESTOPPT – die Seite des Bedieners antwortete nicht")
     room.operator.page.evaluate("() => window.show()")
+    room.resets()
+    since = room.moves()
+    begin = time.monotonic()
+    room.operator.page.evaluate(
+        """() => { Object.defineProperty(document, 'visibilityState', {value: 'hidden', configurable: true});
+            document.dispatchEvent(new Event('visibilitychange')); delete document.visibilityState; }"""
+    )
+    check("tab hidden, which it says", begin, room.rig.halted_s(since))
+    room.operator.sees("#banner", "STOPPED – the operator’s page was hidden")
+    room.witness.sees("#banner", "GESTOPPT – die Seite des Bedieners war verdeckt")
     room.resets()
 
 
@@ -124,11 +147,12 @@ def test_the_link_is_cut(room: Room) -> None:
     begin = time.monotonic()
     room.rig.link.cut()
     check("link cut", begin, room.rig.halted_s(since))
-    room.witness.logs("STOP.*page was silent", 5.0)
+    room.witness.sees("#banner", "GESTOPPT – die Verbindung zur Seite des Bedieners ist abgerissen")
     room.operator.sees("#banner", "link to the bridge is lost", within_s=5.0)
     room.operator.sees("#chip-link", "LOST")
     room.rig.link.mend()
     room.operator.sees("#chip-link", r"\d ms", within_s=10.0)
+    room.operator.sees("#banner", "STOPPED – the link to the operator’s page was lost")
     room.resets()
 
 
@@ -137,7 +161,9 @@ def test_the_camera_stalls(room: Room) -> None:
     begin = time.monotonic()
     room.rig.camera.send_signal(signal.SIGSTOP)
     check("camera stalled", begin, room.rig.halted_s(since))
-    room.operator.logs("STOP.*no picture came while something moved", 5.0)
+    room.operator.logs("STOP.*no camera picture came while something moved", 5.0)
+    room.operator.sees("#banner", r"STOPPED – no camera picture came.*nothing for 0\.\d s")
+    room.witness.sees("#banner", "GESTOPPT – während einer Bewegung kam kein Kamerabild")
     room.operator.sees("#stale", "STALE")
     assert not room.operator.page.is_enabled("#go")
     room.rig.camera.send_signal(signal.SIGCONT)
@@ -167,7 +193,7 @@ def test_the_server_is_killed(room: Room) -> None:
     room.operator.page.wait_for_selector("#token", timeout=20_000)
     room.operator.page.fill("#token", (room.rig.folder / "token").read_text())
     room.operator.page.click("button[type=submit]:visible")
-    room.witness = Operator(room.browser, room.rig.new_address())
+    room.witness = room.looks_on()
     room.operator.sees("#banner", "STOPPED.*heartbeat", within_s=10.0)
     room.resets()
     room.operator.page.click("#tab-move")

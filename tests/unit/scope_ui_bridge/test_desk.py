@@ -446,7 +446,7 @@ def test_600_ms_of_silence_while_something_moves_stops_it_once_and_takes_the_lea
     assert of_type(rig.wait(0.55), StopNow) == []
     effects = rig.wait(0.1)
     (stop,) = of_type(effects, StopNow)
-    assert (stop.record["who"], stop.record["target"]) == ("Watchdog", "stopped_page_silent")
+    assert (stop.record["who"], stop.record["target"]) == ("Watchdog", "stopped_link_lost")
     assert rig.desk.lease.holder == ""
     assert of_type(rig.wait(2.0, alive=True), (Heartbeat, StopNow)) == [], "nothing resumes by itself"
     assert refusal(rig.act()) == "no_lease"

@@ -35,6 +35,7 @@ from scope_ui_bridge.core.effects import (
     Heartbeat,
     Now,
     Order,
+    Ping,
     Record,
     Send,
     SendCommand,
@@ -85,6 +86,7 @@ class WebServer:
         self.video = VideoHub(desk, self._encoder, lambda: desk.config.jpeg_quality, graph.ros_ns)
         self.recorder = Recorder(config.record_folder)
         self._outboxes: dict[str, asyncio.Queue[str]] = {}
+        self._controls: dict[str, web.WebSocketResponse] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._tasks: set[asyncio.Task[Any]] = set()
         self._closing = asyncio.Event()
@@ -205,19 +207,21 @@ class WebServer:
 
     # --- WebSockets ------------------------------------------------------------------------------------------------
 
-    async def _open(self, request: web.Request) -> tuple[web.WebSocketResponse, Session]:
+    async def _open(self, request: web.Request, autoping: bool = True) -> tuple[web.WebSocketResponse, Session]:
         session = self.door.session(request)
         if session is None:
             raise web.HTTPUnauthorized(reason="sign in first")
         if len(self._sockets) >= 2 * self._config.max_viewers:
             raise web.HTTPServiceUnavailable(reason="too many viewers")
-        socket = web.WebSocketResponse(max_msg_size=_HARD_LIMIT, compress=False, heartbeat=5.0, timeout=1.0)
+        socket = web.WebSocketResponse(
+            max_msg_size=_HARD_LIMIT, compress=False, heartbeat=5.0, timeout=1.0, autoping=autoping
+        )
         await socket.prepare(request)
         self._sockets.add(socket)
         return socket, session
 
     async def _control(self, request: web.Request) -> web.StreamResponse:
-        socket, session = await self._open(request)
+        socket, session = await self._open(request, autoping=False)
         viewer = ""
         sender: asyncio.Task[None] | None = None
         try:
@@ -228,9 +232,15 @@ class WebServer:
                 return socket
             outbox: asyncio.Queue[str] = asyncio.Queue(_OUTBOX)
             outbox.put_nowait(encode(hello))
-            self._outboxes[viewer] = outbox
+            self._outboxes[viewer], self._controls[viewer] = outbox, socket
             sender = asyncio.create_task(_send_all(socket, outbox))
             async for message in socket:
+                if message.type is WSMsgType.PONG:
+                    self._desk.pong(viewer)
+                    continue
+                if message.type is WSMsgType.PING:
+                    await socket.pong(message.data)
+                    continue
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                     break
                 if self.door.session(request) is None:  # signed out, or the session's time is over
@@ -241,6 +251,7 @@ class WebServer:
         finally:
             self._sockets.discard(socket)
             self._outboxes.pop(viewer, None)
+            self._controls.pop(viewer, None)
             if viewer:
                 self._carry_out(self._desk.leave(viewer, self._now()))
             if sender is not None:
@@ -296,6 +307,9 @@ class WebServer:
                 self._write_later(effect.record)
             elif isinstance(effect, Heartbeat):
                 self._graph.heartbeat()
+            elif isinstance(effect, Ping):
+                if effect.viewer in self._controls:
+                    self._spawn(_until_gone(self._controls[effect.viewer].ping()))
             elif isinstance(effect, Send):
                 self._put(effect.viewer, encode(effect.message))
             elif isinstance(effect, Broadcast):

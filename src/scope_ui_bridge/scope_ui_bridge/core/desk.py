@@ -23,6 +23,7 @@ from scope_ui_bridge.core.effects import (
     Heartbeat,
     Now,
     Order,
+    Ping,
     Send,
     SendCommand,
     SendGoal,
@@ -36,6 +37,7 @@ from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.scene import Scene
 from scope_ui_bridge.core.selection import Selection, action_text, make_gesture, make_selection
+from scope_ui_bridge.core.stop_cause import StopCauses
 
 HEARTBEAT_PERIOD_S = 0.2
 STATE_PERIOD_S = (0.1, 1.0)
@@ -79,6 +81,7 @@ class Desk:
         self.panel = PanelView()
         self.lease = OperatorLease()
         self.stops = 0
+        self._causes = StopCauses()
         self._viewers: dict[str, _Viewer] = {}
         self._viewer_count = 0
         self._log = CommandLog()
@@ -174,7 +177,12 @@ class Desk:
     def _dispatch(self, viewer: str, message: wire.Message, now: Now) -> list[Effect]:
         if isinstance(message, wire.Alive):
             self.lease.alive(viewer, now.mono_s)
+            if viewer == self.lease.holder:
+                self._causes.alive()
             return [Send(viewer=viewer, message={"type": "alive", "client_ms": message.client_ms})]
+        if isinstance(message, wire.Hidden):
+            mine = viewer == self.lease.holder
+            return self._lose_lease(viewer, "stopped_page_hidden", now) if mine and self.moving else []
         if isinstance(message, wire.Lease):
             return [*self._lease_step(viewer, message.step, now), self._answer(viewer, message.seq)]
         self.lease.check(viewer, message.epoch)
@@ -198,8 +206,8 @@ class Desk:
 
     # --- stop, lease, keep-alive -----------------------------------------------------------------------------------
 
-    def stop(self, who: str, now: Now, code: str = "", press: str = "") -> list[Effect]:
-        """Stop, for whoever asks; ``code`` says why when it was not a person.
+    def stop(self, who: str, now: Now, code: str = "", press: str = "", silence_s: float = 0.0) -> list[Effect]:
+        """Stop, for whoever asks; ``code`` says why when it was not a person, ``silence_s`` how long something missed.
 
         One press of the button arrives on two ways, which ``press`` (or half a second) tells. The stop has gone out
         then; a second one would end the driver's lifting of the stylus (docs/decisions/stopping.md).
@@ -211,6 +219,7 @@ class Desk:
         if quick or (press and press in self._presses):
             return []
         self._presses.append(press)
+        self._causes.stopped(code, who, silence_s, now.mono_s)
         entry = self._log.add(who, "stop", code, now, status="done")
         self._last_stop = (now.mono_s, who, entry.entry)
         return [StopNow(record=record(who, "stop", code, now)), shown(entry)]
@@ -219,6 +228,7 @@ class Desk:
         """Call every 50 ms: heartbeat, watchdogs, answers that did not come, state for the pages."""
         effects: list[Effect] = []
         self._ros_ns = now.ros_ns
+        self._causes.tick(self.machine.state("driver")[0], now.mono_s)
         silence = self.lease.silence_s(now.mono_s)
         if (
             silence <= self.config.keepalive_fresh_s
@@ -226,6 +236,8 @@ class Desk:
         ):
             self._last_heartbeat_s = now.mono_s
             effects.append(Heartbeat())
+        if self._causes.wants_ping(silence):
+            effects.append(Ping(viewer=self.lease.holder))
         effects += self._watch(silence, now)
         effects += self._log.expire(self.machine.active, self.config.answer_timeout_s, now)
         effects += self._pass_on()
@@ -236,6 +248,11 @@ class Desk:
             self._last_state = (now.mono_s, state)
             effects.append(Broadcast(message={"type": "state", **state}))
         return effects
+
+    def pong(self, viewer: str) -> None:
+        """Note that the browser of a page has answered a :class:`Ping`."""
+        if viewer == self.lease.holder:
+            self._causes.answered()
 
     def said(self, line: dict[str, Any]) -> None:
         """Keep what a program of the graph said (wall_ms, level, name, text) for the engineers' consoles."""
@@ -261,16 +278,16 @@ class Desk:
         if not self.lease.holder:
             return []
         if (silence_s >= self.config.silence_stop_s and self.moving) or silence_s >= self.config.lease_timeout_s:
-            return self._lose_lease(self.lease.holder, "stopped_page_silent", now)
+            return self._lose_lease(self.lease.holder, self._causes.of_silence(now.mono_s), now, silence_s)
         if blind_s >= self.config.picture_stop_s and self._last_stop[1:] != (_WATCHDOG, self._log.count):
-            return self.stop(_WATCHDOG, now, "stopped_no_picture")
+            return self.stop(_WATCHDOG, now, self._causes.of_blindness(now.mono_s), silence_s=blind_s)
         return []
 
-    def _lose_lease(self, viewer: str, code: str, now: Now) -> list[Effect]:
+    def _lose_lease(self, viewer: str, code: str, now: Now, silence_s: float = 0.0) -> list[Effect]:
         moving = self.moving
         if not self.lease.release(viewer):
             return []
-        effects = self.stop(_WATCHDOG, now, code) if moving else []
+        effects = self.stop(_WATCHDOG, now, code, silence_s=silence_s) if moving else []
         return effects + self._clear_selection()
 
     def _lease_step(self, viewer: str, step: str, now: Now) -> list[Effect]:
@@ -429,6 +446,8 @@ class Desk:
 
     def result(self, result: GoalResult, now: Now) -> list[Effect]:
         """Note an answer of the controller, to this page's commands or anybody's."""
+        if result.outcome is Outcome.ABORTED:
+            self._causes.aborted(result.reason, now.mono_s)
         known = self._log.goal(result.goal_id)
         if known is None:
             if result.outcome.final and result.outcome is not Outcome.REJECTED:
@@ -464,6 +483,7 @@ class Desk:
         return {
             **self.machine.message(),
             "moving": self.moving,
+            "stop_cause": self._causes.message(*self.machine.state("driver")),
             "lease": {
                 "epoch": lease.epoch,
                 "holder": lease.holder,

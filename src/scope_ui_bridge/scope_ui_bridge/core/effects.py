@@ -36,6 +36,13 @@ class Heartbeat:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Ping:
+    """Ask the browser of a viewer's page whether it is there, below the page's own script."""
+
+    viewer: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StopNow:
     """Stop, before anything else; ``record`` is written afterwards."""
 
@@ -85,4 +92,4 @@ class CallService(Order):
     service: str
 
 
-Effect = Send | Broadcast | Heartbeat | StopNow | Record | Order
+Effect = Send | Broadcast | Heartbeat | Ping | StopNow | Record | Order

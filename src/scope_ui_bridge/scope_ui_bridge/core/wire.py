@@ -38,6 +38,11 @@ class Alive(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Hidden(Message):
+    """The page has just been hidden: another tab, a locked screen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stop(Message):
     """Stop everything; ``press`` names one press of the button, which comes on two ways."""
 
@@ -187,11 +192,13 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _typed(raw: dict[str, Any]) -> Message:
     read = _Reader(raw)
-    kind = read.choice("type", ("alive", "stop", "lease", "select", "act", "move", "jog", "call"))
+    kind = read.choice("type", ("alive", "hidden", "stop", "lease", "select", "act", "move", "jog", "call"))
     head: dict[str, Any] = {"seq": read.integer("seq"), "boot": read.text("boot"), "epoch": read.integer("epoch")}
     message: Message
     if kind == "alive":
         message = Alive(**head, client_ms=read.number("client_ms"))
+    elif kind == "hidden":
+        message = Hidden(**head)
     elif kind == "stop":
         message = Stop(**head, press=read.text("press") if "press" in raw else "")
     elif kind == "lease":

@@ -55,6 +55,10 @@ export class Link extends EventTarget {
     if (this.open) this.#send("alive", { client_ms: performance.now() });
   }
 
+  hide() {
+    if (this.open) this.#send("hidden", {});
+  }
+
   #send(type, fields) {
     this.#seq += 1;
     this.#socket.send(JSON.stringify({ type, seq: this.#seq, boot: this.#boot, epoch: this.epoch, ...fields }));

@@ -13,6 +13,7 @@ import { Overlay } from "./overlay.js";
 import { renderPanel, seenText, setPanel } from "./panel_seen.js";
 import { addError, renderPlots, sample } from "./plots.js";
 import { banner, chip, stateChip } from "./status.js";
+import { stopBanner } from "./stop_cause.js";
 import { keepLanguage, language, startLanguage, t } from "./strings.js";
 import { wireTabs } from "./tabs.js";
 import { renderTools, wireTools } from "./tools.js";
@@ -238,11 +239,7 @@ function renderAge() {
     { when: silent, look: "bad", text: t("banner_link") },
     { when: desk.replay, look: "waiting", text: t("banner_replay") },
     { when: driver === "alarm", look: "bad", text: t("banner_alarm", { reason }) },
-    {
-      when: driver === "stopped",
-      look: "bad",
-      text: reason ? t("banner_stopped", { reason }) : t("banner_stopped_bare"),
-    },
+    { when: driver === "stopped", look: "bad", text: state && stopBanner(state) },
     { when: age > limits.max_age_ms, look: "waiting", text: t("banner_stale") },
     { when: restarted, look: "waiting", text: t("banner_restarted") },
     { when: lostControl, look: "waiting", text: t("banner_lost_control") },
@@ -278,6 +275,9 @@ function beat(now) {
   }
   requestAnimationFrame(beat);
 }
+
+// A hidden page has no animation frames any more; it says so, that the reason of the stop can be told.
+document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && link.hide());
 
 wireActions();
 wireDraw(overlay);

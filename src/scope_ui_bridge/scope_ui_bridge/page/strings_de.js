@@ -142,7 +142,15 @@ export const DE = {
   banner_restarted: "Die Brücke wurde neu gestartet. Zum Weitermachen die Bedienung wieder übernehmen.",
   banner_lost_control: "Sie bedienen nicht mehr.",
 
-  stopped_page_silent: "die Seite des Bedieners schwieg",
+  stopped_page_frozen: "die Seite des Bedieners antwortete nicht mehr (eingefroren oder überlastet)",
+  stopped_link_lost: "die Verbindung zur Seite des Bedieners ist abgerissen",
+  stopped_page_hidden: "die Seite des Bedieners war verdeckt (anderer Tab, anderes Fenster oder gesperrter Bildschirm)",
+  stopped_bridge_held_up: "die Brücke der Seite stand und sendete keinen Herzschlag (Rechner überlastet?)",
+  stopped_by_person: "{who} hat STOP gedrückt",
+  stopped_by_controller: "die Steuerung des Roboters hat angehalten: {who}",
+  stopped_elsewhere: "der Stop kam von außerhalb dieser Seite",
+  stopped_heartbeat: "der Herzschlag des Bedieners blieb aus: Seite, Brücke oder Verbindung antwortete nicht",
+  stopped_after: "– {seconds} s lang nichts",
   stopped_page_gone: "die Seite des Bedieners wurde geschlossen",
   stopped_released: "die Bedienung wurde während einer Bewegung abgegeben",
 
@@ -262,7 +270,7 @@ export const DE = {
   log_export: "Ausgeben",
   log_found: "{count} von {all}",
 
-  stopped_no_picture: "während einer Bewegung kam kein Bild",
+  stopped_no_picture: "während einer Bewegung kam kein Kamerabild (Kamera steht oder Rechner überlastet)",
   wrong_password: "Name oder Passwort ist falsch.",
   wrong_token: "Dieses Kennwort gilt nicht. Vielleicht wurde es schon benutzt.",
   wait: "Zu viele Fehlversuche. Einige Sekunden warten und noch einmal versuchen.",

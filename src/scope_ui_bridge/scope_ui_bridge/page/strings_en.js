@@ -142,7 +142,15 @@ export const EN = {
   banner_restarted: "The bridge was restarted. Take control again before you go on.",
   banner_lost_control: "You are no longer in control.",
 
-  stopped_page_silent: "the operator’s page was silent",
+  stopped_page_frozen: "the operator’s page did not respond any more (frozen or overloaded)",
+  stopped_link_lost: "the link to the operator’s page was lost",
+  stopped_page_hidden: "the operator’s page was hidden (another tab or window, or a locked screen)",
+  stopped_bridge_held_up: "the page’s bridge was held up and sent no heartbeat (computer overloaded?)",
+  stopped_by_person: "STOP was pressed by {who}",
+  stopped_by_controller: "the robot’s controller stopped it: {who}",
+  stopped_elsewhere: "the stop was requested outside this page",
+  stopped_heartbeat: "the operator’s heartbeat was lost: page, bridge or link did not respond",
+  stopped_after: "– nothing for {seconds} s",
   stopped_page_gone: "the operator’s page was closed",
   stopped_released: "control was released while something moved",
 
@@ -262,7 +270,7 @@ export const EN = {
   log_export: "Export",
   log_found: "{count} of {all}",
 
-  stopped_no_picture: "no picture came while something moved",
+  stopped_no_picture: "no camera picture came while something moved (camera stalled or computer overloaded)",
   wrong_password: "Name or password is wrong.",
   wrong_token: "This token is not valid. It may have been used already.",
   wait: "Too many failed attempts. Wait a few seconds and try again.",

@@ -1,0 +1,21 @@
+// Why the machine was stopped, in the page's language.
+
+import { t } from "./strings.js";
+
+// What the driver says when it stopped by itself, as far as an operator's page is part of it; the rest is shown as it is.
+const DRIVER = [[/^operator's heartbeat lost/, "stopped_heartbeat"]];
+
+/** Return the sentence for a driver that has stopped. */
+export function stopBanner(state) {
+  const reason = causeText(state);
+  return reason ? t("banner_stopped", { reason }) : t("banner_stopped_bare");
+}
+
+function causeText({ stop_cause: cause, driver: { reason } }) {
+  if (cause) {
+    const after = cause.silence_s ? t("stopped_after", { seconds: cause.silence_s.toFixed(1) }) : "";
+    return `${t(cause.code, { who: cause.who })} ${after}`.trim();
+  }
+  const known = DRIVER.find(([pattern]) => pattern.test(reason));
+  return known ? t(known[1]) : reason;
+}
