@@ -197,6 +197,16 @@ def test_edges_are_labelled_only_while_somebody_looks(ros: Any, parameters: dict
     assert set(np.unique(picture).tolist()) == {0, 128, 255}
     assert (picture[11:14, 14:46] == 128).any(axis=0).all()  # the upper side
     assert not picture[18:26, 16:44].any()  # inside
+    lines: list[PointCloud2] = ros.collect(rig.probe, PointCloud2, "edge_lines", qos.RESULTS)
+    ros.spin_until(lambda: rig.node.count_subscribers("edge_lines") == 1, 10.0)
+    ros.spin_until(lambda: rig.probe.count_publishers("edge_lines") == 1, 10.0)
+    rig.corners_of(image_message(square(), "mono8", header(3, "c")))
+    cloud = ros.spin_until(lambda: lines and lines[-1], 10.0)
+    assert stamp_ns(cloud.header.stamp) == 3
+    places = cloud_array(cloud, ("u", "v", "line"))
+    v, u = places[:, 1].astype(int), places[:, 0].astype(int)
+    assert (picture[v, u] > 0).all() and 4 <= len(places) < 24, "the square's sides, in few pieces"
+    assert np.ptp(u) >= 28 and np.ptp(v) >= 16, (u, v)
     for refused in (Parameter("edges.high", value=-1.0), Parameter("combined.low_of_high", value=1.5)):
         assert not rig.node.set_parameters([refused])[0].successful
 

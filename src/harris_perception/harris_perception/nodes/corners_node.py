@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
+from harris_perception.core import edge_lines
 from harris_perception.core.edges import CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
 from harris_perception.core.gray import bgr_of, bgr_of_gray, gray_of, has_color
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
@@ -51,7 +52,10 @@ class CornersNodeConfig(HarrisConfig):
 
 
 class CornersNode(Node):
-    """Publishes the ``corners`` of each ``image_raw`` and, while somebody looks, ``corners_image`` and ``edges``."""
+    """Publishes the ``corners`` of each ``image_raw``.
+
+    While somebody looks also ``corners_image``, ``edges`` (labels) and ``edge_lines`` (few points, for overlays).
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__("corners", **options)
@@ -62,6 +66,7 @@ class CornersNode(Node):
         self._corners = self.create_publisher(PointCloud2, "corners", qos.RESULTS)
         self._picture = self.create_publisher(Image, "corners_image", qos.IMAGES)
         self._labels = self.create_publisher(Image, "edges", qos.IMAGES)
+        self._lines = self.create_publisher(PointCloud2, "edge_lines", qos.RESULTS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         self.create_timer(1.0, self._report)
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
@@ -84,13 +89,13 @@ class CornersNode(Node):
         corners, edges = self._found_in(gray, message)
         self._publish(corners, gray, message)
         if edges is not None:
-            self._labels.publish(image_message(edges.labels, "mono8", message.header))
+            self._publish_edges(edges, message)
         self._frames += 1
         self._found = len(corners)
         self._busy_s += time.perf_counter() - start
 
     def _found_in(self, gray: npt.NDArray[Any], message: Image) -> tuple[Corners, Edges | None]:
-        if self._labels.get_subscription_count() == 0:
+        if self._labels.get_subscription_count() + self._lines.get_subscription_count() == 0:
             return self._detector.detect(gray), None
         if self._live.config.edge_method == "combined":
             return self._combined.detect(gray)
@@ -106,6 +111,12 @@ class CornersNode(Node):
             drawn = bgr_of_gray(gray)
             draw_corners(drawn, corners.xy)
             self._picture.publish(image_message(drawn, "bgr8", message.header))
+
+    def _publish_edges(self, edges: Edges, message: Image) -> None:
+        if self._labels.get_subscription_count() > 0:
+            self._labels.publish(image_message(edges.labels, "mono8", message.header))
+        if self._lines.get_subscription_count() > 0:
+            self._lines.publish(cloud_message(edge_lines.COLUMNS, edge_lines.edge_lines(edges), message.header))
 
     def _report(self) -> None:
         new, dropped = self._frames - self._reported, self._images.dropped - self._dropped
