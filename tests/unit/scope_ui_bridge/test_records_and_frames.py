@@ -86,57 +86,6 @@ def test_at_most_two_pictures_are_under_way_and_none_is_sent_twice() -> None:
     assert not window.open, "an old acknowledgement after a newer one settles nothing"
 
 
-class Flights:
-    """Pictures one after the other, each under way for a given time."""
-
-    def __init__(self) -> None:
-        self.window = FrameWindow()
-        self.now_s = 0.0
-        self.seq = 0
-
-    def fly(self, flight_s: float, count: int = 1, pause_s: float = 0.0) -> bool:
-        for _ in range(count):
-            self.seq += 1
-            self.window.sent(self.seq, self.now_s)
-            self.now_s += flight_s
-            self.window.acknowledged(self.seq, self.now_s)
-            self.now_s += pause_s
-        return self.window.light
-
-
-def test_three_slow_pictures_make_them_light_and_one_at_a_time() -> None:
-    link = Flights()
-    assert not link.fly(0.14, 100)
-    assert not link.fly(0.2, 2)
-    assert not link.fly(0.1)
-    assert not link.fly(0.2, 2)
-    assert link.fly(0.2)
-    link.window.sent(1000, link.now_s)
-    assert not link.window.open
-
-
-def test_the_full_form_is_tried_again_less_and_less_often() -> None:
-    link = Flights()
-    link.fly(0.3, 3)
-    assert link.fly(0.1, 1000), "a slow link that is fast enough for light pictures only stays light"
-    tries = []
-    for _ in range(6):
-        begin = link.now_s
-        while link.fly(0.05):
-            pass
-        tries.append(round(link.now_s - begin))
-        assert link.fly(0.4), "one slow picture is enough now"
-    assert tries == [0, 10, 20, 40, 80, 80]
-    while link.fly(0.05):
-        pass
-    assert not link.fly(0.05, 2000), "a link that has become fast stays full"
-    assert link.fly(0.3, 3)
-    begin = link.now_s
-    while link.fly(0.05):
-        pass
-    assert link.now_s - begin < 6, "after a good while a hiccup is forgiven soon"
-
-
 def test_the_mailbox_keeps_the_newest_picture_and_every_result() -> None:
     async def scenario() -> list[tuple[str, int]]:
         got: list[tuple[str, int]] = []

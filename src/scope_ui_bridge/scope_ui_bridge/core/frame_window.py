@@ -1,17 +1,38 @@
-"""Which pictures a viewer has got and not yet drawn, and how large they should be for its link.
+"""Which pictures a viewer has got and not yet drawn, and in which form its link can take them.
 
-At most two are under way and only the newest is worth sending. When they take long to arrive, the viewer gets the
-light form (half the size) one at a time; the full one is tried again after a while, less and less often while it
-fails. What counts is the time from sending to the acknowledgement after drawing, so no clocks have to agree.
+At most two are under way and only the newest is worth sending. When they take long to arrive, the viewer gets a lighter
+form, one at a time, at once so light that it should do; heavier ones are tried step by step, less and less often while
+they fail. A step is small enough that a failed try is late by less than a tenth of a second. What counts is the time
+from sending to the acknowledgement after drawing, so no clocks have to agree.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
-SLOW_S = 0.15
-"""Flights longer than this, three in a row, make the pictures light."""
-_SLOW_IN_A_ROW = 3
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """``scale`` of the sides, share of the JPEG ``quality`` in force, and share of the full form's bytes (measured)."""
+
+    scale: float
+    quality: float
+    size: float
+
+
+FORMS = (
+    Form(1.0, 1.0, 1.0),
+    Form(1.0, 0.75, 0.7),
+    Form(0.75, 0.75, 0.43),
+    Form(0.5, 0.75, 0.24),
+    Form(0.375, 0.6, 0.12),
+)
+SLOW_S = (0.15, 0.12)
+"""Flights longer than this are slow: of two full pictures under way, of one lighter one."""
+_QUICK_S = 0.09
+_ENOUGH = 5  # slow flights in a row; a very slow one counts twice, so that one hiccup with two under way is forgiven
+_STEP_UP_S = 1.0
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 5.0, 80.0
 
 
@@ -19,12 +40,17 @@ class FrameWindow:
     """Flow control of one viewer; times in monotonic seconds."""
 
     def __init__(self) -> None:
-        self.light = False
+        self.level = 0
         self._under_way: deque[tuple[int, float]] = deque()
         self._last_sent = -1
         self._slow = 0
         self._retry_s = _FIRST_RETRY_S
-        self._full_again_s = 0.0
+        self._heavier_at_s = 0.0
+
+    @property
+    def light(self) -> bool:
+        """Whether the pictures are lighter than the full form."""
+        return self.level > 0
 
     @property
     def open(self) -> bool:
@@ -50,15 +76,24 @@ class FrameWindow:
         self._judge(now_s - sent_s, now_s)
 
     def _judge(self, flight_s: float, now_s: float) -> None:
-        if self.light:
-            if flight_s < SLOW_S / 2 and now_s >= self._full_again_s:
-                self.light, self._slow = False, _SLOW_IN_A_ROW - 1  # one slow picture is enough now
-        elif flight_s <= SLOW_S:
-            if self._slow == 0 and now_s - self._full_again_s > _LONGEST_RETRY_S:
-                self._retry_s = _FIRST_RETRY_S
-            self._slow = 0
-        else:
-            self._slow += 1
-            if self._slow >= _SLOW_IN_A_ROW:
-                self.light, self._full_again_s = True, now_s + self._retry_s
-                self._retry_s = min(2 * self._retry_s, _LONGEST_RETRY_S)
+        slow_s = SLOW_S[self.light]
+        if flight_s > slow_s:
+            self._slow += 2 if flight_s > 2 * slow_s else 1
+            if self._slow >= _ENOUGH and self.level < len(FORMS) - 1:
+                self._lighter(flight_s, now_s)
+            return
+        self._slow = 0
+        if now_s - self._heavier_at_s > _LONGEST_RETRY_S:
+            self._retry_s = _FIRST_RETRY_S
+        if self.light and flight_s < _QUICK_S and now_s >= self._heavier_at_s:
+            self.level -= 1
+            self._slow = _ENOUGH - 1  # one slow picture is enough now
+            self._heavier_at_s = now_s + _STEP_UP_S
+
+    def _lighter(self, flight_s: float, now_s: float) -> None:
+        per_size = flight_s / FORMS[self.level].size
+        lighter = range(self.level + 1, len(FORMS))
+        self.level = next((n for n in lighter if per_size * FORMS[n].size < SLOW_S[True]), lighter[-1])
+        self._slow = 0
+        self._heavier_at_s = now_s + self._retry_s
+        self._retry_s = min(2 * self._retry_s, _LONGEST_RETRY_S)
