@@ -33,6 +33,7 @@ from system.operator_browser import OPTIONS, Operator
 
 SLOW = {"bits_per_s": 3e6, "delay_s": 0.020}
 VIEWERS = 20
+PARTS = ("delay", "stop", "crowd", "slow")
 
 
 @contextmanager
@@ -84,6 +85,20 @@ def round_trips(operator: Operator, count: int) -> list[Row]:
     p50, p95 = np.percentile(took, [50, 95])
     print(f"command and answer: p50 {p50:.1f}, p95 {p95:.1f} ms of {count}")
     return [bound("command round trip p95 [ms]", float(p95), 50.0)]
+
+
+def makes_ready(operator: Operator) -> None:
+    """Take control, enable, home; let the page note when a key is pressed."""
+    page = operator.page
+    page.click("#lease-take")
+    operator.sees("#chip-driver", "Not homed", within_s=20.0)
+    for name in ("enable", "home", "home"):
+        page.click(f"[data-call={name}]")
+    operator.sees("#chip-driver", "Idle", within_s=60.0)
+    page.evaluate(
+        """() => window.addEventListener('keydown', () => {
+            window.pressed = performance.timeOrigin + performance.now(); }, true)"""
+    )
 
 
 def stops(rig: MachineRig, operator: Operator, count: int) -> list[Row]:
@@ -191,31 +206,27 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=10.0, help="length of each measurement (10)")
     parser.add_argument("--stops", type=int, default=60, help="how many stops (60)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="only some of it (all)")
     given = parser.parse_args()
     rows: list[Row] = []
     with chromium() as browser, tempfile.TemporaryDirectory() as folder:
         rig = MachineRig(Path(folder), 90 + os.getpid() % 10, picture=render(Path(folder)), rate=30, **SLOW)
         try:
             operator = Operator(browser, rig.address())
-            rows += glass("loopback", operator, given.seconds, 60.0)
-            rows += round_trips(operator, 100)
-            page = operator.page
-            page.click("#lease-take")
-            operator.sees("#chip-driver", "Not homed", within_s=20.0)
-            for name in ("enable", "home", "home"):
-                page.click(f"[data-call={name}]")
-            operator.sees("#chip-driver", "Idle", within_s=60.0)
-            page.evaluate(
-                """() => window.addEventListener('keydown', () => {
-                    window.pressed = performance.timeOrigin + performance.now(); }, true)"""
-            )
-            rows += stops(rig, operator, given.stops)
-            rows += crowd(rig, operator, given.seconds)
+            if "delay" in given.parts:
+                rows += glass("loopback", operator, given.seconds, 60.0)
+                rows += round_trips(operator, 100)
+            if "stop" in given.parts:
+                makes_ready(operator)
+                rows += stops(rig, operator, given.stops)
+            if "crowd" in given.parts:
+                rows += crowd(rig, operator, given.seconds)
             operator.context.close()
-            slow = Operator(browser, rig.by_link(rig.new_address()))
-            slow.page.wait_for_timeout(5000)
-            rows += glass("3 Mbit/s, 20 ms one way", slow, given.seconds, 250.0)
-            slow.context.close()
+            if "slow" in given.parts:
+                slow = Operator(browser, rig.by_link(rig.new_address()))
+                slow.page.wait_for_timeout(5000)
+                rows += glass("3 Mbit/s, 20 ms one way", slow, given.seconds, 250.0)
+                slow.context.close()
         finally:
             rig.close()
     busy = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
