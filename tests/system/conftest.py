@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -71,6 +72,7 @@ class RunningGraph:
 
     def __init__(self, folder: Path, domain: int, *extra: str) -> None:
         self.folder = folder
+        self.prepared = False
         self.run_dir = folder / "run"
         self.port = free_port()
         self.environment = {
@@ -125,11 +127,29 @@ class RunningGraph:
         """Enable, home and calibrate, as `make demo` does."""
         done = self.command("gantry_driver", "gantry_prepare", within_s=within_s)
         assert done.returncode == 0, f"{done.stdout}{done.stderr}\n{self.tail()}"
+        self.prepared = True
 
     def page_address(self) -> str:
         """Return the page's address with its one-shot sign-in."""
         found = self.wait(lambda: re.findall(r"https?://\S+\?token=\S+", self.output), 30.0, "the page's address")
         return str(found[-1])
+
+    def new_page_address(self) -> str:
+        """Ask for another sign-in, as the README says."""
+        before = self.output.count("?token=")
+        os.kill(self._pid_of("ui_bridge"), signal.SIGUSR1)
+        self.wait(lambda: self.output.count("?token=") > before, 10.0, "another sign-in")
+        return self.page_address()
+
+    def _pid_of(self, program: str) -> int:
+        """Return the process of one program of this graph: a child of bring-up with its name."""
+        for status in Path("/proc").glob("[0-9]*/status"):
+            with contextlib.suppress(OSError):
+                parent = re.search(r"^PPid:\t(\d+)", status.read_text(), re.MULTILINE)
+                command = (status.parent / "cmdline").read_bytes().decode().split("\0")
+                if parent and int(parent[1]) == self.process.pid and any(Path(c).name == program for c in command):
+                    return int(status.parent.name)
+        pytest.fail(f"{program} does not run; {self.tail()}")
 
     def bench(self) -> LineSocket:
         """Connect to the physical truth."""
@@ -161,13 +181,32 @@ class RunningGraph:
             pytest.fail(f"bring_up did not end within 20 s; {self.tail()}")
 
 
+# A loaded machine shows its pictures late and keeps its pages waiting; what happens then is tested elsewhere.
+PATIENT = {
+    "frame_max_age_s": 4.0,
+    "frame_stale_s": 5.0,
+    "keepalive_fresh_s": 4.0,
+    "silence_stop_s": 4.0,
+    "picture_stop_s": 4.0,
+    "lease_timeout_s": 60.0,
+}
+
+
 @pytest.fixture(scope="session")
-def running_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningGraph]:
-    """A prepared graph (homed, calibrated, panel recognised) that the tests of a session share."""
-    graph = RunningGraph(tmp_path_factory.mktemp("graph"), domain=50 + os.getpid() % 40)
+def started_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningGraph]:
+    """A graph as it is after its start: neither homed nor calibrated; the tests of a session share it."""
+    patience = [text for name, value in PATIENT.items() for text in ("--set", f"ui_bridge.{name}={value}")]
+    graph = RunningGraph(tmp_path_factory.mktemp("graph"), 50 + os.getpid() % 40, *patience)
     try:
-        graph.prepare()
         yield graph
     finally:
         if graph.process.poll() is None:
             graph.stop()
+
+
+@pytest.fixture(scope="session")
+def running_graph(started_graph: RunningGraph) -> RunningGraph:
+    """The graph, prepared (homed, calibrated, panel recognised) by whoever needed it first."""
+    if not started_graph.prepared:
+        started_graph.prepare()
+    return started_graph

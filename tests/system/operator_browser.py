@@ -1,7 +1,7 @@
 """A person at the operator page in a real browser, for tests and benchmarks.
 
 Without a browser the tests are skipped with the reason; where ``CI`` is set they fail instead. Screenshots go to the
-folder named by ``PAGE_SCREENSHOTS``, if set.
+folder named by ``PAGE_SCREENSHOTS``; those of the whole story always to a folder.
 """
 
 from __future__ import annotations
@@ -161,8 +161,8 @@ class Operator:
             )
         )
 
-    def shoots(self, name: str) -> None:
-        folder = os.environ.get("PAGE_SCREENSHOTS")
+    def shoots(self, name: str, folder: Path | None = None) -> None:
+        folder = folder or os.environ.get("PAGE_SCREENSHOTS")
         if folder:
             Path(folder).mkdir(parents=True, exist_ok=True)
             self.page.screenshot(path=str(Path(folder) / f"{name}.png"))

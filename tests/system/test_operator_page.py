@@ -1,4 +1,4 @@
-"""The operator page in a real browser: alone with a synthetic instrument, and with the whole graph on the bench.
+"""The operator page in a real browser with a synthetic instrument.
 
 See operator_browser.py for the browser.
 """
@@ -16,18 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from system.conftest import executable
+from system.conftest import PATIENT, executable
 from system.operator_browser import Operator, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
-# A loaded machine shows its pictures late and keeps its pages waiting; tests of other things allow for that.
-PATIENT = {
-    "frame_max_age_s": 4.0,
-    "frame_stale_s": 5.0,
-    "keepalive_fresh_s": 4.0,
-    "silence_stop_s": 4.0,
-    "lease_timeout_s": 60.0,
-}
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
 
 
@@ -338,44 +330,3 @@ _CONTRAST = """() => {
   }
   return poor;
 }"""
-
-
-# --- with the whole graph on the simulated bench ---
-
-
-def test_the_whole_graph_from_the_page(browser: Any, running_graph: Any) -> None:
-    operator = Operator(browser, running_graph.page_address())
-    page = operator.page
-    operator.sees_controls()
-    first = operator.picture_sum()
-    operator.until(lambda: operator.picture_sum() != first, 10.0, lambda: "the picture changes")
-    operator.takes_control()
-    operator.sees("#chip-controller", "Ready", within_s=20.0)
-    lit = operator.lit()
-    operator.selects("RUN_STOP", "Run")
-    operator.confirms()
-    row = operator.logs("Press Run.*(done|aborted|refused|no answer)", 40.0)
-    assert "done" in row, row
-    error_mm = float(re.findall(r"([\d.]+) mm", row)[-1])
-    print(f"measured error of the touch: {error_mm} mm")
-    assert error_mm < 1.0
-    operator.until(lambda: operator.lit() != lit, 5.0, lambda: "RUN/STOP changes in the live picture")
-    operator.shoots("bench_done")
-
-    operator.selects("MENU", "Menu")
-    operator.confirms()
-    operator.sees("#chip-driver", "Moving", within_s=10.0)
-    page.click("#stop")
-    operator.sees("#chip-driver", "Stopped")
-    operator.sees("#banner", "STOPPED")
-    assert "aborted" in operator.logs("Press Menu.*(done|aborted)", 10.0)
-    operator.shoots("bench_stopped")
-    page.click("[data-call=reset]")
-    operator.sees("#chip-driver", "Idle", within_s=20.0)
-    operator.sees("#chip-controller", "Ready", within_s=20.0)
-    operator.selects("RUN_STOP", "Run")
-    operator.confirms()
-    operator.sees("#last", "Press Run.*done, measured error", within_s=40.0)
-    operator.until(lambda: operator.lit() == lit, 5.0, lambda: "RUN/STOP changes back")
-    operator.sees("#chip-controller", "Ready", within_s=20.0)
-    operator.leaves()
