@@ -91,6 +91,17 @@ def test_a_joint_that_is_not_finite_is_refused_by_name(value: float) -> None:
     np.testing.assert_array_equal(cv.joint_positions(message, ("a", "other")), (1.0, 0.0))
 
 
+def test_a_trajectory_comes_back_in_the_order_asked_for() -> None:
+    message = cv.trajectory_message(("b", "a"), [[1, 2], [3, 4]], [0.1, 0.2], cv.header(0, ""))
+    assert cv.trajectory_array(message, ("a", "b")).tolist() == [[2, 1], [4, 3]]
+    assert cv.trajectory_array(cv.trajectory_message(("a",), [], [], cv.header(0, "")), ("a",)).shape == (0, 1)
+    with pytest.raises(ValueError, match="joint c is missing; the message has b, a"):
+        cv.trajectory_array(message, ("a", "c"))
+    message.points[1].positions = [3.0, float("nan")]
+    with pytest.raises(ValueError, match="point 1"):
+        cv.trajectory_array(message, ("a", "b"))
+
+
 def test_disparities_travel_as_float32_and_unknown_ones_are_below_the_least() -> None:
     values = np.array([[10.0, np.nan, 12.0625], [41.5, 9.3, np.nan]], np.float32)
     message = cv.disparity_message(values, 850.0, 0.12, (9.3, 41.5), 1 / 16, cv.header(5, "left"), 1)

@@ -15,16 +15,17 @@ import aiohttp
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import ConfigError
-from icu_common.core.frames import CAMERA_LEFT, JOINTS, PANEL
+from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.geometry import Transform
 from icu_common.core.gesture import parse_gesture
 from icu_common.core.panel_layout import load_layout
@@ -43,11 +44,14 @@ from icu_common.nodes.conversions import (
     pose_message,
     result_message,
     stamp_ns,
+    trajectory_message,
+    transform_message,
 )
 from scope_ui_bridge.nodes.bridge_node import BridgeNode
 
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
 WITHIN_S = 15.0
+LAYERS = ("left/corners", "left/edge_lines")
 SERVICES = dict.fromkeys(
     [f"gantry/{name}" for name in ("stop", "home", "reset", "accept_settings")]
     + [f"calibration/{name}" for name in ("run", "add_sample", "solve", "save")],
@@ -77,7 +81,10 @@ class Graph:
             for topic, kind, profile in (
                 ("left/image_raw", Image, qos.IMAGES),
                 ("left/camera_info", CameraInfo, qos.IMAGES),
-                ("corners", PointCloud2, qos.RESULTS),
+                ("left/corners", PointCloud2, qos.RESULTS),
+                ("left/edge_lines", PointCloud2, qos.RESULTS),
+                ("gantry/trajectory", JointTrajectory, qos.COMMAND),
+                ("calibration/camera_from_base", TransformStamped, qos.LATCHED),
                 ("panel/pose", PoseStamped, qos.LATCHED),
                 ("panel/controls", MarkerArray, qos.LATCHED),
                 ("panel/confidence", Float32, qos.RESULTS),
@@ -134,8 +141,10 @@ class Graph:
         self.publish("stylus/tip", point_message([0.0, 0.0, 0.5], header(stamp, CAMERA_LEFT)))
         self.publish("gantry/target", point_message([0.05, 0.0, 0.5], header(stamp, CAMERA_LEFT)))
         self.publish(
-            "corners", cloud_message(("u", "v", "response"), [[1, 2, 9], [3, 4, 8]], header(stamp, CAMERA_LEFT))
+            "left/corners", cloud_message(("u", "v", "response"), [[1, 2, 9], [3, 4, 8]], header(stamp, CAMERA_LEFT))
         )
+        lines = [[1, 2, 0], [9, 2, 0], [3, 3, 1], [3, 7, 1], [5, 7, 1]]
+        self.publish("left/edge_lines", cloud_message(("u", "v", "line"), lines, header(stamp, CAMERA_LEFT)))
         self.publish("calibration/axes", Float64MultiArray(data=[1.0, 0.1, 0.0, 1.0]))
         self.publish("joint_states", joint_message(JOINTS, [0.1, 0.05, 0.02], header(stamp, "")))
         for part, text in (
@@ -174,7 +183,7 @@ class Browser:
             assert answer.status == 200
         self.control = await self.session.ws_connect("/control", headers={"Origin": self.origin})
         self.video = await self.session.ws_connect("/video", headers={"Origin": self.origin})
-        await self.video.send_str('{"camera":"left","corners":true}')
+        await self.video.send_str('{"camera":"left","corners":true,"edges":true}')
         self.tasks = [self.loop.create_task(self._hear()), self.loop.create_task(self._look())]
 
     async def _hear(self) -> None:
@@ -235,7 +244,10 @@ def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
     assert url
     assert url[0].endswith((tmp_path / "token").read_text().strip())
     assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
-    ros.spin_until(lambda: all(p.get_subscription_count() for p in graph.publishers.values()), WITHIN_S)
+    # Corners and edges are asked for only while a page shows them.
+    always = [p for topic, p in graph.publishers.items() if topic not in LAYERS]
+    ros.spin_until(lambda: all(p.get_subscription_count() for p in always), WITHIN_S)
+    assert not any(graph.publishers[topic].get_subscription_count() for topic in LAYERS)
     outlets = (node._command, node._goal)
     ros.spin_until(lambda: all(outlet.get_subscription_count() for outlet in outlets), WITHIN_S)
     browser = Browser(ros, url[0])
@@ -258,17 +270,37 @@ def shown(ros: Any, graph: Graph, browser: Browser) -> dict[str, Any]:
     return browser.frames[-1]
 
 
+def test_the_way_of_the_tip_is_shown_while_it_moves(ros: Any, bridge: Any) -> None:
+    graph, browser, _, _ = bridge
+    shown(ros, graph, browser)
+    base = Transform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.7]))
+    graph.publish("calibration/camera_from_base", transform_message(base, header(graph.now(), CAMERA_LEFT), BASE))
+    way = trajectory_message(JOINTS[::-1], [[0.0, 0.02, 0.03], [0.01, 0.02, 0.04]], [1.0, 2.0], header(0, ""))
+    driven = [[0.105, 0.05, -0.02], [0.032, 0.02, 0.0], [0.042, 0.02, -0.01]]  # of readings with the axes' skew
+
+    def seen() -> Any:
+        graph.publish("gantry/driver_state", String(data="moving"))
+        graph.publish("gantry/trajectory", way)
+        stamp = header(graph.now(), CAMERA_LEFT)
+        graph.publish("left/image_raw", image_message(np.full((480, 640, 3), 90, np.uint8), "bgr8", stamp))
+        return next((f for f in browser.frames[::-1] if f["path"] and not f["planned"]), None)
+
+    frame = ros.spin_until(seen, WITHIN_S, lambda: browser.state())
+    assert np.allclose(frame["path"], camera().project(base.apply(np.array(driven))), atol=0.06)
+
+
 def test_the_page_shows_what_the_topics_say(ros: Any, bridge: Any) -> None:
     graph, browser, _, _ = bridge
 
     def seen() -> Any:
         graph.show_all()
-        complete = [f for f in browser.frames if f["tip"] and f["target"] and "corners" in f]
+        complete = [f for f in browser.frames if f["tip"] and f["target"] and f.get("corners") and f.get("edges")]
         return browser.state().get("position_mm") and complete
 
     frame = ros.spin_until(seen, WITHIN_S, lambda: (browser.state(), [sorted(f) for f in browser.frames[-3:]]))[-1]
     assert int(frame["stamp"]) in graph.stamps
     assert (frame["width"], frame["height"], frame["corners"]) == (640, 480, [1.0, 2.0, 3.0, 4.0])
+    assert frame["edges"] == [[1, 2, 9, 2], [3, 3, 3, 7, 5, 7]]
     assert frame["tip"] == [319.5, 239.5]
     assert frame["target"] == [419.5, 239.5]
     panel = [f["panel"] for f in browser.frames if "panel" in f][-1]

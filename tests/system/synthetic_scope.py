@@ -17,11 +17,12 @@ from typing import Any
 import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Empty, Float32, Header, String
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from icu_common.core.camera_model import CameraModel
@@ -45,12 +46,15 @@ from icu_common.nodes.conversions import (
     result_message,
     result_of_message,
     stamp_ns,
+    trajectory_message,
+    transform_message,
 )
 from icu_common.nodes.runtime import run
 
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
 PX_PER_MM = 4
 ERROR_M = 0.00042
+TIP_ABOVE_M = 0.03
 
 
 def camera() -> CameraModel:
@@ -119,7 +123,10 @@ class SyntheticScope(Node):
         self.controls = self.create_publisher(MarkerArray, "panel/controls", qos.LATCHED)
         self.confidences = self.create_publisher(Float32, "panel/confidence", qos.SENSOR)
         self.panels = self.create_publisher(DiagnosticArray, "panel/state", qos.RESULTS)
-        self.corners = self.create_publisher(PointCloud2, "corners", qos.RESULTS)
+        self.edges = self.create_publisher(PointCloud2, "left/edge_lines", qos.RESULTS)
+        self.bases = self.create_publisher(TransformStamped, "calibration/camera_from_base", qos.LATCHED)
+        self.ways = self.create_publisher(JointTrajectory, "gantry/trajectory", qos.COMMAND)
+        self.corners = self.create_publisher(PointCloud2, "left/corners", qos.RESULTS)
         self.tips = self.create_publisher(PointStamped, "stylus/tip", qos.SENSOR)
         self.targets = self.create_publisher(PointStamped, "gantry/target", qos.LATCHED)
         self.states = self.create_publisher(String, "gantry/state", qos.LATCHED)
@@ -165,8 +172,10 @@ class SyntheticScope(Node):
         pose = panel_pose(self.shift)
         self.confidences.publish(Float32(data=self.confidence))
         self.poses.publish(pose_message(pose, header(stamp, CAMERA_LEFT)))
+        base = Transform(pose.rotation, pose.apply(np.array([0.0, 0.0, TIP_ABOVE_M])))
+        self.bases.publish(transform_message(base, header(stamp, CAMERA_LEFT), BASE))
         self.joints.publish(joint_message(JOINTS, self.position, header(stamp, "")))
-        tip = pose.apply(np.array([self.position[0], self.position[1], 0.03 - self.position[2]]))
+        tip = pose.apply(np.array([self.position[0], self.position[1], TIP_ABOVE_M - self.position[2]]))
         self.tips.publish(point_message(tip, header(stamp, CAMERA_LEFT)))
         self.panels.publish(panel_state_message(self.seen(stamp), header(stamp, CAMERA_LEFT)))
         if self.stalled:
@@ -186,6 +195,8 @@ class SyntheticScope(Node):
                 gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
                 found = cv2.goodFeaturesToTrack(gray, 300, 0.02, 6).reshape(-1, 2)
                 rows = np.column_stack([found, np.ones(len(found))])
+                lines = [[*corner, 0] for corner in model.project(points).tolist()] + [[640, 100, 1], [640, 600, 1]]
+                self.edges.publish(cloud_message(("u", "v", "line"), lines, header(stamp, CAMERA_LEFT)))
                 self.corners.publish(cloud_message(("u", "v", "response"), rows, header(stamp, CAMERA_LEFT)))
             self.images[side].publish(image_message(picture, "bgr8", header(stamp, CAMERA_LEFT)))
             self.infos[side].publish(camera_info_message(model, header(stamp, CAMERA_LEFT)))
@@ -240,6 +251,8 @@ class SyntheticScope(Node):
             self.answer(goal_id, text, Outcome.REJECTED, reason=f"the controller is {self.controller}")
             return
         self.goal = (goal_id, text, self.now())
+        way = [[*self.position[:2], 0.0], [float(xy[0]), float(xy[1]), 0.0], [float(xy[0]), float(xy[1]), TIP_ABOVE_M]]
+        self.ways.publish(trajectory_message(JOINTS, way, [0.1, 1.0, 1.5], header(self.now(), "")))
         self.position = [float(xy[0]), float(xy[1]), 0.0]
         self.controller, self.driver = "moving", "moving"
         target = panel_pose(self.shift).apply(np.array([*xy, 0.0]))

@@ -5,17 +5,15 @@ from __future__ import annotations
 import csv
 import io
 import re
-import signal
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import axe_playwright_python
 import pytest
-from system.conftest import executable
-from system.operator_browser import Operator, wait_for
-from system.test_operator_page import PATIENT, Instrument
+from system.conftest import PATIENT
+from system.operator_browser import Operator
+from system.test_operator_page import Instrument
 
 AXE = Path(axe_playwright_python.__file__).parent / "axe.min.js"
 WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
@@ -199,69 +197,53 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
     operator.sees("#guide-machine", "✓")
 
 
-def test_outlines_are_seen_on_any_picture(operator: Operator, tmp_path: Path) -> None:
-    """WCAG 1.4.11 on pixels: along each outline bright and dark lie side by side, at least 3:1 on any ground."""
+def test_outlines_edges_and_the_way_are_seen_on_any_picture(operator: Operator, tmp_path: Path) -> None:
+    """WCAG 1.4.11 on pixels: along each line its bright colour lies beside dark, at least 3:1, whatever is below."""
     import cv2
     import numpy as np
 
     page = operator.page
+    page.click("[data-layer=edges]")
     operator.selects("RUN_STOP", "Run / Stop")
+    for layer in ("edges", "path"):
+        page.wait_for_selector(f".layer-{layer} .over", state="attached")
     box = page.locator("#stage").bounding_box()
     path = tmp_path / "stage.png"
     page.screenshot(path=str(path), clip=box)
+    operator.shoots("layers")
     picture = cv2.imread(str(path)).astype(float)[:, :, ::-1] / 255
     linear = np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4)
     light = linear @ [0.2126, 0.7152, 0.0722]
-    boxes = page.evaluate(
-        """() => [...document.querySelectorAll('#controls button')].map((b) => ['left', 'top', 'width', 'height']
-            .map((k) => parseFloat(b.style[k]) / 100))"""
+    # Every fifth of each line, in pixels of the stage, with its colour.
+    lines = page.evaluate(
+        """() => { const stage = document.getElementById('stage').getBoundingClientRect();
+            return [...document.querySelectorAll('#overlay .over')].filter((p) => getComputedStyle(p.parentElement)
+              .display !== 'none').map((path) => { const length = path.getTotalLength(), m = path.getScreenCTM();
+                const at = [0.1, 0.3, 0.5, 0.7, 0.9].map((part) => path.getPointAtLength(part * length))
+                  .map((p) => p.matrixTransform(m)).map((p) => [p.x - stage.x, p.y - stage.y]);
+                return [path.parentElement.classList[0], at, getComputedStyle(path).stroke.match(/\\d+/g)
+                  .map((v) => v / 255)]; }); }"""
     )
-    height, width = light.shape
-    for left, top, w, _ in boxes:
-        x, y = round((left + w / 2) * width), round(top * height)
-        across = light[max(y - 5, 0) : y + 6, x]
-        assert (across.max() + 0.05) / (across.min() + 0.05) > 3, (x, y)
-
-
-def test_a_session_is_recorded_from_the_page_and_replayed_in_it(
-    browser: Any, operator: Operator, instrument: Instrument, tmp_path: Path
-) -> None:
-    page = operator.page
-    page.click("#tab-machine")
-    page.click("[data-call=record]")
-    folder = Path(re.findall(r"recording to (\S+)", operator.logs("Record.*done recording to", 30.0))[0])
-    # The recorder finds the topics by and by; pictures in the file show that it has.
-    wait_for(lambda: sum(file.stat().st_size for file in folder.glob("*.mcap")) > 300_000, 30.0, "pictures in the bag")
-    operator.selects("RUN_STOP", "Run / Stop")
+    seen: dict[str, list[float]] = {}
+    for layer, places, colour in lines:
+        for x, y in places:
+            inside = 6 <= x < light.shape[1] - 6 and 6 <= y < light.shape[0] - 6
+            if not inside:
+                continue
+            part = np.s_[round(y) - 6 : round(y) + 7, round(x) - 6 : round(x) + 7]
+            off = np.abs(picture[part] - colour[:3]).max(axis=2)
+            bright = light[part].ravel()[off.argmin()]
+            if off.min() < 0.25:  # between the dashes, or under a line that lies above it, there is none
+                seen.setdefault(layer, []).append((bright + 0.05) / (light[part].min() + 0.05))
+    assert seen.keys() >= {"layer-edges", "layer-path", "layer-outline", "layer-controls", "layer-tip"}
+    print({layer: (len(found), round(min(found), 1)) for layer, found in seen.items()})
+    assert {layer: min(found) for layer, found in seen.items() if min(found) < 3} == {}
+    assert len(seen["layer-controls"]) > 20 and len(seen["layer-path"]) >= 2
+    page.click("[data-layer=edges]")
+    page.click("[data-layer=path]")
+    assert page.locator(".layer-edges .over").count() == 0, "nothing is left of a layer that is switched off"
+    assert not page.is_visible(".layer-path")
+    page.click("[data-layer=path]")
     operator.confirms()
+    page.wait_for_selector(".layer-path .over:not(.planned)", state="attached")
     operator.logs("Press Run / Stop.*done", 10.0)
-    page.click("[data-call=end_record]")
-    operator.logs(r"End recording.*done recorded to \S+: [1-9]\d* messages", 60.0)
-    assert (folder / "metadata.yaml").is_file()
-    # in a graph of its own, as somebody would look at it later
-    environment = instrument.environment | {"ROS_DOMAIN_ID": str(35 + int(instrument.environment["ROS_DOMAIN_ID"]))}
-    graph = [executable("scope_bench", "bring_up"), "--only", "ui_bridge", "--state", str(tmp_path), "--verbose"]
-    graph += ["--set", "ui_bridge.replay=true", "--set", "ui_bridge.port=0"]
-    output = tmp_path / "replay.log"
-    with output.open("wb") as out:
-        bridge = subprocess.Popen(graph, env=environment, stdout=out, stderr=subprocess.STDOUT)
-    player: subprocess.Popen[bytes] | None = None
-    try:
-        found = wait_for(lambda: re.findall(r"http://\S+\?token=\S+", output.read_text()), 30.0, "the page's address")
-        names = [f"{name}:=/stereo/{name}" for name in ("left/image_raw", "left/camera_info")]
-        renamed = [text for name in names for text in ("-r", f"/{name}")]
-        play = [executable("scope_bench", "bag_play"), str(folder), "--loop", "--ros-args", *renamed]
-        player = subprocess.Popen(play, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-        viewer = Operator(browser, found[0])
-        viewer.sees_controls()
-        viewer.sees("#banner", "REPLAY of a recorded session", within_s=15.0)
-        assert viewer.page.is_hidden("#lease-take")
-        viewer.until(lambda: "STALE" not in viewer.page.inner_text("#stale"), 5.0, lambda: "live")
-        viewer.logs("press:RUN_STOP|Press", 15.0)
-        viewer.shoots("replay")
-        viewer.leaves()
-    finally:
-        for process in (player, bridge):
-            if process is not None:
-                process.send_signal(signal.SIGINT)
-                process.wait(20.0)

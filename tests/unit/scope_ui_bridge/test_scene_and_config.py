@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from unit.scope_ui_bridge.desk_rig import FACES, camera, pose, scene
+from unit.scope_ui_bridge.desk_rig import FACES, Rig, camera, pose, scene
 
 from icu_common.core.config import ConfigError, from_mapping, to_mapping
 from icu_common.core.geometry import Transform
@@ -95,6 +95,34 @@ def test_tip_and_target_are_projected_and_old_tips_are_not() -> None:
     assert made.moving_parts("left", 0)["target"] == [639.5, 359.5]
     made.target = ("nowhere", np.zeros(3))
     assert made.moving_parts("left", 0)["target"] is None
+
+
+def test_the_way_is_planned_to_the_selection_and_then_the_one_that_is_driven() -> None:
+    rig = Rig()
+    desk = rig.desk
+    assert desk.path("left") == {"path": [], "planned": True}
+    rig.select(control="RUN_STOP")
+    desk.machine.set_position(0.1, 0.05, 0.02)
+    assert desk.path("left")["path"] == [], "where the gantry is, is not known before the calibration"
+    # base_link: as the panel's frame, 30 mm before its face
+    base = Transform(pose().rotation, pose().apply(np.array([0.0, 0.0, 0.03])))
+    desk.scene.camera_from_base = base
+    before = [[0.1, 0.05, -0.02], [0.1, 0.05, 0.0], [0.2, 0.12, 0.0], [0.2, 0.12, -0.027]]
+    shown = desk.path("left")
+    assert shown["planned"]
+    assert np.allclose(shown["path"], desk.scene.project("left", base.apply(np.array(before))), atol=0.06)
+    assert desk.path("right")["path"][0][0] < shown["path"][0][0]
+    desk.machine.set_state("driver", "moving")
+    assert desk.path("left") == {"path": [], "planned": False}, "not what was planned, but what is driven"
+    desk.set_path(np.array([[0.1, 0.05, 0.0], [0.19, 0.11, 0.0]]))
+    driven = [[0.1, 0.05, -0.02], [0.1, 0.05, 0.0], [0.19, 0.11, 0.0]]
+    found = desk.path("left")
+    assert np.allclose(found["path"], desk.scene.project("left", base.apply(np.array(driven))), atol=0.06)
+    assert not found["planned"]
+    desk.machine.set_state("driver", "idle")
+    assert desk.path("left") == shown
+    desk.machine.set_state("driver", "moving")
+    assert desk.path("left")["path"] == [], "the way of the last motion is not shown for the next"
 
 
 def test_without_a_calibration_or_a_pose_nothing_is_drawn() -> None:

@@ -378,20 +378,31 @@ def test_a_page_that_does_not_draw_gets_two_pictures_and_does_not_slow_another()
 
 def test_the_overlay_comes_with_the_first_picture_and_again_when_the_panel_moves() -> None:
     async def scenario(rig: Rig) -> None:
-        rig.desk.scene.corners_px = np.array([[1.04, 2.0], [np.nan, 1.0], [5.0, 6.5]], np.float32)
+        corners = np.array([[1.04, 2.0], [np.nan, 1.0], [5.0, 6.5]], np.float32)
+        edges = np.array([[1, 1, 0], [9, 1, 0], [9, 4, 0], [3, 3, 1], [4, 4, 1], [7, 7, 2]], np.float32)
         async with page(rig, control=False) as client:
-            rig.offer()
-            await client.open_video(corners=True)
+            stamp = rig.offer()
+            rig.server.mailbox.each(rig.desk.scene.layers.take, "corners", "left", stamp, corners)
+            rig.server.mailbox.each(rig.desk.scene.layers.take, "edges", "left", stamp - 10**8, edges)
+            await client.open_video(corners=True, edges=True)
+            await until(lambda: rig.server.video.wanted == {("corners", "left"), ("edges", "left")}, "the wish")
             about, _ = await client.frame()
             assert [control["name"] for control in about["panel"]["controls"]] == ["RUN_STOP", "CH1_SCALE", "CH1_IN"]
             rig.offer()
             about, _ = await client.frame()
             assert "panel" not in about
             assert about["corners"] == [1.0, 2.0, 5.0, 6.5]
+            assert about["edges"] == [[1, 1, 9, 1, 9, 4], [3, 3, 4, 4]], "a single point is no line"
+            await client.video.send_str('{"camera":"left","corners":true,"edges":false}')
+            await until(lambda: rig.server.video.wanted == {("corners", "left")}, "fewer layers")
+            rig.offer(stamp_ns=stamp + 2 * 10**9)
+            about, _ = await client.frame()
+            assert about["corners"] == [] and "edges" not in about, "what is older than the picture is not shown"
             rig.server.mailbox.each(rig.desk.scene.changed)
             rig.offer()
             about, _ = await client.frame()
             assert about["panel"]["version"] == rig.desk.scene.version
+        await until(lambda: rig.server.video.wanted == frozenset(), "nobody looks any more")
 
     with_rig(scenario)
 
@@ -400,7 +411,13 @@ def test_bad_video_messages_are_answered() -> None:
     async def scenario(rig: Rig) -> None:
         async with page(rig, control=False) as client:
             await client.open_video()
-            for text in ("{", '{"drawn":"1"}', '{"camera":"up","corners":true}', "y" * 5000):
+            for text in (
+                "{",
+                '{"drawn":"1"}',
+                '{"camera":"up","corners":true}',
+                '{"camera":"left","edges":1}',
+                "y" * 5000,
+            ):
                 await client.video.send_str(text)
                 answer = json.loads((await client.video.receive(timeout=5.0)).data)
                 assert answer["code"] in ("malformed", "oversized")

@@ -302,6 +302,25 @@ def trajectory_message(
     return JointTrajectory(header=head, joint_names=list(names), points=points)
 
 
+def trajectory_array(message: JointTrajectory, names: Sequence[str]) -> Array:
+    """Return the positions (N, len(names)) in metres of a trajectory's points, in the order of ``names``.
+
+    Raises
+    ------
+    ValueError
+        If a joint is missing, or a point does not have one finite position for each joint.
+    """
+    missing = [name for name in names if name not in message.joint_names]
+    if missing:
+        raise ValueError(f"joint {', '.join(missing)} is missing; the message has {', '.join(message.joint_names)}")
+    order = [list(message.joint_names).index(name) for name in names]
+    count = len(message.joint_names)
+    for number, point in enumerate(message.points):
+        if len(point.positions) != count or not np.isfinite(point.positions).all():
+            raise ValueError(f"point {number}: {list(point.positions)}: {count} finite positions are needed")
+    return np.array([point.positions for point in message.points]).reshape(-1, count)[:, order]
+
+
 def diagnostic_status(name: str, level: str, message: str, values: Iterable[tuple[str, Any]]) -> DiagnosticStatus:
     """Return a status; ``level`` is ok, warn or error."""
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values]

@@ -1,7 +1,7 @@
 """The live picture for all pages: one JPEG for each picture and form, made only while a page can take it.
 
 No page slows another.
-There are two forms: full, and light (half the size, stronger compression) for pages behind a slow link.
+A picture is encoded in the full form, and in lighter ones (smaller, stronger compression) for pages behind slow links.
 
 A message is four bytes (length of the JSON, big endian), the JSON with stamp, age and overlay, and the JPEG.
 """
@@ -18,17 +18,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
-import numpy as np
 import numpy.typing as npt
 from aiohttp import web
 
 from scope_ui_bridge.core.desk import Desk
-from scope_ui_bridge.core.frame_window import FrameWindow
+from scope_ui_bridge.core.frame_window import FORMS, Form, FrameWindow
 from scope_ui_bridge.core.wire import CAMERAS, encode
 
 _LOG = logging.getLogger(__name__)
-_MAX_CORNERS = 600
-_LIGHT_QUALITY = 0.75  # of the quality in force
+_LAYERS_PERIOD_S = 0.5  # of corners and edges on a slow link, where they would delay the pictures
 _CONVERSIONS = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR}
 
 Picture = npt.NDArray[Any]
@@ -40,25 +38,26 @@ class VideoViewer:
 
     socket: web.WebSocketResponse
     camera: str = ""
-    corners: bool = False
+    layers: frozenset[str] = frozenset()
+    layers_sent_s: float = 0.0
     window: FrameWindow = field(default_factory=FrameWindow)
     scene_version: int = -1
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
-    def stream(self) -> tuple[str, bool]:
-        """The camera, and whether in the light form."""
-        return self.camera, self.window.light
+    def stream(self) -> tuple[str, int]:
+        """The camera, and the form as an index of FORMS."""
+        return self.camera, self.window.level
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Frame:
-    """An encoded picture; ``about`` and ``corners`` are pieces of JSON, made once for all viewers."""
+    """An encoded picture; ``about`` and ``layers`` (by name) are pieces of JSON, made once for all viewers."""
 
     seq: int
     stamp_ns: int
     about: str
-    corners: str
+    layers: dict[str, str]
     jpeg: bytes
 
 
@@ -97,10 +96,12 @@ class VideoHub:
         self._quality = quality
         self._ros_ns = ros_ns
         self._viewers: set[VideoViewer] = set()
-        self._streams = {(camera, light): _Stream() for camera in CAMERAS for light in (False, True)}
+        self._streams = {(camera, level): _Stream() for camera in CAMERAS for level in range(len(FORMS))}
         self._seqs = dict.fromkeys(CAMERAS, 0)
         self._tasks: set[asyncio.Task[None]] = set()
         self.encoded = 0
+        self.wanted: frozenset[tuple[str, str]] = frozenset()
+        """Layers (name, camera) that somebody looks at now; replaced as a whole, so any thread may read it."""
 
     def add(self, viewer: VideoViewer) -> None:
         """Start to serve a viewer."""
@@ -109,22 +110,33 @@ class VideoHub:
     def remove(self, viewer: VideoViewer) -> None:
         """Forget a viewer."""
         self._viewers.discard(viewer)
+        self._note_wanted()
+
+    def look(self, viewer: VideoViewer, camera: str, layers: frozenset[str]) -> None:
+        """Show a viewer this camera with these layers."""
+        viewer.layers = layers
+        if camera != viewer.camera:
+            viewer.camera, viewer.window, viewer.scene_version = camera, FrameWindow(), -1
+        self._note_wanted()
+
+    def _note_wanted(self) -> None:
+        self.wanted = frozenset((layer, viewer.camera) for viewer in self._viewers for layer in viewer.layers)
 
     def offer(self, camera: str, stamp_ns: int, encoding: str, picture: Picture) -> None:
         """Take the newest picture of a camera, (H, W) or (H, W, C) uint8."""
         self._seqs[camera] += 1
-        for light in (False, True):
-            stream = self._streams[camera, light]
+        for level in range(len(FORMS)):
+            stream = self._streams[camera, level]
             stream.raw = (stamp_ns, encoding, picture)
             stream.raw_seq = self._seqs[camera]
-            self._encode_if_wanted((camera, light))
+            self._encode_if_wanted((camera, level))
 
     def kick(self, viewer: VideoViewer) -> None:
         """Call when a viewer can take more or looks at something else."""
         viewer.changed.set()
         self._encode_if_wanted(viewer.stream)
 
-    def _encode_if_wanted(self, key: tuple[str, bool]) -> None:
+    def _encode_if_wanted(self, key: tuple[str, int]) -> None:
         stream = self._streams.get(key, _NOTHING)
         done = stream.frame.seq if stream.frame else 0
         if stream.encoding or stream.raw is None or stream.raw_seq == done:
@@ -136,11 +148,12 @@ class VideoHub:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _encode(self, key: tuple[str, bool], seq: int, stamp_ns: int, encoding: str, picture: Picture) -> None:
-        stream, (camera, light) = self._streams[key], key
+    async def _encode(self, key: tuple[str, int], seq: int, stamp_ns: int, encoding: str, picture: Picture) -> None:
+        stream, (camera, level) = self._streams[key], key
+        form = FORMS[level]
         loop = asyncio.get_running_loop()
         try:
-            jpeg = await loop.run_in_executor(self._executor, to_jpeg, picture, encoding, self._quality(), light)
+            jpeg = await loop.run_in_executor(self._executor, to_jpeg, picture, encoding, self._quality(), form)
             self.encoded += 1
             stream.frame = self._frame(key, seq, stamp_ns, picture, jpeg)
             self._desk.machine.frame_offered(camera, stamp_ns)
@@ -173,31 +186,25 @@ class VideoHub:
         if viewer.scene_version != scene.version:
             viewer.scene_version = scene.version
             parts.append('"panel":' + encode(scene.panel(viewer.camera)))
-        if viewer.corners and frame.corners:
-            parts.append('"corners":' + frame.corners)
+        now_s = time.monotonic()
+        if not viewer.window.light or now_s - viewer.layers_sent_s >= _LAYERS_PERIOD_S:
+            viewer.layers_sent_s = now_s
+            parts += [f'"{name}":{text}' for name, text in frame.layers.items() if name in viewer.layers]
         text = ",".join(parts).encode() + b"}"
         return b"".join([struct.pack(">I", len(text)), text, frame.jpeg])
 
-    def _frame(self, key: tuple[str, bool], seq: int, stamp_ns: int, picture: Picture, jpeg: bytes) -> _Frame:
-        scene, (camera, light) = self._desk.scene, key
+    def _frame(self, key: tuple[str, int], seq: int, stamp_ns: int, picture: Picture, jpeg: bytes) -> _Frame:
+        scene, (camera, level) = self._desk.scene, key
         height, width = picture.shape[:2]
         about: dict[str, Any] = {"seq": seq, "camera": camera, "stamp": str(stamp_ns), "width": width, "height": height}
-        about["light"] = light
-        corners = ""
-        if camera == "left" and scene.corners_px is not None and any(viewer.corners for viewer in self._viewers):
-            corners = encode_numbers(scene.corners_px[:_MAX_CORNERS])
-        text = encode(about | scene.moving_parts(camera, stamp_ns))[1:-1]
-        return _Frame(seq=seq, stamp_ns=stamp_ns, about=text, corners=corners, jpeg=jpeg)
+        about["light"] = level > 0
+        about |= scene.moving_parts(camera, stamp_ns) | self._desk.path(camera)
+        layers = {name: scene.layers.text(name, camera, stamp_ns) for name, at in self.wanted if at == camera}
+        return _Frame(seq=seq, stamp_ns=stamp_ns, about=encode(about)[1:-1], layers=layers, jpeg=jpeg)
 
 
-def encode_numbers(points: npt.NDArray[np.float32]) -> str:
-    """Return a flat JSON list of (N, 2) points with one decimal; points that are not finite are left out."""
-    finite = points[np.isfinite(points).all(axis=1)]
-    return "[" + ",".join(f"{value:.1f}" for value in finite.ravel().tolist()) + "]"
-
-
-def to_jpeg(picture: Picture, encoding: str, quality: int, light: bool = False) -> bytes:
-    """Encode a picture; ``light`` halves its sides and compresses it more.
+def to_jpeg(picture: Picture, encoding: str, quality: int, form: Form = FORMS[0]) -> bytes:
+    """Encode a picture in a form.
 
     Raises
     ------
@@ -208,10 +215,9 @@ def to_jpeg(picture: Picture, encoding: str, quality: int, light: bool = False) 
         picture = cv2.cvtColor(picture, _CONVERSIONS[encoding])
     elif encoding not in ("bgr8", "mono8"):
         raise ValueError(f"encoding {encoding!r} is none of bgr8, mono8, {', '.join(_CONVERSIONS)}")
-    if light:
-        picture = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        quality = round(quality * _LIGHT_QUALITY)
-    good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if form.scale < 1:
+        picture = cv2.resize(picture, None, fx=form.scale, fy=form.scale, interpolation=cv2.INTER_AREA)
+    good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, round(quality * form.quality)])
     if not good:
         raise ValueError("OpenCV could not encode the picture")
     return jpeg.tobytes()

@@ -42,7 +42,7 @@ from scope_ui_bridge.core.effects import (
     SendGoal,
     StopNow,
 )
-from scope_ui_bridge.core.frame_window import FrameWindow
+from scope_ui_bridge.core.layers import LAYERS
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.sign_in import Session, SignIn
 from scope_ui_bridge.core.wire import CAMERAS, MAX_BYTES, decode_object, encode
@@ -287,15 +287,14 @@ class WebServer:
         if len(text) > MAX_BYTES:
             raise Refusal("oversized", size=len(text), limit=MAX_BYTES)
         message = decode_object(text)
-        drawn, camera, corners = message.get("drawn"), message.get("camera"), message.get("corners")
+        drawn, camera = message.get("drawn"), message.get("camera")
+        layers = {name: message.get(name, False) for name in LAYERS}
         if type(drawn) is int:
             viewer.window.acknowledged(drawn, time.monotonic())
-        elif isinstance(camera, str) and camera in CAMERAS and isinstance(corners, bool):
-            viewer.corners = corners
-            if camera != viewer.camera:
-                viewer.camera, viewer.window, viewer.scene_version = camera, FrameWindow(), -1
+        elif isinstance(camera, str) and camera in CAMERAS and all(isinstance(on, bool) for on in layers.values()):
+            self.video.look(viewer, camera, frozenset(name for name, on in layers.items() if on))
         else:
-            raise Refusal("malformed", what="drawn, or camera and corners, are needed")
+            raise Refusal("malformed", what="drawn, or camera and layers (true or false), are needed")
         self.video.kick(viewer)
 
     # --- effects ---------------------------------------------------------------------------------------------------

@@ -10,7 +10,10 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from icu_common.core.frames import BASE, CAMERA_LEFT
+from icu_common.core.geometry import Array
 from icu_common.core.gesture import Point
 from icu_common.core.results import GoalResult, Outcome
 from scope_ui_bridge.core import command_log, wire
@@ -461,6 +464,30 @@ class Desk:
                 return [self._jog_step(known, now)]
             self._jog = None
         return self._log.ended(known, result, now)
+
+    def set_path(self, path: Array) -> None:
+        """Take the way that the tip is sent along now, (N, 3) m in base_link; it begins where the tip is."""
+        start = self._tip()
+        self.scene.path = path if start is None else np.vstack([start, path])
+
+    def _tip(self) -> Array | None:
+        position = self.machine.position
+        if position is None or not all(math.isfinite(value) for value in position):
+            return None
+        return np.array([*position[:2], -position[2]])
+
+    def path(self, camera: str) -> dict[str, Any]:
+        """Return the tip's way in pixels: the one it is sent along, or (``planned``) to the selection.
+
+        While a goal waits for its first path, nothing is shown rather than the last one.
+        """
+        if self.moving:
+            return {"path": self.scene.base_line(camera, self.scene.path), "planned": False}
+        self.scene.path = None
+        selection, start, points = self._selection, self._tip(), None
+        if selection is not None and start is not None:
+            points = self.scene.way_to(start, selection.anchors)
+        return {"path": self.scene.base_line(camera, points), "planned": True}
 
     # --- state for the pages ---------------------------------------------------------------------------------------
 

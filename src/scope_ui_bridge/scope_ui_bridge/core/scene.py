@@ -12,6 +12,7 @@ import numpy.typing as npt
 from icu_common.core import frames
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry import Array, Plane, Transform
+from scope_ui_bridge.core.layers import Layers
 
 _EDGE_POINTS = 8  # per edge of the panel, so that lens distortion shows
 _CIRCLE_POINTS = 24
@@ -52,7 +53,7 @@ class Scene:
     """The newest geometry; ``version`` rises when the panel, a control or a camera has changed.
 
     Points are in camera_left_optical_frame (rectified), except for the faces and the panel's ``outline``, (N, 2) m,
-    both in panel_link, and the target (any frame).
+    both in panel_link, the target (any frame), and the tip's ``path``, (N, 3) m in base_link, which it is sent along.
     """
 
     left: CameraModel | None = None
@@ -64,7 +65,8 @@ class Scene:
     tip: Array | None = None
     tip_ns: int = 0
     target: tuple[str, Array] | None = None
-    corners_px: npt.NDArray[np.float32] | None = None
+    path: Array | None = None
+    layers: Layers = field(default_factory=Layers)
     version: int = 0
     _drawn: Transform | None = field(default=None, init=False)
     _stereo: StereoModel | None = field(default=None, init=False)
@@ -152,6 +154,24 @@ class Scene:
             "tip": self._pixel(camera, self.tip if fresh else None),
             "target": self._pixel(camera, self._target_in_camera()),
         }
+
+    def base_line(self, camera: str, points: Array | None) -> list[list[float]]:
+        """Return the pixels of (N, 3) points of base_link; nothing without a calibration."""
+        if points is None or self.camera_from_base is None:
+            return []
+        pixels = self.project(camera, self.camera_from_base.apply(points))
+        return [] if pixels is None or not np.isfinite(pixels).all() else _rounded(pixels)
+
+    def way_to(self, start: Array, anchors: Array) -> Array | None:
+        """Return (N, 3) m in base_link: up from the tip at ``start``, across, down to the first anchor, on to the others.
+
+        ``anchors`` are (M, 3) m in panel_link.
+        This is how the controller goes, but for the last millimetre, where it takes up the backlash.
+        """
+        if self.camera_from_base is None or self.camera_from_panel is None:
+            return None
+        ends = self.camera_from_base.inverse().apply(self.camera_from_panel.apply(anchors))
+        return np.vstack([start, [*start[:2], 0.0], [*ends[0, :2], 0.0], ends])
 
     def _pixel(self, camera: str, point: Array | None) -> list[float] | None:
         pixels = None if point is None else self.project(camera, point)

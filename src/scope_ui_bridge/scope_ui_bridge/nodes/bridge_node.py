@@ -23,6 +23,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from icu_common.core.config import ConfigError
@@ -43,6 +44,7 @@ from icu_common.nodes.conversions import (
     result_of_message,
     same_camera,
     stamp_ns,
+    trajectory_array,
     transform_of_message,
     transform_of_pose,
 )
@@ -55,6 +57,7 @@ from scope_ui_bridge.adapters.web_server import WebServer
 from scope_ui_bridge.core.audit import AuditError
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
+from scope_ui_bridge.core.layers import CORNERS, EDGES
 from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.scene import Face
 from scope_ui_bridge.core.sign_in import SignIn
@@ -73,6 +76,15 @@ _SERVICES = {
 
 
 _REPORTERS = {"hand_eye": "calibration", "serial_driver": "driver"}
+_LAYER_TOPICS = {
+    (CORNERS, "left"): "left/corners",
+    (CORNERS, "right"): "right/corners",
+    (EDGES, "left"): "left/edge_lines",
+    (EDGES, "right"): "right/edge_lines",
+}
+_LAYER_COLUMNS = {CORNERS: ("u", "v"), EDGES: ("u", "v", "line")}
+_LAYERS_PERIOD_S = 0.2
+_MAX_PATH = 200
 _LEVELS = {20: "info", 30: "warn", 40: "error", 50: "fatal"}
 
 
@@ -87,6 +99,7 @@ class BridgeNode(Node):
         self._replay = config.replay
         self._cameras: dict[str, CameraInfo] = {}
         self._axes = np.eye(2)
+        self._layers: dict[tuple[str, str], Any] = {}
         self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "")
         self._scene = self._desk.scene
         self._token_file = Path(config.token_file).expanduser() if config.token_file else None
@@ -146,13 +159,13 @@ class BridgeNode(Node):
         ]
         self._hear(CameraInfo, "left/camera_info", qos.SENSOR, lambda m: self._camera_seen("left", m))
         self._hear(CameraInfo, "right/camera_info", qos.SENSOR, lambda m: self._camera_seen("right", m))
-        self._hear(PointCloud2, "corners", qos.SENSOR, self._corners_seen)
         self._hear(PoseStamped, "panel/pose", qos.LATCHED, self._pose_seen)
         self._hear(MarkerArray, "panel/controls", qos.LATCHED, self._controls_seen)
         self._hear(DiagnosticArray, "panel/state", qos.SENSOR, self._panel_seen)
         self._hear(Float32, "panel/confidence", qos.SENSOR, self._confidence_seen)
         self._hear(PointStamped, "stylus/tip", qos.SENSOR, self._tip_seen)
         self._hear(PointStamped, "gantry/target", qos.LATCHED, self._target_seen)
+        self._hear(JointTrajectory, "gantry/trajectory", qos.COMMAND, self._trajectory_seen)
         self._hear(String, "gantry/state", qos.LATCHED, self._state_taker("controller"))
         self._hear(String, "gantry/driver_state", qos.LATCHED, self._state_taker("driver"))
         self._hear(String, "calibration/state", qos.LATCHED, self._state_taker("calibration"))
@@ -163,14 +176,30 @@ class BridgeNode(Node):
         self._hear(Log, "/rosout", qos.RESULTS, self._said)
         self._hear(DiagnosticArray, "gantry/result", qos.RESULTS, self._result_seen)
 
-    def _hear(self, message_type: Any, topic: str, profile: Any, take: Callable[[Any], None]) -> None:
+        self.create_timer(_LAYERS_PERIOD_S, self._hear_layers)
+
+    def _hear_layers(self) -> None:
+        """Listen to corners and edges only while a page shows them, so that nobody computes them for nothing."""
+        wanted = self._server.video.wanted
+        for key in wanted - self._layers.keys():
+            self._layers[key] = self._hear(PointCloud2, _LAYER_TOPICS[key], qos.SENSOR, self._layer_taker(*key))
+        for key in self._layers.keys() - wanted:
+            self.destroy_subscription(self._layers.pop(key))
+
+    def _layer_taker(self, layer: str, camera: str) -> Callable[[PointCloud2], None]:
+        take, columns = self._scene.layers.take, _LAYER_COLUMNS[layer]
+        return lambda message: self._mail.newest(
+            f"{layer} {camera}", take, layer, camera, self._stamp(message), cloud_array(message, columns)
+        )
+
+    def _hear(self, message_type: Any, topic: str, profile: Any, take: Callable[[Any], None]) -> Any:
         def callback(message: Any) -> None:
             try:
                 take(message)
             except ValueError as error:
                 self.get_logger().error(f"{topic}: ignored: {error}", throttle_duration_sec=5.0)
 
-        self.create_subscription(message_type, topic, callback, profile)
+        return self.create_subscription(message_type, topic, callback, profile)
 
     def _picture_taker(self, side: str) -> Callable[[Image], None]:
         def take(message: Image) -> None:
@@ -179,12 +208,15 @@ class BridgeNode(Node):
             except ValueError as error:
                 self.get_logger().error(f"{side} picture ignored: {error}", throttle_duration_sec=5.0)
                 return
-            # A recorded picture is as old as its session; what counts then is when it came.
-            stamp = self.ros_ns() if self._replay else stamp_ns(message.header.stamp)
+            stamp = self._stamp(message)
             self._mail.newest(side, self._server.video.offer, side, stamp, message.encoding, picture)
             self._mail.newest("picture", self._server.post_value, self._desk.machine.picture_came)
 
         return take
+
+    def _stamp(self, message: Any) -> int:
+        # What was recorded is as old as its session; what counts then is when it came.
+        return self.ros_ns() if self._replay else stamp_ns(message.header.stamp)
 
     def _state_taker(self, part: str) -> Callable[[String], None]:
         return lambda message: self._mail.newest(part, self._desk.machine.set_state, part, message.data)
@@ -220,7 +252,7 @@ class BridgeNode(Node):
 
     def _tip_seen(self, message: PointStamped) -> None:
         check_frame(message.header, CAMERA_LEFT)
-        self._mail.newest("tip", self._set_tip, point_array(message), stamp_ns(message.header.stamp))
+        self._mail.newest("tip", self._set_tip, point_array(message), self._stamp(message))
 
     def _set_tip(self, point: Any, stamp: int) -> None:
         self._scene.tip, self._scene.tip_ns = point, stamp
@@ -228,8 +260,10 @@ class BridgeNode(Node):
     def _target_seen(self, message: PointStamped) -> None:
         self._mail.newest("target", setattr, self._scene, "target", (message.header.frame_id, point_array(message)))
 
-    def _corners_seen(self, message: PointCloud2) -> None:
-        self._mail.newest("corners", setattr, self._scene, "corners_px", cloud_array(message, ("u", "v")))
+    def _trajectory_seen(self, message: JointTrajectory) -> None:
+        readings = trajectory_array(message, JOINTS)[:_MAX_PATH]
+        path = np.column_stack([readings[:, :2] @ self._axes.T, -readings[:, 2]])
+        self._mail.newest("path", self._desk.set_path, path)
 
     def _calibration_seen(self, message: TransformStamped) -> None:
         check_frame(message.header, CAMERA_LEFT)

@@ -19,6 +19,7 @@ import { wireTabs } from "./tabs.js";
 import { renderTools, wireTools } from "./tools.js";
 
 const KEEP_ALIVE_MS = 200;
+const COMPUTED = ["corners", "edges"]; // layers that are found in each picture, only while somebody looks
 
 startLanguage();
 const { link, video } = desk;
@@ -107,6 +108,7 @@ function setSelection(next) {
 for (const button of document.querySelectorAll("[data-camera]")) {
   button.addEventListener("click", () => {
     video.look({ camera: button.dataset.camera });
+    overlay.forget(...COMPUTED);
     press(button, true);
     for (const other of button.parentElement.children) if (other !== button) press(other, false);
     render();
@@ -116,7 +118,9 @@ for (const button of document.querySelectorAll("[data-layer]")) {
   const apply = () => {
     const on = button.getAttribute("aria-pressed") === "true";
     find("stage").classList.toggle(`without-${button.dataset.layer}`, !on);
-    if (button.dataset.layer === "corners") video.look({ corners: on });
+    if (!COMPUTED.includes(button.dataset.layer)) return;
+    video.look({ [button.dataset.layer]: on });
+    overlay.forget(button.dataset.layer);
   };
   apply();
   button.addEventListener("click", () => {

@@ -23,7 +23,8 @@ export class Overlay extends EventTarget {
     this.#stage = stage;
     this.#svg = svg;
     this.#box = box;
-    for (const name of ["outline", "controls", "corners", "target", "tip", "chosen", "line"]) {
+    const names = ["edges", "outline", "controls", "corners", "path", "target", "tip", "chosen", "line"];
+    for (const name of names) {
       const group = document.createElementNS(NS, "g");
       group.setAttribute("class", `layer-${name}`);
       svg.append(group);
@@ -47,7 +48,15 @@ export class Overlay extends EventTarget {
     if (about.panel) this.#show(about.panel);
     this.#mark("tip", about.tip);
     this.#mark("target", about.target);
-    this.#dots(about.corners);
+    this.#line(about.path, about.planned);
+    // On a slow link corners and edges come with some of the pictures only.
+    if (about.corners) this.#dots(about.corners);
+    if (about.edges) this.#edges(about.edges);
+  }
+
+  /** Forget what was found in the picture: its layer was switched off, or the camera is another one. */
+  forget(...names) {
+    for (const name of names) this.#layers[name].replaceChildren();
   }
 
   select(selection) {
@@ -133,8 +142,18 @@ export class Overlay extends EventTarget {
 
   #dots(corners) {
     let d = "";
-    for (let i = 0; corners && i + 1 < corners.length; i += 2) d += `M${corners[i]} ${corners[i + 1]}h0`;
+    for (let i = 0; i + 1 < corners.length; i += 2) d += `M${corners[i]} ${corners[i + 1]}h0`;
     this.#layers.corners.replaceChildren(...(d ? doubled("path", { d }) : []));
+  }
+
+  #edges(lines) {
+    const d = lines.map(([u, v, ...rest]) => `M${u} ${v}L${rest.join(" ")}`).join("");
+    this.#layers.edges.replaceChildren(...(d ? doubled("path", { d }) : []));
+  }
+
+  /** The tip's way: dashed while it is only planned. */
+  #line(points, planned) {
+    this.#layers.path.replaceChildren(...(points.length ? doubled("path", { d: path(points, false) }, planned ? "planned" : "") : []));
   }
 
   #mark(name, pixel) {

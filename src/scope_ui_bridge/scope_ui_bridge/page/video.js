@@ -4,7 +4,7 @@ export class Video extends EventTarget {
   #socket = null;
   #canvas;
   #context;
-  #wish = { camera: "left", corners: false };
+  #wish = { camera: "left", corners: false, edges: false };
   #retryMs = 300;
   #pending = null;
   #decoding = false;
