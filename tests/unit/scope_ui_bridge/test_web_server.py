@@ -122,6 +122,11 @@ def test_the_page_has_no_inline_script_or_style_and_nothing_from_elsewhere() -> 
         "http://127.0.0.1",
         "https://127.0.0.1:{port}",
         "http://127.0.0.1:{port}.evil",
+        "http://127.0.0.1:{port}@evil.example",
+        "http://127.0.0.1:{port}/",
+        "http://127.0.0.1.evil.example:{port}",
+        "http://localhost.evil.example:{port}",
+        "http://127.0.0.1:{port} http://evil.example",
     ],
 )
 def test_foreign_origins_get_no_connection_and_cannot_post(origin: str | None) -> None:

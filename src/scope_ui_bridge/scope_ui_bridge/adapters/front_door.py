@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from aiohttp import web
 
@@ -103,7 +104,7 @@ class FrontDoor:
             try:
                 response = await handler(request)
             except web.HTTPException as error:
-                if error.status in (400, 401, 413):
+                if error.status in (400, 401, 413) or ".." in unquote(request.raw_path):
                     self.turned_away.note(request.remote or "", request.path, f"{error.status} {error.reason}")
                 response = web.Response(status=error.status, text=f"{error.status}: {error.reason}\n")
                 if "Allow" in error.headers:

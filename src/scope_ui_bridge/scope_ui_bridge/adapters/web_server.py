@@ -16,7 +16,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from aiohttp import WSMsgType, web
+from aiohttp import WSMessage, WSMsgType, web
 
 from icu_common.core.config import ConfigError
 from scope_ui_bridge.adapters.front_door import FrontDoor
@@ -242,6 +242,7 @@ class WebServer:
                     await socket.pong(message.data)
                     continue
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
+                    self._note_broken(session, message)
                     break
                 if self.door.session(request) is None:  # signed out, or the session's time is over
                     break
@@ -263,14 +264,19 @@ class WebServer:
             if isinstance(effect, Send) and effect.message.get("code") in SUSPECT:
                 self.door.turned_away.note(name, f"message {effect.message['code']}", encode(effect.message["values"]))
 
+    def _note_broken(self, session: Session, message: WSMessage) -> None:
+        if message.type is WSMsgType.ERROR:  # too large, or no WebSocket frame at all: the connection ends
+            self.door.turned_away.note(session.name, "frame", str(message.data)[:80])
+
     async def _video(self, request: web.Request) -> web.StreamResponse:
-        socket, _ = await self._open(request)
+        socket, session = await self._open(request)
         viewer = VideoViewer(socket=socket)
         self.video.add(viewer)
         sender = asyncio.create_task(_until_gone(self.video.serve(viewer)))
         try:
             async for message in socket:
                 if message.type is not WSMsgType.TEXT or self.door.session(request) is None:
+                    self._note_broken(session, message)
                     break
                 try:
                     self._video_message(viewer, message.data)

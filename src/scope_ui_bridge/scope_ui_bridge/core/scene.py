@@ -163,7 +163,7 @@ class Scene:
         return [] if pixels is None or not np.isfinite(pixels).all() else _rounded(pixels)
 
     def way_to(self, start: Array, anchors: Array) -> Array | None:
-        """Return (N, 3) m in base_link: up from the tip at ``start``, across, down to the first anchor, on to the others.
+        """Return (N, 3) m in base_link: up from the tip at ``start``, across, down to the first anchor, to the others.
 
         ``anchors`` are (M, 3) m in panel_link.
         This is how the controller goes, but for the last millimetre, where it takes up the backlash.

@@ -1,0 +1,140 @@
+"""Whatever comes is refused and written down, the server lives, and STOP is served right after it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+from unit.scope_ui_bridge.web_rig import Page, Rig, page, until
+
+from scope_ui_bridge.adapters.secret_files import AuditFile
+from scope_ui_bridge.core.audit import verify
+
+Attack = Callable[[Rig, Page], Awaitable[None]]
+
+
+async def refused_socket(rig: Rig, client: Page, **headers: str) -> None:
+    with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+        await client.session.ws_connect("/control", headers=headers)
+    assert caught.value.status in (401, 403)
+
+
+async def no_cookie(rig: Rig, client: Page) -> None:
+    async with page(rig, sign_in=False) as stranger:
+        await refused_socket(rig, stranger, **stranger.origin)
+
+
+async def invented_cookie(rig: Rig, client: Page) -> None:
+    async with page(rig, sign_in=False) as stranger:
+        await refused_socket(rig, stranger, **stranger.origin, Cookie="icu_session=invented")
+
+
+async def wrong_origin(rig: Rig, client: Page) -> None:
+    await refused_socket(rig, client, Origin="http://evil.example")
+
+
+async def null_origin(rig: Rig, client: Page) -> None:
+    await refused_socket(rig, client, Origin="null")
+
+
+async def look_alike_origin(rig: Rig, client: Page) -> None:
+    await refused_socket(rig, client, Origin=f"{rig.url}.evil.example")
+
+
+async def foreign_host(rig: Rig, client: Page) -> None:
+    async with client.session.get("/", headers={"Host": "rebound.example"}) as answer:
+        assert answer.status == 421
+
+
+async def replayed_token(rig: Rig, client: Page) -> None:
+    async with page(rig, sign_in=False) as stranger, stranger.session.get("/", params={"token": rig.token}) as answer:
+        assert answer.status == 401
+
+
+def message(code: str, **change: Any) -> Attack:
+    async def attack(rig: Rig, client: Page) -> None:
+        await client.ask(type="lease", step="take")
+        fields = {"type": "call", "service": "home", "boot": "boot", "epoch": rig.desk.lease.epoch, "seq": 1000}
+        await client.control.send_str(json.dumps(fields | change))
+        assert (await client.until(lambda m: m["type"] == "answer" and not m["ok"]))["code"] == code
+
+    return attack
+
+
+async def bytes_that_are_no_text(rig: Rig, client: Page) -> None:
+    await client.control.send_bytes(b"\x00\xff\xfe")
+    assert (await client.until(lambda m: m["type"] == "answer"))["code"] == "malformed"
+
+
+async def huge_frame(rig: Rig, client: Page) -> None:
+    await client.control.send_str("x" * 200_000)
+    while not client.control.closed:
+        await client.control.receive(timeout=5.0)
+
+
+async def garbage_for_a_frame(rig: Rig, client: Page) -> None:
+    transport = client.control.get_extra_info("socket")
+    assert transport is not None
+    client.control._writer.transport.write(b"\xff" * 64)  # type: ignore[attr-defined]
+    while not client.control.closed:
+        await client.control.receive(timeout=5.0)
+
+
+async def huge_post(rig: Rig, client: Page) -> None:
+    async with client.session.post("/sign-in", data={"token": "x" * 9000}, headers=client.origin) as answer:
+        assert answer.status == 413
+
+
+async def path_traversal(rig: Rig, client: Page) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", rig.server.port)
+    writer.write(f"GET /page/..%2f..%2fsetup.py HTTP/1.1\r\nHost: 127.0.0.1:{rig.server.port}\r\n\r\n".encode())
+    assert (await asyncio.wait_for(reader.readline(), 5.0)).split()[1] in (b"403", b"404")
+    writer.close()
+
+
+ATTACKS: dict[str, tuple[Attack, str]] = {
+    "no cookie": (no_cookie, "/control"),
+    "invented cookie": (invented_cookie, "/control"),
+    "wrong origin": (wrong_origin, "origin"),
+    "null origin": (null_origin, "'null'"),
+    "look-alike origin": (look_alike_origin, "evil.example"),
+    "foreign host": (foreign_host, "rebound.example"),
+    "replayed token": (replayed_token, "sign-in"),
+    "replayed command": (message("replayed", seq=0), "message replayed"),
+    "stale lease": (message("stale_epoch", epoch=0), "message stale_epoch"),
+    "old boot id": (message("old_boot", boot="another"), "message old_boot"),
+    "oversized": (message("oversized", service="x" * 5000), "message oversized"),
+    "not a number": (message("malformed", epoch=float("nan")), "message malformed"),
+    "bytes": (bytes_that_are_no_text, "message malformed"),
+    "huge frame": (huge_frame, "frame"),
+    "garbage for a frame": (garbage_for_a_frame, "frame"),
+    "huge post": (huge_post, "413"),
+    "path traversal": (path_traversal, "setup.py"),
+}
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_it_is_refused_written_down_and_survived(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    attack, named = ATTACKS[name]
+    path = tmp_path / "audit.jsonl"
+
+    async def scenario(rig: Rig) -> None:
+        async with page(rig) as victim, page(rig) as attacker:
+            await attack(rig, attacker)
+            assert rig.graph.named("call") == rig.graph.named("stop") == []
+            await until(lambda: named in path.read_text(), f"{named!r} in the record")
+            assert (await victim.ask(type="stop"))["ok"]
+            async with victim.session.post("/stop", headers=victim.origin) as answer:
+                assert answer.status == 200
+        assert rig.graph.named("stop")[0] == ("stop",)
+
+    with Rig(audit=AuditFile(path)) as rig:
+        asyncio.run(scenario(rig))
+    assert any(named.removeprefix("message ") in record.getMessage() for record in caplog.records)
+    with path.open() as lines:
+        verify(lines)
