@@ -6,7 +6,7 @@ export PYTHON
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test check bench campaign docs setup clean picture
+.PHONY: help demo test check bench campaign soak docs setup clean picture
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -36,6 +36,11 @@ CAMPAIGN_SEEDS ?= 1000
 campaign: ## seeded faults against the mock board; CAMPAIGN_SEEDS=5000, or FIRST:LAST to repeat some
 	@scripts/setup.sh dev
 	@PYTHONPATH=$$(echo src/*/ tests | tr ' ' ':') $(VENV)/python -m campaign.run --seeds $(CAMPAIGN_SEEDS)
+
+SOAK_MINUTES ?= 30
+soak: ## the whole graph at full rate for SOAK_MINUTES=30: memory, files, threads and delay must stay flat
+	@scripts/setup.sh dev
+	@$(VENV)/python benchmarks/soak.py --minutes $(SOAK_MINUTES)
 
 docs: ## API documentation in artifacts/api; a warning is an error
 	@scripts/setup.sh dev

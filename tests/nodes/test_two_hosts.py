@@ -8,7 +8,6 @@ import os
 import queue
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -19,10 +18,10 @@ from typing import Any
 
 import pytest
 from nodes.grbl_board import python_environment
+from nodes.mock_socket import BoardSocket
 from ros_rig import domain_of_worker
 
 ROOT = Path(__file__).resolve().parents[2]
-HOLD = ord("!")
 ROBOT, DESK = "198.51.100.1", "198.51.100.2"  # addresses for documentation (RFC 5737)
 LEASE_S = 10.0
 """After so long without a sign DDS forgets a participant (fastdds_profile.xml)."""
@@ -153,46 +152,6 @@ class Desk:
         return f"{final['result']} {final['reason']}".strip()
 
 
-class Board:
-    def __init__(self, path: Path) -> None:
-        deadline = time.monotonic() + 30.0
-        while not path.exists():
-            assert time.monotonic() < deadline, "the mock board did not start"
-            time.sleep(0.05)
-        self._socket = socket.socket(socket.AF_UNIX)
-        self._socket.settimeout(5.0)
-        self._socket.connect(str(path))
-        self._file = self._socket.makefile("rw")
-
-    def ask(self, **request: Any) -> dict[str, Any]:
-        self._file.write(json.dumps(request) + "\n")
-        self._file.flush()
-        return dict(json.loads(self._file.readline()))
-
-    def holds(self) -> list[dict[str, Any]]:
-        entries = self.ask(do="log", since=0, kind="realtime")["entries"]
-        return [entry for entry in entries if entry["byte"] == HOLD]
-
-    def position(self) -> tuple[float, float]:
-        x, y, _ = self.ask(do="state")["mpos"]
-        return float(x), float(y)
-
-    def at_rest(self, for_s: float = 0.3) -> tuple[float, float]:
-        """Return the position once it has not changed for a while."""
-        deadline = time.monotonic() + 10.0
-        seen, since_s = self.position(), time.monotonic()
-        while time.monotonic() < since_s + for_s:
-            if (now := self.position()) != seen:
-                seen, since_s = now, time.monotonic()
-            assert time.monotonic() < deadline, "the machine does not come to rest"
-            time.sleep(0.02)
-        return seen
-
-    def close(self) -> None:
-        self._file.close()
-        self._socket.close()
-
-
 @pytest.fixture
 def hosts(tmp_path: Path) -> Iterator[TwoHosts]:
     if shutil.which("ip") is None:
@@ -252,7 +211,7 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
         ),
         log,
     )
-    board = Board(tmp_path / "run" / "board")
+    board = BoardSocket(tmp_path / "run" / "board")
     try:
         desk.until(lambda line: line.get("listeners") == 2, 30.0)  # driver and controller
         desk.ask("gantry/enable", enable=True)
@@ -263,10 +222,10 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
 
         desk.go(0.34, 0.2)
         desk.until(lambda line: line.get("state") == "moving", 10.0)
-        before = len(board.holds())
+        before = board.holds()
         cut_s = time.monotonic()
         hosts.cut()
-        while len(board.holds()) == before:
+        while board.holds() == before:
             assert time.monotonic() < cut_s + 3.0, "the driver did not hold"
             time.sleep(0.01)
         held_s = time.monotonic() - cut_s

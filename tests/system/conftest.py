@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from line_socket import LineSocket
 from system.operator_browser import browser  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,27 +45,6 @@ def wait_for(condition: Callable[[], Any], within_s: float, what: str, describe:
             pytest.fail(f"{what}: not within {within_s:g} s; {describe()}")
         select.select([], [], [], 0.05)
     return value
-
-
-class LineSocket:
-    """Requests and answers as JSON lines over a Unix socket."""
-
-    def __init__(self, path: Path) -> None:
-        self._socket = socket.socket(socket.AF_UNIX)
-        self._socket.settimeout(5.0)
-        self._socket.connect(str(path))
-        self._file = self._socket.makefile("rw")
-
-    def ask(self, **request: Any) -> dict[str, Any]:
-        self._file.write(json.dumps(request) + "\n")
-        self._file.flush()
-        answer = json.loads(self._file.readline())
-        assert isinstance(answer, dict)
-        return answer
-
-    def close(self) -> None:
-        self._file.close()
-        self._socket.close()
 
 
 class RunningGraph:

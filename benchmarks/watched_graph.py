@@ -1,0 +1,122 @@
+"""The running graph, watched from outside: what its processes use, and how old its results are."""
+
+from __future__ import annotations
+
+import os
+import re
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from sensor_msgs.msg import PointCloud2
+from system.conftest import RunningGraph
+
+from icu_common.nodes import qos
+from icu_common.nodes.conversions import stamp_ns
+from icu_common.nodes.runtime import prepare_transport
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Usage:
+    """What one process uses now."""
+
+    cpu_s: float
+    memory_mb: float
+    files: int
+    threads: int
+
+
+def usage(pid: int) -> Usage:
+    """Read one process's use; memory is the proportional share (PSS), in which a shared page counts once."""
+    folder = Path(f"/proc/{pid}")
+    fields = (folder / "stat").read_text().rsplit(")", 1)[1].split()
+    share = re.search(r"^Pss:\s+(\d+) kB", (folder / "smaps_rollup").read_text(), re.MULTILINE)
+    assert share is not None
+    return Usage(
+        cpu_s=(int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"),
+        memory_mb=int(share[1]) / 1024,
+        files=len(list((folder / "fd").iterdir())),
+        threads=int(fields[17]),
+    )
+
+
+def programs(parent: int) -> dict[str, int]:
+    """Return the names (as in graph.yaml, where the node is named so) and process numbers of bring-up's children."""
+    found = {}
+    for line in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
+        words = Path(f"/proc/{line}/cmdline").read_bytes().decode().split("\0")
+        named = [word.removeprefix("__node:=") for word in words if word.startswith("__node:=")]
+        found[named[0] if named else Path(words[1]).name] = int(line)
+    return found
+
+
+class Watcher:
+    """A node beside the graph that notes how old the corners are when they come."""
+
+    def __init__(self) -> None:
+        self._node = Node("watcher")
+        self.ages_ms: list[float] = []
+        self._node.create_subscription(PointCloud2, "/stereo/left/corners", self._on_corners, qos.RESULTS)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+
+    def _on_corners(self, cloud: PointCloud2) -> None:
+        self.ages_ms.append((self._node.get_clock().now().nanoseconds - stamp_ns(cloud.header.stamp)) / 1e6)
+
+    def spin(self, seconds: float, until: Callable[[], Any] = lambda: False) -> None:
+        """Serve the node for so long, or until something holds."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end and not until():
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+
+@contextmanager
+def watched(folder: Path, domain: int, *extra: str) -> Iterator[tuple[RunningGraph, Watcher]]:
+    """Start the graph on the simulated bench, home and calibrate it, and watch it; ``extra`` goes to bring_up."""
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
+    prepare_transport()
+    graph = RunningGraph(folder, domain, *extra)
+    rclpy.init()
+    watcher = Watcher()
+    try:
+        graph.prepare()
+        yield graph, watcher
+    finally:
+        watcher.close()
+        rclpy.shutdown()
+        if graph.process.poll() is None:
+            graph.stop()
+
+
+def press(graph: RunningGraph, control: str) -> dict[str, float]:
+    """Press a control by the command line; return its time and error.
+
+    Raises
+    ------
+    RuntimeError
+        If it was not reached, with what the program said.
+    """
+    done = graph.command("gantry_driver", "gantry_goal", "--control", control)
+    found = re.search(r"reached: .* error ([\d.]+) mm.* ([\d.]+) s", done.stdout)
+    if done.returncode != 0 or found is None:
+        raise RuntimeError(f"{control} was not pressed: {done.stdout}{done.stderr}")
+    return {"error_mm": float(found[1]), "duration_s": float(found[2])}
+
+
+def median(values: list[float]) -> float:
+    """Return the median, NaN of nothing."""
+    return statistics.median(values) if values else float("nan")
