@@ -49,8 +49,8 @@ docs: ## API documentation in artifacts/api; a warning is an error
 
 picture: ## make the README's picture of the operator page anew
 	@scripts/setup.sh dev
-	@PAGE_SCREENSHOTS=artifacts $(VENV)/python -m pytest tests/system/test_operator_page.py -k whole_graph
-	@cp artifacts/bench_done.png docs/operator_page.png
+	@$(VENV)/python -m pytest -s tests/system/test_a_whole_story.py
+	@cp artifacts/story/06_moving.png docs/operator_page.png
 
 setup: ## only set up
 	@scripts/setup.sh dev
