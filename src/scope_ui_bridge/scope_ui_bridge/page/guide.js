@@ -27,7 +27,7 @@ function progress() {
 export function sampleGuide() {
   if (!desk.state) return;
   const { done } = progress();
-  if (done < lastDone || (done > 0 && lastDone === 0)) places = [];
+  if (done > 0 && (done < lastDone || lastDone === 0)) places = []; // another run; the end of one leaves them
   if (done > lastDone && desk.state.position_mm) {
     places.push(desk.state.position_mm.slice(0, 2));
     find("coverage").replaceChildren(...places.map(dot));
