@@ -5,6 +5,8 @@ import { Link } from "./link.js";
 import { has, t } from "./strings.js";
 import { Video } from "./video.js";
 
+const REQUESTED = "stop requested"; // the driver knows no more; the banner says who or what asked
+
 class Desk {
   link = new Link();
   video = new Video(document.getElementById("picture"), this.link);
@@ -62,7 +64,7 @@ class Desk {
 function explained(values = {}) {
   const name = values.state && has(`state_${values.state}`) ? t(`state_${values.state}`, values) : values.state;
   const role = values.role ? t(`role_name_${values.role}`) : "";
-  return { ...values, role, state: name, reason: values.reason ? `– ${values.reason}` : "" };
+  return { ...values, role, state: name, reason: values.reason && values.reason !== REQUESTED ? `– ${values.reason}` : "" };
 }
 
 export const desk = new Desk();

@@ -231,7 +231,8 @@ function renderAge() {
   stage.dataset.age = stale ? "stale" : age > limits.max_age_ms ? "old" : age > limits.amber_ms ? "late" : "live";
   const look = { stale: "bad", old: "bad", late: "waiting", live: "good" }[stage.dataset.age];
   const shown = Number.isFinite(age);
-  chip("chip-video", look, shown ? t(video.shown?.light ? "light" : "live", { age: Math.round(age) }) : t("no_picture"));
+  chip("chip-video", look, shown ? t("live", { age: Math.round(age) }) : t("no_picture"));
+  put(find("chip-video").querySelector("dt"), t(video.shown?.light ? "chip_video_light" : "chip_video"));
   put(find("age"), shown && !stale ? t("live", { age: Math.round(age) }) : "");
   find("stale").hidden = !stale;
   if (stale) put(find("stale"), shown ? t("stale", { age: (age / 1000).toFixed(1) }) : t("no_picture"));

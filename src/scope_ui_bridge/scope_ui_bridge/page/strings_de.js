@@ -11,6 +11,7 @@ export const DE = {
   chip_calibration: "Kalibrierung",
   chip_recognition: "Front",
   chip_video: "Bild",
+  chip_video_light: "Bild, verkleinert",
   chip_link: "Leitung",
   camera_choice: "Kamera",
   camera_left: "Links",
@@ -215,7 +216,6 @@ export const DE = {
   wipe: "Wie viel vom Bild davor gezeigt wird",
   before_time: "davor · {time}",
   frozen_no_action: "Ein festgehaltenes Bild liegt über dem Livebild. Noch einmal Festhalten oder Vergleichen drücken.",
-  light: "{age} ms, klein",
 
   tabs: "Maschine, Fahren, Verläufe",
   tab_machine: "Maschine",

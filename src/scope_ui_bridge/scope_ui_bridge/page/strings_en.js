@@ -11,6 +11,7 @@ export const EN = {
   chip_calibration: "Calibration",
   chip_recognition: "Panel",
   chip_video: "Picture",
+  chip_video_light: "Picture, reduced",
   chip_link: "Link",
   camera_choice: "Camera",
   camera_left: "Left",
@@ -215,7 +216,6 @@ export const EN = {
   wipe: "How much of the picture before is shown",
   before_time: "before · {time}",
   frozen_no_action: "A kept picture lies over the live one. Press Freeze or Compare again to go on.",
-  light: "{age} ms, reduced",
 
   tabs: "Machine, moving, plots",
   tab_machine: "Machine",
