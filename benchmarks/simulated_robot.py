@@ -28,7 +28,7 @@ from harris_perception.core.calibration_run import (
 )
 from harris_perception.core.hand_eye import HandEyeConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.recognition import PanelRecogniser
+from harris_perception.core.recognition import PanelRecogniser, Sighting
 from harris_perception.core.stylus import StylusConfig, StylusTracker
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry import Array, Transform
@@ -176,7 +176,7 @@ class Robot:
         RuntimeError
             If the run fails; with its reason.
         """
-        run = CalibrationRun(plan, still, solver, self.now_ns)
+        run = CalibrationRun(plan, still, solver, self.studio.stereo, self.now_ns)
         waiting: list[Action] = run.start(self.now_ns)
         while waiting:
             action = waiting.pop(0)
@@ -207,9 +207,10 @@ class Robot:
             if found.tip is not None:
                 actions = run.tip(self.now_ns, found.tip, self.now_ns)
             if not actions and looks:
-                panel = self._panel_in(pictures)
-                looks -= panel is not None
-                actions = run.panel(self.now_ns, panel, self.now_ns) if panel is not None else []
+                seen = self._panel_in(pictures)
+                if seen is not None:
+                    looks -= 1
+                    actions = run.panel(self.now_ns, seen.camera_from_panel, seen.points, self.now_ns)
             actions = actions or run.tick(self.now_ns)
         return actions
 
@@ -251,10 +252,10 @@ class Robot:
         for _ in range(5):
             seen = self._panel_in(self.pictures())
             if seen is not None:
-                return seen
+                return seen.camera_from_panel
         raise RuntimeError(f"seed {self.seed}: the panel was not recognised")
 
-    def _panel_in(self, pictures: list[Picture]) -> Transform | None:
+    def _panel_in(self, pictures: list[Picture]) -> Sighting | None:
         gray = cv2.cvtColor(pictures[0], cv2.COLOR_BGR2GRAY)
         # One large field of noise, laid over the picture at another place each time.
         top, left = self.rng.integers(0, _NOISE_ROOM, 2)
@@ -265,4 +266,4 @@ class Robot:
         seen = recogniser.locate(gray, np.empty((0, 2)), camera)
         if seen is None:
             seen = recogniser.locate(gray, self.studio.detector.detect(gray).xy, camera)
-        return None if seen is None else seen.camera_from_panel
+        return seen

@@ -107,8 +107,8 @@ class VirtualRobot:
         self.renderer = Renderer(self.layout, config, self.bench.panel_from)
         rig = stereo_rig(config.camera)
         self.cameras = [camera(rig.calibration(side)) for side in ("left", "right")]
-        stereo = StereoModel(left=self.cameras[0], right=self.cameras[1])
-        self.tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), stereo)
+        self.stereo = StereoModel(left=self.cameras[0], right=self.cameras[1])
+        self.tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), self.stereo)
         looks = parameters("recognition")
         self._recognition = from_mapping(RecognitionConfig, _part(looks, "recognition"))
         self.recogniser = PanelRecogniser(self.layout, self._recognition)
@@ -158,7 +158,7 @@ class VirtualRobot:
                 from_mapping(kind, _part(own, name))
                 for name, kind in (("run", RunConfig), ("still", StillConfig), ("solver", HandEyeConfig))
             ]
-            self._procedure = CalibrationRun(parts[0], parts[1], parts[2], self.now_ns)
+            self._procedure = CalibrationRun(parts[0], parts[1], parts[2], self.stereo, self.now_ns)
             self._act(self._procedure.start(self.now_ns))
             self.until(lambda: self._procedure is None, 240.0)
         else:

@@ -12,20 +12,22 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
-from sensor_msgs.msg import CameraInfo, JointState
+from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
+from unit.harris_perception.rectified_pair import camera, measured_face
 
 from harris_perception.core.calibration_file import StoredCalibration, load, save
 from harris_perception.core.hand_eye import Sample
+from harris_perception.core.planar_pose import FACE_POINT_COLUMNS
 from harris_perception.nodes.hand_eye_node import HandEyeNode
-from icu_common.core.camera_model import CameraModel
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
 from icu_common.core.geometry import Transform
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_info_message,
+    cloud_message,
     header,
     joint_message,
     point_message,
@@ -47,12 +49,6 @@ QUICK = {
     "run.look_timeout_s": 2.0,
     "run.accept_timeout_s": 2.0,
 }
-
-
-def camera(focal: float = 1700.0, baseline: float = 0.0) -> CameraModel:
-    k = np.array([[focal, 0.0, 640.0], [0.0, focal, 360.0], [0.0, 0.0, 1.0]])
-    p = np.column_stack([k, [-focal * baseline, 0.0, 0.0]])
-    return CameraModel(name="c", width=1280, height=720, k=k, d=np.zeros(5), r=np.eye(3), p=p)
 
 
 class Rig:
@@ -341,13 +337,19 @@ def test_contacts_are_kept_and_refused_with_the_reason(ros: Any) -> None:
 class RidingRig(Rig):
     """The same with the cameras on the carriage: the tip rests in the picture, and the panel moves."""
 
+    measured = True
+
     def look(self) -> None:
         super().look()
         if not hasattr(self, "panels"):
             self.panels = self.probe.create_publisher(PoseStamped, "panel/pose", qos.LATCHED)
+            self.points = self.probe.create_publisher(PointCloud2, "panel/points", qos.RESULTS)
         moved = np.array([*(AXES @ self.reading[:2]), 0.0])
         pose = Transform(TURN, POSE.apply(PANEL_AT - moved) + self.rng.normal(0, 0.00002, 3))
-        self.panels.publish(pose_message(pose, header(self.now(), CAMERA_LEFT)))
+        head = header(self.now(), CAMERA_LEFT)
+        self.panels.publish(pose_message(pose, head))
+        if self.measured:
+            self.points.publish(cloud_message(FACE_POINT_COLUMNS, measured_face(pose).rows, head))
 
     def tip_base(self) -> Any:
         return np.array([0.0, 0.0, -self.reading[2]])
@@ -379,3 +381,16 @@ def test_cameras_on_the_carriage_are_calibrated_by_the_same_service(ros: Any, tm
     assert kept.mounting == "carriage"
     assert kept.base_from_panel is not None
     np.testing.assert_allclose(kept.base_from_panel.translation, PANEL_AT, atol=0.0005)
+
+
+def test_a_pose_counts_with_what_was_measured_for_it(ros: Any) -> None:
+    rig = RidingRig(ros, **{"run.mounting": "carriage", "still.panels": 2})
+    rig.cameras()
+    rig.reading = np.array([0.1, 0.1, 0.0])
+    rig.measured = False
+    rig.watch(lambda: rig.node._sightings.unpaired > 0, 15.0)
+    seen, text = rig.call("add_sample")
+    assert (seen, text) == (False, "the panel was seen 0 of 2 times while the machine stood still")
+    rig.measured = True
+    rig.watch(lambda: not isinstance(rig.node._watch.panel_sample(rig.now()), str), 15.0)
+    assert len(rig.node._watch.panel_sample(rig.now()).points.pixels) == 160

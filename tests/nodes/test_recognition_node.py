@@ -16,6 +16,7 @@ from unit.harris_perception import panel_scene as scene
 from visualization_msgs.msg import Marker, MarkerArray
 
 from harris_perception.core.harris import HarrisDetector
+from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, FacePoints
 from harris_perception.nodes.recognition_node import RecognitionNode
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import CAMERA_LEFT, PANEL
@@ -23,6 +24,7 @@ from icu_common.core.geometry import Transform
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_info_message,
+    cloud_array,
     cloud_message,
     controls_of_message,
     header,
@@ -99,6 +101,21 @@ def test_pose_after_three_agreeing_pictures_then_lost_then_moved(ros: Any) -> No
     assert confidences[:2] == [0.0, 0.0] and confidences[2] > 0.85
     ros.spin_until(lambda: len(rig.poses) == 2, 10.0)
     assert error_mm(rig.poses[-1], shift_m=0.03) < 0.15
+
+
+def test_points_measured_for_a_pose_are_told_to_who_listens(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1})
+    rig.show(picture(seed=1), 1)
+    points: list[PointCloud2] = ros.collect(rig.probe, PointCloud2, "points", qos.RESULTS)
+    ros.spin_until(lambda: rig.node._points.get_subscription_count() == 1, 10.0)
+    rig.show(picture(seed=2), 2)
+    ros.spin_until(lambda: points, 10.0)
+    assert len(points) == 1 and points[0].header.frame_id == CAMERA_LEFT
+    assert stamp_ns(points[0].header.stamp) == START + 2 * PERIOD
+    measured = FacePoints.of_rows(cloud_array(points[0], FACE_POINT_COLUMNS))
+    error, _ = measured.residuals(scene.pose(LAYOUT).apply(measured.in_space), CAMERA)
+    assert len(error) > 300
+    assert np.sqrt(np.mean(error**2)) < 0.3
 
 
 def test_controls_and_outline_are_those_of_the_layout(ros: Any) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from unit.harris_perception.rectified_pair import PAIR as CAMERAS
 
 from harris_perception.core.calibration_run import (
     Action,
@@ -99,7 +100,7 @@ class Machine:
 
 
 def machine(seed: int = 1, fault: Any = None, **config: Any) -> Machine:
-    run = CalibrationRun(RunConfig(**config), StillConfig(), HandEyeConfig(), 0)
+    run = CalibrationRun(RunConfig(**config), StillConfig(), HandEyeConfig(), CAMERAS, 0)
     rig = Machine(run, seed, fault)
     rig.act(run.start(rig.now))
     rig.spin(300.0)
@@ -125,8 +126,8 @@ def test_run_finds_the_hidden_axes_and_checks_itself() -> None:
         assert 0.00001 < backlash.sigma_m < 0.0001
     assert len(rig.end.held_out_m) == 4
     assert rig.end.held_out_m.max() < 0.0004
-    assert [p.total for p in rig.progress] == [32] * len(rig.progress)
-    assert rig.progress[-1].done == 32
+    assert [p.total for p in rig.progress] == [36] * len(rig.progress)
+    assert rig.progress[-1].done == 36
 
 
 def test_places_are_spread_inside_the_limits_and_entered_from_lower_left() -> None:
@@ -167,7 +168,7 @@ def blind_for_good(rig: Machine, number: int) -> None:
         (silent, r"the goal was not answered within 3 s"),
         (never_there, r"the goal was not reached within 30 s"),
         (aborts, r"the goal x = 30, y = 30, z = -12 mm was aborted: hit the wall"),
-        (blind_for_good, r"9 of 32 places gave no sample; last: the tip was seen 0 of 8 times while"),
+        (blind_for_good, r"10 of 36 places gave no sample; last: the tip was seen 0 of 8 times while"),
     ],
 )
 def test_every_wait_ends_with_its_reason(fault: Any, reason: str) -> None:
@@ -190,7 +191,7 @@ def test_a_few_unseen_places_do_not_matter() -> None:
 
 
 def test_an_alarm_of_the_driver_ends_the_run() -> None:
-    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), 0)
+    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
     run.start(0)
     assert run.driver_state("moving") == []
     assert run.driver_state("alarm: hard limit") == [Failed("the driver says 'alarm: hard limit'")]
@@ -198,7 +199,7 @@ def test_an_alarm_of_the_driver_ends_the_run() -> None:
 
 
 def test_answers_to_other_goals_are_ignored() -> None:
-    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), 0)
+    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
     run.start(77)
     other = GoalResult(goal_id="78", goal="", outcome=Outcome.ABORTED)
     assert run.result(other, 100) == []

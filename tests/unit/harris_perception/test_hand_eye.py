@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 
 import cv2
 import numpy as np
 import pytest
+from unit.harris_perception.rectified_pair import PAIR as CAMERAS
+from unit.harris_perception.rectified_pair import pair_covariance, triangulated
 
 from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate
 from icu_common.core.geometry import Transform
@@ -16,8 +19,13 @@ TRUE_POSE = Transform(
     np.asarray(cv2.Rodrigues(np.array([2.71, 0.05, -0.08]))[0], dtype=float), np.array([-0.17, 0.09, 0.66])
 )
 TILTED = np.array([0.0015, -0.0011, -1.0])
-# Stereo sees depth worse than the rest; the axes are the camera's.
-NOISE = np.diag([0.00003, 0.00003, 0.00015]) ** 2
+SIGMA_PX = 0.05
+NOISE = pair_covariance(np.array([-0.01, 0.0, 0.66]), SIGMA_PX)
+
+
+@cache
+def covariance_at(x: float, y: float, z: float) -> np.ndarray:
+    return pair_covariance(np.array([x, y, z]), SIGMA_PX)
 
 
 def grid(columns: int = 4, rows: int = 3, stylus: tuple[float, ...] = (0.0, 0.012)) -> np.ndarray:
@@ -30,13 +38,13 @@ def true_tips(readings: np.ndarray, stylus: np.ndarray = TILTED) -> np.ndarray:
     return TRUE_POSE.apply(base)
 
 
-def samples(
-    readings: np.ndarray, rng: np.random.Generator | None = None, covariance: np.ndarray = NOISE
-) -> list[Sample]:
+def samples(readings: np.ndarray, rng: np.random.Generator | None = None, told: float = 1.0) -> list[Sample]:
+    """The tip at these readings, with ``told`` times its true covariance."""
     tips = true_tips(readings)
+    covariances = [told * covariance_at(*tip) for tip in tips]
     if rng is not None:
-        tips = tips + rng.multivariate_normal(np.zeros(3), NOISE, len(tips))
-    return [Sample(reading=q, tip=t, covariance=covariance) for q, t in zip(readings, tips)]
+        tips = triangulated(tips, rng, SIGMA_PX)
+    return [Sample(reading=q, tip=t, covariance=c) for q, t, c in zip(readings, tips, covariances)]
 
 
 def assert_exact(result: HandEye) -> None:
@@ -46,7 +54,7 @@ def assert_exact(result: HandEye) -> None:
 
 
 def test_exact_data_give_pose_scale_skew_and_stylus_direction() -> None:
-    result = calibrate(samples(grid()))
+    result = calibrate(samples(grid()), CAMERAS)
     assert_exact(result)
     np.testing.assert_allclose(result.stylus_direction, TILTED, atol=1e-12)
     assert result.fit.rms_m < 1e-12
@@ -57,7 +65,9 @@ def test_exact_data_give_pose_scale_skew_and_stylus_direction() -> None:
 def test_one_stylus_extension_puts_the_origin_at_the_retracted_tip() -> None:
     readings = grid(stylus=(0.010,))
     base = np.column_stack([readings[:, :2] @ TRUE_AXES.T, -readings[:, 2]])
-    result = calibrate([Sample(reading=q, tip=t, covariance=NOISE) for q, t in zip(readings, TRUE_POSE.apply(base))])
+    result = calibrate(
+        [Sample(reading=q, tip=t, covariance=NOISE) for q, t in zip(readings, TRUE_POSE.apply(base))], CAMERAS
+    )
     assert_exact(result)
 
 
@@ -66,10 +76,10 @@ def test_error_is_as_predicted_over_seeds() -> None:
     readings = grid()
     query = np.array([(0.02, 0.02, 0.0), (0.34, 0.19, 0.012), (0.18, 0.1, 0.006), (0.3, 0.05, 0.0)])
     distances, factors, errors, sigmas = [], [], [], []
-    exact = HandEyeConfig(tip_sigma_m=1e-7, depth_sigma_m=1e-7, common_error=0.0)
+    exact = HandEyeConfig(tip_sigma_px=1e-4, common_error=0.0, place_error=0.0)
     for seed in range(200):
         # The solver is told three times the true covariance: the residuals must correct it.
-        result = calibrate(samples(readings, np.random.default_rng(seed), 3.0 * NOISE), exact)
+        result = calibrate(samples(readings, np.random.default_rng(seed), 3.0), CAMERAS, exact)
         assert result.fit.used.all(), seed
         design = np.column_stack([query, np.ones(len(query))])
         error = design @ result.fit.regression - true_tips(query)
@@ -95,7 +105,7 @@ def test_wrong_detections_are_left_out(wrong: int) -> None:
             shift = rng.normal(size=3)
             shift *= rng.uniform(0.002, 0.2) / np.linalg.norm(shift)
             data[i] = Sample(reading=data[i].reading, tip=data[i].tip + shift, covariance=NOISE)
-        result = calibrate(data)
+        result = calibrate(data, CAMERAS)
         assert set(np.flatnonzero(~result.fit.used)) == set(bad), seed
         np.testing.assert_allclose(result.camera_from_base.translation, TRUE_POSE.translation, atol=0.0004)
 
@@ -130,16 +140,16 @@ def line(count: int, step: tuple[float, float, float]) -> np.ndarray:
 )
 def test_what_cannot_be_solved_is_refused_with_the_move_that_helps(readings: np.ndarray, message: str) -> None:
     with pytest.raises(DegenerateError, match=message):
-        calibrate(samples(readings))
+        calibrate(samples(readings), CAMERAS)
 
 
 def test_the_suggested_place_makes_the_samples_sufficient() -> None:
     for step in ((0.02, 0.0, 0.0), (0.0, 0.015, 0.0), (0.02, 0.013, 0.0)):
         collinear = line(8, step)
         with pytest.raises(DegenerateError) as refusal:
-            calibrate(samples(collinear))
+            calibrate(samples(collinear), CAMERAS)
         x, y = re.search(r"near x = (\d+), y = (\d+) mm", str(refusal.value)).groups()  # type: ignore[union-attr]
-        assert_exact(calibrate(samples(np.vstack([collinear, [(float(x) / 1e3, float(y) / 1e3, 0.0)]]))))
+        assert_exact(calibrate(samples(np.vstack([collinear, [(float(x) / 1e3, float(y) / 1e3, 0.0)]])), CAMERAS))
 
 
 def test_tip_that_stays_while_the_gantry_moves_is_refused() -> None:
@@ -147,7 +157,7 @@ def test_tip_that_stays_while_the_gantry_moves_is_refused() -> None:
     with pytest.raises(
         DegenerateError, match=r"moved 30\d mm but the tip that was seen only 0\.0 mm: what is tracked is not"
     ):
-        calibrate(still)
+        calibrate(still, CAMERAS)
 
 
 def test_too_many_misfits_are_refused_with_their_numbers() -> None:
@@ -156,7 +166,7 @@ def test_too_many_misfits_are_refused_with_their_numbers() -> None:
     for i in range(0, 24, 3):
         data[i] = Sample(reading=data[i].reading, tip=data[i].tip + rng.normal(0, 0.02, 3), covariance=NOISE)
     with pytest.raises(DegenerateError, match=r"8 of 24 samples do not fit the rest \(numbers 1, 4, 7, 10"):
-        calibrate(data)
+        calibrate(data, CAMERAS)
 
 
 @pytest.mark.parametrize(
@@ -172,18 +182,18 @@ def test_axes_that_no_machine_has_are_refused(axes: np.ndarray, message: str) ->
     base = np.column_stack([readings[:, :2] @ axes.T, -readings[:, 2]])
     data = [Sample(reading=q, tip=t, covariance=NOISE) for q, t in zip(readings, TRUE_POSE.apply(base))]
     with pytest.raises(DegenerateError, match=message):
-        calibrate(data)
+        calibrate(data, CAMERAS)
 
 
 def test_noise_beyond_the_limit_is_refused() -> None:
     rng = np.random.default_rng(0)
     data = [Sample(reading=s.reading, tip=s.tip + rng.normal(0, 0.001, 3), covariance=NOISE) for s in samples(grid())]
     with pytest.raises(DegenerateError, match=r"miss one another by 1\.\d\d mm rms, 0\.50 mm are accepted"):
-        calibrate(data)
+        calibrate(data, CAMERAS)
 
 
 def test_a_reading_that_is_no_number_is_refused() -> None:
     data = samples(grid())
     data[2] = Sample(reading=data[2].reading, tip=np.array([0.0, np.nan, 0.5]), covariance=NOISE)
     with pytest.raises(DegenerateError, match="not finite"):
-        calibrate(data)
+        calibrate(data, CAMERAS)

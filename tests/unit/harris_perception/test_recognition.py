@@ -14,7 +14,7 @@ import pytest
 from unit.harris_perception import panel_scene as scene
 
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.planar_pose import fit_pose, homography_of_pose, map_points, planar_pose
+from harris_perception.core.planar_pose import FacePoints, fit_pose, homography_of_pose, map_points, planar_pose
 from harris_perception.core.recognition import (
     AgreementConfig,
     PanelRecogniser,
@@ -279,7 +279,7 @@ def test_pose_from_exact_points_and_from_distances_across_edges() -> None:
     # What lies along an edge is unknown, and a few measurements are wrong.
     slid = pixels + rng.normal(0, 30, (60, 1)) * across[:, ::-1] * (1.0, -1.0)
     slid[:8] += 9.0 * across[:8]
-    pose, error = fit_pose(off, points, slid, CAMERA, across)
+    pose, error = fit_pose(off, FacePoints(in_face=points, pixels=slid, across=across), CAMERA)
     np.testing.assert_allclose(pose.rotation, truth.rotation, atol=1e-9)
     np.testing.assert_allclose(pose.translation, truth.translation, atol=1e-9)
     np.testing.assert_allclose(error[:8], 9.0, atol=1e-6)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harris_perception.core.hand_eye import HandEye
-from icu_common.core.geometry import Array
+from harris_perception.core.hand_eye import HandEye, Sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,29 +23,33 @@ class Backlash:
         return f"{self.play_m * 1e3:.3f} +- {self.sigma_m * 1e3:.3f} mm"
 
 
-def measure_backlash(calibration: HandEye, axis: int, seen: Sequence[tuple[Array, Array]]) -> Backlash:
+def measure_backlash(calibration: HandEye, axis: int, pairs: Sequence[tuple[Sample, Sample]]) -> Backlash:
     """Measure how much further along an axis the carriage is when it comes from above.
 
     Parameters
     ----------
     calibration
-        Made of places that were entered from below.
+        Tells where the axes run and how well a place is seen.
     axis
         0 for x, 1 for y.
-    seen
-        Readings (3,) m and what was seen there (3,) m in the camera's frame: the tip or, for cameras on the carriage,
-        the panel's origin, which goes the other way.
+    pairs
+        Two places beside one another, the first entered from below, the second from above: what was seen there is the
+        tip or, for cameras on the carriage, the panel's origin, which goes the other way. So near to one another, both
+        are seen with nearly the same error of light, lens and background, and only their difference counts.
     """
     fit = calibration.fit
-    readings = np.array([reading for reading, _ in seen])
-    points = np.array([point for _, point in seen])
-    count = len(fit.regression)
-    design = np.column_stack([readings[:, : count - 1], np.ones(len(seen))])
-    rail = fit.regression[axis]
-    along = rail / float(rail @ rail)  # from the camera's frame to metres of reading, as the play is
-    ahead = (points - design @ fit.regression) @ along
+    rail, count = fit.regression[axis], len(fit.regression) - 1
+    # The play is along the rail and nowhere else, so what is seen badly (depth) hardly counts.
+    weight = np.linalg.solve(fit.noise, rail)
+    along = weight / float(weight @ rail)
+    ahead = [
+        (above.tip - below.tip - (above.reading - below.reading)[:count] @ fit.regression[:-1]) @ along
+        for below, above in pairs
+    ]
+    scatter = [along @ (below.covariance + above.covariance) @ along for below, above in pairs]
+    # All pairs of an axis stand at the same edge of the picture: half of the error there is taken as theirs together,
+    # which their number does not reduce (found by simulation, benchmarks/bench_hand_eye.py).
+    one = 2.0 * float(along @ fit.noise @ along)
+    variance = one * (0.5 + 0.5 / len(pairs)) + float(np.mean(scatter)) / len(pairs)
     scale = float(np.linalg.norm(calibration.base_from_reading[:, axis]))
-    # One place's own noise, averaged, and the fit's, which the places share.
-    own = float(along @ fit.noise @ along) / len(seen)
-    shared = float(np.mean(design, axis=0) @ fit.spread @ np.mean(design, axis=0)) * float(along @ fit.noise @ along)
-    return Backlash(play_m=float(ahead.mean()) * scale, sigma_m=float(np.sqrt(own + shared)) * scale, places=len(seen))
+    return Backlash(play_m=float(np.mean(ahead)) * scale, sigma_m=float(np.sqrt(variance)) * scale, places=len(pairs))

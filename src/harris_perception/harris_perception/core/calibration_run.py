@@ -19,10 +19,11 @@ from harris_perception.core.carriage_camera import (
     PanelSample,
     calibrate_on_carriage,
     held_out_on_carriage,
-    mean_rotation,
-    panel_origin,
+    origin_sample,
 )
 from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate
+from harris_perception.core.planar_pose import FacePoints
+from icu_common.core.camera_model import StereoModel
 from icu_common.core.config import Config, ConfigError, setting
 from icu_common.core.geometry import Array, Transform, nearest_rotation
 from icu_common.core.results import GoalResult, Outcome
@@ -54,7 +55,11 @@ class RunConfig(Config):
     columns: int = setting(4, "Places along x", minimum=2, maximum=20)
     rows: int = setting(3, "Places along y", minimum=2, maximum=20)
     heights_m: tuple[float, ...] = setting(
-        (0.0, -0.012), "Heights in base_link at each place", minimum=-0.5, maximum=0.0, unit="m"
+        (0.0, -0.012),
+        "Heights in base_link at each place; with cameras on the carriage one of them at each, in turn",
+        minimum=-0.5,
+        maximum=0.0,
+        unit="m",
     )
     held_out: int = setting(4, "Places between the others that check the result", minimum=2, maximum=50)
     held_out_height_m: float = setting(-0.006, "Their height", minimum=-0.5, maximum=0.0, unit="m")
@@ -89,7 +94,7 @@ class StillWatch:
         self._reading: Array | None = None
         self._reading_ns = self._since_ns = 0
         self._tips: deque[tuple[int, Array]] = deque(maxlen=config.tips)
-        self._panels: deque[Transform] = deque(maxlen=config.panels)
+        self._panels: deque[tuple[Transform, FacePoints]] = deque(maxlen=config.panels)
 
     def restart(self, now_ns: int) -> None:
         """Forget what was seen before ``now_ns``."""
@@ -109,21 +114,22 @@ class StillWatch:
         if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
             self._tips.append((stamp_ns, np.array(tip, dtype=np.float64)))
 
-    def panel(self, stamp_ns: int, camera_from_panel: Transform) -> None:
-        """Take a pose of the panel of ``stamp_ns``; as for the tip."""
+    def panel(self, stamp_ns: int, camera_from_panel: Transform, points: FacePoints) -> None:
+        """Take a pose of the panel of ``stamp_ns``, and what was measured for it; as for the tip."""
         if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
-            self._panels.append(camera_from_panel)
+            self._panels.append((camera_from_panel, points))
 
     def panel_sample(self, now_ns: int) -> PanelSample | str:
-        """Return the mean of the poses, or why there is none yet."""
+        """Return the mean of the poses and all their points, or why there is none yet."""
         if self._reading is None or now_ns - self._reading_ns > self._config.fresh_s * 1e9:
             return "no joint_states arrive"
-        poses = list(self._panels)
+        poses = [pose for pose, _ in self._panels]
         if len(poses) < self._config.panels:
             return f"the panel was seen {len(poses)} of {self._config.panels} times while the machine stood still"
         rotation = nearest_rotation(np.mean([p.rotation for p in poses], axis=0))
         pose = Transform(rotation, np.mean([p.translation for p in poses], axis=0))
-        return PanelSample(reading=self._reading, camera_from_panel=pose)
+        points = FacePoints.joined([points for _, points in self._panels])
+        return PanelSample(reading=self._reading, camera_from_panel=pose, points=points)
 
     def sample(self, now_ns: int) -> Sample | str:
         """Return a sample, or why there is none yet."""
@@ -151,12 +157,15 @@ class Purpose(str, Enum):
     APPROACH = "approach"
     FIT = "fit"
     CHECK = "check"
-    BACK_X = "backlash of x"
-    BACK_Y = "backlash of y"
+    X_BELOW = "x from below"
+    X_ABOVE = "x from above"
+    Y_BELOW = "y from below"
+    Y_ABOVE = "y from above"
     PARK = "park"
 
 
-_SAMPLED = (Purpose.FIT, Purpose.CHECK, Purpose.BACK_X, Purpose.BACK_Y)
+_BACKLASH = ((Purpose.X_BELOW, Purpose.X_ABOVE), (Purpose.Y_BELOW, Purpose.Y_ABOVE))
+_SAMPLED = (Purpose.FIT, Purpose.CHECK, *_BACKLASH[0], *_BACKLASH[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,34 +184,40 @@ def plan(config: RunConfig) -> list[Stop]:
     ys = np.linspace(config.y_min_m, config.y_max_m, config.rows)
     back = config.approach_m
     stops: list[Stop] = []
-    for y in ys:
+    for row, y in enumerate(ys):
         stops.append(Stop(float(xs[0]) - back, float(y) - back, 0.0, Purpose.APPROACH))
-        for x in xs:
-            stops += [Stop(float(x), float(y), z, Purpose.FIT) for z in config.heights_m]
+        for column, x in enumerate(xs):
+            heights = config.heights_m
+            if config.mounting == "carriage":
+                # The panel looks the same from each height, and the tip moves with nothing else.
+                heights = heights[(row + column) % len(heights) :][:1]
+            stops += [Stop(float(x), float(y), z, Purpose.FIT) for z in heights]
     between = [(float(x), float(y)) for y in (ys[1:] + ys[:-1]) / 2 for x in (xs[1:] + xs[:-1]) / 2]
     # Places at the golden ratio's steps are spread evenly however many are wanted.
     chosen = sorted({int(i * 0.618034 * len(between)) % len(between) for i in range(config.held_out)})
     for x, y in (between[i] for i in chosen):
         stops.append(Stop(x - back, y - back, 0.0, Purpose.APPROACH))
         stops.append(Stop(x, y, config.held_out_height_m, Purpose.CHECK))
-    stops += _from_above(config)
+    stops += _from_both_sides(config)
     last = stops[-1]
     return [*stops, Stop(last.x, last.y, 0.0, Purpose.PARK)]
 
 
-def _from_above(config: RunConfig) -> list[Stop]:
-    """Return the places that tell the backlash.
+def _from_both_sides(config: RunConfig) -> list[Stop]:
+    """Return the places that tell the backlash, in pairs: close together, entered from below and from above.
 
     The controller enters every place from below, except at the lower end of an axis, where there is no room for it:
     reading 0 is entered from above. There the carriage lags the other way.
     """
     stops = []
-    back, room = config.approach_m, 0.01
+    back = config.approach_m
     for share in (np.arange(config.backlash_places) + 1.0) / (config.backlash_places + 1):
         y = float(config.y_min_m + share * (config.y_max_m - config.y_min_m))
-        stops += [Stop(room, y - back, 0.0, Purpose.APPROACH), Stop(0.0, y, 0.0, Purpose.BACK_X)]
+        stops.append(Stop(back, y - back, 0.0, Purpose.APPROACH))
+        stops += [Stop(2 * back, y, 0.0, Purpose.X_BELOW), Stop(0.0, y, 0.0, Purpose.X_ABOVE)]
         x = float(config.x_min_m + share * (config.x_max_m - config.x_min_m))
-        stops += [Stop(x - back, room, 0.0, Purpose.APPROACH), Stop(x, 0.0, 0.0, Purpose.BACK_Y)]
+        stops.append(Stop(x - back, back, 0.0, Purpose.APPROACH))
+        stops += [Stop(x, 2 * back, 0.0, Purpose.Y_BELOW), Stop(x, 0.0, 0.0, Purpose.Y_ABOVE)]
     return stops
 
 
@@ -225,15 +240,11 @@ class Progress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finished:
-    """The calibration, the errors (N,) m at the held-out places, and the backlash of x and y where it was measured.
-
-    ``camera_from_panel`` is where the panel was, for cameras on the carriage at readings zero; None for fixed ones.
-    """
+    """The calibration, the errors (N,) m at the held-out places, and the backlash of x and y where it was measured."""
 
     calibration: HandEye
     held_out_m: Array
     backlash: tuple[Backlash | None, Backlash | None] = (None, None)
-    camera_from_panel: Transform | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +265,8 @@ class CalibrationRun:
     ----------
     config, still, solver
         See the classes.
+    cameras
+        The pair that looks.
     now_ns
         ROS time.
     base_from_reading
@@ -267,11 +280,12 @@ class CalibrationRun:
         config: RunConfig,
         still: StillConfig,
         solver: HandEyeConfig,
+        cameras: StereoModel,
         now_ns: int,
         base_from_reading: Array | None = None,
         contacts: Sequence[Contact] = (),
     ) -> None:
-        self._config, self._solver = config, solver
+        self._config, self._solver, self._cameras = config, solver, cameras
         self._axes = np.eye(2) if base_from_reading is None else base_from_reading
         self._contacts = tuple(contacts)
         self._see_panel = config.mounting == "carriage"
@@ -325,9 +339,9 @@ class CalibrationRun:
         self._watch.tip(stamp_ns, tip)
         return self._look(now_ns)
 
-    def panel(self, stamp_ns: int, camera_from_panel: Transform, now_ns: int) -> list[Action]:
-        """Take a pose of the panel; fixed cameras do not need it."""
-        self._watch.panel(stamp_ns, camera_from_panel)
+    def panel(self, stamp_ns: int, camera_from_panel: Transform, points: FacePoints, now_ns: int) -> list[Action]:
+        """Take a pose of the panel and what was measured for it; fixed cameras do not need it."""
+        self._watch.panel(stamp_ns, camera_from_panel, points)
         return self._look(now_ns)
 
     def _look(self, now_ns: int) -> list[Action]:
@@ -380,7 +394,7 @@ class CalibrationRun:
         if checks < 2:
             return Failed(f"only {checks} held-out places gave a sample, 2 are needed to check the result")
         try:
-            calibration, errors, seen = self._on_carriage() if self._see_panel else self._fixed()
+            calibration, errors = self._on_carriage() if self._see_panel else self._fixed()
         except DegenerateError as error:
             return Failed(str(error))
         if errors.max() > self._config.max_held_out_m:
@@ -389,28 +403,31 @@ class CalibrationRun:
                 f"at a held-out place the {what} was {errors.max() * 1e3:.2f} mm off, "
                 f"{self._config.max_held_out_m * 1e3:.2f} mm are accepted"
             )
-        back = [self._backlash(calibration, axis, p) for axis, p in enumerate((Purpose.BACK_X, Purpose.BACK_Y))]
-        return Finished(calibration, errors, (back[0], back[1]), seen)
+        return Finished(calibration, errors, (self._backlash(calibration, 0), self._backlash(calibration, 1)))
 
-    def _fixed(self) -> tuple[HandEye, Array, None]:
-        calibration = calibrate(self._samples[Purpose.FIT], self._solver)
-        return calibration, held_out_errors(calibration, self._samples[Purpose.CHECK]), None
+    def _fixed(self) -> tuple[HandEye, Array]:
+        calibration = calibrate(self._samples[Purpose.FIT], self._cameras, self._solver)
+        return calibration, held_out_errors(calibration, self._samples[Purpose.CHECK])
 
-    def _on_carriage(self) -> tuple[HandEye, Array, Transform]:
-        panels = self._panels[Purpose.FIT]
+    def _on_carriage(self) -> tuple[HandEye, Array]:
         tips = [sample for purpose in _SAMPLED for sample in self._samples[purpose]]
-        calibration = calibrate_on_carriage(panels, tips, self._contacts, self._solver)
-        errors = held_out_on_carriage(calibration, panels, self._panels[Purpose.CHECK])
-        return calibration, errors, Transform(mean_rotation(panels), calibration.fit.regression[-1])
+        calibration = calibrate_on_carriage(
+            self._panels[Purpose.FIT], tips, self._cameras, self._contacts, self._solver
+        )
+        return calibration, held_out_on_carriage(calibration, self._panels[Purpose.CHECK], self._cameras.left)
 
-    def _backlash(self, calibration: HandEye, axis: int, purpose: Purpose) -> Backlash | None:
-        """Compare where the carriage is after coming from above with where it would be from below."""
-        if self._see_panel:
-            rotation = mean_rotation(self._panels[Purpose.FIT])
-            kept: list[tuple[Array, Array]] = [(p.reading, panel_origin(p, rotation)) for p in self._panels[purpose]]
-        else:
-            kept = [(s.reading, s.tip) for s in self._samples[purpose]]
-        return measure_backlash(calibration, axis, kept) if kept else None
+    def _backlash(self, calibration: HandEye, axis: int) -> Backlash | None:
+        """Compare where the carriage is after coming from above with where it is, close by, after coming from below."""
+        below, above = (self._seen(calibration, purpose) for purpose in _BACKLASH[axis])
+        # A place where nothing was seen leaves its neighbour alone.
+        near = 3 * self._config.approach_m
+        pairs = [(a, b) for a in below for b in above if np.abs(a.reading - b.reading).max() < near]
+        return measure_backlash(calibration, axis, pairs) if pairs else None
+
+    def _seen(self, calibration: HandEye, purpose: Purpose) -> list[Sample]:
+        if not self._see_panel:
+            return self._samples[purpose]
+        return [origin_sample(calibration, panel, self._cameras.left) for panel in self._panels[purpose]]
 
     def _fail(self, reason: str) -> list[Action]:
         self.over = True

@@ -2,8 +2,9 @@
 
 The carriage does not turn, so all sightings of the panel share one rotation, and its origin is seen at
 ``t = a - N q``: a linear regression gives ``N = R M`` (rotation of base_link into the camera, scale and skew), as for
-fixed cameras. Motion does not tell where the stylus is; that is seen when the cameras see the tip, or touched: the tip
-at a contact is where the panel's point is.
+fixed cameras. It is the start; then rotation, N and a are refined together by all points of the panel that were
+measured in all pictures. Motion does not tell where the stylus is; that is seen when the cameras see the tip, or
+touched: the tip at a contact is where the panel's point is.
 """
 
 from __future__ import annotations
@@ -22,23 +23,38 @@ from harris_perception.core.hand_eye import (
     Sample,
     checked,
     extension_design,
-    least_covariance,
+    fit_tip,
     robust_fit,
     split_axes,
 )
+from harris_perception.core.planar_pose import FacePoints
+from harris_perception.core.reprojection import RayError, panel_origin, refine_panel
+from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry import Array, Transform, nearest_rotation
 
 MAX_CONTACTS = 5
-_PANEL_NOISE = 3.0
-"""A recognised panel scatters by so many times what the tip does, before its residuals tell better."""
+_PANEL_NOISE = 0.00004, 0.0002
+"""A recognised panel's scatter in m, across the line of sight and along it, before its residuals tell better."""
+_MIN_POINTS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PanelSample:
-    """The panel seen while the machine stood still: readings (3,) m, and its pose in the camera's rectified frame."""
+    """The panel seen while the machine stood still.
+
+    Attributes
+    ----------
+    reading
+        (3,) m.
+    camera_from_panel
+        Its pose in the left camera's rectified frame.
+    points
+        What was measured of it for that; not needed to see whether it is where it was.
+    """
 
     reading: Array
     camera_from_panel: Transform
+    points: FacePoints
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -79,6 +95,7 @@ class StylusOffset:
 def calibrate_on_carriage(
     panels: Sequence[PanelSample],
     tips: Sequence[Sample],
+    cameras: StereoModel,
     contacts: Sequence[Contact] = (),
     config: HandEyeConfig | None = None,
 ) -> HandEye:
@@ -90,6 +107,8 @@ def calibrate_on_carriage(
         The panel from spread places.
     tips
         The tip as the cameras see it; may be empty when there are contacts.
+    cameras
+        The pair.
     contacts
         One to five touches of known points of the panel; they win over what is seen.
     config
@@ -101,62 +120,67 @@ def calibrate_on_carriage(
         As :func:`harris_perception.core.hand_eye.calibrate`, and when nothing tells where the stylus is.
     """
     config = config if config is not None else HandEyeConfig()
-    rotation = mean_rotation(panels) if panels else np.eye(3)
+    rotation = _mean_rotation(panels) if panels else np.eye(3)
     readings, points = checked([_origin(p, rotation) for p in panels], "the panel", config)
+    for p in panels:
+        if len(p.points.pixels) < _MIN_POINTS:
+            raise DegenerateError(
+                f"only {len(p.points.pixels)} points of the panel were measured at x = {p.reading[0] * 1e3:.0f}, "
+                f"y = {p.reading[1] * 1e3:.0f} mm, {_MIN_POINTS} are needed"
+            )
     design = np.column_stack([readings[:, :2], np.ones(len(readings))])
-    shape = _PANEL_NOISE**2 * least_covariance(points, config)
+    across, along = _PANEL_NOISE
+    shape = RayError(eye=np.zeros(3), across_m=across, along_m=along).covariance(points.mean(axis=0, keepdims=True))[0]
     fit = robust_fit(design, points, shape, config)
     # Again without the panels that did not fit, whose rotation was in the mean.
-    rotation = mean_rotation([p for p, used in zip(panels, fit.used) if used])
+    rotation = _mean_rotation([p for p, used in zip(panels, fit.used) if used])
     points = np.array([_origin(p, rotation).tip for p in panels])
     fit = robust_fit(design, points, shape, config)
-    ray = points.mean(axis=0) / np.linalg.norm(points.mean(axis=0))
-    along = np.outer(ray, ray)
-    common = config.panel_sigma_m**2 * (np.eye(3) - along) + config.panel_depth_sigma_m**2 * along
-    fit = dataclasses.replace(fit, common=fit.common + common)
+    views = [p.points for p, used in zip(panels, fit.used) if used]
+    rotation, regression, spread = refine_panel(views, design[fit.used], rotation, fit.regression, cameras.left)
+    origins = np.array([panel_origin(v, rotation, o, cameras.left) for v, o in zip(views, points[fit.used])])
+    off = origins - design[fit.used] @ regression
+    fit = dataclasses.replace(
+        fit,
+        regression=regression,
+        spread=spread,
+        noise=off.T @ off / max(len(off) - design.shape[1], 1),
+        # What is seen of the panel is in the middle of the picture, wherever its origin is.
+        common=RayError(eye=None, across_m=config.panel_sigma_m, along_m=config.panel_depth_sigma_m),
+    )
     camera_from_axes, axes = split_axes(-fit.regression[0], -fit.regression[1], config)
     if contacts:
         if len(contacts) > MAX_CONTACTS:
             raise DegenerateError(f"{len(contacts)} contacts, at most {MAX_CONTACTS} are used: start anew")
-        tips = [_touched(c, rotation, fit, config) for c in contacts]
-    elif not tips:
+        tip, origin, direction = _touched(contacts, rotation, camera_from_axes, fit, config)
+    elif tips:
+        tip, origin, direction = _seen(tips, camera_from_axes, cameras, config)
+    else:
         raise DegenerateError(
             "nothing tells where the stylus is: let the cameras see its tip, or touch one to five known points"
         )
-    tip_fit, origin, direction = _stylus(tips, camera_from_axes, config)
     return HandEye(
         camera_from_base=Transform(camera_from_axes, origin),
         base_from_reading=axes,
         stylus_direction=direction,
         fit=fit,
-        tip_fit=tip_fit,
+        tip_fit=tip,
+        panel_rotation=rotation,
     )
 
 
-def mean_rotation(panels: Sequence[PanelSample]) -> Array:
-    """Return the (3, 3) rotation camera_from_panel that all sightings share."""
-    return nearest_rotation(np.mean([p.camera_from_panel.rotation for p in panels], axis=0))
+def origin_sample(calibration: HandEye, panel: PanelSample, camera: CameraModel) -> Sample:
+    """Return the panel's origin as a sample of it shows it, with the rotation that the calibration found."""
+    rotation = calibration.panel_rotation
+    assert rotation is not None
+    start = _origin(panel, rotation)
+    return dataclasses.replace(start, tip=panel_origin(panel.points, rotation, start.tip, camera))
 
 
-def panel_origin(panel: PanelSample, rotation: Array) -> Array:
-    """Return (3,) m: the panel's origin in the camera's frame, with the rotation that all sightings share.
-
-    A single pose is best where the panel is seen, in the middle of the picture; its own small error of rotation would
-    move a far origin. So the point on the optical axis is taken as measured, and the way from it to the origin from
-    the mean rotation.
-    """
-    own = panel.camera_from_panel
-    normal = own.rotation[:, 2]
-    ahead = float(normal @ own.translation) / normal[2] if abs(normal[2]) > 0.1 else float(own.translation[2])
-    in_camera = np.array([0.0, 0.0, ahead])
-    return np.asarray(in_camera - rotation @ own.inverse().apply(in_camera))
-
-
-def held_out_on_carriage(calibration: HandEye, fitted: Sequence[PanelSample], checks: Sequence[PanelSample]) -> Array:
+def held_out_on_carriage(calibration: HandEye, checks: Sequence[PanelSample], camera: CameraModel) -> Array:
     """Return (N,) m: how far the panel was seen from where the calibration expects it, at other places."""
-    rotation = mean_rotation(fitted)
     design = np.array([(*p.reading[:2], 1.0) for p in checks])
-    seen = np.array([panel_origin(p, rotation) for p in checks])
+    seen = np.array([origin_sample(calibration, p, camera).tip for p in checks])
     return np.asarray(np.linalg.norm(seen - design @ calibration.fit.regression, axis=1))
 
 
@@ -192,50 +216,69 @@ def stylus_offset(
     return StylusOffset(offset=(touched - expected).mean(axis=0), sigma=np.sqrt(variance), contacts=count)
 
 
+def _mean_rotation(panels: Sequence[PanelSample]) -> Array:
+    """Return the (3, 3) rotation camera_from_panel that all sightings share."""
+    return nearest_rotation(np.mean([p.camera_from_panel.rotation for p in panels], axis=0))
+
+
 def _origin(panel: PanelSample, rotation: Array) -> Sample:
-    return Sample(reading=panel.reading, tip=panel_origin(panel, rotation), covariance=np.zeros((3, 3)))
+    """Return the panel's origin in the camera's frame, with the rotation that all sightings share.
+
+    A single pose is best where the panel is seen, in the middle of the picture; its own small error of rotation would
+    move a far origin. So the point on the optical axis is taken as measured, and the way from it to the origin from
+    the mean rotation.
+    """
+    own = panel.camera_from_panel
+    normal = own.rotation[:, 2]
+    ahead = float(normal @ own.translation) / normal[2] if abs(normal[2]) > 0.1 else float(own.translation[2])
+    in_camera = np.array([0.0, 0.0, ahead])
+    origin = in_camera - rotation @ own.inverse().apply(in_camera)
+    return Sample(reading=panel.reading, tip=np.asarray(origin), covariance=np.zeros((3, 3)))
 
 
-def _touched(contact: Contact, rotation: Array, fit: Fit, config: HandEyeConfig) -> Sample:
-    """Return the tip in the camera's frame at a contact: where the panel's point is for those readings."""
-    origin = np.array([*contact.reading[:2], 1.0]) @ fit.regression
-    covariance = config.contact_sigma_m**2 * np.eye(3)
-    return Sample(reading=contact.reading, tip=origin + rotation @ contact.in_panel, covariance=covariance)
+def _touched(
+    contacts: Sequence[Contact], rotation: Array, camera_from_axes: Array, fit: Fit, config: HandEyeConfig
+) -> tuple[Fit, Array, Array]:
+    """Return the retracted tip from contacts, where the panel's point is for those readings; else as :func:`_seen`.
 
-
-def _stylus(tips: Sequence[Sample], rotation: Array, config: HandEyeConfig) -> tuple[Fit, Array, Array]:
-    """Return the fit of the tip on the extension, the retracted tip (3,) m, and its direction (3,) in base_link."""
-    readings = np.array([s.reading for s in tips])
-    points = np.array([s.tip for s in tips])
-    shape = np.mean([s.covariance for s in tips], axis=0) + least_covariance(points, config)
-    if len(tips) <= MAX_CONTACTS:
-        # Too few for a direction and a scatter of their own: a mean along the panel's normal.
-        points = points + readings[:, 2:] * rotation[:, 2]
-        mean = points.mean(axis=0)
-        count = len(tips)
-        rms = float(np.sqrt(np.mean(np.sum((points - mean) ** 2, axis=1))))
-        if rms > 4 * config.contact_sigma_m:
-            raise DegenerateError(
-                f"the contacts miss one another by {rms * 1e3:.2f} mm rms, {4e3 * config.contact_sigma_m:.2f} mm are "
-                "accepted: check which points were touched"
-            )
-        used = np.ones(count, dtype=bool)
-        fit = Fit(
-            regression=mean[np.newaxis],
-            spread=np.array([[1 / count]]),
-            noise=shape,
-            common=np.zeros((3, 3)),
-            variance_factor=1.0,
-            rms_m=rms,
-            used=used,
+    They are too few for a direction and a scatter of their own: a mean along the panel's normal.
+    """
+    readings, count = np.array([c.reading for c in contacts]), len(contacts)
+    touched = np.array([c.in_panel for c in contacts]) @ rotation.T
+    points = np.column_stack([readings[:, :2], np.ones(count)]) @ fit.regression + touched
+    points = points + readings[:, 2:] * camera_from_axes[:, 2]
+    mean = points.mean(axis=0)
+    rms = float(np.sqrt(np.mean(np.sum((points - mean) ** 2, axis=1))))
+    if rms > 4 * config.contact_sigma_m:
+        raise DegenerateError(
+            f"the contacts miss one another by {rms * 1e3:.2f} mm rms, {4e3 * config.contact_sigma_m:.2f} mm are "
+            "accepted: check which points were touched"
         )
-        return fit, mean, np.array([0.0, 0.0, -1.0])
-    with_stylus = bool(np.ptp(readings[:, 2]) >= config.min_stylus_span_m)
+    noise = config.contact_sigma_m**2 * np.eye(3)
+    tip = Fit(
+        regression=mean[np.newaxis],
+        spread=noise / count,
+        noise=noise,
+        common=RayError(eye=None, across_m=0.0, along_m=0.0),
+        variance_factor=1.0,
+        rms_m=rms,
+        used=np.ones(count, dtype=bool),
+    )
+    return tip, mean, np.array([0.0, 0.0, -1.0])
+
+
+def _seen(
+    tips: Sequence[Sample], camera_from_axes: Array, cameras: StereoModel, config: HandEyeConfig
+) -> tuple[Fit, Array, Array]:
+    """Return the fit of the tip on the extension, the retracted tip (3,) m, and its direction (3,) in base_link."""
+    extensions = np.array([s.reading[2] for s in tips])
+    with_stylus = bool(np.ptp(extensions) >= config.min_stylus_span_m)
     if not with_stylus:
-        points = points + readings[:, 2:] * rotation[:, 2]
-        readings = readings * (1.0, 1.0, 0.0)
-    fit = robust_fit(extension_design(readings, with_stylus), points, shape, config)
-    direction = rotation.T @ fit.regression[0] if with_stylus else np.array([0.0, 0.0, -1.0])
+        up = camera_from_axes[:, 2]
+        tips = [dataclasses.replace(s, tip=s.tip + s.reading[2] * up) for s in tips]
+    # The tip rests in the picture: all its sightings are from one place.
+    fit = fit_tip(extension_design(extensions, with_stylus), tips, 1, cameras, config)
+    direction = camera_from_axes.T @ fit.regression[0] if with_stylus else np.array([0.0, 0.0, -1.0])
     return fit, fit.regression[-1], direction
 
 

@@ -1,8 +1,9 @@
 """Ties the gantry's readings to the camera's coordinates, for a machine that only translates.
 
 A carriage that never turns makes AX = XB degenerate, so what can be observed is solved directly: the stylus tip seen by
-the fixed stereo camera at readings q is ``X = N q + b``, a linear regression. Its columns are split as ``N = R M``: R
-turns base_link into the camera's frame, M (upper triangular, close to identity) holds the axes' scale and skew.
+the fixed stereo camera at readings q is ``X = N q + b``: a linear regression in closed form, without wrong detections,
+then refined by the pixels of both pictures. Its columns are split as ``N = R M``: R turns base_link into the camera's
+frame, M (upper triangular, close to identity) holds the axes' scale and skew.
 
 Cameras that ride on the carriage are solved in :mod:`harris_perception.core.carriage_camera`.
 
@@ -12,6 +13,7 @@ the viewer; metric and orthogonal. ``base_xy = M q_xy``, ``base_z = -stylus``.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.reprojection import RayError, pair_pixels, refine_points
+from icu_common.core.camera_model import StereoModel
 from icu_common.core.config import Config, setting
 from icu_common.core.geometry import Array, Transform, nearest_rotation
 
@@ -34,19 +38,24 @@ class HandEyeConfig(Config):
     min_stylus_span_m: float = setting(
         0.004, "From this extent on the stylus's direction is fitted too", minimum=0.0001, maximum=1.0, unit="m"
     )
-    tip_sigma_m: float = setting(
-        0.000013,
-        "Least standard deviation of a sample that is believed, across the line of sight",
-        minimum=1e-7,
-        maximum=0.01,
-        unit="m",
+    tip_sigma_px: float = setting(
+        0.02,
+        "Least standard deviation of a sample that is believed, in each picture; its sightings share their background",
+        minimum=0.0001,
+        maximum=5.0,
+        unit="px",
     )
-    depth_sigma_m: float = setting(0.00006, "The same along the line of sight", minimum=1e-7, maximum=0.05, unit="m")
     common_error: float = setting(
-        0.95,
+        1.25,
         "Error that all samples share (the ball's shading) and no number of them reduces, as a part of one sample's",
         minimum=0.0,
-        maximum=2.0,
+        maximum=5.0,
+    )
+    place_error: float = setting(
+        1.0,
+        "Error that samples from one place of the picture share (what is behind the ball), as a part of one sample's",
+        minimum=0.0,
+        maximum=5.0,
     )
     panel_sigma_m: float = setting(
         0.000022,
@@ -102,11 +111,11 @@ class Fit:
     regression
         (P, 3) columns of the model, point = design @ regression.
     spread
-        (P, P) inverse normal matrix.
+        (3 P, 3 P) m^2, covariance of ``regression``, row by row.
     noise
         (3, 3) m^2, covariance of one sample, a posteriori.
     common
-        (3, 3) m^2, covariance of what all samples share.
+        What all samples share.
     variance_factor
         Squared residuals over what the samples' own covariances predict (chi-square per degree of freedom).
     rms_m
@@ -118,15 +127,20 @@ class Fit:
     regression: Array
     spread: Array
     noise: Array
-    common: Array
+    common: RayError
     variance_factor: float
     rms_m: float
     used: npt.NDArray[np.bool_]
 
     def covariance(self, design: Array) -> Array:
         """Return (N, 3, 3) m^2: how sure the fitted point of each row of ``design`` (N, P) is."""
-        leverage = np.einsum("ni,ij,nj->n", design, self.spread, design)
-        return np.asarray(leverage[:, None, None] * self.noise + self.common)
+        return self.own_covariance(design) + self.common.covariance(design @ self.regression)
+
+    def own_covariance(self, design: Array) -> Array:
+        """Return the same without what all samples share."""
+        count = len(self.regression)
+        blocks = self.spread.reshape(count, 3, count, 3)
+        return np.asarray(np.einsum("np,nq,piqj->nij", design, design, blocks))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -145,6 +159,8 @@ class HandEye:
         The regression on the readings: of the tip, or, for a camera on the carriage, of the panel's origin.
     tip_fit
         For a camera on the carriage, the regression of the tip on the extension; else None.
+    panel_rotation
+        For a camera on the carriage, the (3, 3) rotation camera_from_panel; else None.
     """
 
     camera_from_base: Transform
@@ -152,6 +168,12 @@ class HandEye:
     stylus_direction: Array
     fit: Fit
     tip_fit: Fit | None = None
+    panel_rotation: Array | None = None
+
+    @property
+    def camera_from_panel(self) -> Transform | None:
+        """Pose of the panel for readings zero, of a camera on the carriage."""
+        return None if self.panel_rotation is None else Transform(self.panel_rotation, self.fit.regression[-1])
 
     @property
     def on_carriage(self) -> bool:
@@ -174,18 +196,27 @@ class HandEye:
         How sure the fitted tip is or, for a camera on the carriage, the tip's place relative to the panel.
         """
         rows = np.atleast_2d(readings)
-        own = self.fit.covariance(_design(rows, len(self.fit.spread) == 4))
+        own = self.fit.covariance(_design(rows, len(self.fit.regression) == 4))
         if self.tip_fit is None:
             return own
-        return own + self.tip_fit.covariance(extension_design(rows, len(self.tip_fit.spread) == 2))
+        return own + self.tip_fit.covariance(extension_design(rows[:, 2], len(self.tip_fit.regression) == 2))
 
     def sigma_m(self, readings: Array) -> float:
         """Return the predicted rms distance, m, between fitted and true tip over readings (N, 3)."""
         return float(np.sqrt(np.mean(np.trace(self.covariance(readings), axis1=1, axis2=2))))
 
 
-def calibrate(samples: Sequence[Sample], config: HandEyeConfig | None = None) -> HandEye:
+def calibrate(samples: Sequence[Sample], cameras: StereoModel, config: HandEyeConfig | None = None) -> HandEye:
     """Solve the calibration of cameras that stand still; wrong detections are left out.
+
+    Parameters
+    ----------
+    samples
+        The tip from spread places.
+    cameras
+        The pair that saw it.
+    config
+        Limits.
 
     Raises
     ------
@@ -198,8 +229,8 @@ def calibrate(samples: Sequence[Sample], config: HandEyeConfig | None = None) ->
     with_stylus = bool(np.ptp(readings[:, 2]) >= config.min_stylus_span_m)
     if with_stylus:
         _check_stylus(readings, config)
-    shape = np.mean([s.covariance for s in samples], axis=0) + least_covariance(tips, config)
-    fit = robust_fit(_design(readings, with_stylus), tips, shape, config)
+    places = len(np.unique(np.round(readings[:, :2], 4), axis=0))
+    fit = fit_tip(_design(readings, with_stylus), samples, places, cameras, config)
     _check_motion(readings[fit.used], tips[fit.used], "the tip", config)
     rotation, axes = split_axes(fit.regression[0], fit.regression[1], config)
     stylus, origin = np.array([0.0, 0.0, -1.0]), fit.regression[-1]
@@ -209,6 +240,63 @@ def calibrate(samples: Sequence[Sample], config: HandEyeConfig | None = None) ->
         origin = origin + rotation[:, 2] * readings[fit.used, 2].mean()  # all were taken at this extension
     return HandEye(
         camera_from_base=Transform(rotation, origin), base_from_reading=axes, stylus_direction=stylus, fit=fit
+    )
+
+
+def fit_tip(design: Array, samples: Sequence[Sample], places: int, cameras: StereoModel, config: HandEyeConfig) -> Fit:
+    """Fit the tip by design (N, P): in closed form without wrong detections, then all the others' pixels together.
+
+    Parameters
+    ----------
+    design, samples
+        The regression.
+    places
+        At how many places of the pictures the tip was seen; what the tracker errs by there, light and background being
+        the same, is reduced by their number only.
+    cameras
+        The pair that saw it.
+    config
+        Limits.
+
+    Raises
+    ------
+    DegenerateError
+        As :func:`robust_fit`.
+    """
+    tips = np.array([s.tip for s in samples], dtype=np.float64)
+    by_pixel = np.linalg.inv(pair_pixels(tips.mean(axis=0, keepdims=True), cameras)[1][0])
+    shape = by_pixel @ by_pixel.T
+    seen, derivative = pair_pixels(tips, cameras)
+    told = np.einsum("nij,njk,nik->n", derivative, np.array([s.covariance for s in samples]), derivative) / 3
+    expected_px = float(np.sqrt(np.mean(told) + config.tip_sigma_px**2))
+    fit = robust_fit(design, tips, expected_px**2 * shape, config)
+    used, regression = fit.used, fit.regression
+    for _ in range(10):
+        regression, spread, sigma = refine_points(design[used], tips[used], regression, cameras)
+        off = seen - pair_pixels(design @ regression, cameras)[0]
+        again = np.linalg.norm(off, axis=1) <= config.outlier_sigmas * max(sigma, expected_px)
+        if (again == used).all():
+            break
+        used = again
+        _check_left_out(used, config)
+    # Two pictures see depth by the difference of their errors, and what both share is no part of it.
+    shared = max(sigma, config.tip_sigma_px)
+    far = float(np.mean(tips[:, 2]))
+    pixel_m = far / cameras.focal_px
+    return dataclasses.replace(
+        fit,
+        used=used,
+        regression=regression,
+        spread=spread,
+        noise=sigma**2 * shape,
+        common=RayError(
+            eye=np.array([0.5 * cameras.baseline, 0.0, 0.0]),
+            across_m=float(np.hypot(config.common_error, config.place_error * np.sqrt(0.5 / places)))
+            * shared
+            * pixel_m,
+            along_m=config.place_error * float(np.sqrt(2.0 / places)) * shared * pixel_m * far / cameras.baseline,
+        ),
+        variance_factor=(sigma / expected_px) ** 2,
     )
 
 
@@ -251,11 +339,10 @@ def robust_fit(design: Array, points: Array, shape: Array, config: HandEyeConfig
     """
     used = _consensus(design, points, shape, config)
     regression: Array = np.linalg.lstsq(design[used], points[used], rcond=None)[0].astype(np.float64)
-    spread: Array = np.linalg.inv(design[used].T @ design[used]).astype(np.float64)
+    leverage: Array = np.linalg.inv(design[used].T @ design[used]).astype(np.float64)
     residuals = points[used] - design[used] @ regression
     freedom = 3 * (int(used.sum()) - design.shape[1])
-    # Every sample has the same covariance up to one factor, so weighted and plain least squares agree; the factor is
-    # estimated from the residuals (a posteriori variance of unit weight).
+    # The covariance's size is what the residuals show (a posteriori variance of unit weight).
     factor = float(np.einsum("ni,ij,nj->", residuals, np.linalg.inv(shape), residuals)) / max(freedom, 1)
     rms = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)) * 3 * int(used.sum()) / max(freedom, 1)))
     if rms > config.max_rms_m:
@@ -265,9 +352,9 @@ def robust_fit(design: Array, points: Array, shape: Array, config: HandEyeConfig
         )
     return Fit(
         regression=regression,
-        spread=spread,
+        spread=np.kron(leverage, shape * factor),
         noise=shape * factor,
-        common=config.common_error**2 * shape * factor,
+        common=RayError(eye=None, across_m=0.0, along_m=0.0),
         variance_factor=factor,
         rms_m=rms,
         used=used,
@@ -279,16 +366,10 @@ def _design(readings: Array, with_stylus: bool) -> Array:
     return np.column_stack([columns, np.ones(len(readings))])
 
 
-def extension_design(readings: Array, with_stylus: bool) -> Array:
-    """Return the design (N, 2) or (N, 1) of a point that only moves with the stylus."""
-    return np.column_stack([readings[:, 2:] if with_stylus else np.empty((len(readings), 0)), np.ones(len(readings))])
-
-
-def least_covariance(tips: Array, config: HandEyeConfig) -> Array:
-    """Return (3, 3) m^2: what the scatter of one place's sightings does not show, as light and background stay."""
-    ray = tips.mean(axis=0) / np.linalg.norm(tips.mean(axis=0))
-    along = np.outer(ray, ray)
-    return np.asarray(config.tip_sigma_m**2 * (np.eye(3) - along) + config.depth_sigma_m**2 * along)
+def extension_design(extensions: Array, with_stylus: bool) -> Array:
+    """Return the design (N, 2) or (N, 1) of a point that only moves with the stylus, for extensions (N,) m."""
+    ones = np.ones((len(extensions), 1))
+    return np.column_stack([extensions, ones]) if with_stylus else ones
 
 
 def split_axes(x_rail: Array, y_rail: Array, config: HandEyeConfig) -> tuple[Array, Array]:
@@ -381,14 +462,18 @@ def _consensus(design: Array, tips: Array, shape: Array, config: HandEyeConfig) 
         if (again == used).all():
             break
         used = again
+    _check_left_out(used, config)
+    return np.asarray(used)
+
+
+def _check_left_out(used: npt.NDArray[np.bool_], config: HandEyeConfig) -> None:
     left_out = np.flatnonzero(~used)
-    if len(left_out) > config.max_outliers * count or int(used.sum()) < config.min_samples:
+    if len(left_out) > config.max_outliers * len(used) or int(used.sum()) < config.min_samples:
         numbers = ", ".join(str(i + 1) for i in left_out)
         raise DegenerateError(
-            f"{len(left_out)} of {count} samples do not fit the rest (numbers {numbers}): the tip was seen wrongly "
+            f"{len(left_out)} of {len(used)} samples do not fit the rest (numbers {numbers}): the tip was seen wrongly "
             "there, or the drive slipped; add samples in other places or start anew"
         )
-    return np.asarray(used)
 
 
 def _check_axes(axes: Array, config: HandEyeConfig) -> None:

@@ -5,6 +5,8 @@ Pictures are rectified: no distortion, intrinsics from the camera's projection m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -16,6 +18,72 @@ from icu_common.core.geometry import Array, Transform, nearest_rotation
 
 # Tukey's biweight at 95 % efficiency, and the median absolute deviation of a normal distribution.
 _TUKEY, _MAD = 4.685, 1.4826
+
+FACE_POINT_COLUMNS = ("x", "y", "u", "v", "across_u", "across_v")
+"""How points of a face travel."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FacePoints:
+    """Points of a face and where one picture shows them.
+
+    Attributes
+    ----------
+    in_face
+        (N, 2) m, on the plane.
+    pixels
+        (N, 2) px, rectified.
+    across
+        (N, 2) unit vectors in the picture: only the distance along them was measured, as at an edge; a corner is two
+        points, one for each direction.
+    """
+
+    in_face: Array
+    pixels: Array
+    across: Array
+
+    @classmethod
+    def joined(cls, parts: Sequence[FacePoints]) -> FacePoints:
+        """Return the points of all parts, in their order."""
+        empty = np.empty((0, 2))
+        return cls(
+            in_face=np.concatenate([empty, *(part.in_face for part in parts)]),
+            pixels=np.concatenate([empty, *(part.pixels for part in parts)]),
+            across=np.concatenate([empty, *(part.across for part in parts)]),
+        )
+
+    @classmethod
+    def of_rows(cls, rows: npt.NDArray[Any]) -> FacePoints:
+        """Return points from (N, 6), in the order of FACE_POINT_COLUMNS."""
+        values = np.asarray(rows, dtype=np.float64)
+        if not np.isfinite(values).all():
+            raise ValueError("a point is not finite")
+        return cls(in_face=values[:, :2], pixels=values[:, 2:4], across=values[:, 4:])
+
+    @property
+    def rows(self) -> Array:
+        """(N, 6), in the order of FACE_POINT_COLUMNS."""
+        return np.column_stack([self.in_face, self.pixels, self.across])
+
+    def chosen(self, which: npt.NDArray[Any]) -> FacePoints:
+        """Return some of the points."""
+        return FacePoints(in_face=self.in_face[which], pixels=self.pixels[which], across=self.across[which])
+
+    @property
+    def in_space(self) -> Array:
+        """(N, 3) m in the face's frame."""
+        return np.column_stack([self.in_face, np.zeros(len(self.in_face))])
+
+    def residuals(self, in_camera: Array, camera: CameraModel) -> tuple[Array, Array]:
+        """Return by how much (N,) px points in the camera's frame (N, 3) m miss, and its derivative (N, 3) px/m.
+
+        The derivative is that of the predicted place, along ``across``.
+        """
+        focal = np.array([camera.p[0, 0], camera.p[1, 1]])
+        slopes = in_camera[:, :2] / in_camera[:, 2:]
+        error = np.einsum("ni,ni->n", self.across, self.pixels - (focal * slopes + camera.p[:2, 2]))
+        scaled = self.across * focal / in_camera[:, 2:]
+        return error, np.column_stack([scaled, -np.einsum("ni,ni->n", scaled, slopes)])
 
 
 def inverse(homography: Array) -> Array:
@@ -70,74 +138,36 @@ def planar_pose(points_m: Array, pixels: Array, camera: CameraModel) -> Transfor
 
 
 def fit_pose(
-    start: Transform,
-    points_m: Array,
-    pixels: Array,
-    camera: CameraModel,
-    across: Array | None = None,
-    floor_px: float = 0.1,
+    start: Transform, points: FacePoints, camera: CameraModel, floor_px: float = 0.1
 ) -> tuple[Transform, Array]:
-    """Refine a pose by robust Gauss-Newton; return it and the residuals.
+    """Refine a pose by robust Gauss-Newton; return camera_from_panel and the residuals (N,) px.
 
-    Parameters
-    ----------
-    start
-        camera_from_panel.
-    points_m
-        (N, 2) m on the plane.
-    pixels
-        (N, 2) where they are seen.
-    camera
-        Gives the intrinsics of the rectified picture.
-    across
-        (N, 2) unit vectors in the picture: only the distance along them counts (edges). Without it both directions do.
-    floor_px
-        Residuals below a few times this are never outliers.
-
-    Returns
-    -------
-    camera_from_panel and residuals, (N,) px with ``across``, else (2 N,).
+    Residuals below a few times ``floor_px`` are never outliers.
     """
-    world = np.column_stack([points_m, np.zeros(len(points_m))])
-    focal = np.array([camera.p[0, 0], camera.p[1, 1]])
-    pose = start
-
-    def residuals(candidate: Transform) -> tuple[Array, Array]:
-        seen = candidate.apply(world)
-        error = pixels - (focal * seen[:, :2] / seen[:, 2:] + camera.p[:2, 2])
-        return (error.ravel() if across is None else np.einsum("ni,ni->n", across, error)), seen
-
+    world, pose = points.in_space, start
     for _ in range(20):
-        error, seen = residuals(pose)
-        x, y, z = seen.T
-        zero = np.zeros(len(z))
-        by_point = np.stack(
-            [
-                np.column_stack([focal[0] / z, zero, -focal[0] * x / z**2]),
-                np.column_stack([zero, focal[1] / z, -focal[1] * y / z**2]),
-            ],
-            axis=1,
-        )
+        seen = pose.apply(world)
+        error, by_point = points.residuals(seen, camera)
         # Turn about the seen centre, so that rotation and translation hardly disturb one another.
         centre = seen.mean(axis=0)
-        jacobian = np.concatenate([by_point @ -_cross(seen - centre), by_point], axis=2)
-        rows = jacobian.reshape(-1, 6) if across is None else np.einsum("ni,nij->nj", across, jacobian)
-        weight = _weights(error, floor_px)
+        rows = np.column_stack([np.einsum("nj,njk->nk", by_point, -cross(seen - centre)), by_point])
+        weight = tukey(error, floor_px)
         step = np.linalg.lstsq(rows * weight[:, None], error * weight, rcond=None)[0]
         turn = np.asarray(cv2.Rodrigues(step[:3])[0], dtype=np.float64)
         pose = Transform(nearest_rotation(turn @ pose.rotation), turn @ (pose.translation - centre) + centre + step[3:])
         if np.abs(step).max() < 1e-9:
             break
-    return pose, residuals(pose)[0]
+    return pose, points.residuals(pose.apply(world), camera)[0]
 
 
-def _weights(error: Array, floor: float) -> Array:
+def tukey(error: Array, floor: float) -> Array:
     """Return square roots of Tukey's weights for residuals around zero."""
     scale = max(_MAD * float(np.median(np.abs(error))), floor)
     return np.asarray(1 - np.minimum(np.abs(error) / (_TUKEY * scale), 1.0) ** 2)
 
 
-def _cross(vectors: Array) -> Array:
+def cross(vectors: Array) -> Array:
+    """Return (N, 3, 3) matrices that multiply by the cross product with vectors (N, 3) from the left."""
     x, y, z = vectors.T
     zero = np.zeros(len(x))
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

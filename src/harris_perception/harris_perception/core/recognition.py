@@ -24,6 +24,7 @@ from harris_perception.core.edge_alignment import EdgePoints, edge_points, shift
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_template import PanelTemplate, hidden_by_controls, panel_template
 from harris_perception.core.planar_pose import (
+    FacePoints,
     fit_pose,
     homography_of_pose,
     inverse,
@@ -140,7 +141,7 @@ class Sighting:
     agreement
         Agreeing part of the face's textured patches, 0 to 1.
     points
-        How many measured points fit.
+        The measured points that fit.
     rms_px
         Their misfit under the pose.
     tracked
@@ -152,7 +153,7 @@ class Sighting:
     rectified_from_mm: Array
     camera_from_panel: Transform
     agreement: float
-    points: int
+    points: FacePoints
     rms_px: float
     tracked: bool
     patches: Patches
@@ -339,11 +340,13 @@ class PanelRecogniser:
             homography = fitted
         return homography
 
-    def _by_edges(self, rectified: Gray, start: Array, camera: CameraModel) -> tuple[Transform, int, float] | None:
-        """Return camera_from_panel, the number of edge points that fit, and their rms misfit in px."""
+    def _by_edges(
+        self, rectified: Gray, start: Array, camera: CameraModel
+    ) -> tuple[Transform, FacePoints, float] | None:
+        """Return camera_from_panel, the edge points that fit, and their rms misfit in px."""
         config = self.config.refine
         pose = pose_of_homography(start, self.layout.size_mm, camera)
-        error = np.empty(0)
+        measured, error = FacePoints.joined([]), np.empty(0)
         for reach in (config.edge_reach_px, 0.5 * config.edge_reach_px, 2.0):
             if pose is None:
                 return None
@@ -368,12 +371,13 @@ class PanelRecogniser:
             across = tangent[:, ::-1] * (1.0, -1.0)
             across /= np.linalg.norm(across, axis=1, keepdims=True)
             points_m = map_points(inverse(level.template.px_from_mm), edges.px) * 1e-3
-            pose, error = fit_pose(pose, points_m, pixels, camera, across)
-        near = error[np.abs(error) < max(3 * 1.4826 * float(np.median(np.abs(error))), 0.3)]
-        rms = float(np.sqrt(np.mean(near**2)))
-        if pose is None or len(near) < max(config.edge_points, 0.5 * len(error)) or rms > config.max_rms_px:
+            measured = FacePoints(in_face=points_m, pixels=pixels, across=across)
+            pose, error = fit_pose(pose, measured, camera)
+        near = np.abs(error) < max(3 * 1.4826 * float(np.median(np.abs(error))), 0.3)
+        rms = float(np.sqrt(np.mean(error[near] ** 2)))
+        if pose is None or int(near.sum()) < max(config.edge_points, 0.5 * len(error)) or rms > config.max_rms_px:
             return None
-        return pose, len(near), rms
+        return pose, measured.chosen(near), rms
 
     def _level_for(self, homography: Array) -> _Level | None:
         """Return the level whose scale is nearest to the picture's; None for a homography that no camera makes."""

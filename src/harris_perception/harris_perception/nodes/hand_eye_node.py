@@ -12,7 +12,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, JointState
+from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -42,12 +42,13 @@ from harris_perception.core.carriage_camera import (
     Contact,
     PanelSample,
     calibrate_on_carriage,
-    mean_rotation,
     stylus_offset,
 )
 from harris_perception.core.drift import DriftConfig, DriftWatch
 from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate
-from icu_common.core.camera_model import CameraModel
+from harris_perception.core.pairing import Pairing
+from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, FacePoints
+from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import Config, nested, setting
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.geometry import Array, Transform
@@ -55,6 +56,7 @@ from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_model,
     check_frame,
+    cloud_array,
     controls_of_message,
     diagnostic_status,
     header,
@@ -101,6 +103,7 @@ class HandEyeNode(Node):
         self._contacts: list[Contact] = []
         self._reading: Array | None = None
         self._panel: Transform | None = None
+        self._sightings = Pairing(2)
         self._controls: dict[str, Array] = {}
         self._settings = ""
         self._drift: DriftWatch | None = None
@@ -122,6 +125,8 @@ class HandEyeNode(Node):
         self.create_subscription(String, "driver_state", self._on_driver, qos.LATCHED)
         self.create_subscription(String, "machine_settings", self._on_settings, qos.LATCHED)
         self.create_subscription(PoseStamped, "panel/pose", self._on_panel, qos.LATCHED)
+        if self._live.config.run.mounting == "carriage":
+            self.create_subscription(PointCloud2, "panel/points", self._on_points, qos.RESULTS)
         self.create_subscription(MarkerArray, "panel/controls", self._on_controls, qos.LATCHED)
         self.create_subscription(PointStamped, "contact", self._on_contact, qos.RESULTS)
         self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
@@ -197,9 +202,28 @@ class HandEyeNode(Node):
             self.get_logger().error(f"panel/pose: {error}", throttle_duration_sec=5.0)
             return
         stamp = stamp_ns(message.header.stamp)
-        self._watch.panel(stamp, self._panel)
+        if self._live.config.run.mounting == "carriage":
+            self._take_panel(self._sightings.add(0, stamp, (stamp, self._panel)))
+        else:
+            self._watch.panel(stamp, self._panel, FacePoints.joined([]))
+
+    def _on_points(self, message: PointCloud2) -> None:
+        try:
+            check_frame(message.header, CAMERA_LEFT)
+            points = FacePoints.of_rows(cloud_array(message, FACE_POINT_COLUMNS))
+        except ValueError as error:
+            self.get_logger().error(f"panel/points: {error}", throttle_duration_sec=5.0)
+            return
+        self._take_panel(self._sightings.add(1, stamp_ns(message.header.stamp), points))
+
+    def _take_panel(self, sighting: tuple[Any, ...] | None) -> None:
+        """Take a pose and what was measured for it, once both have come."""
+        if sighting is None:
+            return
+        (stamp, pose), points = sighting
+        self._watch.panel(stamp, pose, points)
         if self._procedure is not None:
-            self._act(self._procedure.panel(stamp, self._panel, self._now_ns()))
+            self._act(self._procedure.panel(stamp, pose, points, self._now_ns()))
 
     def _on_controls(self, message: MarkerArray) -> None:
         try:
@@ -274,8 +298,7 @@ class HandEyeNode(Node):
     def _finish(self, action: Finished) -> None:
         self._procedure = None
         plays = [(float("nan"), float("nan")) if b is None else (b.play_m, b.sigma_m) for b in action.backlash]
-        panel = self._panel if action.camera_from_panel is None else action.camera_from_panel
-        found = self._describe(action.calibration, action.held_out_m, panel, np.array(plays))
+        found = self._describe(action.calibration, action.held_out_m, np.array(plays))
         self._contacts.clear()
         self._use(found, action.calibration)
         if self._live.config.calibration_file:
@@ -284,12 +307,11 @@ class HandEyeNode(Node):
             except _Refused as error:
                 self.get_logger().error(str(error))
 
-    def _describe(
-        self, solved: HandEye, held_out_m: Array, camera_from_panel: Transform | None, plays_m: Array
-    ) -> StoredCalibration:
-        """Return what is kept; ``camera_from_panel`` is that at readings zero when the cameras ride on the carriage."""
+    def _describe(self, solved: HandEye, held_out_m: Array, plays_m: Array) -> StoredCalibration:
+        """Return what is kept."""
         solver = self._live.config.solver
         offset = np.full(3, np.nan)
+        camera_from_panel = solved.camera_from_panel if solved.on_carriage else self._panel
         if camera_from_panel is not None and self._contacts:
             offset = stylus_offset(solved, camera_from_panel, self._contacts, solver).offset
         panel = None if camera_from_panel is None else solved.camera_from_base.inverse() @ camera_from_panel
@@ -394,14 +416,14 @@ class HandEyeNode(Node):
             raise _Refused("a calibration is already running")
         if self._driver.split(":")[0] != "idle":
             raise _Refused(f"the driver says {self._driver!r}: connected, homed and idle is needed")
-        self._need_cameras()
+        cameras = self._pair()
         config = self._live.config
         self._samples.clear()
         self._panels.clear()
         # The controller still turns goals into readings with the calibration that it has.
         axes = None if self._stored is None else self._stored.base_from_reading
         self._procedure = CalibrationRun(
-            config.run, config.still, config.solver, self._now_ns(), axes, tuple(self._contacts)
+            config.run, config.still, config.solver, cameras, self._now_ns(), axes, tuple(self._contacts)
         )
         self._act(self._procedure.start(self._now_ns()))
         return "calibrating; watch the state"
@@ -428,17 +450,16 @@ class HandEyeNode(Node):
     def _solve(self) -> str:
         if self._procedure is not None:
             raise _Refused("a calibration is running")
-        self._need_cameras()
-        solver, panel = self._live.config.solver, self._panel
+        cameras = self._pair()
+        solver = self._live.config.solver
         try:
             if self._live.config.run.mounting == "carriage":
-                solved = calibrate_on_carriage(self._panels, self._samples, self._contacts, solver)
-                panel = Transform(mean_rotation(self._panels), solved.fit.regression[-1])
+                solved = calibrate_on_carriage(self._panels, self._samples, cameras, self._contacts, solver)
             else:
-                solved = calibrate(self._samples, solver)
+                solved = calibrate(self._samples, cameras, solver)
         except DegenerateError as error:
             raise _Refused(str(error)) from error
-        self._use(self._describe(solved, np.empty(0), panel, np.full((2, 2), np.nan)), solved)
+        self._use(self._describe(solved, np.empty(0), np.full((2, 2), np.nan)), solved)
         self._contacts.clear()
         return self._state
 
@@ -454,9 +475,14 @@ class HandEyeNode(Node):
             raise _Refused(f"the calibration could not be saved: {error}") from error
         return f"saved to {path}"
 
-    def _need_cameras(self) -> None:
-        if "left" not in self._cameras:
-            raise _Refused("no camera_info of the left camera has arrived")
+    def _pair(self) -> StereoModel:
+        for side in ("left", "right"):
+            if side not in self._cameras:
+                raise _Refused(f"no camera_info of the {side} camera has arrived")
+        try:
+            return StereoModel(left=self._cameras["left"], right=self._cameras["right"])
+        except ValueError as error:
+            raise _Refused(f"camera_info: {error}") from error
 
     def _watch_drift(self) -> str:
         """Look at tip and panel while nothing moves; return what has drifted."""

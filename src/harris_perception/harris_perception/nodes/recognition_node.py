@@ -21,6 +21,7 @@ from visualization_msgs.msg import MarkerArray
 from harris_perception.core.gray import bgr_of, gray_of
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
+from harris_perception.core.planar_pose import FACE_POINT_COLUMNS
 from harris_perception.core.recognition import PanelRecogniser, PoseAgreement, RecognitionConfig, Sighting
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, ConfigError, nested, setting
@@ -32,6 +33,7 @@ from icu_common.nodes.conversions import (
     camera_model,
     check_frame,
     cloud_array,
+    cloud_message,
     controls_message,
     diagnostic_status,
     header,
@@ -79,7 +81,7 @@ class RecognitionNodeConfig(Config):
 
 
 class RecognitionNode(Node):
-    """Publishes ``pose``, ``controls``, ``confidence`` and ``state`` from pictures, corners and the stylus's tip."""
+    """Publishes pose, measured points, controls, confidence and state from pictures, corners and the stylus's tip."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("recognition", **options)
@@ -97,6 +99,7 @@ class RecognitionNode(Node):
         self._pose = self.create_publisher(PoseStamped, "pose", qos.LATCHED)
         self._controls = self.create_publisher(MarkerArray, "controls", qos.LATCHED)
         self._state = self.create_publisher(DiagnosticArray, "state", qos.RESULTS)
+        self._points = self.create_publisher(PointCloud2, "points", qos.RESULTS)
         self._confidence_out = self.create_publisher(Float32, "confidence", qos.RESULTS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         self._controls.publish(controls_message(self._layout, header(self.get_clock().now().nanoseconds, PANEL)))
@@ -201,6 +204,8 @@ class RecognitionNode(Node):
         # The pose goes first: who hears a confidence above zero has the pose that it belongs to.
         if pose is not None and message is not None:
             self._pose.publish(pose_message(pose, message.header))
+            if sighting is not None and self._points.get_subscription_count():
+                self._points.publish(cloud_message(FACE_POINT_COLUMNS, sighting.points.rows, message.header))
         self._confidence_out.publish(Float32(data=self._confidence))
 
     def _read(self, message: Image, sighting: Sighting, pose: Transform) -> None:
@@ -225,7 +230,11 @@ class RecognitionNode(Node):
         self._busy_s = 0.0
         if self._sighting is not None:
             s = self._sighting
-            values += [("agreement", f"{s.agreement:.3f}"), ("points", s.points), ("rms_px", f"{s.rms_px:.3f}")]
+            values += [
+                ("agreement", f"{s.agreement:.3f}"),
+                ("points", len(s.points.pixels)),
+                ("rms_px", f"{s.rms_px:.3f}"),
+            ]
         level = "ok" if self._confidence > 0 else "warn"
         status = diagnostic_status(self.get_fully_qualified_name(), level, text, values)
         head = header(self.get_clock().now().nanoseconds, "")

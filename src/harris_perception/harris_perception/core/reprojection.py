@@ -1,0 +1,159 @@
+"""Joint refinement of a hand-eye calibration: everything that was measured, in pixels, in one least squares.
+
+A triangulated point errs along its line of sight, and so does a pose; that line turns from place to place of the
+picture. A regression of points, each coordinate by itself, cannot use this, and gives depth the wrong slope where the
+pixels tell it well by perspective. So the closed-form regression is only the start.
+
+Both refinements fit points ``X = design @ regression`` in the camera's rectified frame: the tip, or the panel's origin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from harris_perception.core.planar_pose import FacePoints, cross, tukey
+from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry import Array, nearest_rotation
+
+_ROUNDS = 30
+_STEP = 1e-10
+_FLOOR_PX = 0.1
+"""Residuals of the panel's points below a few times this are never outliers."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RayError:
+    """An error with another size along the line of sight than across, standard deviations in m.
+
+    ``eye`` (3,) m is where the lines of sight start; None where it is the optical axis that counts, not a point's own.
+    """
+
+    eye: Array | None
+    across_m: float
+    along_m: float
+
+    def covariance(self, points: Array) -> Array:
+        """Return (N, 3, 3) m^2 at points (N, 3) m."""
+        rays = np.tile((0.0, 0.0, 1.0), (len(points), 1)) if self.eye is None else points - self.eye
+        rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        along = rays[:, :, None] * rays[:, None, :]
+        return np.asarray(self.across_m**2 * (np.eye(3) - along) + self.along_m**2 * along)
+
+
+def pair_pixels(points: Array, cameras: StereoModel) -> tuple[Array, Array]:
+    """Return where both rectified pictures see points (N, 3) m: (N, 3) px, and its derivative (N, 3, 3) px/m.
+
+    The three are u on the left, u on the right and the mean of both rows times sqrt 2, so that all have the same error.
+    """
+    x, y, z = points.T
+    fx, fy = cameras.left.p[0, 0], cameras.left.p[1, 1]
+    row = np.sqrt(2.0) * fy
+    pixels = np.column_stack([fx * x / z, fx * (x - cameras.baseline) / z, row * y / z])
+    derivative = np.zeros((len(points), 3, 3))
+    derivative[:, 0, 0] = derivative[:, 1, 0] = fx / z
+    derivative[:, 0, 2] = -fx * x / z**2
+    derivative[:, 1, 2] = -fx * (x - cameras.baseline) / z**2
+    derivative[:, 2, 1], derivative[:, 2, 2] = row / z, -row * y / z**2
+    return pixels, derivative
+
+
+def refine_points(design: Array, points: Array, start: Array, cameras: StereoModel) -> tuple[Array, Array, float]:
+    """Refine a regression of triangulated points by their pixels in both pictures.
+
+    Parameters
+    ----------
+    design
+        (N, P), without wrong detections.
+    points
+        (N, 3) m.
+    start
+        (P, 3) from the closed form.
+    cameras
+        The pair that saw them.
+
+    Returns
+    -------
+    regression, spread, sigma_px
+        (P, 3) m; (3 P, 3 P) m^2, its covariance; and the error of a sample in one picture that the residuals show.
+    """
+    seen, _ = pair_pixels(points, cameras)
+    regression, unknown = start, start.size
+    for _ in range(_ROUNDS):
+        pixels, derivative = pair_pixels(design @ regression, cameras)
+        rows = np.einsum("nij,np->nipj", derivative, design).reshape(-1, unknown)
+        step = np.linalg.lstsq(rows, (seen - pixels).ravel(), rcond=None)[0]
+        regression = regression + step.reshape(regression.shape)
+        if np.abs(step).max() < _STEP:
+            break
+    error = seen - pair_pixels(design @ regression, cameras)[0]
+    sigma = float(np.sqrt(np.sum(error**2) / max(error.size - unknown, 1)))
+    return regression, np.asarray(sigma**2 * np.linalg.inv(rows.T @ rows)), sigma
+
+
+def refine_panel(
+    views: Sequence[FacePoints], design: Array, rotation: Array, start: Array, camera: CameraModel
+) -> tuple[Array, Array, Array]:
+    """Refine the panel's rotation, which all views share, and the regression of its origin, by all measured points.
+
+    Robust by Tukey's weights. What the points of one view have in common (the same print, the same light) makes the
+    views independent and not the points: the covariance's size is what each view for itself is off by.
+
+    Parameters
+    ----------
+    views
+        What was measured at each of N places.
+    design
+        (N, P).
+    rotation, start
+        (3, 3) camera_from_panel and (P, 3) m, from the closed form.
+    camera
+        The camera that saw them.
+
+    Returns
+    -------
+    rotation, regression, covariance
+        (3, 3); (P, 3) m; (3 P, 3 P) m^2.
+    """
+    everything = FacePoints.joined(views)
+    counts = [len(view.pixels) for view in views]
+    rows = np.repeat(design, counts, axis=0)
+    ends = np.cumsum(counts)[:-1]
+    regression, unknown = start, 3 + start.size
+    for _ in range(_ROUNDS):
+        turned = everything.in_space @ rotation.T
+        error, by_point = everything.residuals(turned + rows @ regression, camera)
+        jacobian = np.empty((len(error), unknown))
+        jacobian[:, :3] = np.einsum("nj,njk->nk", by_point, -cross(turned))
+        jacobian[:, 3:] = (rows[:, :, None] * by_point[:, None, :]).reshape(len(error), -1)
+        weight = tukey(error, _FLOOR_PX)[:, None] ** 2
+        normal = jacobian.T @ (weight * jacobian)
+        step = np.linalg.solve(normal, jacobian.T @ (weight[:, 0] * error))
+        turn = np.asarray(cv2.Rodrigues(step[:3])[0], dtype=np.float64)
+        rotation = nearest_rotation(turn @ rotation)
+        regression = regression + step[3:].reshape(regression.shape)
+        if np.abs(step).max() < _STEP:
+            break
+    own = np.hstack([jacobian[:, :3], by_point])  # by the six numbers of one view's pose
+    squares = 0.0
+    for part, of, off in zip(np.split(own, ends), np.split(weight, ends), np.split(error, ends)):
+        pull = part.T @ (of[:, 0] * off)
+        squares += float(pull @ np.linalg.solve(part.T @ (of * part), pull))
+    factor = squares / max(6 * len(views) - unknown, 1)
+    return rotation, regression, np.asarray(factor * np.linalg.inv(normal)[3:, 3:])
+
+
+def panel_origin(view: FacePoints, rotation: Array, start: Array, camera: CameraModel) -> Array:
+    """Return (3,) m: where one view's points see the panel's origin, when it is turned by ``rotation``; robust."""
+    turned, origin = view.in_space @ rotation.T, start
+    for _ in range(_ROUNDS):
+        error, by_point = view.residuals(turned + origin, camera)
+        weight = tukey(error, _FLOOR_PX)
+        step = np.linalg.lstsq(by_point * weight[:, None], error * weight, rcond=None)[0]
+        origin = origin + step
+        if np.abs(step).max() < _STEP:
+            break
+    return np.asarray(origin)

@@ -1,0 +1,45 @@
+"""A pair of cameras without distortion, and what it measures of a tip and of a panel, with noise in pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from harris_perception.core.planar_pose import FacePoints
+from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry import Transform
+
+
+def camera(focal: float = 1700.0, baseline: float = 0.0) -> CameraModel:
+    k = np.array([[focal, 0.0, 640.0], [0.0, focal, 360.0], [0.0, 0.0, 1.0]])
+    p = np.column_stack([k, [-focal * baseline, 0.0, 0.0]])
+    return CameraModel(name="c", width=1280, height=720, k=k, d=np.zeros(5), r=np.eye(3), p=p)
+
+
+PAIR = StereoModel(left=camera(), right=camera(baseline=0.12))
+
+
+def triangulated(tips: np.ndarray, rng: np.random.Generator, sigma_px: float) -> np.ndarray:
+    """Return points (N, 3) m as both pictures see them with an error of ``sigma_px``."""
+    left, right = PAIR.left.project(tips), PAIR.project_right(tips)
+    return PAIR.triangulate(left + rng.normal(0, sigma_px, left.shape), right + rng.normal(0, sigma_px, right.shape))
+
+
+def pair_covariance(tip: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Return (3, 3) m^2 of a point (3,) m that :func:`triangulated` gives."""
+    left, right = PAIR.left.project(tip)[0], PAIR.project_right(tip)[0]
+    pixels, step = np.array([*left, *right]), 1e-3
+    moved = pixels + step * np.eye(4)
+    by_pixel = (PAIR.triangulate(moved[:, :2], moved[:, 2:]) - tip).T / step
+    return np.asarray(sigma_px**2 * by_pixel @ by_pixel.T)
+
+
+def measured_face(
+    pose: Transform, rng: np.random.Generator | None = None, sigma_px: float = 0.0, count: int = 80, part: float = 1.0
+) -> FacePoints:
+    """Return points of a face of 0.32 m by 0.15 m, of which a ``part`` in x is seen, measured across one direction."""
+    rng = np.random.default_rng(11) if rng is None else rng
+    places = rng.uniform((0.0, 0.0), (0.32 * part, 0.15), (count, 2)) + (rng.uniform(0, 0.32 * (1 - part)), 0.0)
+    angle = rng.uniform(0, np.pi, count)
+    across = np.column_stack([np.cos(angle), np.sin(angle)])
+    pixels = PAIR.left.project(pose.apply(np.column_stack([places, np.zeros(count)])))
+    return FacePoints(in_face=places, pixels=pixels + rng.normal(0, sigma_px, (count, 1)) * across, across=across)
