@@ -9,6 +9,10 @@ import numpy as np
 
 from harris_perception.core.hand_eye import HandEye, Sample
 
+_ALIKE = 0.8
+"""Part of a view's error that the panel's next view, a few millimetres on, has too (found by simulation, as the half
+below, on other machines than benchmarks/bench_hand_eye.py reports)."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Backlash:
@@ -48,8 +52,8 @@ def measure_backlash(calibration: HandEye, axis: int, pairs: Sequence[tuple[Samp
     ]
     scatter = [along @ (below.covariance + above.covariance) @ along for below, above in pairs]
     # All pairs of an axis stand at the same edge of the picture: half of the error there is taken as theirs together,
-    # which their number does not reduce (found by simulation, benchmarks/bench_hand_eye.py).
-    one = 2.0 * float(along @ fit.noise @ along)
+    # which their number does not reduce.
+    one = 2.0 * float(along @ fit.noise @ along) * (1.0 - (_ALIKE if calibration.on_carriage else 0.0))
     variance = one * (0.5 + 0.5 / len(pairs)) + float(np.mean(scatter)) / len(pairs)
     scale = float(np.linalg.norm(calibration.base_from_reading[:, axis]))
     return Backlash(play_m=float(np.mean(ahead)) * scale, sigma_m=float(np.sqrt(variance)) * scale, places=len(pairs))

@@ -140,11 +140,13 @@ def calibrate_on_carriage(
     rotation, regression, spread = refine_panel(views, design[fit.used], rotation, fit.regression, cameras.left)
     origins = np.array([panel_origin(v, rotation, o, cameras.left) for v, o in zip(views, points[fit.used])])
     off = origins - design[fit.used] @ regression
+    # With the rotation known, a view's place is twice as unsure along the line of sight as across.
+    shape = RayError(eye=None, across_m=1.0, along_m=2.0).covariance(origins[:1])[0]
     fit = dataclasses.replace(
         fit,
         regression=regression,
         spread=spread,
-        noise=off.T @ off / max(len(off) - design.shape[1], 1),
+        noise=shape * float(np.sum(np.linalg.solve(shape, off.T) * off.T)) / (3 * max(len(off) - design.shape[1], 1)),
         # What is seen of the panel is in the middle of the picture, wherever its origin is.
         common=RayError(eye=None, across_m=config.panel_sigma_m, along_m=config.panel_depth_sigma_m),
     )
