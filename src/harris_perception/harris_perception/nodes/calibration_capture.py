@@ -99,7 +99,8 @@ class CalibrationCaptureNode(Node):
     def _report(self) -> None:
         self._tell()
         level = "ok" if self.collection.complete else "warn"
-        values: list[tuple[str, Any]] = [("views", len(self.collection.kept)), ("wanted", self.collection.wanted)]
+        values: list[tuple[str, Any]] = [("progress", self._said)]
+        values += [("views", len(self.collection.kept)), ("wanted", self.collection.wanted)]
         for reach in self.collection.reaches:
             values.append((reach.name, f"{reach.low:.2f} to {reach.high:.2f}"))
             values.append((f"{reach.name}_missing", reach.missing))

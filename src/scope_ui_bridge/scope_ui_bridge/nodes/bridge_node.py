@@ -75,7 +75,7 @@ _SERVICES = {
 }
 
 
-_REPORTERS = {"hand_eye": "calibration", "serial_driver": "driver"}
+_REPORTERS = {"hand_eye": "calibration", "serial_driver": "driver", "calibration_capture": "cameras"}
 _LAYER_TOPICS = {
     (CORNERS, "left"): "left/corners",
     (CORNERS, "right"): "right/corners",

@@ -15,6 +15,8 @@ export function setFacts(next) {
   facts = next;
   const text = Object.entries(facts.driver ?? {}).map(([name, value]) => `${name} ${value}`);
   put(find("driver-facts"), text.join(" · "));
+  const { progress: boards = "", x, y, size, skew } = facts.cameras ?? {};
+  put(find("camera-coverage"), boards && `${boards} · x ${x} · y ${y} · size ${size} · skew ${skew}`);
 }
 
 function progress() {
