@@ -100,7 +100,7 @@ def test_failed_tries_become_rare() -> None:
     """A viewer whose drawing, not whose link, is slow for everything but the lightest form."""
     window, now_s, tries = FrameWindow(), 0.0, []
     for seq in range(20_000):
-        flight_s = 0.05 if window.level == len(FORMS) - 1 else 0.13 * (2 if window.level == 0 else 1)
+        flight_s = 0.05 if window.level == len(FORMS) - 1 else 0.15 * (2 if window.level == 0 else 1)
         before = window.level
         window.sent(seq, now_s)
         now_s += flight_s

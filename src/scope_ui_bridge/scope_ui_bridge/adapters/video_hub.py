@@ -133,20 +133,23 @@ class VideoHub:
 
     def kick(self, viewer: VideoViewer) -> None:
         """Call when a viewer can take more or looks at something else."""
-        viewer.changed.set()
-        self._encode_if_wanted(viewer.stream)
+        # What is encoded already may have waited for as long as the last picture took: a newer one comes first.
+        if not self._encode_if_wanted(viewer.stream):
+            viewer.changed.set()
 
-    def _encode_if_wanted(self, key: tuple[str, int]) -> None:
+    def _encode_if_wanted(self, key: tuple[str, int]) -> bool:
+        """Return whether a newer picture is on its way, which wakes its viewers when it is there."""
         stream = self._streams.get(key, _NOTHING)
         done = stream.frame.seq if stream.frame else 0
         if stream.encoding or stream.raw is None or stream.raw_seq == done:
-            return
+            return stream.encoding
         if not any(viewer.stream == key and viewer.window.open for viewer in self._viewers):
-            return
+            return False
         stream.encoding = True
         task = asyncio.get_running_loop().create_task(self._encode(key, stream.raw_seq, *stream.raw))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        return True
 
     async def _encode(self, key: tuple[str, int], seq: int, stamp_ns: int, encoding: str, picture: Picture) -> None:
         stream, (camera, level) = self._streams[key], key
@@ -167,7 +170,8 @@ class VideoHub:
                 _LOG.error("the %s picture cannot be shown: %s", camera, error)
         finally:
             stream.encoding = False
-        self._encode_if_wanted(key)
+        # After the viewers have been served: one made ahead would be old before there is room for it.
+        loop.call_soon(self._encode_if_wanted, key)
 
     async def serve(self, viewer: VideoViewer) -> None:
         """Send pictures to one viewer until its connection ends (cancel this when it does)."""

@@ -2,7 +2,7 @@
 
 At most two are under way and only the newest is worth sending. When they take long to arrive, the viewer gets a lighter
 form, one at a time, at once so light that it should do; heavier ones are tried step by step, less and less often while
-they fail. A step is small enough that a failed try is late by less than a tenth of a second. What counts is the time
+they fail. A step is small enough that a failed try is late by a tenth of a second at most. What counts is the time
 from sending to the acknowledgement after drawing, so no clocks have to agree.
 """
 
@@ -28,9 +28,9 @@ FORMS = (
     Form(0.5, 0.75, 0.24),
     Form(0.375, 0.6, 0.12),
 )
-SLOW_S = (0.15, 0.12)
+SLOW_S = (0.15, 0.14)
 """Flights longer than this are slow: of two full pictures under way, of one lighter one."""
-_QUICK_S = 0.09
+_QUICK_S = 0.1
 _ENOUGH = 5  # slow flights in a row; a very slow one counts twice, so that one hiccup with two under way is forgiven
 _STEP_UP_S = 1.0
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 5.0, 80.0

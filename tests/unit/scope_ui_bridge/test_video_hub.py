@@ -1,0 +1,76 @@
+"""A page gets the picture that is newest when it can take one, not the one that was newest before."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from concurrent.futures import Executor, Future
+from typing import Any
+
+import numpy as np
+from unit.scope_ui_bridge.desk_rig import Rig
+
+from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
+
+
+class ByHand(Executor):
+    """Encodes when told to."""
+
+    def __init__(self) -> None:
+        self.jobs: list[tuple[Future[Any], Any]] = []
+
+    def submit(self, function: Any, /, *arguments: Any, **_: Any) -> Future[Any]:
+        self.jobs.append((Future(), lambda: function(*arguments)))
+        return self.jobs[-1][0]
+
+    async def finish(self) -> None:
+        """End the one job there is, and let everything happen that comes of it."""
+        await settled()
+        ((future, work),) = self.jobs
+        self.jobs.clear()
+        future.set_result(work())
+        await settled()
+
+
+async def settled() -> None:
+    for _ in range(10):
+        await asyncio.sleep(0)
+
+
+class Sent:
+    def __init__(self) -> None:
+        self.stamps: list[int] = []
+
+    async def send_bytes(self, data: bytes) -> None:
+        self.stamps.append(int(json.loads(data[4 : 4 + int.from_bytes(data[:4], "big")])["stamp"]))
+
+
+def test_no_picture_is_encoded_in_advance_and_grows_old_until_there_is_room() -> None:
+    async def scenario() -> None:
+        encoder, socket = ByHand(), Sent()
+        hub = VideoHub(Rig().desk, encoder, lambda: 80, lambda: 0)
+        viewer = VideoViewer(socket=socket)  # type: ignore[arg-type]
+        hub.add(viewer)
+        hub.look(viewer, "left", frozenset())
+        viewer.window.level, viewer.window._heavier_at_s = 4, math.inf  # one at a time, whatever the clock says
+        serving = asyncio.create_task(hub.serve(viewer))
+        offer = lambda stamp: hub.offer("left", stamp, "mono8", np.zeros((72, 128), np.uint8))  # noqa: E731
+        seq = 0
+        for begin in (0, 10, 20):
+            offer(begin + 1)  # while the page has room
+            offer(begin + 2)  # while that one is being encoded
+            await encoder.finish()
+            assert socket.stamps[-1] == begin + 1
+            assert encoder.jobs == [], "nothing more until the page has room again"
+            offer(begin + 3)
+            viewer.window.acknowledged(seq + 1, 0.0)
+            hub.kick(viewer)
+            await encoder.finish()
+            assert socket.stamps[-1] == begin + 3, "the newest at the acknowledgement"
+            seq += 3
+            viewer.window.acknowledged(seq, 0.0)
+            hub.kick(viewer)
+        serving.cancel()
+
+    asyncio.run(scenario())
