@@ -146,6 +146,24 @@ def test_places_are_spread_inside_the_limits_and_entered_from_lower_left() -> No
     assert stops[-1].z == 0.0
 
 
+def test_cameras_on_the_carriage_see_the_tip_at_each_height_in_turn() -> None:
+    fixed, riding = plan(RunConfig()), plan(RunConfig(mounting="carriage"))
+    heights = np.array([s.z for s in riding if s.purpose is Purpose.FIT]).reshape(3, 4)
+    np.testing.assert_array_equal(heights[0], (0.0, -0.012, 0.0, -0.012))
+    np.testing.assert_array_equal(heights[1], (-0.012, 0.0, -0.012, 0.0))
+    assert len(fixed) - len(riding) == 12
+
+
+def test_backlash_is_told_by_neighbours_entered_from_both_sides() -> None:
+    stops = plan(RunConfig())
+    for axis, below, above in (("x", Purpose.X_BELOW, Purpose.X_ABOVE), ("y", Purpose.Y_BELOW, Purpose.Y_ABOVE)):
+        pairs = [(a, b) for a, b in itertools.pairwise(stops) if (a.purpose, b.purpose) == (below, above)]
+        assert len(pairs) == 2
+        for a, b in pairs:
+            assert (getattr(a, axis), getattr(b, axis)) == (0.006, 0.0)
+            assert stops[stops.index(a) - 1].purpose is Purpose.APPROACH
+
+
 def silent(rig: Machine, number: int) -> None:
     rig.silent = number == 5
 

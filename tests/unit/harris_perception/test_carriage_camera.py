@@ -198,3 +198,10 @@ def test_without_sight_and_touch_the_stylus_is_unknown() -> None:
     wild[1] = Contact(reading=wild[1].reading, in_panel=wild[1].in_panel + (0.01, 0.0, 0.0))
     with pytest.raises(DegenerateError, match=r"contacts miss one another by 4\.71 mm rms, 1\.20 mm are accepted"):
         calibrate_on_carriage(panels(places()), [], CAMERAS, wild)
+
+
+def test_a_panel_of_which_too_little_was_measured_is_refused() -> None:
+    seen = panels(places())
+    seen[5] = replace(seen[5], points=seen[5].points.chosen(np.arange(11)))
+    with pytest.raises(DegenerateError, match=r"only 11 points .* at x = 230, y = 30 mm, 12 are needed"):
+        calibrate_on_carriage(seen, tips(places()), CAMERAS)
