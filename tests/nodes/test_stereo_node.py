@@ -124,6 +124,7 @@ def test_points_and_plane_of_a_known_panel(ros: Any) -> None:
     assert angle < 0.2 and abs((pose.translation - CENTRE) @ NORMAL) < 0.0003
     ros.spin_until(lambda: rig.values().get("plane_share"), WITHIN_S)
     assert float(rig.values()["plane_share"]) > 0.85 and int(rig.values()["points"]) == len(xyz)
+    ros.spin_until(lambda: "no pictures with corners in the last second" in rig.said()[-1], WITHIN_S, rig.said)
 
 
 def test_pairs_are_thinned_by_their_own_stamps(ros: Any) -> None:

@@ -59,6 +59,7 @@ def test_the_tip_is_published_where_it_is_certain(ros: Any) -> None:
     ros.spin_until(lambda: any("not seen in the right picture" in text for text in said()), WITHIN_S, said)
     show(5_000_000_000, [picture[:100] for picture in first])
     ros.spin_until(lambda: any("(100, 800, 3)" in text for text in said()), WITHIN_S, said)
+    ros.spin_until(lambda: "no pairs of pictures in the last second" in said()[-1], WITHIN_S, said)
     assert len(tips) == 2
 
 

@@ -22,7 +22,13 @@ from gantry_driver.core.sequence import (
 )
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import panel_state_of_message, result_message, result_of_message
+from icu_common.nodes.conversions import (
+    diagnostic_status,
+    header,
+    panel_state_of_message,
+    result_message,
+    result_of_message,
+)
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
@@ -43,7 +49,9 @@ class SequenceNode(Node):
         self.create_subscription(String, "sequence", self._on_sequence, qos.COMMAND)
         self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
         self.create_subscription(DiagnosticArray, "panel/state", self._on_panel, qos.SENSOR)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         self.create_timer(TICK_S, self._on_tick)
+        self.create_timer(1.0, self._report)
         self._state.publish(String(data="idle"))
 
     def close(self) -> None:
@@ -96,6 +104,11 @@ class SequenceNode(Node):
     def _on_tick(self) -> None:
         if self._run is not None:
             self._act(self._run.tick(self._now_ns()))
+
+    def _report(self) -> None:
+        text = "idle" if self._run is None else self._run.state
+        status = diagnostic_status(self.get_fully_qualified_name(), "ok", text, [("sequences", self._count)])
+        self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
 
     def _act(self, actions: list[Action]) -> None:
         for action in actions:

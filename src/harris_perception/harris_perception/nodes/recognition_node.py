@@ -93,7 +93,7 @@ class RecognitionNode(Node):
         self._waiting: tuple[Image, float] | None = None
         self._last_stamp, self._last_seen_s, self._confidence = 0, 0.0, 0.0
         self._frames = self._with_corners = self._found = 0
-        self._busy_s, self._seen = 0.0, (0, 0)
+        self._busy_s, self._seen = 0.0, (0, 0, 0)
         self._sighting: Sighting | None = None
         self._tip: tuple[int, Array] | None = None
         self._pose = self.create_publisher(PoseStamped, "pose", qos.LATCHED)
@@ -218,8 +218,12 @@ class RecognitionNode(Node):
 
     def _report(self) -> None:
         frames, found = self._frames - self._seen[0], self._found - self._seen[1]
-        self._seen = (self._frames, self._found)
+        without = frames - (self._with_corners - self._seen[2])
+        self._seen = (self._frames, self._found, self._with_corners)
         text = "recognised" if self._confidence > 0 else "not recognised"
+        unaided = frames > 0 and without == frames
+        if unaided:
+            text += ", no published corners: they are detected here"
         values: list[tuple[str, Any]] = [
             ("panel", self._layout.model),
             ("frames", self._frames),
@@ -235,7 +239,7 @@ class RecognitionNode(Node):
                 ("points", len(s.points.pixels)),
                 ("rms_px", f"{s.rms_px:.3f}"),
             ]
-        level = "ok" if self._confidence > 0 else "warn"
+        level = "ok" if self._confidence > 0 and not unaided else "warn"
         status = diagnostic_status(self.get_fully_qualified_name(), level, text, values)
         head = header(self.get_clock().now().nanoseconds, "")
         self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))

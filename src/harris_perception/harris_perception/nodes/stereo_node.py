@@ -88,7 +88,7 @@ class StereoNode(Node):
         self._sets = Pairing(4, depth=6)
         self._matcher: Matcher | None = None
         self._configure()
-        self._last_ns = self._matched = 0
+        self._last_ns = self._matched = self._reported_ns = 0
         self._values: list[tuple[str, Any]] = []
         self._complaint = "no pictures with corners yet"
         self._points = self.create_publisher(PointCloud2, "points2", qos.RESULTS)
@@ -147,7 +147,9 @@ class StereoNode(Node):
             ]
 
     def _report(self) -> None:
-        complaint = self._calibration.complaint or self._complaint
+        silent = "no pictures with corners in the last second" if self._sets.newest_ns == self._reported_ns else ""
+        self._reported_ns = self._sets.newest_ns
+        complaint = self._calibration.complaint or self._complaint or silent
         values = [("pairs", self._matched), ("unpaired", self._sets.unpaired), *self._values]
         level, text = ("warn", complaint) if complaint else ("ok", "matching")
         head = header(self.get_clock().now().nanoseconds, "")

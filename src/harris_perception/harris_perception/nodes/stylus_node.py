@@ -28,7 +28,7 @@ class StylusNode(Node):
         self._calibration = StereoCalibration(self, lambda: self._configure(self._live.config))
         self._pairs = Pairing(2)
         self._tracker: StylusTracker | None = None
-        self._seen = self._missed = 0
+        self._seen = self._missed = self._reported = 0
         self._last = Search(tip=None, reason="no pictures yet")
         self._configure(self._live.config)
         self._tip = self.create_publisher(PointStamped, "tip", qos.RESULTS)
@@ -59,7 +59,10 @@ class StylusNode(Node):
 
     def _report(self) -> None:
         last = self._last
-        reason = self._calibration.complaint or last.reason
+        looked = self._seen + self._missed
+        silent = "no pairs of pictures in the last second" if looked == self._reported else ""
+        self._reported = looked
+        reason = self._calibration.complaint or silent or last.reason
         values: list[tuple[str, Any]] = [("seen", self._seen), ("missed", self._missed)]
         values.append(("unpaired", self._pairs.unpaired))
         if last.left is not None and last.right is not None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import secrets
 import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,7 @@ from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.layers import CORNERS, EDGES
 from scope_ui_bridge.core.passwords import Role
+from scope_ui_bridge.core.roll import Roll
 from scope_ui_bridge.core.scene import Face
 from scope_ui_bridge.core.sign_in import SignIn
 
@@ -85,6 +87,8 @@ _LAYER_TOPICS = {
 _LAYER_COLUMNS = {CORNERS: ("u", "v"), EDGES: ("u", "v", "line")}
 _LAYERS_PERIOD_S = 0.2
 _MAX_PATH = 200
+SILENT_S = 5.0
+"""A node reports every second; a busy machine may delay that."""
 _LEVELS = {20: "info", 30: "warn", 40: "error", 50: "fatal"}
 
 
@@ -100,6 +104,7 @@ class BridgeNode(Node):
         self._cameras: dict[str, CameraInfo] = {}
         self._axes = np.eye(2)
         self._layers: dict[tuple[str, str], Any] = {}
+        self._roll = Roll(SILENT_S)
         self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "")
         self._scene = self._desk.scene
         self._token_file = Path(config.token_file).expanduser() if config.token_file else None
@@ -114,6 +119,7 @@ class BridgeNode(Node):
             self._server.close()
             raise
         self.create_timer(1.0, self._check_server)
+        self.create_timer(0.5, self._call_the_roll)
         self.issue_token()
 
     @property
@@ -282,8 +288,15 @@ class BridgeNode(Node):
     def _confidence_seen(self, message: Float32) -> None:
         self._mail.newest("confidence", self._server.post_value, self._desk.machine.set_confidence, float(message.data))
 
+    def _call_the_roll(self) -> None:
+        # What is logged here goes to the page's console by way of /rosout.
+        for name in self._roll.newly_gone(time.monotonic()):
+            self.get_logger().error(f"{name} has been silent for {SILENT_S:g} s: it has ended, or hangs")
+
     def _facts_seen(self, message: DiagnosticArray) -> None:
         for status in message.status:
+            if self._roll.heard(status.name, time.monotonic()):
+                self.get_logger().info(f"{status.name} reports again")
             part = next((part for name, part in _REPORTERS.items() if name in status.name), "")
             if part:
                 facts = {pair.key: pair.value for pair in status.values}
