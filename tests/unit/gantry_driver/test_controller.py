@@ -327,6 +327,16 @@ def test_what_falls_silent(silent: str, words: list[str], base_goals_too: bool, 
         assert result.outcome is Outcome.REACHED
 
 
+def test_a_driver_that_died_while_moving_does_not_count_as_moving() -> None:
+    bench = Bench()
+    bench.start()
+    bench.tell(msg.DriverState(text="moving"))
+    assert bench.controller.state == "waiting: the driver is moving"
+    bench.talking -= {"joints"}
+    bench.run(1.5)
+    assert bench.controller.state == "waiting: no joint_states"
+
+
 def test_no_calibration() -> None:
     bench = Bench()
     bench.calibration = None

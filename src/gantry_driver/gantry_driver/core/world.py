@@ -189,14 +189,16 @@ class World:
     def obstacles(self, config: ControllerConfig) -> Iterator[Obstacle]:
         """Yield what keeps a goal from starting, the most important first."""
         state, _, reason = self.driver.partition(":")
-        if state != "idle":
+        silent = self.readings is None or self.age_s(self.readings_ns) > config.joints_timeout_s
+        # A driver that died in the middle of a motion still "moves" by its latched state.
+        if state != "idle" and not (state == "moving" and silent):
             shown = self.driver if state in ("stopped", "alarm") else f"waiting: {_DRIVER_TEXT.get(state, state)}"
             if state not in ("stopped", "alarm") and reason:
                 shown += f": {reason.strip()}"
             if self.left_behind:
                 shown += f"; {self.left_behind}"
             yield Obstacle(state=shown, reason=f"the driver is {self.driver!r}, 'idle' is needed", every_goal=True)
-        elif self.readings is None or self.age_s(self.readings_ns) > config.joints_timeout_s:
+        elif self.readings is None or silent:
             text = f"no joint_states {since(self.age_s(self.readings_ns))}"
             yield Obstacle(
                 state="waiting: no joint_states",
