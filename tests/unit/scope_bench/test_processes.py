@@ -58,6 +58,14 @@ def test_a_fallen_program_is_restarted_and_then_given_up() -> None:
     watch.group.stop()
 
 
+def test_a_program_that_ran_for_long_waits_half_a_second_too() -> None:
+    watch = Watch(window_s=1e-6)
+    watch.group.start("a", [*PYTHON, "import sys; sys.exit(3)"])
+    watch.until(lambda: watch.events)
+    assert watch.events[0] == ("a", "ended with exit code 3, restarted in 0.5 s")
+    watch.group.stop()
+
+
 def test_a_wrong_configuration_is_not_restarted() -> None:
     watch = Watch()
     watch.group.start("a", [*PYTHON, "import sys; sys.exit(2)"])

@@ -142,7 +142,7 @@ class ProcessGroup:
             watched.gave_up = True
             self._on_event(watched.name, f"ended with {why}, {len(recent)} times in {self._window_s:g} s: given up")
         else:
-            delay = 0.5 * 2 ** (len(recent) - 1)
+            delay = 0.5 * 2 ** max(len(recent) - 1, 0)
             watched.restart_at = now + delay
             self._on_event(watched.name, f"ended with {why}, restarted in {delay:g} s")
 
