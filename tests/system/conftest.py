@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from line_socket import LineSocket
 from system.operator_browser import browser  # noqa: F401
+from system.terminal_operator import operator  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
 INSTALL = ROOT / "ros2_ws" / "install"

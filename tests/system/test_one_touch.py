@@ -3,140 +3,25 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.context import Context
-from ros_rig import Ros
+from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import Header, String
-from std_srvs.srv import Trigger
+from std_msgs.msg import String
+from system.terminal_operator import Operator
 
 from icu_common.core.panel_layout import load_layout
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.results import Outcome
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    camera_model,
-    header,
-    image_array,
-    point_message,
-    result_of_message,
-    transform_of_pose,
-)
-from icu_common.nodes.runtime import prepare_transport
+from icu_common.nodes.conversions import camera_model, image_array, transform_of_pose
 
 ROOT = Path(__file__).resolve().parents[2]
 LAYOUT = load_layout(ROOT / "config" / "scopes" / "dso_bench_4.yaml")
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
-
-
-class Operator:
-    """Somebody at a terminal: a heartbeat, goals, and the answers to them."""
-
-    def __init__(self, ros: Ros) -> None:
-        self.ros = ros
-        self.node = ros.plain("operator")
-        self.heartbeat = self.node.create_publisher(Header, "/operator/heartbeat", qos.COMMAND)
-        self.command = self.node.create_publisher(String, "/gantry/command", qos.COMMAND)
-        self.goal = self.node.create_publisher(PointStamped, "/gantry/goal", qos.COMMAND)
-        self.results: list[GoalResult] = []
-        self.node.create_subscription(
-            DiagnosticArray, "/gantry/result", lambda m: self.results.append(result_of_message(m)), qos.RESULTS
-        )
-        self.states = ros.collect(self.node, String, "/gantry/state", qos.LATCHED)
-        self.driver_states = ros.collect(self.node, String, "/gantry/driver_state", qos.LATCHED)
-        self.beating = True
-        self.beats_heard = 0
-        self.node.create_timer(0.1, self._beat)
-        ros.spin_until(
-            lambda: self.state == "ready" and self.goal.get_subscription_count() and self.heartbeat_heard(),
-            20.0,
-            lambda: f"state {self.state!r}",
-        )
-
-    @property
-    def state(self) -> str:
-        return self.states[-1].data if self.states else ""
-
-    @property
-    def driver_state(self) -> str:
-        return self.driver_states[-1].data if self.driver_states else ""
-
-    def heartbeat_heard(self) -> bool:
-        return self.beats_heard >= 5
-
-    def _beat(self) -> None:
-        if self.beating:
-            self.beats_heard += self.heartbeat.get_subscription_count() >= 2  # driver and controller
-            self.heartbeat.publish(Header(stamp=self.node.get_clock().now().to_msg(), frame_id="operator"))
-
-    def answer(self, goal_id: str, within_s: float = 60.0) -> GoalResult:
-        """Wait for the final answer to a goal."""
-
-        def final() -> GoalResult | None:
-            mine = [r for r in self.results if r.goal_id == goal_id and r.outcome.final]
-            return mine[0] if mine else None
-
-        result = self.ros.spin_until(final, within_s, lambda: f"{self.results[-3:]}, state {self.state!r}")
-        assert isinstance(result, GoalResult)
-        return result
-
-    def accepted(self, goal_id: str) -> None:
-        self.ros.spin_until(lambda: [r for r in self.results if r.goal_id == goal_id], 10.0)
-
-    def touch_panel(self, x_m: float, y_m: float) -> GoalResult:
-        stamp = self.node.get_clock().now().nanoseconds
-        self.goal.publish(point_message((x_m, y_m, 0.0), header(stamp, "panel_link")))
-        return self.answer(str(stamp))
-
-    def move(self, x_m: float, y_m: float) -> str:
-        stamp = self.node.get_clock().now().nanoseconds
-        self.goal.publish(point_message((x_m, y_m, 0.0), header(stamp, "base_link")))
-        return str(stamp)
-
-    def go(self, x_m: float, y_m: float) -> None:
-        result = self.answer(self.move(x_m, y_m))
-        assert result.outcome is Outcome.REACHED, result
-
-    def start_long_move(self) -> str:
-        """Start a move of about two seconds, and return its id once the machine moves."""
-        self.go(0.01, 0.01)
-        goal = self.move(0.34, 0.2)
-        self.ros.spin_until(lambda: self.driver_state == "moving", 10.0, lambda: (self.driver_state, self.results[-2:]))
-        return goal
-
-    def reset(self) -> None:
-        """Reset after a stop; it is refused while the hold and the lift are not complete."""
-        self.ros.spin_until(lambda: self.call("/gantry/reset").success, 10.0, lambda: self.driver_state)
-        self.ros.spin_until(lambda: self.state == "ready", 10.0, lambda: self.state)
-
-    def call(self, name: str) -> Any:
-        client = self.node.create_client(Trigger, name)
-        self.ros.spin_until(client.service_is_ready, 10.0)
-        future = client.call_async(Trigger.Request())
-        self.ros.spin_until(future.done, 10.0)
-        return future.result()
-
-
-@pytest.fixture
-def operator(running_graph: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Operator]:
-    monkeypatch.setenv("ROS_LOG_DIR", running_graph.environment["ROS_LOG_DIR"])
-    prepare_transport()
-    context = Context()
-    rclpy.init(context=context, domain_id=int(running_graph.environment["ROS_DOMAIN_ID"]))
-    ros = Ros(context)
-    try:
-        yield Operator(ros)
-    finally:
-        ros.close()
-        rclpy.shutdown(context=context)
 
 
 def screen_pixels(operator: Operator) -> np.ndarray:
