@@ -23,6 +23,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from icu_common.core.config import ConfigError
+from icu_common.nodes import in_step
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
@@ -56,6 +57,9 @@ class Session:
     def __init__(self) -> None:
         self.executor = EventsExecutor()
         self.stopping = False
+        self._tally = in_step.Tally() if in_step.wanted() else None
+        if self._tally is not None:
+            self._tally.install()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._stop)
 
@@ -70,6 +74,8 @@ class Session:
     def spin(self, timeout_s: float = 0.1) -> None:
         """Serve what is due; EventsExecutor.spin() does not see signals, short turns do."""
         self.executor.spin_once(timeout_sec=timeout_s)
+        if self._tally is not None:
+            self._tally.tell()
 
     def end(self, node: Node) -> None:
         """Close a node, if it can be closed, and destroy it."""

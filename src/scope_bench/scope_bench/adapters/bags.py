@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 import apsw
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
-from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, McapWriter
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
@@ -73,6 +73,8 @@ class BagWriter:
         Bytes that stay free on the disk: with less the writer refuses, and the bag can still be closed properly.
     types
         Definitions of the message types; those of Jazzy's common interfaces are known.
+    zstd
+        Compress the whole file; what pictures have in common is then kept once.
 
     Raises
     ------
@@ -81,7 +83,13 @@ class BagWriter:
     """
 
     def __init__(
-        self, path: Path, storage: str = "mcap", *, keep_free: int = 64 << 20, types: Typestore | None = None
+        self,
+        path: Path,
+        storage: str = "mcap",
+        *,
+        keep_free: int = 64 << 20,
+        types: Typestore | None = None,
+        zstd: bool = False,
     ) -> None:
         self.path, self._keep_free = path, keep_free
         self.types = types or get_typestore(Stores.ROS2_JAZZY)
@@ -92,6 +100,8 @@ class BagWriter:
         try:
             # The version of metadata.yaml that Jazzy writes.
             self._writer = Writer(path, version=9, storage_plugin=STORAGES[storage])
+            if zstd:
+                self._writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
             self._writer.open()
         except (OSError, WriterError, sqlite3.Error) as error:
             raise BagError(f"{path} cannot be made: {error}") from error

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import select
 import sys
 import termios
@@ -15,11 +16,13 @@ import tty
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from icu_common.nodes import in_step
 from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic
 from scope_bench.cli.progress import ProgressLine
 from scope_bench.core.play_clock import PlayClock, progress_bar
 from scope_bench.nodes.bag_player import MOVING, BagPlayer
+from scope_bench.nodes.step_player import StepPlayer
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,7 +38,14 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--clock", type=float, default=0.0, metavar="HZ", help="publish /clock so often")
     result.add_argument("--keep-compressed", action="store_true", help="do not unpack compressed pictures")
     result.add_argument("--moving", action="store_true", help=f"play also {', '.join(MOVING)}")
+    result.add_argument(
+        "--in-step", type=int, default=0, metavar="N", help="wait for N processes of bring_up --in-step at each message"
+    )
     result.add_argument("--wait", type=float, default=1.0, metavar="S", help="at most so long for subscribers")
+    result.add_argument(
+        "--patience", type=float, default=60.0, metavar="S", help="at most so long for one message in step"
+    )
+    result.add_argument("--duration", type=float, default=float("inf"), metavar="S", help="play only so much")
     return result
 
 
@@ -69,7 +79,10 @@ class Playing:
         self._names = [topic.name for topic in self._topics]
         self._start_ns = bag.start_ns + round(options.start_offset * 1e9)
         self._clock = PlayClock(self._start_ns, options.rate, time.monotonic(), paused=True)
-        self._node = BagPlayer(self._topics, unpack=not options.keep_compressed, toggle=self._toggle)
+        self._node = BagPlayer(
+            self._topics, unpack=not options.keep_compressed, in_step=bool(options.in_step), toggle=self._toggle
+        )
+        self._step = StepPlayer(session, self._node, bag, options.patience) if options.in_step else None
         session.executor.add_node(self._node)
         self._line = ProgressLine()
         self._next_clock_s = 0.0
@@ -81,7 +94,10 @@ class Playing:
             left_out = sorted({t.name for t in self._bag.topics} - set(self._names))
             if left_out:
                 print(f"not played: {', '.join(left_out)}")
-            self._wait_for_subscribers()
+            if self._step is not None:
+                self._step.begin(self._options.in_step)
+            else:
+                self._wait_for_subscribers()
             paused = self._options.start_paused
             while self._session.goes_on:
                 self._clock = PlayClock(self._start_ns, self._options.rate, time.monotonic(), paused=paused)
@@ -103,9 +119,12 @@ class Playing:
         for topic, stamp_ns, data in self._bag.messages(self._names, self._start_ns):
             while self._session.goes_on and (wait_s := self._clock.wall_s_until(stamp_ns, time.monotonic())) > 0:
                 self._serve(min(wait_s, 0.05))
-            if not self._session.goes_on:
+            if not self._session.goes_on or stamp_ns > self._start_ns + self._options.duration * 1e9:
                 return
-            self._node.play(topic, data)
+            if self._step is not None:
+                self._step.play(topic, stamp_ns, data)
+            else:
+                self._node.play(topic, data)
             self.played += 1
             self._serve(0.0)
 
@@ -146,6 +165,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     split = given.index("--ros-args") if "--ros-args" in given else len(given)
     options = parser().parse_args(given[:split])
+    if options.in_step:
+        os.environ.pop(in_step.VARIABLE, None)  # the player counts the others
     try:
         with BagReader(options.bag) as bag, ros_session(given[split:]) as session, single_keys():
             playing = Playing(bag, options, session)

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
+from icu_common.nodes import in_step
 from icu_common.nodes.runtime import prepare_transport
 from scope_bench.adapters.processes import ProcessGroup, find_executable
 from scope_bench.core.graph_description import GraphError, Program, load_graph
@@ -59,6 +60,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--without", action="append", default=[], metavar="PROGRAM", help="leave a program out")
     result.add_argument("--set", action="append", default=[], metavar="PROGRAM.PARAMETER=VALUE", help="one value more")
     result.add_argument("--composed", action="store_true", help="all nodes but the simulated ones in one process")
+    result.add_argument("--in-step", action="store_true", help="let bag_play --in-step wait for every process")
     result.add_argument("--prepare", action="store_true", help="enable, home and calibrate (bench only)")
     result.add_argument("--verbose", action="store_true", help="print everything that the programs say")
     return result
@@ -118,6 +120,8 @@ class BringUp:
         prepare_transport()
         here = Path(sys.argv[0])
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        if self.options.in_step:
+            environment[in_step.VARIABLE] = "1"
         group = ProcessGroup(environment, self._output, self._event)
         try:
             wanted = {*self.options.only} or {p.name for p in programs}

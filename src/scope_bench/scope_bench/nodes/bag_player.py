@@ -31,6 +31,8 @@ class BagPlayer(Node):
         What is played.
     unpack
         Publish pictures that were recorded compressed as ``Image`` on the topic that they came from.
+    in_step
+        Let nothing be lost, and offer /clock from the start.
     toggle
         Called by the service ``toggle_paused``; returns whether it is paused now.
     """
@@ -40,6 +42,7 @@ class BagPlayer(Node):
         topics: Iterable[BagTopic],
         *,
         unpack: bool = True,
+        in_step: bool = False,
         toggle: Callable[[], bool] = lambda: False,
         **options: Any,
     ) -> None:
@@ -48,13 +51,16 @@ class BagPlayer(Node):
         self._packed: set[str] = set()
         # Not the name that rclpy keeps its own publishers under.
         self._outputs: dict[str, Any] = {}
+        self._clock_out: Any = self.create_publisher(Clock, "/clock", qos.RESULTS) if in_step else None
         for topic in topics:
             name, kind = topic.name, topic.type
             if unpack and kind == COMPRESSED and name.endswith(SUFFIX):
                 self._packed.add(name)
                 name, kind = name.removesuffix(SUFFIX), IMAGE
-            self._outputs[topic.name] = self.create_publisher(message_class(kind), name, playing_qos(topic.qos))
-        self._clock_out: Any = None
+            profile = playing_qos(topic.qos)
+            if in_step:
+                profile.reliability = ReliabilityPolicy.RELIABLE
+            self._outputs[topic.name] = self.create_publisher(message_class(kind), name, profile)
         self._toggle = toggle
         self.create_service(Trigger, "~/toggle_paused", self._on_toggle)
 
@@ -69,9 +75,18 @@ class BagPlayer(Node):
         seconds, nanoseconds = divmod(bag_ns, 1_000_000_000)
         self._clock_out.publish(Clock(clock=Time(sec=seconds, nanosec=nanoseconds)))
 
-    def play(self, topic: str, data: bytes) -> None:
-        """Publish one message; raises ValueError for a picture that cannot be unpacked."""
-        self._outputs[topic].publish(self._codec.unpack(data) if topic in self._packed else data)
+    def play(self, topic: str, data: bytes) -> str:
+        """Publish one message and return the topic's absolute name; raises ValueError for a broken picture."""
+        output = self._outputs[topic]
+        output.publish(self._codec.unpack(data) if topic in self._packed else data)
+        return str(output.topic_name)
+
+    def readers(self) -> dict[str, int]:
+        """Return how many subscriptions each topic has, by absolute names."""
+        return {out.topic_name: out.get_subscription_count() for out in self._all_outputs()}
+
+    def _all_outputs(self) -> list[Any]:
+        return [*self._outputs.values(), *([self._clock_out] if self._clock_out is not None else [])]
 
     @property
     def unheard(self) -> list[str]:

@@ -1,0 +1,139 @@
+"""Plays a bag in step with a graph that was started with ``bring_up --in-step``.
+
+The time stands still until every process has dealt with a message and with all that followed from it. Two things of a
+recording are made anew for the graph that listens:
+
+- a message on ``bag/cue`` (std_msgs/String) names a Trigger service that is called then, and must succeed;
+- the driver's answers carry the names of the trajectories that the controller sends now, in their recorded order.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from icu_common.nodes.conversions import stamp_ns
+from icu_common.nodes.in_step import DEEP, TOPIC
+from icu_common.nodes.runtime import Session
+from scope_bench.adapters.bags import BagError, BagReader
+from scope_bench.core.step_count import StepCount
+from scope_bench.nodes.bag_player import BagPlayer
+
+CUE, TRAJECTORY, ANSWER = "bag/cue", "gantry/trajectory", "gantry/trajectory_result"
+SETTLED_S = 1.0
+"""At the start nothing may be new for so long."""
+
+
+class StepPlayer:
+    """Publishes one message after the other through ``node``.
+
+    Parameters
+    ----------
+    session, node
+        That spin and publish.
+    bag
+        What is played.
+    patience_s
+        Longest wait for a message to be dealt with, and for the graph to be complete.
+    """
+
+    def __init__(self, session: Session, node: BagPlayer, bag: BagReader, patience_s: float) -> None:
+        self._session, self._node, self._patience_s = session, node, patience_s
+        self._count = StepCount()
+        self._orders = _recorded_trajectories(bag)
+        self._trajectories: list[str] = []
+        node.create_subscription(String, TOPIC, self._on_count, DEEP)
+        node.create_subscription(JointTrajectory, TRAJECTORY, self._on_trajectory, DEEP)
+
+    def _on_count(self, message: String) -> None:
+        self._count.hear(json.loads(message.data))
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        self._trajectories.append(message.header.frame_id or str(stamp_ns(message.header.stamp)))
+
+    def begin(self, processes: int) -> None:
+        """Wait until so many processes are there and know each other.
+
+        Raises
+        ------
+        BagError
+            If they do not come.
+        """
+        deadline_s, still_s = time.monotonic() + self._patience_s, time.monotonic()
+        while self._session.goes_on and time.monotonic() - still_s < SETTLED_S:
+            self._session.spin(0.05)
+            missing = self._count.unmatched(self._node.readers())
+            owed = self._count.under_way()
+            if self._count.processes < processes or missing or owed:
+                self._count.begin()
+                still_s = time.monotonic()
+            if time.monotonic() > deadline_s:
+                raise BagError(
+                    f"{self._count.processes} of {processes} processes play in step; was the graph started with "
+                    f"bring_up --in-step? Not all found each other on: {', '.join(missing) or 'all did'}"
+                )
+
+    def play(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Play one message at its time and wait until it has been dealt with.
+
+        Raises
+        ------
+        BagError
+            If that does not happen, or a cue's service does not succeed.
+        """
+        self._count.played["/clock"] += 1
+        self._node.show_time(stamp_ns)
+        self._wait(f"the time of {topic}")
+        if topic.endswith(CUE):
+            self._call(deserialize_message(data, String).data)
+        else:
+            name = self._node.play(topic, self._answered(data) if topic.endswith(ANSWER) else data)
+            self._count.played[name] += 1
+        self._wait(topic)
+
+    def _wait(self, what: str) -> None:
+        deadline_s = time.monotonic() + self._patience_s
+        while self._session.goes_on and (owed := self._count.under_way()):
+            self._session.spin(0.02)
+            if time.monotonic() > deadline_s:
+                raise BagError(f"{what}: after {self._patience_s:g} s not everything has been taken of {owed}")
+
+    def _answered(self, data: bytes) -> bytes:
+        message: Any = deserialize_message(data, DiagnosticArray)
+        for value in message.status[0].values:
+            if value.key == "goal_id" and value.value in self._orders:
+                number = self._orders.index(value.value)
+                if number < len(self._trajectories):
+                    value.value = self._trajectories[number]
+        return bytes(serialize_message(message))
+
+    def _call(self, service: str) -> None:
+        client = self._node.create_client(Trigger, service)
+        deadline_s = time.monotonic() + self._patience_s
+        while self._session.goes_on and not client.service_is_ready() and time.monotonic() < deadline_s:
+            self._session.spin(0.02)
+        future = client.call_async(Trigger.Request())
+        while self._session.goes_on and not future.done() and time.monotonic() < deadline_s:
+            self._session.spin(0.02)
+        answer = future.result() if future.done() else None
+        self._node.destroy_client(client)
+        if answer is None or not answer.success:
+            raise BagError(f"{service}: {'no answer' if answer is None else answer.message}")
+        print(f"{service}: {answer.message}")
+
+
+def _recorded_trajectories(bag: BagReader) -> Sequence[str]:
+    names = [topic.name for topic in bag.topics if topic.name.endswith(TRAJECTORY)]
+    found = []
+    for _, _, data in bag.messages(names):
+        head = deserialize_message(data, JointTrajectory).header
+        found.append(head.frame_id or str(stamp_ns(head.stamp)))
+    return found
