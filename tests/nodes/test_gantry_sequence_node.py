@@ -27,7 +27,8 @@ class Rig:
         self.sequence = self.probe.create_publisher(String, "sequence", qos.COMMAND)
         self.result = self.probe.create_publisher(DiagnosticArray, "result", qos.RESULTS)
         self.panel = self.probe.create_publisher(DiagnosticArray, "panel/state", qos.RESULTS)
-        for publisher in (self.sequence, self.result, self.panel):
+        self.state = self.probe.create_publisher(String, "state", qos.LATCHED)
+        for publisher in (self.sequence, self.result, self.panel, self.state):
             ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 10.0)
         for topic in ("command", "sequence_result", "sequence_state"):
             ros.spin_until(lambda t=topic: self.probe.count_publishers(t) == 1, 10.0)
@@ -92,3 +93,19 @@ def test_a_wrong_text_is_refused_with_its_line_and_a_missing_check_ends_it(ros: 
     ended = rig.final(goal_id.rpartition(".")[0])
     assert ended.outcome is Outcome.ABORTED and "not seen in time: lamp:RUN_STOP=red" in ended.reason
     assert len(rig.commands) == 1
+
+
+def test_a_stop_while_a_check_is_waited_for_ends_it_before_anything_is_reset(ros: Any) -> None:
+    rig = Rig(ros)
+    steps = "{do: press:RUN_STOP, check: 'lamp:RUN_STOP=red', within_s: 60}, 'press:SAVE'"
+    rig.sequence.publish(String(data=f"id: mine\nsteps: [{steps}]"))
+    rig.wait_for_command(1)
+    rig.reach("mine.1")
+    ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
+    rig.state.publish(String(data="stopped: operator"))
+    ended = rig.final("mine")
+    assert ended.outcome is Outcome.ABORTED and ended.reason.endswith("press:RUN_STOP: stopped: operator")
+    rig.state.publish(String(data="ready"))
+    rig.see("red")
+    ros.spin_until(lambda: rig.states[-1].data == "idle", 10.0)
+    assert len(rig.commands) == 1, "the second step was never sent"

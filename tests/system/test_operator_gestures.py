@@ -1,10 +1,14 @@
-"""Every gesture from the page in a real browser: presses, clicks and positions of a knob, lines on the touch screen."""
+"""Every gesture, and sequences of them, from the page in a real browser."""
 
 from __future__ import annotations
 
+import signal
+import subprocess
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from system.conftest import executable
 from system.operator_browser import Operator
 from system.test_operator_desk import axe, instrument, operator
 from system.test_operator_page import Instrument
@@ -124,3 +128,79 @@ def test_gestures_by_touch_in_german_on_a_tablet(browser: Any, instrument: Instr
     finally:
         page.evaluate("localStorage.removeItem('language')")
         operator.context.close()
+
+
+# --- sequences, with the real sequencer ---
+
+
+@pytest.fixture
+def sequencer(instrument: Instrument) -> Iterator[None]:
+    names = ["-r", "__ns:=/gantry", "-r", "panel/state:=/panel/state"]
+    program = [executable("gantry_driver", "sequencer"), "--ros-args", *names]
+    running = subprocess.Popen(program, env=instrument.environment)
+    try:
+        yield
+    finally:
+        running.send_signal(signal.SIGINT)
+        running.wait(10.0)
+
+
+def begins(operator: Operator) -> None:
+    """Start it with two clicks."""
+    page = operator.page
+    operator.until(lambda: page.is_enabled("#sequence-start"), 10.0, lambda: page.inner_text("#sequence-said"))
+    page.click("#sequence-start")
+    assert "Confirm: start" in page.inner_text("#sequence-start")
+    page.click("#sequence-start")
+
+
+def test_a_sequence_is_collected_followed_and_stopped(
+    operator: Operator, instrument: Instrument, sequencer: None
+) -> None:
+    page = operator.page
+    page.click("#tab-sequence")
+    page.check("#sequence-collect")
+    operator.selects("MENU", "Menu")
+    operator.sees("#collecting", "move nothing")
+    page.click("[data-act=double]")
+    operator.selects("CH1_SCALE", "Channel 1 scale")
+    page.fill("#set-degrees", "60")
+    page.click("[data-act=set]")
+    assert page.input_value("#sequence-text") == "double:MENU\nset:CH1_SCALE:60\n"
+    assert "Double press" not in page.inner_text("#log"), "nothing was sent"
+    steps = lambda state: page.locator(f"#sequence-steps [data-state={state}]").count()  # noqa: E731
+    for _ in range(5):  # the sequencer may still be starting
+        begins(operator)
+        operator.logs(r"Sequence \(2\).*(in work|done|not sent)", 10.0)
+        if "not sent" not in page.inner_text("#log tr >> nth=0"):
+            break
+    operator.sees("#sequence-said", "all 2 steps are done", within_s=20.0)
+    assert steps("done") == 2
+    operator.sees("[data-seen=CH1_SCALE]", r"at \+60°")
+
+    page.fill("#sequence-text", "press:RUN_STOP => lamp:RUN_STOP=violet\npress:SAVE")
+    begins(operator)
+    operator.sees("#sequence-said", "ended. step 1 of 2, press:RUN_STOP: not seen in time: lamp:RUN_STOP=violet", 20.0)
+    assert (steps("failed"), steps("waiting")) == (1, 1)
+    operator.sees("#sequence-steps [data-state=failed]", "not seen in time")
+    clean(operator, "sequence_failed")
+    page.fill("#sequence-text", "press:RUN_STOP\npoke:SAVE")
+    begins(operator)
+    operator.sees("#refusal", "The sequence is wrong: step 2: gesture 'poke' is none of")
+
+    instrument.tell("motion 8")
+    page.fill("#sequence-text", "press:MENU\npress:SAVE")
+    begins(operator)
+    operator.sees("#sequence-said", "Step 1 of 2 is at work")
+    operator.shoots("sequence_running")
+    page.keyboard.press("Escape")
+    operator.sees("#sequence-said", "ended. step 1 of 2, press:MENU: aborted: stopped: operator")
+    instrument.tell("motion 0.3")
+    page.click("[data-call=reset]")
+    operator.sees("#chip-controller", "Ready")
+    page.wait_for_timeout(500)
+    assert "press:SAVE" not in page.inner_text("#log"), "nothing resumes by itself"
+    page.reload()
+    operator.sees_controls()
+    page.click("#tab-sequence")
+    operator.sees("#sequence-steps [data-state=failed]", "press:MENU")

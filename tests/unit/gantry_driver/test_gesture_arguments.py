@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gantry_driver.cli import gantry_goal, gantry_sequence
-from gantry_driver.core.sequence import parse_file
+from icu_common.core.sequence import parse_file
 
 
 @pytest.mark.parametrize(

@@ -4,17 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from gantry_driver.core.sequence import (
-    Report,
-    SendCommand,
-    SequenceConfig,
-    SequenceError,
-    SequenceRun,
-    parse_file,
-    parse_steps,
-)
+from gantry_driver.core.sequence import Report, SendCommand, SequenceConfig, SequenceRun
 from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.sequence import SequenceError, parse_file, parse_steps
 
 S = 1_000_000_000
 FILE = """\
@@ -35,6 +28,14 @@ def test_file_and_command_line_say_the_same() -> None:
     assert sequence.steps[1].within_s == 2
     given = parse_steps(["press:AUTO_SET => screen", "press:RUN_STOP=>lamp:RUN_STOP=red"])
     assert given.steps == (sequence.steps[0], sequence.steps[2])
+
+
+def test_a_sequence_survives_its_text() -> None:
+    sequence = parse_file(FILE)
+    assert parse_file(sequence.text()) == sequence
+    assert [step.text() for step in sequence.steps][1] == "click:CH1_SCALE:2.0 => effect, angle:CH1_SCALE=-36"
+    bare = parse_steps(["press:A"])
+    assert parse_file(bare.text()) == bare and bare.steps[0].text() == "press:A"
 
 
 @pytest.mark.parametrize(
@@ -105,6 +106,18 @@ def test_a_check_that_is_not_seen_stops_it() -> None:
     assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
     assert end.result.reason == ("step 1 of 2, press:RUN_STOP: not seen in time: lamp:RUN_STOP=red (lamp green)")
     assert run.result(answer("r.2"), 5 * S) == [] and run.tick(500 * S) == []
+
+
+def test_a_stop_between_two_gestures_ends_it_so_that_nothing_goes_on_after_a_reset() -> None:
+    run = run_of()
+    run.start(0)
+    assert run.stopped("stopped: operator", S) == [], "a gesture in work is answered by the controller"
+    run.result(answer("r.1"), 2 * S)
+    (end,) = run.stopped("stopped: operator", 3 * S)
+    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
+    assert end.result.reason == "step 1 of 3, press:AUTO_SET: stopped: operator"
+    later = PanelSeen(stamp_ns=4 * S, controls=(ControlSeen(name="SCREEN", kind="touch_area", changed_ns=4 * S),))
+    assert run.panel(later, 4 * S) == [] and run.done
 
 
 @pytest.mark.parametrize(

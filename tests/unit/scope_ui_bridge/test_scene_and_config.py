@@ -144,7 +144,7 @@ def test_the_parameter_file_has_known_keys_and_the_defaults() -> None:
     document = yaml.safe_load((ROOT / "config" / "params" / "ui_bridge.yaml").read_text())
     values = document["/**"]["ros__parameters"]
     assert from_mapping(BridgeConfig, values) == BridgeConfig()
-    given_by_bring_up = {"token_file", "passwords_file", "record_folder", "audit_file", "layout"}
+    given_by_bring_up = {"token_file", "passwords_file", "record_folder", "sequence_folder", "audit_file", "layout"}
     assert set(to_mapping(BridgeConfig())) - set(values) == given_by_bring_up
 
 

@@ -43,6 +43,9 @@ class RecordingGraph:
     def send_command(self, text: str) -> None:
         self._take("command", text)
 
+    def send_sequence(self, text: str) -> None:
+        self._take("sequence", text)
+
     def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
         self._take("goal", frame, point, stamp_ns)
 

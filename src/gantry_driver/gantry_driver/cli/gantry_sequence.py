@@ -31,8 +31,8 @@ from gantry_driver.cli.operator_session import (
     own_arguments,
     say,
 )
-from gantry_driver.core.sequence import SequenceError, parse_file, parse_steps
 from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.sequence import SequenceError, parse_file, parse_steps
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import result_of_message
 

@@ -1,7 +1,8 @@
 """Node that carries out sequences of gestures, one step after the other, and stops at the first that fails.
 
-``sequence`` takes the text of a sequence file (see core.sequence), with ``id: TEXT`` as its first line if its answers
-are to be told apart. It gives the controller one command at a time, so whatever stops a gesture stops the sequence.
+``sequence`` takes the text of a sequence file (see icu_common.core.sequence), with ``id: TEXT`` as its first line if
+its answers are to be told apart. It gives the controller one command at a time, so whatever stops a gesture stops the
+sequence; a stop between two gestures ends it too, so that none goes on after a reset.
 """
 
 from __future__ import annotations
@@ -12,15 +13,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from gantry_driver.core.sequence import (
-    Action,
-    SendCommand,
-    SequenceConfig,
-    SequenceError,
-    SequenceRun,
-    parse_file,
-)
+from gantry_driver.core.sequence import Action, SendCommand, SequenceConfig, SequenceRun
 from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.sequence import SequenceError, parse_file
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     diagnostic_status,
@@ -36,7 +31,7 @@ TICK_S = 0.1
 
 
 class SequenceNode(Node):
-    """Subscribes to ``sequence``, ``result`` and ``panel/state``; publishes ``command`` and ``sequence_result``."""
+    """Hears ``sequence``, ``result``, ``state`` and ``panel/state``; publishes ``command`` and ``sequence_result``."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("sequencer", **options)
@@ -50,6 +45,7 @@ class SequenceNode(Node):
         self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
         self.create_subscription(DiagnosticArray, "panel/state", self._on_panel, qos.SENSOR)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self.create_subscription(String, "state", self._on_controller, qos.LATCHED)
         self.create_timer(TICK_S, self._on_tick)
         self.create_timer(1.0, self._report)
         self._state.publish(String(data="idle"))
@@ -100,6 +96,10 @@ class SequenceNode(Node):
             self.get_logger().error(f"panel/state: {error}", throttle_duration_sec=5.0)
             return
         self._act(self._run.panel(seen, self._now_ns()))
+
+    def _on_controller(self, message: String) -> None:
+        if self._run is not None and message.data.partition(":")[0] in ("stopped", "alarm"):
+            self._act(self._run.stopped(message.data, self._now_ns()))
 
     def _on_tick(self) -> None:
         if self._run is not None:

@@ -29,6 +29,10 @@ class GraphPort(Protocol):
         """Publish a gesture; GraphError when no controller listens."""
         ...
 
+    def send_sequence(self, text: str) -> None:
+        """Publish a sequence of gestures; GraphError when no sequencer listens."""
+        ...
+
     def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
         """Publish a goal in a frame (pixels, or metres with the stylus up); GraphError when no controller listens."""
         ...

@@ -40,6 +40,7 @@ from scope_ui_bridge.core.effects import (
     Send,
     SendCommand,
     SendGoal,
+    SendSequence,
     StopNow,
 )
 from scope_ui_bridge.core.layers import LAYERS
@@ -347,6 +348,8 @@ class WebServer:
                 raise GraphError("stopped before it went out")
             if isinstance(order, SendCommand):
                 self._graph.send_command(order.text)
+            elif isinstance(order, SendSequence):
+                self._graph.send_sequence(order.text)
             elif isinstance(order, SendGoal):
                 self._graph.send_goal(order.frame, order.point, order.stamp_ns)
             elif isinstance(order, CallService):

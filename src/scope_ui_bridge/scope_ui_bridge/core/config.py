@@ -42,6 +42,9 @@ class BridgeConfig(Config):
     record_folder: str = setting(
         "", "Folder for recorded sessions, each in a folder of its own, empty = none", read_only=True
     )
+    sequence_folder: str = setting(
+        "", "Folder of sequence files (YAML) that pages can choose from, empty = none", read_only=True
+    )
     jpeg_quality: int = setting(80, "Quality of the live picture", minimum=20, maximum=100)
     frame_amber_s: float = setting(0.25, "A picture older than this is shown as late", minimum=0.05, unit="s")
     frame_max_age_s: float = setting(

@@ -30,6 +30,7 @@ from scope_ui_bridge.core.effects import (
     Send,
     SendCommand,
     SendGoal,
+    SendSequence,
     StopNow,
 )
 from scope_ui_bridge.core.jog import HeldJog
@@ -40,6 +41,7 @@ from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.scene import Scene
 from scope_ui_bridge.core.selection import Selection, action_text, make_gesture, make_selection
+from scope_ui_bridge.core.sequencing import SequenceView
 from scope_ui_bridge.core.stop_cause import StopCauses
 
 HEARTBEAT_PERIOD_S = 0.2
@@ -82,6 +84,7 @@ class Desk:
         self.scene = Scene()
         self.machine = MachineView()
         self.panel = PanelView()
+        self.sequence = SequenceView()
         self.lease = OperatorLease()
         self.stops = 0
         self._causes = StopCauses()
@@ -98,6 +101,7 @@ class Desk:
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
         self._last_facts: dict[str, Any] = {}
         self._last_panel: list[dict[str, Any]] = []
+        self._last_sequence: dict[str, Any] = {}
         self._ros_ns = 0
         self._said: list[dict[str, Any]] = []
 
@@ -130,6 +134,8 @@ class Desk:
             "replay": self.config.replay,
             "facts": self.machine.facts,
             "panel": self.panel.message,
+            "sequence": self.sequence.message(),
+            "sequences": self.sequence.stored_message(),
             "limits": limits,
             "log": self._log.messages(),
             "selection": self._selection.message() if self._selection else None,
@@ -198,6 +204,8 @@ class Desk:
             effects = self._move(viewer, message, now)
         elif isinstance(message, wire.Jog):
             effects = self._hold_jog(viewer, message, now)
+        elif isinstance(message, wire.RunSequence):
+            effects = self._run_sequence(viewer, message, now)
         else:
             assert isinstance(message, wire.Call)
             effects = self._call(viewer, message.service, now)
@@ -243,6 +251,8 @@ class Desk:
             effects.append(Ping(viewer=self.lease.holder))
         effects += self._watch(silence, now)
         effects += self._log.expire(self.machine.active, self.config.answer_timeout_s, now)
+        if self._log.goal(self.sequence.run_id) is None:
+            self.sequence.ended(self.sequence.run_id, "no_answer", "")
         effects += self._pass_on()
         state = self._snapshot(now)
         fastest, slowest = STATE_PERIOD_S
@@ -274,6 +284,10 @@ class Desk:
         if self.panel.message != self._last_panel:
             self._last_panel = self.panel.message
             effects.append(Broadcast(message={"type": "panel", "controls": self._last_panel}))
+        sequence = self.sequence.message()
+        if sequence != self._last_sequence:
+            self._last_sequence = sequence
+            effects.append(Broadcast(message={"type": "sequence", "sequence": sequence}))
         return effects
 
     def _watch(self, silence_s: float, now: Now) -> list[Effect]:
@@ -346,9 +360,7 @@ class Desk:
         gesture = make_gesture(selection, message, self.panel.seen, goal_id)
         self.machine.check_frame(message.camera, message.stamp_ns, self.config, now)
         pose = self.machine.check_recognition(self.scene.camera_from_panel, self.config, now)
-        self.machine.check_ready()
-        if self._log.waiting:
-            raise Refusal("busy_pending")
+        self._check_ready()
         moved = selection.moved_m(pose)
         if moved > self.config.panel_moved_limit_m:
             self._selection = None
@@ -364,6 +376,36 @@ class Desk:
         entry = self._log.add(self._name(viewer), action, selection.name, now, status="sent", goal_id=goal_id)
         return [SendCommand(**self._marks(entry, gesture.text(), seen, now), text=gesture.text()), shown(entry)]
 
+    def _check_ready(self) -> None:
+        self.sequence.check_idle()
+        self.machine.check_ready()
+        if self._log.waiting:
+            raise Refusal("busy_pending")
+
+    def _run_sequence(self, viewer: str, message: wire.RunSequence, now: Now) -> list[Effect]:
+        name, sequence = self.sequence.chosen(message, [face.name for face in self.scene.faces])
+        self.machine.check_frame(message.camera, message.stamp_ns, self.config, now)
+        self.machine.check_recognition(self.scene.camera_from_panel, self.config, now)
+        self._check_ready()
+        run_id = f"ui-{self.boot_id[:6]}-{self._log.count + 1}"
+        entry = self._log.add(
+            self._name(viewer), f"sequence {len(sequence.steps)}", name, now, status="sent", goal_id=run_id
+        )
+        self.sequence.started(run_id, entry.who, name, sequence)
+        seen = {"camera": message.camera, "frame": str(message.stamp_ns)}
+        marks = self._marks(entry, " ; ".join(step.text() for step in sequence.steps), seen, now)
+        return [SendSequence(**marks, text=f"id: {run_id}\n{sequence.text()}"), shown(entry)]
+
+    def set_sequencer(self, text: str) -> None:
+        """Note the sequencer's state; empty when there is none."""
+        self.machine.set_state("sequencer", text)
+        self.sequence.set_state(text)
+
+    def sequence_result(self, result: GoalResult, now: Now) -> list[Effect]:
+        """Note an answer of the sequencer, to this page's sequences or anybody's."""
+        self.sequence.result(result)
+        return self.result(result, now)
+
     def _move(self, viewer: str, message: wire.Move, now: Now) -> list[Effect]:
         self._check_move(message.camera, message.stamp_ns, now)
         place = f"({message.x_m * 1e3:.1f}, {message.y_m * 1e3:.1f}) mm"
@@ -373,6 +415,7 @@ class Desk:
 
     def _check_move(self, camera: str, stamp_ns: int, now: Now) -> None:
         self.machine.check_frame(camera, stamp_ns, self.config, now)
+        self.sequence.check_idle()
         if self._log.waiting:
             raise Refusal("busy_pending")
         self.machine.check_at_rest()
@@ -437,7 +480,10 @@ class Desk:
     def order_failed(self, order: Order, reason: str) -> list[Effect]:
         """Note that an order did not go out (no controller, audit file not writable, stopped in between)."""
         entry = self._log.open_entry(order.entry)
-        return [shown(self._log.update(entry, status="failed", reason=reason))] if entry else []
+        if entry is None:
+            return []
+        self.sequence.ended(entry.goal_id, "failed", reason)
+        return [shown(self._log.update(entry, status="failed", reason=reason))]
 
     def service_answered(self, number: int, success: bool, text: str, now: Now) -> list[Effect]:
         """Note the answer of a service that log entry ``number`` asked."""
@@ -455,7 +501,8 @@ class Desk:
         if known is None:
             if result.outcome.final and result.outcome is not Outcome.REJECTED:
                 return []  # the end of something whose beginning was long ago
-            known = self._log.add("Graph", result.goal, "", now, status="accepted", goal_id=result.goal_id)
+            who = self.sequence.owner_of(result.goal_id) or "Graph"
+            known = self._log.add(who, result.goal, "", now, status="accepted", goal_id=result.goal_id)
         jog = self._jog
         if jog is not None and jog.entry == known.entry and result.outcome.final:
             if result.outcome is Outcome.REACHED and now.mono_s < jog.until_s and self.lease.holder == jog.viewer:
@@ -499,6 +546,7 @@ class Desk:
     def _snapshot(self, now: Now) -> dict[str, Any]:
         try:
             self.machine.check_recognition(self.scene.camera_from_panel, self.config, now)
+            self.sequence.check_idle()
             self.machine.check_ready()
             refusal = None
         except Refusal as why:

@@ -77,6 +77,13 @@ class SendCommand(Order):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SendSequence(Order):
+    """A sequence's text for /gantry/sequence."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SendGoal(Order):
     """A point for /gantry/goal: pixels of the left picture, or metres of base_link; ``stamp_ns`` is its name."""
 

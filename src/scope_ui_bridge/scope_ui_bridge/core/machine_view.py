@@ -16,6 +16,7 @@ _MOVING = {
     "driver": {"moving", "homing"},
     "controller": {"moving", "looking", "touching"},
     "calibration": {"calibrating"},
+    "sequencer": {"step"},
 }
 
 
@@ -30,7 +31,7 @@ class MachineView:
     """The newest states, the recognition's confidence, the tip's position, and which pictures were shown when."""
 
     def __init__(self) -> None:
-        self._states = {"driver": "", "controller": "", "calibration": ""}
+        self._states = dict.fromkeys(_MOVING, "")
         self._confidence = math.nan
         self._confidence_s = -math.inf
         self._position: tuple[float, float, float] | None = None
@@ -42,7 +43,7 @@ class MachineView:
     # --- what the graph says ---------------------------------------------------------------------------------------
 
     def set_state(self, part: str, text: str) -> None:
-        """``part`` is driver, controller or calibration; text as on its state topic."""
+        """``part`` is driver, controller, calibration or sequencer; text as on its state topic."""
         self._states[part] = text
 
     def state(self, part: str) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from icu_common.core.gesture import GESTURES
+from icu_common.core.sequence import MAX_STEPS
 from scope_ui_bridge.core.refusal import Refusal
 
 MAX_BYTES = 4096
@@ -108,6 +109,16 @@ class Jog(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RunSequence(Message):
+    """Start a sequence: one that is ``stored`` under this name, or these steps as on a command line."""
+
+    stored: str
+    steps: tuple[str, ...]
+    camera: str
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Call(Message):
     """Ask a service of the graph, one of SERVICES."""
 
@@ -192,7 +203,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _typed(raw: dict[str, Any]) -> Message:
     read = _Reader(raw)
-    kind = read.choice("type", ("alive", "hidden", "stop", "lease", "select", "act", "move", "jog", "call"))
+    kinds = ("alive", "hidden", "stop", "lease", "select", "act", "move", "jog", "sequence", "call")
+    kind = read.choice("type", kinds)
     head: dict[str, Any] = {"seq": read.integer("seq"), "boot": read.text("boot"), "epoch": read.integer("epoch")}
     message: Message
     if kind == "alive":
@@ -228,6 +240,10 @@ def _typed(raw: dict[str, Any]) -> Message:
         message = Move(**head, x_m=read.length("x_mm"), y_m=read.length("y_mm"), **read.picture())
     elif kind == "jog":
         message = Jog(**head, dx=read.sign("dx"), dy=read.sign("dy"), step_m=read.length("step_mm"), **read.picture())
+    elif kind == "sequence":
+        stored = read.text("stored") if "stored" in raw else ""
+        steps = () if stored else read.texts("steps")
+        message = RunSequence(**head, **read.picture(), stored=stored, steps=steps)
     else:
         message = Call(**head, service=read.choice("service", SERVICES))
     read.finish()
@@ -276,6 +292,13 @@ class _Reader:
         if not isinstance(value, str) or len(value) > 64 or not value.isprintable():
             self.wrong(name, value, "a text of up to 64 characters")
         return value
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        value = self._raw.pop(name, None)
+        good = isinstance(value, list) and 0 < len(value) <= MAX_STEPS
+        if not good or not all(isinstance(v, str) and len(v) <= 300 and v.isprintable() for v in value):
+            self.wrong(name, value, f"1 to {MAX_STEPS} texts of up to 300 characters")
+        return tuple(value)
 
     def choice(self, name: str, choices: tuple[str, ...]) -> str:
         value = self._raw.pop(name, None)

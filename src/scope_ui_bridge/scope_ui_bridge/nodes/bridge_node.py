@@ -30,6 +30,7 @@ from visualization_msgs.msg import MarkerArray
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import CAMERA_LEFT, JOINTS
 from icu_common.core.panel_layout import Control, LayoutError, PanelLayout, load_layout
+from icu_common.core.sequence import Sequence, parse_file
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_model,
@@ -107,6 +108,7 @@ class BridgeNode(Node):
         self._roll = Roll(SILENT_S)
         self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "")
         self._scene = self._desk.scene
+        self._desk.sequence.stored = self._read_sequences(config)
         self._token_file = Path(config.token_file).expanduser() if config.token_file else None
         self._make_outlets()
         sign_in = SignIn(lambda: secrets.token_urlsafe(32), config.session_lifetime_s, Role(config.token_role))
@@ -120,6 +122,7 @@ class BridgeNode(Node):
             raise
         self.create_timer(1.0, self._check_server)
         self.create_timer(0.5, self._call_the_roll)
+        self.create_timer(1.0, self._check_sequencer)
         self.issue_token()
 
     @property
@@ -181,6 +184,8 @@ class BridgeNode(Node):
         self._hear(DiagnosticArray, "/diagnostics", qos.RESULTS, self._facts_seen)
         self._hear(Log, "/rosout", qos.RESULTS, self._said)
         self._hear(DiagnosticArray, "gantry/result", qos.RESULTS, self._result_seen)
+        self._hear(String, "gantry/sequence_state", qos.LATCHED, self._sequencer_seen)
+        self._hear(DiagnosticArray, "gantry/sequence_result", qos.RESULTS, self._sequence_result_seen)
 
         self.create_timer(_LAYERS_PERIOD_S, self._hear_layers)
 
@@ -312,11 +317,33 @@ class BridgeNode(Node):
     def _result_seen(self, message: DiagnosticArray) -> None:
         self._server.post(self._desk.result, result_of_message(message))
 
+    def _sequencer_seen(self, message: String) -> None:
+        self._mail.newest("sequencer", self._desk.set_sequencer, message.data)
+
+    def _sequence_result_seen(self, message: DiagnosticArray) -> None:
+        self._server.post(self._desk.sequence_result, result_of_message(message))
+
+    def _check_sequencer(self) -> None:
+        # A sequencer that has died leaves its last state behind; it does nothing any more.
+        if self.count_publishers("gantry/sequence_state") == 0:
+            self._mail.newest("sequencer", self._desk.set_sequencer, "")
+
+    def _read_sequences(self, config: BridgeConfig) -> dict[str, Sequence]:
+        found: dict[str, Sequence] = {}
+        folder = Path(config.sequence_folder).expanduser()
+        for path in sorted(folder.glob("*.yaml")) if config.sequence_folder else ():
+            try:
+                found[path.stem] = parse_file(path.read_text(encoding="utf-8"), str(path))
+            except (OSError, ValueError) as error:
+                self.get_logger().error(f"this sequence is left out: {error}")
+        return found
+
     # --- to the graph (GraphPort; called in the server's thread) ---------------------------------------------------
 
     def _make_outlets(self) -> None:
         self._goal = self.create_publisher(PointStamped, "gantry/goal", qos.COMMAND)
         self._command = self.create_publisher(String, "gantry/command", qos.COMMAND)
+        self._sequence = self.create_publisher(String, "gantry/sequence", qos.COMMAND)
         self._stop_request = self.create_publisher(Empty, "gantry/stop_request", qos.RESULTS)
         self._heartbeat = self.create_publisher(Header, "heartbeat", qos.RESULTS)
         self._stop_service = self.create_client(Trigger, "gantry/stop")
@@ -341,6 +368,11 @@ class BridgeNode(Node):
         if self._command.get_subscription_count() == 0:
             raise GraphError("no gantry controller listens")
         self._command.publish(String(data=text))
+
+    def send_sequence(self, text: str) -> None:
+        if self._sequence.get_subscription_count() == 0:
+            raise GraphError("no sequencer listens")
+        self._sequence.publish(String(data=text))
 
     def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
         if self._goal.get_subscription_count() == 0:

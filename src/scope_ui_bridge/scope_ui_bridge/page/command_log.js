@@ -111,6 +111,7 @@ export function actionText(entry) {
   const details =
     {
       hold: ` ${value} s`,
+      sequence: ` (${value})`,
       turn: ` ${value > 0 ? "↺" : "↻"} ${Math.abs(value)}°`,
       click: ` ${value > 0 ? "↻" : "↺"} ${Math.abs(value)}`,
       set: ` ${Number.isFinite(value) ? `${value}°` : argument}`,

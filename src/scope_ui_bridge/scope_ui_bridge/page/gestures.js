@@ -3,6 +3,7 @@
 import { desk } from "./desk.js";
 import { find } from "./dom.js";
 import { seenOf } from "./panel_seen.js";
+import { collect, collecting } from "./sequence.js";
 
 const NS = "http://www.w3.org/2000/svg";
 let dialOf = 0; // the selection whose angle the dial was set to
@@ -25,6 +26,10 @@ function wanted(button) {
 function act(button) {
   const gesture = button.dataset.act;
   if (!desk.selection?.gestures.includes(gesture) || desk.whyNot !== "") return;
+  if (collecting()) {
+    collect(gesture, wanted(button));
+    return;
+  }
   document.dispatchEvent(new Event("acting")); // the picture before is kept for comparing
   desk.ask("act", { gesture, selection: desk.selection.number, ...desk.seen, ...wanted(button) });
 }

@@ -12,6 +12,7 @@ import { renderMove, wireMove } from "./move.js";
 import { Overlay } from "./overlay.js";
 import { renderPanel, seenText, setPanel } from "./panel_seen.js";
 import { addError, renderPlots, sample } from "./plots.js";
+import { renderSequence, setSequence, setSequences, wireSequence } from "./sequence.js";
 import { banner, chip, stateChip } from "./status.js";
 import { stopBanner } from "./stop_cause.js";
 import { keepLanguage, language, startLanguage, t } from "./strings.js";
@@ -41,6 +42,7 @@ link.addEventListener("hello", ({ detail }) => {
   desk.replay = detail.replay;
   setFacts(detail.facts);
   setPanel(detail.panel);
+  setSequences(detail.sequences, detail.sequence);
   desk.limits = detail.limits;
   if (detail.title) {
     delete find("title").dataset.text; // its name is the instrument's, in any language
@@ -53,6 +55,7 @@ link.addEventListener("hello", ({ detail }) => {
   setState(detail.state);
 });
 link.addEventListener("facts", ({ detail }) => setFacts(detail.facts));
+link.addEventListener("sequence", ({ detail }) => setSequence(detail.sequence));
 link.addEventListener("panel", ({ detail }) => {
   setPanel(detail.controls);
   overlay.relabel();
@@ -172,6 +175,7 @@ function render() {
   renderMachine();
   renderPanel(overlay.controls);
   renderMove();
+  renderSequence();
   renderTools();
   renderAge();
 }
@@ -287,6 +291,7 @@ document.addEventListener("visibilitychange", () => document.visibilityState ===
 wireActions();
 wireDraw(overlay);
 wireMove();
+wireSequence();
 wireTools();
 wireTabs(find("tabs"));
 log.wireSearch(find("log-search"), find("log-found"), find("log-export"));

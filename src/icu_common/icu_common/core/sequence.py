@@ -1,0 +1,155 @@
+"""Sequences of gestures with a check after each: the grammar of their text; see docs/architecture.md.
+
+A step is a gesture of the command grammar, and after ``=>`` what must be seen then, several checks separated by commas:
+``press:RUN_STOP => lamp:RUN_STOP=red, effect``. A file is YAML, a mapping with ``steps`` (a list of such texts, or of
+mappings with ``do``, ``check`` and ``within_s``) and maybe ``name``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence as Sequence_
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from icu_common.core.gesture import GestureError, parse_gesture
+
+MAX_STEPS = 100
+_CHECK = re.compile(r"(?:(effect|screen)|(lamp|angle):([A-Za-z][A-Za-z0-9_]*)=([^\s=]+))\Z")
+
+
+class SequenceError(ValueError):
+    """A sequence is wrong; the message names the line or the step."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """What must be seen after a step: ``kind`` is effect, screen, lamp or angle."""
+
+    kind: str
+    control: str = ""
+    value: str = ""
+
+    def text(self) -> str:
+        return f"{self.kind}:{self.control}={self.value}" if self.control else self.kind
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """One gesture and its checks; ``within_s`` is NaN where the configuration decides."""
+
+    gesture: str
+    checks: tuple[Check, ...] = ()
+    within_s: float = math.nan
+
+    def text(self) -> str:
+        """Return it as it stands on a command line, without its time."""
+        checks = ", ".join(check.text() for check in self.checks)
+        return f"{self.gesture} => {checks}" if checks else self.gesture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sequence:
+    """Steps in their order."""
+
+    steps: tuple[Step, ...]
+    name: str = ""
+
+    def text(self) -> str:
+        """Return it as a file; ``parse_file(sequence.text()) == sequence``."""
+        entries: list[Any] = []
+        for step in self.steps:
+            entry: dict[str, Any] = {"do": step.gesture, "check": [check.text() for check in step.checks]}
+            entries.append(entry if math.isnan(step.within_s) else entry | {"within_s": step.within_s})
+        named = {"name": self.name} if self.name else {}
+        return yaml.safe_dump({**named, "steps": entries}, sort_keys=False, width=10**6, allow_unicode=True)
+
+
+def parse_steps(texts: Sequence_[str]) -> Sequence:
+    """Read steps as they stand on a command line.
+
+    Raises
+    ------
+    SequenceError
+        With the step's number and what is wrong.
+    """
+    return _sequence([(f"step {number}", text) for number, text in enumerate(texts, 1)], "")
+
+
+def parse_file(text: str, file_name: str = "sequence") -> Sequence:
+    """Read the text of a file.
+
+    Raises
+    ------
+    SequenceError
+        In the form ``file:line: what is wrong``.
+    """
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise SequenceError(f"{file_name}:{line}: {error.problem}") from error
+    if not isinstance(root, yaml.MappingNode):
+        raise SequenceError(f"{file_name}:1: a mapping with steps is needed")
+    entries: list[tuple[str, Any]] = []
+    name = ""
+    for key, value in root.value:
+        place = f"{file_name}:{key.start_mark.line + 1}"
+        if key.value == "name" and isinstance(value, yaml.ScalarNode):
+            name = value.value
+        elif key.value == "steps" and isinstance(value, yaml.SequenceNode):
+            for node in value.value:
+                entries.append((f"{file_name}:{node.start_mark.line + 1}", _plain(node)))
+        else:
+            raise SequenceError(f"{place}: {key.value!r}: name (a text) and steps (a list) are known")
+    return _sequence(entries, name)
+
+
+def _plain(node: yaml.Node) -> Any:
+    return yaml.SafeLoader("").construct_object(node, deep=True)
+
+
+def _sequence(entries: Sequence_[tuple[str, Any]], name: str) -> Sequence:
+    if not 0 < len(entries) <= MAX_STEPS:
+        raise SequenceError(f"{len(entries)} steps; 1 to {MAX_STEPS} are needed")
+    return Sequence(steps=tuple(_step(place, entry) for place, entry in entries), name=name)
+
+
+def _step(place: str, entry: Any) -> Step:
+    if isinstance(entry, dict):
+        unknown = set(entry) - {"do", "check", "within_s"}
+        if unknown or not isinstance(entry.get("do"), str):
+            found = f"unknown key {', '.join(sorted(map(str, unknown)))}" if unknown else "no gesture"
+            raise SequenceError(f"{place}: {found}; do (a gesture), check and within_s are known")
+        checks = entry.get("check", [])
+        texts = [checks] if isinstance(checks, str) else checks
+        within = entry.get("within_s", math.nan)
+        good = isinstance(within, (int, float)) and not isinstance(within, bool)
+        if not good or not (math.isnan(within) or 0 < within <= 60):
+            raise SequenceError(f"{place}: within_s = {within!r}: seconds above 0 and up to 60 are needed")
+        if not isinstance(texts, list) or not all(isinstance(t, str) for t in texts):
+            raise SequenceError(f"{place}: check = {checks!r}: a text or a list of texts is needed")
+        gesture, within_s = entry["do"], float(within)
+    elif isinstance(entry, str):
+        gesture, arrow, after = entry.partition("=>")
+        texts, within_s = after.split(",") if arrow else [], math.nan
+    else:
+        raise SequenceError(f"{place}: {entry!r} is neither a text nor a mapping")
+    try:
+        parsed = parse_gesture(gesture.strip())
+    except GestureError as error:
+        raise SequenceError(f"{place}: {error}") from error
+    if parsed.id:
+        raise SequenceError(f"{place}: {gesture.strip()!r}: ids are given by the sequencer")
+    return Step(gesture=parsed.text(), checks=tuple(_check(place, t.strip()) for t in texts), within_s=within_s)
+
+
+def _check(place: str, text: str) -> Check:
+    found = _CHECK.match(text)
+    if found is None:
+        known = "effect, screen, lamp:NAME=COLOUR (or off), angle:NAME=DEGREES (or MARK)"
+        raise SequenceError(f"{place}: check {text!r} is none of {known}")
+    return Check(kind=found[1] or found[2], control=found[3] or "", value=found[4] or "")

@@ -1,0 +1,122 @@
+"""Sequences on the page: which are stored, what may be started, and how far the one at work is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any
+
+from icu_common.core.gesture import parse_gesture
+from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.sequence import Sequence, SequenceError, parse_steps
+from scope_ui_bridge.core import wire
+from scope_ui_bridge.core.refusal import Refusal
+
+_STATE = re.compile(r"step (\d+)/(\d+): ")
+
+
+class SequenceView:
+    """What pages see of sequences.
+
+    Parameters
+    ----------
+    stored
+        Sequences that were read from files, by the files' names.
+    """
+
+    def __init__(self, stored: dict[str, Sequence] | None = None) -> None:
+        self.stored = stored or {}
+        self.run_id = ""
+        self.who = ""
+        self._name = ""
+        self._steps: list[str] = []
+        self._state = ""
+        self._number = 0
+        self._status = ""
+        self._reason = ""
+
+    def chosen(self, message: wire.RunSequence, controls: Iterable[str]) -> tuple[str, Sequence]:
+        """Return the name and the steps that a page wants to start; ``controls`` are those of the panel.
+
+        Raises
+        ------
+        Refusal
+            ``sequence_unknown``, ``sequence_wrong`` with the step and what is wrong, ``sequence_control``.
+        """
+        if message.stored:
+            if message.stored not in self.stored:
+                raise Refusal("sequence_unknown", name=message.stored)
+            sequence = self.stored[message.stored]
+        else:
+            try:
+                sequence = parse_steps(message.steps)
+            except SequenceError as error:
+                raise Refusal("sequence_wrong", what=str(error)) from error
+        known = set(controls)
+        for number, step in enumerate(sequence.steps, 1):
+            target = parse_gesture(step.gesture).target
+            missing = {target} if isinstance(target, str) else set()
+            missing = (missing | {check.control for check in step.checks if check.control}) - known
+            if missing:
+                raise Refusal("sequence_control", step=number, control=", ".join(sorted(missing)))
+        return message.stored or sequence.name, sequence
+
+    def started(self, run_id: str, who: str, name: str, sequence: Sequence) -> None:
+        """Note what was given to the sequencer."""
+        self.run_id, self.who, self._name = run_id, who, name
+        self._steps = [step.text() for step in sequence.steps]
+        self._number, self._status, self._reason = 0, "sent", ""
+
+    def set_state(self, text: str) -> None:
+        """Take the sequencer's state, ``idle`` or ``step 2/3: press:RUN_STOP``; empty while there is no sequencer."""
+        self._state = text
+        found = _STATE.match(text)
+        if found and self._status in ("sent", "accepted"):
+            self._number = int(found[1])
+
+    def result(self, result: GoalResult) -> None:
+        """Take the sequencer's answer."""
+        if result.goal_id != self.run_id:
+            return
+        self._status, self._reason = result.outcome.value, result.reason
+        done = dict(result.details).get("steps_done", "")
+        if result.outcome.final and done.isdigit():
+            self._number = int(done) + (result.outcome is Outcome.ABORTED)
+
+    def ended(self, run_id: str, status: str, reason: str) -> None:
+        """Note that it did not go out (failed), or that no answer came."""
+        if run_id and run_id == self.run_id and self._status in ("sent", "accepted"):
+            self._status, self._reason = status, reason
+
+    @property
+    def at_work(self) -> bool:
+        """Whether the sequencer is at work, for whomever."""
+        return self._state.startswith("step ")
+
+    def check_idle(self) -> None:
+        """Refuse while a sequence is at work: ``sequence_runs``."""
+        if self.at_work:
+            raise Refusal("sequence_runs", step=self._state)
+
+    def owner_of(self, goal_id: str) -> str:
+        """Return who started the sequence that a step's goal belongs to, empty for other goals."""
+        return self.who if self.run_id and goal_id.rpartition(".")[0] == self.run_id else ""
+
+    def message(self) -> dict[str, Any]:
+        """Return what the pages get; ``number`` is the step at work, or the one that failed, from 1."""
+        return {
+            "name": self._name,
+            "who": self.who,
+            "steps": self._steps,
+            "number": self._number,
+            "status": self._status,
+            "reason": self._reason,
+            "state": self._state,
+        }
+
+    def stored_message(self) -> list[dict[str, Any]]:
+        """Return the stored sequences as a page that has just come gets them."""
+        return [
+            {"name": name, "title": sequence.name, "steps": [step.text() for step in sequence.steps]}
+            for name, sequence in sorted(self.stored.items())
+        ]

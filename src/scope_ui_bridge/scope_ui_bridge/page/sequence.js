@@ -1,0 +1,140 @@
+// Sequences: chosen, typed or collected from the gesture buttons; started with a second click; followed step by step.
+
+import { desk } from "./desk.js";
+import { find, put, say } from "./dom.js";
+import { t } from "./strings.js";
+
+const ARMED_MS = 4000;
+const ICON = { waiting: "○", work: "▶", done: "✓", failed: "✕" };
+let stored = [];
+let run = null; // what the bridge says of the last one
+let spokenOf = "";
+let timer = 0;
+
+export function setSequences(list, last) {
+  stored = list;
+  const options = stored.map(({ name, title }) => new Option(title ? `${name} – ${title}` : name, name));
+  find("sequence-choice").replaceChildren(new Option(t("sequence_typed"), ""), ...options);
+  setSequence(last);
+}
+
+export function setSequence(next) {
+  run = next;
+  const key = `${run.status} ${run.number}`;
+  if (run.status && key !== spokenOf && !["sent", "accepted"].includes(run.status)) say(verdict(), run.status !== "reached");
+  spokenOf = key;
+}
+
+/** The steps that would be started now. */
+function wanted() {
+  const chosen = stored.find(({ name }) => name === find("sequence-choice").value);
+  if (chosen) return chosen.steps;
+  const lines = find("sequence-text").value.split("\n").map((line) => line.trim());
+  return lines.filter((line) => line && !line.startsWith("#"));
+}
+
+const running = () => run.status === "sent" || run.status === "accepted";
+
+function verdict() {
+  const values = { name: run.name || t("sequence"), number: run.number, all: run.steps.length, reason: run.reason };
+  return t(`sequence_${run.status}`, values);
+}
+
+// --- collecting ----------------------------------------------------------------------------------------------------
+
+/** Whether gesture buttons add a step instead of moving anything. */
+export function collecting() {
+  return find("sequence-collect").checked && !find("panel-sequence").hidden;
+}
+
+/** Add what a gesture button would do, as a step with the check that is chosen. */
+export function collect(gesture, { argument, mark }) {
+  const { control, panel_mm: from, to_mm: to } = desk.selection;
+  const place = ([x, y]) => `${(x / 1000).toFixed(4)},${(y / 1000).toFixed(4)}@panel_link`;
+  const step = [gesture, control || place(from), to ? place(to) : mark ?? argument].filter((part) => part !== undefined);
+  const check = find("sequence-check").value;
+  const line = step.join(":") + (check && ` => ${check}`);
+  const text = find("sequence-text");
+  text.value = `${text.value.trimEnd()}\n${line}\n`.trimStart();
+  find("sequence-choice").value = "";
+  say(t("sequence_added", { step: line }));
+}
+
+// --- starting ------------------------------------------------------------------------------------------------------
+
+function disarm() {
+  clearTimeout(timer);
+  delete find("sequence-start").dataset.armed;
+}
+
+async function start() {
+  const button = find("sequence-start");
+  if (!("armed" in button.dataset)) {
+    button.dataset.armed = "";
+    timer = setTimeout(disarm, ARMED_MS);
+    desk.changed();
+    return;
+  }
+  disarm();
+  const name = find("sequence-choice").value;
+  document.dispatchEvent(new Event("acting"));
+  await desk.ask("sequence", { ...(name ? { stored: name } : { steps: wanted() }), ...desk.seen });
+}
+
+export function wireSequence() {
+  find("sequence-start").addEventListener("click", start);
+  find("sequence-clear").addEventListener("click", () => {
+    find("sequence-text").value = "";
+  });
+}
+
+function status(index) {
+  if (!run.status || index + 1 > run.number) return run.status === "reached" ? "done" : "waiting";
+  if (index + 1 < run.number || run.status === "reached") return "done";
+  return running() ? "work" : "failed";
+}
+
+export function renderSequence() {
+  if (!run) return;
+  const mine = wanted();
+  const shown = running() ? run.steps : mine.length ? mine : run.steps;
+  // The last run's steps keep their marks for as long as they are what is chosen.
+  const marked = running() || !mine.length || mine.join() === run.steps.join() || run.typed === mine.join();
+  const list = find("sequence-steps");
+  if (running()) run.typed = mine.join();
+  const key = JSON.stringify([shown, marked && [run.status, run.number, run.reason], document.documentElement.lang]);
+  if (list.dataset.key !== key) {
+    list.dataset.key = key;
+    list.replaceChildren(...shown.map((step, index) => item(step, marked ? status(index) : "waiting")));
+  }
+  const button = find("sequence-start");
+  const why = desk.whyNot || (mine.length ? "" : t("sequence_empty"));
+  button.disabled = why !== "";
+  const armed = "armed" in button.dataset;
+  put(button, t(armed ? "sequence_confirm" : "sequence_start", { count: mine.length }));
+  find("sequence-typed").hidden = find("sequence-choice").value !== "";
+  const text = running() ? t("sequence_step", { number: run.number, all: run.steps.length }) : run.status ? verdict() : "";
+  put(find("sequence-said"), text || why);
+  find("sequence-said").dataset.status = run.status;
+  find("collecting").hidden = !collecting();
+}
+
+function item(step, state) {
+  const line = document.createElement("li");
+  line.dataset.state = state;
+  const [icon, text, spoken] = ["span", "code", "span"].map((tag) => document.createElement(tag));
+  icon.className = "icon";
+  icon.setAttribute("aria-hidden", "true");
+  icon.textContent = ICON[state];
+  text.textContent = step;
+  spoken.className = "unseen";
+  spoken.textContent = t(`step_${state}`);
+  line.append(icon, text, spoken);
+  if (state === "failed" && run.reason) {
+    const why = document.createElement("span");
+    why.className = "why";
+    why.textContent = run.reason.replace(/^step \d+ of \d+, [^ ]+: /, "");
+    line.append(why);
+  }
+  return line;
+}
