@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-from std_msgs.msg import Float32
+from std_msgs.msg import Float32, String
 from unit.harris_perception import panel_scene as scene
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -21,6 +23,8 @@ from harris_perception.nodes.recognition_node import RecognitionNode
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import CAMERA_LEFT, PANEL
 from icu_common.core.geometry import Transform
+from icu_common.core.panel_layout import load_layout
+from icu_common.core.results import Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_info_message,
@@ -29,6 +33,7 @@ from icu_common.nodes.conversions import (
     controls_of_message,
     header,
     image_message,
+    result_of_message,
     stamp_ns,
     transform_of_pose,
 )
@@ -212,3 +217,39 @@ def test_a_change_that_cannot_be_used_keeps_the_old_search(ros: Any) -> None:
     recognition = dataclasses.replace(config.recognition, search=search)
     rig.node._on_config(dataclasses.replace(config, recognition=recognition))
     assert rig.node._recogniser is kept
+
+
+def test_a_panel_is_taught_by_messages(ros: Any, tmp_path: Path) -> None:
+    folder = tmp_path / "scopes"
+    rig = Rig(ros, teach_folder=str(folder))
+    answers = ros.collect(rig.probe, DiagnosticArray, "teach/result", qos.RESULTS)
+    pictures = rig.probe.create_publisher(Image, "teach/image_raw", qos.RESULTS)
+    requests = rig.probe.create_publisher(String, "teach/request", qos.RESULTS)
+    for publisher in (pictures, requests):
+        ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 10.0)
+    ros.spin_until(lambda: rig.probe.count_publishers("teach/result") == 1, 10.0)
+    truth = scene.pose(LAYOUT)
+    width, height = (side / 1000 for side in LAYOUT.size_mm)
+    face = np.array([(0, 0, 0), (width, 0, 0), (width, height, 0), (0, height, 0)])
+    corners = CAMERA.project(truth.apply(face)).tolist()
+    u, v = CAMERA.project(truth.apply(np.array([0.208, 0.127, 0.0])))[0]
+    lesson = {"id": "one", "stamp": str(START), "model": "taught", "title": "Taught", "size_mm": [320, 150]}
+    lesson |= {"corners": corners, "controls": [["RUN_STOP", "button", float(u), float(v), 16, 9, 3]]}
+
+    def ask(**changes: Any) -> Any:
+        before = len(answers)
+        pictures.publish(image_message(np.repeat(picture()[..., None], 3, axis=2), "bgr8", header(START, CAMERA_LEFT)))
+        requests.publish(String(data=json.dumps(lesson | changes)))
+        ros.spin_until(lambda: len(answers) > before, 30.0)
+        return result_of_message(answers[-1])
+
+    wrong = ask(corners=corners[::-1])
+    assert wrong.outcome is Outcome.REJECTED and "do not go round the face" in wrong.reason
+    assert not folder.exists()
+    done = ask()
+    details = dict(done.details)
+    assert (done.goal_id, done.outcome, details["layout"]) == ("one", Outcome.REACHED, str(folder / "taught.yaml"))
+    place = load_layout(folder / "taught.yaml").control("RUN_STOP").position_mm
+    assert place == pytest.approx((208.0, 127.0), abs=0.1)
+    assert f"--set recognition.template={folder / 'taught.png'}" in details["start"]
+    assert "is there already" in ask().reason

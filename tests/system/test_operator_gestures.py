@@ -1,17 +1,22 @@
-"""Every gesture, and sequences of them, from the page in a real browser."""
+"""Every gesture, sequences of them, and the teaching of a panel, from the page in a real browser."""
 
 from __future__ import annotations
 
 import signal
 import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from system.conftest import executable
 from system.operator_browser import Operator
+from system.synthetic_scope import LAYOUT, camera, panel_pose
 from system.test_operator_desk import axe, instrument, operator
 from system.test_operator_page import Instrument
+
+from icu_common.core.panel_layout import load_layout
 
 __all__ = ["instrument", "operator"]  # fixtures
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
@@ -22,35 +27,43 @@ def _short(instrument: Instrument) -> None:
     instrument.tell("motion 0.3")
 
 
+@pytest.fixture
+def person(operator: Operator) -> Iterator[Operator]:
+    """Somebody in control who leaves nothing moving: a page that goes while something moves stops the machine."""
+    yield operator
+    operator.sees("#chip-driver", "Idle")
+    operator.sees("#chip-controller", "Ready")
+
+
 def clean(operator: Operator, name: str) -> None:
     """Look at it, and let axe-core look."""
     operator.shoots(name)
     assert axe(operator) == []
 
 
-def test_a_button_is_pressed_twice_and_long(operator: Operator) -> None:
-    operator.selects("MENU", "Menu")
-    clean(operator, "gestures_button")
+def test_a_button_is_pressed_twice_and_long(person: Operator) -> None:
+    person.selects("MENU", "Menu")
+    clean(person, "gestures_button")
     for gesture, words in (("double", "Double press"), ("long", "Long press")):
-        operator.confirms(gesture)
-        operator.logs(f"{words} Menu.*done", 10.0)
-    operator.selects("RUN_STOP", "Run / Stop")
-    operator.sees("#selection-detail", "lamp green")
-    operator.confirms()
-    operator.sees("#selection-detail", "lamp off")
-    operator.sees("[data-seen=RUN_STOP]", "lamp off")
-    assert "lamp off" in str(operator.page.get_attribute("[data-control=RUN_STOP]", "aria-label"))
+        person.confirms(gesture)
+        person.logs(f"{words} Menu.*done", 10.0)
+    person.selects("RUN_STOP", "Run / Stop")
+    person.sees("#selection-detail", "lamp green")
+    person.confirms()
+    person.sees("#selection-detail", "lamp off")
+    person.sees("[data-seen=RUN_STOP]", "lamp off")
+    assert "lamp off" in str(person.page.get_attribute("[data-control=RUN_STOP]", "aria-label"))
 
 
-def test_a_knob_is_set_by_number_dial_and_clicks(operator: Operator) -> None:
-    page = operator.page
-    operator.selects("CH1_SCALE", "Channel 1 scale")
-    operator.sees("#selection-detail", r"at \+10°")
+def test_a_knob_is_set_by_number_dial_and_clicks(person: Operator) -> None:
+    page = person.page
+    person.selects("CH1_SCALE", "Channel 1 scale")
+    person.sees("#selection-detail", r"at \+10°")
     assert page.input_value("#set-degrees") == "10"
     page.fill("#set-degrees", "60")
-    operator.confirms("set")
-    operator.logs("Set to 60° Channel 1 scale.*done", 10.0)
-    operator.sees("#selection-detail", r"at \+60°")
+    person.confirms("set")
+    person.logs("Set to 60° Channel 1 scale.*done", 10.0)
+    person.sees("#selection-detail", r"at \+60°")
     area = page.locator("#dial").bounding_box()
     middle = area["x"] + area["width"] / 2, area["y"] + area["height"] / 2
     page.mouse.move(middle[0], middle[1] - 30)
@@ -58,57 +71,57 @@ def test_a_knob_is_set_by_number_dial_and_clicks(operator: Operator) -> None:
     page.mouse.move(middle[0] + 30, middle[1], steps=4)
     page.mouse.up()
     assert page.input_value("#set-degrees") == "-90", "to the right is clockwise"
-    clean(operator, "gestures_knob")
-    operator.confirms("set")
-    operator.sees("#selection-detail", r"at -90°")
-    operator.confirms("turn")
-    operator.sees("#selection-detail", r"at -75°")
+    clean(person, "gestures_knob")
+    person.confirms("set")
+    person.sees("#selection-detail", r"at -90°")
+    person.confirms("turn")
+    person.sees("#selection-detail", r"at -75°")
     page.fill("#set-degrees", "200")
-    operator.until(lambda: page.is_enabled("[data-act=set]"), 10.0, lambda: page.inner_text("#refusal"))
+    person.until(lambda: page.is_enabled("[data-act=set]"), 10.0, lambda: page.inner_text("#refusal"))
     page.click("[data-act=set]")
-    operator.sees("#refusal", "set needs a marked position's name or degrees from -180 to 180, found '200.0'")
+    person.sees("#refusal", "set needs a marked position's name or degrees from -180 to 180, found '200.0'")
 
 
-def test_a_line_is_drawn_clicked_and_given_by_numbers(operator: Operator) -> None:
-    page = operator.page
+def test_a_line_is_drawn_clicked_and_given_by_numbers(person: Operator) -> None:
+    page = person.page
     area = page.locator("#controls [data-control=SCREEN]").bounding_box()
     at = lambda x, y: (area["x"] + x * area["width"], area["y"] + y * area["height"])  # noqa: E731
     page.mouse.click(*at(0.5, 0.5))
-    operator.sees("#selection-name", "Point on the panel")
+    person.sees("#selection-name", "Point on the panel")
     page.click("#draw")
     page.mouse.move(*at(0.25, 0.5))
     page.mouse.down()
     page.mouse.move(*at(0.5, 0.4), steps=3)
-    operator.shoots("gestures_drawing")
+    person.shoots("gestures_drawing")
     page.mouse.move(*at(0.75, 0.3), steps=3)
     page.mouse.up()
-    operator.sees("#selection-name", "Line on the touch screen")
-    clean(operator, "gestures_line")
-    operator.confirms("drag")
-    operator.logs(r"Draw \([\d.]+, [\d.]+\) → \([\d.]+, [\d.]+\) mm.*done", 10.0)
+    person.sees("#selection-name", "Line on the touch screen")
+    clean(person, "gestures_line")
+    person.confirms("drag")
+    person.logs(r"Draw \([\d.]+, [\d.]+\) → \([\d.]+, [\d.]+\) mm.*done", 10.0)
 
     page.click("#draw")
-    operator.sees("#draw-hint", "where the line begins")
+    person.sees("#draw-hint", "where the line begins")
     page.mouse.click(*at(0.3, 0.6))
-    operator.sees("#draw-hint", "where the line ends")
+    person.sees("#draw-hint", "where the line ends")
     page.mouse.click(*at(0.3, 0.2))
-    operator.sees("#selection-detail", r"from \([\d.]+, [\d.]+\) to \([\d.]+, [\d.]+\) mm")
+    person.sees("#selection-detail", r"from \([\d.]+, [\d.]+\) to \([\d.]+, [\d.]+\) mm")
 
     page.keyboard.press("d")  # by keyboard alone
     page.keyboard.press("d")
     page.select_option("#chooser", "SCREEN")
-    operator.sees("#selection-name", "Screen")
+    person.sees("#selection-name", "Screen")
     page.focus("#draw-card summary")
     page.keyboard.press("Enter")
     assert float(page.input_value("#line-to_x_mm")) > float(page.input_value("#line-x_mm"))
     page.fill("#line-to_x_mm", "300")
     page.keyboard.press("Enter")
-    operator.sees("#refusal", r"must stay on .*\(300, [\d.]+\) mm is beside it")
+    person.sees("#refusal", r"must stay on .*\(300, [\d.]+\) mm is beside it")
     page.fill("#line-to_x_mm", "120")
     page.keyboard.press("Enter")
-    operator.sees("#selection-detail", r"to \(120, [\d.]+\) mm")
-    operator.confirms("drag")
-    operator.until(lambda: operator.page.inner_text("#last").startswith("✓"), 10.0, lambda: page.inner_text("#last"))
+    person.sees("#selection-detail", r"to \(120, [\d.]+\) mm")
+    person.confirms("drag")
+    person.until(lambda: person.page.inner_text("#last").startswith("✓"), 10.0, lambda: page.inner_text("#last"))
 
 
 def test_gestures_by_touch_in_german_on_a_tablet(browser: Any, instrument: Instrument) -> None:
@@ -125,6 +138,7 @@ def test_gestures_by_touch_in_german_on_a_tablet(browser: Any, instrument: Instr
         assert wide <= 0, "nothing to scroll sideways"
         page.tap("[data-act=double]")
         operator.logs("Doppelt drücken.*erledigt", 10.0)
+        operator.sees("#chip-driver", "Ruht")
     finally:
         page.evaluate("localStorage.removeItem('language')")
         operator.context.close()
@@ -155,52 +169,123 @@ def begins(operator: Operator) -> None:
 
 
 def test_a_sequence_is_collected_followed_and_stopped(
-    operator: Operator, instrument: Instrument, sequencer: None
+    person: Operator, instrument: Instrument, sequencer: None
 ) -> None:
-    page = operator.page
+    page = person.page
     page.click("#tab-sequence")
     page.check("#sequence-collect")
-    operator.selects("MENU", "Menu")
-    operator.sees("#collecting", "move nothing")
+    person.selects("MENU", "Menu")
+    person.sees("#collecting", "move nothing")
     page.click("[data-act=double]")
-    operator.selects("CH1_SCALE", "Channel 1 scale")
+    person.selects("CH1_SCALE", "Channel 1 scale")
     page.fill("#set-degrees", "60")
     page.click("[data-act=set]")
     assert page.input_value("#sequence-text") == "double:MENU\nset:CH1_SCALE:60\n"
     assert "Double press" not in page.inner_text("#log"), "nothing was sent"
     steps = lambda state: page.locator(f"#sequence-steps [data-state={state}]").count()  # noqa: E731
     for _ in range(5):  # the sequencer may still be starting
-        begins(operator)
-        operator.logs(r"Sequence \(2\).*(in work|done|not sent)", 10.0)
+        begins(person)
+        person.logs(r"Sequence \(2\).*(in work|done|not sent)", 10.0)
         if "not sent" not in page.inner_text("#log tr >> nth=0"):
             break
-    operator.sees("#sequence-said", "all 2 steps are done", within_s=20.0)
+    person.sees("#sequence-said", "all 2 steps are done", within_s=20.0)
     assert steps("done") == 2
-    operator.sees("[data-seen=CH1_SCALE]", r"at \+60°")
+    person.sees("[data-seen=CH1_SCALE]", r"at \+60°")
 
     page.fill("#sequence-text", "press:RUN_STOP => lamp:RUN_STOP=violet\npress:SAVE")
-    begins(operator)
-    operator.sees("#sequence-said", "ended. step 1 of 2, press:RUN_STOP: not seen in time: lamp:RUN_STOP=violet", 20.0)
+    begins(person)
+    person.sees("#sequence-said", "ended. step 1 of 2, press:RUN_STOP: not seen in time: lamp:RUN_STOP=violet", 20.0)
     assert (steps("failed"), steps("waiting")) == (1, 1)
-    operator.sees("#sequence-steps [data-state=failed]", "not seen in time")
-    clean(operator, "sequence_failed")
+    person.sees("#sequence-steps [data-state=failed]", "not seen in time")
+    clean(person, "sequence_failed")
     page.fill("#sequence-text", "press:RUN_STOP\npoke:SAVE")
-    begins(operator)
-    operator.sees("#refusal", "The sequence is wrong: step 2: gesture 'poke' is none of")
+    begins(person)
+    person.sees("#refusal", "The sequence is wrong: step 2: gesture 'poke' is none of")
 
     instrument.tell("motion 8")
     page.fill("#sequence-text", "press:MENU\npress:SAVE")
-    begins(operator)
-    operator.sees("#sequence-said", "Step 1 of 2 is at work")
-    operator.shoots("sequence_running")
+    begins(person)
+    person.sees("#sequence-said", "Step 1 of 2 is at work")
+    person.shoots("sequence_running")
     page.keyboard.press("Escape")
-    operator.sees("#sequence-said", "ended. step 1 of 2, press:MENU: aborted: stopped: operator")
+    person.sees("#sequence-said", "ended. step 1 of 2, press:MENU: aborted: stopped: operator")
     instrument.tell("motion 0.3")
     page.click("[data-call=reset]")
-    operator.sees("#chip-controller", "Ready")
+    person.sees("#chip-controller", "Ready")
     page.wait_for_timeout(500)
     assert "press:SAVE" not in page.inner_text("#log"), "nothing resumes by itself"
     page.reload()
-    operator.sees_controls()
+    person.sees_controls()
     page.click("#tab-sequence")
-    operator.sees("#sequence-steps [data-state=failed]", "press:MENU")
+    person.sees("#sequence-steps [data-state=failed]", "press:MENU")
+
+
+# --- teaching, with the real recognition node ---
+
+
+@pytest.fixture
+def teacher(instrument: Instrument, tmp_path: Path) -> Iterator[Path]:
+    """The folder that a recognition node writes into; it gets no live pictures here, only the held one."""
+    folder = tmp_path / "scopes"
+    names = ["-r", "__ns:=/panel", "-r", "camera_info:=/left/camera_info"]
+    given = ["-p", f"layout:={LAYOUT}", "-p", f"teach_folder:={folder}"]
+    program = [executable("harris_perception", "recognition"), "--ros-args", *names, *given]
+    running = subprocess.Popen(program, env=instrument.environment)
+    try:
+        yield folder
+    finally:
+        running.send_signal(signal.SIGINT)
+        running.wait(10.0)
+
+
+def test_an_engineer_teaches_a_panel(person: Operator, teacher: Path) -> None:
+    page, layout = person.page, load_layout(LAYOUT)
+
+    def click(x_mm: float, y_mm: float) -> None:
+        u, v = camera().project(panel_pose().apply(np.array([x_mm, y_mm, 0.0]) / 1000))[0]
+        area = page.locator("#held").bounding_box()
+        page.mouse.click(area["x"] + (u + 0.5) / 1280 * area["width"], area["y"] + (v + 0.5) / 720 * area["height"])
+
+    page.click("#tab-teach")
+    page.click("#teach-hold")
+    person.sees("#teach-next", "Lower left")
+    assert not page.is_enabled("[data-act=press]")
+    for x, y in ((0, 0), (320, 0), (320, 150), (0, 150)):
+        click(x, y)
+    names = ("SCREEN", "RUN_STOP", "CH1_SCALE")
+    for control in map(layout.control, names):
+        page.fill("#teach-name", control.name)
+        page.select_option("#teach-kind", control.kind)
+        for field, value in (("w", control.size_mm[0]), ("h", control.size_mm[1]), ("z", control.height_mm)):
+            page.fill(f"#teach-{field}", f"{value:g}")
+        page.click("#teach-add button")
+        person.sees("#teach-next", f"Click in the picture: {control.name}")
+        click(*control.position_mm)
+    person.sees("#teach-next", "Everything has its place")
+    clean(person, "teach_pointed")
+    assert "Nothing" in page.inner_text("#selection-name"), "a held picture selects nothing"
+    page.fill("#teach-model", "Taught scope")
+    page.fill("#teach-width", "320")
+    page.fill("#teach-height", "150")
+    page.click("#teach-write")
+    person.sees("#teach-said", "Model: “Taught scope” cannot be used; .* as in pump_2")
+    page.fill("#teach-model", "taught_scope")
+    page.fill("#teach-controls li >> nth=1 >> input >> nth=0", "5")
+    page.press("#teach-controls li >> nth=1 >> input >> nth=0", "Tab")
+    page.click("#teach-write")
+    person.sees("#teach-said", "(Nothing was written: .*'RUN_STOP' at .* reaches outside|not sent)", within_s=30.0)
+    assert not teacher.exists()
+    page.click("#teach-controls li >> nth=1 >> button >> nth=0")
+    click(*layout.control("RUN_STOP").position_mm)
+    page.click("#teach-write")
+    person.sees("#teach-said", "Written: .*taught_scope.yaml", within_s=30.0)
+    assert f"--set recognition.template={teacher}/taught_scope.png" in page.inner_text("#teach-command")
+    person.logs("Teach taught_scope.*done wrote", 5.0)
+    person.shoots("teach_written")
+    taught = load_layout(teacher / "taught_scope.yaml")
+    for name in names:
+        # The synthetic scope draws its controls on the face; a click on a picture of 844 px is half a pixel exact.
+        assert taught.control(name).position_mm == pytest.approx(layout.control(name).position_mm, abs=0.6), name
+    page.click("#tab-machine")
+    person.selects("MENU", "Menu")
+    person.until(lambda: page.is_enabled("[data-act=press]"), 5.0, lambda: page.inner_text("#refusal"))

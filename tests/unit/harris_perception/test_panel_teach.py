@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
 import cv2
@@ -9,8 +11,10 @@ import numpy as np
 import pytest
 from unit.harris_perception import panel_scene as scene
 
+from harris_perception.adapters.panel_files import how_to_start, write_panel
 from harris_perception.cli.panel_teach import main
 from harris_perception.core.harris import HarrisDetector
+from harris_perception.core.panel_teaching import TeachingError, parse_request, teach
 from harris_perception.core.recognition import PanelRecogniser
 from icu_common.core.panel_layout import load_layout
 
@@ -77,6 +81,56 @@ def test_what_does_not_make_a_panel_is_refused(
     corners, pointed = (new, pointed) if old == "corners" else (corners, new)
     code = main(["picture", str(path), "--model", "m", "--size-mm", "320", "150", "--corners", *corners, *pointed])
     assert code == 1 and words in capsys.readouterr().err
+
+
+def request(folder: Path, **changes: object) -> dict[str, object]:
+    """Return what the page would send for the same picture."""
+    _, corners, pointed = photo(folder)
+    controls = []
+    for text in pointed[1::2]:
+        name, kind, pixel, size, proud = text.split(":")
+        controls.append([name, kind, *map(float, pixel.split(",")), *map(float, size.split("x")), float(proud)])
+    places = [[float(n) for n in corner.split(",")] for corner in corners]
+    said = {"id": "service-1", "stamp": "7", "model": "taught", "title": "", "size_mm": [320, 150], "corners": places}
+    return {**said, "controls": controls, **changes}
+
+
+def test_with_its_calibration_the_cameras_distortion_does_not_stay_in_the_layout(tmp_path: Path) -> None:
+    found = parse_request(json.dumps(request(tmp_path)))
+    assert (found.goal_id, found.stamp_ns, found.lesson.title) == ("service-1", 7, "taught")
+    picture = cv2.imread(str(tmp_path / "photo.png"))
+    taught = teach(np.asarray(picture, np.uint8), found.lesson, CAMERA)
+    apart = [
+        float(np.abs(np.subtract(taught.layout.control(n).position_mm, LAYOUT.control(n).position_mm)).max())
+        for n in NAMES
+    ]
+    assert max(apart) < 0.06, "the places were rounded to a tenth of a pixel"
+    layout, template = write_panel(taught, tmp_path / "new", "a test")
+    assert load_layout(layout) == taught.layout and cv2.imread(str(template)).shape == (600, 1280, 3)
+    assert f"--scope taught --set recognition.template={template}" in how_to_start(taught, template)
+    before = layout.read_text()
+    with pytest.raises(TeachingError, match="is there already"):
+        write_panel(taught, tmp_path / "new", "a test")
+    assert layout.read_text() == before and sorted(p.name for p in layout.parent.iterdir()) == [
+        "taught.png",
+        "taught.yaml",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"model": "../taught"}, "model '../taught'"),
+        ({"controls": [["A", "lever", 1, 2, 3, 4, 5]]}, "kind 'lever' is none of"),
+        ({"controls": [["A", "button", 1, 2]]}, "not understood"),
+        ({"size_mm": "big"}, "not understood"),
+    ],
+)
+def test_a_request_that_makes_no_panel_is_refused(tmp_path: Path, changes: dict[str, object], words: str) -> None:
+    with pytest.raises(TeachingError, match=re.escape(words)):
+        parse_request(json.dumps(request(tmp_path, **changes)))
+    with pytest.raises(TeachingError, match="not understood"):
+        parse_request("[1")
 
 
 def test_check_of_a_layout_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

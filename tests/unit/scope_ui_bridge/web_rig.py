@@ -43,6 +43,9 @@ class RecordingGraph:
     def send_command(self, text: str) -> None:
         self._take("command", text)
 
+    def send_teaching(self, text: str, stamp_ns: int, encoding: str, picture: Any) -> None:
+        self._take("teaching", text, stamp_ns, encoding, picture)
+
     def send_sequence(self, text: str) -> None:
         self._take("sequence", text)
 

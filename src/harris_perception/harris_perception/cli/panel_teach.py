@@ -16,16 +16,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.panel_teaching import (
-    TeachingError,
-    layout_text,
-    mm_from_pixel,
-    parse_pointed,
-    straight_on,
-)
+from harris_perception.adapters.panel_files import how_to_start, write_panel
+from harris_perception.core.panel_teaching import Lesson, TeachingError, parse_pointed, teach
 from harris_perception.core.panel_template import draw_panel
 from harris_perception.core.recognition import PanelRecogniser
-from icu_common.core.panel_layout import LayoutError, PanelLayout, load_layout, parse_layout
+from icu_common.core.panel_layout import LayoutError, PanelLayout, load_layout
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,7 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _check(given: argparse.Namespace) -> int:
     layout = load_layout(given.layout)
-    _say_whether_recognisable(layout, None, 0.0)
+    PanelRecogniser(layout)  # a ValueError says what is missing
+    _say_that_it_is_recognisable(layout)
     if given.drawing is not None:
         _write(given.drawing, draw_panel(layout, 4.0))
     return 0
@@ -69,27 +65,22 @@ def _picture(given: argparse.Namespace) -> int:
         corners = [[float(n) for n in text.split(",")] for text in given.corners]
     except ValueError:
         raise TeachingError(f"--corners {' '.join(given.corners)}: pixels u,v are needed") from None
-    width, height = given.size_mm
-    to_mm = mm_from_pixel(corners, (width, height))
-    template = straight_on(np.asarray(photo, np.uint8), to_mm, (width, height), given.px_per_mm)
-    controls = [parse_pointed(text) for text in given.control]
-    text = layout_text(given.model, given.title or given.model, (width, height), controls, to_mm)
-    layout = parse_layout(text, f"{given.model}.yaml")
-    _say_whether_recognisable(layout, template, given.px_per_mm)
-    given.out.mkdir(parents=True, exist_ok=True)
-    place, shown = given.out / f"{given.model}.yaml", given.out / f"{given.model}.png"
-    if place.exists():
-        raise TeachingError(f"{place} is there already; remove it, or choose another --model")
-    _write(shown, template)
-    place.write_text(f"# Taught from {given.picture.name}.\n{text}", encoding="utf-8")
-    print(f"wrote {place} and {shown}; start with:")
-    print(f"  bring_up --scope {given.model} --set recognition.template={shown.resolve()}", end=" ")
-    print(f"--set recognition.template_px_per_mm={given.px_per_mm:g}")
+    lesson = Lesson(
+        model=given.model,
+        title=given.title or given.model,
+        size_mm=tuple(given.size_mm),
+        corners_px=np.array(corners),
+        controls=tuple(parse_pointed(text) for text in given.control),
+        px_per_mm=given.px_per_mm,
+    )
+    taught = teach(np.asarray(photo, np.uint8), lesson)
+    _say_that_it_is_recognisable(taught.layout)
+    layout, template = write_panel(taught, given.out, given.picture.name)
+    print(f"wrote {layout} and {template}; start with:\n  {how_to_start(taught, template)}")
     return 0
 
 
-def _say_whether_recognisable(layout: PanelLayout, picture: npt.NDArray[np.uint8] | None, scale: float) -> None:
-    PanelRecogniser(layout, picture=picture, picture_px_per_mm=scale)  # a ValueError says what is missing
+def _say_that_it_is_recognisable(layout: PanelLayout) -> None:
     kinds = {
         kind: sum(c.kind == kind for c in layout.controls) for kind in dict.fromkeys(c.kind for c in layout.controls)
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +14,12 @@ import yaml
 
 from harris_perception.core.panel_template import px_from_mm
 from harris_perception.core.planar_pose import inverse, map_points
+from harris_perception.core.recognition import PanelRecogniser
+from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array
-from icu_common.core.panel_layout import CONTROL_KINDS
+from icu_common.core.panel_layout import CONTROL_KINDS, PanelLayout, parse_layout
+
+_MODEL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}\Z")  # it becomes a file's name
 
 Picture = npt.NDArray[np.uint8]
 
@@ -50,9 +56,13 @@ def parse_pointed(text: str) -> Pointed:
             raise ValueError
     except ValueError:
         raise TeachingError(f"control {text!r}: NAME:kind:u,v:WIDTHxHEIGHT[:height] is needed") from None
-    if kind not in CONTROL_KINDS:
-        raise TeachingError(f"control {text!r}: kind {kind!r} is none of {', '.join(CONTROL_KINDS)}")
-    return Pointed(name=name, kind=kind, pixel=(u, v), size_mm=(width, height), height_mm=proud)
+    return _known_kind(Pointed(name=name, kind=kind, pixel=(u, v), size_mm=(width, height), height_mm=proud))
+
+
+def _known_kind(control: Pointed) -> Pointed:
+    if control.kind not in CONTROL_KINDS:
+        raise TeachingError(f"control {control.name!r}: kind {control.kind!r} is none of {', '.join(CONTROL_KINDS)}")
+    return control
 
 
 def mm_from_pixel(corners_px: npt.ArrayLike, size_mm: tuple[float, float]) -> Array:
@@ -112,3 +122,110 @@ def layout_text(model: str, title: str, size_mm: tuple[float, float], controls: 
         entries.append(entry)
     document = {"model": model, "title": title, "size_mm": list(size_mm), "controls": entries}
     return yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lesson:
+    """What makes a panel: its names and size (mm), its corners (4, 2) and controls in the picture (raw pixels)."""
+
+    model: str
+    title: str
+    size_mm: tuple[float, float]
+    corners_px: Array
+    controls: tuple[Pointed, ...]
+    px_per_mm: float = 4.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """A lesson that came as a message: who asks, and the stamp of the picture that it is about."""
+
+    goal_id: str
+    stamp_ns: int
+    lesson: Lesson
+
+
+def parse_request(text: str) -> Request:
+    """Read JSON: id, stamp (ns, as a text), model, title, size_mm, corners and controls.
+
+    A control is [name, kind, u, v, width, height, how far it stands proud]; pixels and mm.
+
+    Raises
+    ------
+    TeachingError
+    """
+    try:
+        given = json.loads(text)
+        pointed = []
+        for name, kind, *numbers in given["controls"]:
+            u, v, wide, high, proud = (float(n) for n in numbers)
+            control = Pointed(name=str(name), kind=str(kind), pixel=(u, v), size_mm=(wide, high), height_mm=proud)
+            pointed.append(_known_kind(control))
+        width, height = (float(side) for side in given["size_mm"])
+        lesson = Lesson(
+            model=str(given["model"]),
+            title=str(given["title"]) or str(given["model"]),
+            size_mm=(width, height),
+            corners_px=np.array(given["corners"], dtype=np.float64),
+            controls=tuple(pointed),
+        )
+        request = Request(goal_id=str(given["id"]), stamp_ns=int(given["stamp"]), lesson=lesson)
+    except TeachingError:
+        raise
+    except (KeyError, TypeError, ValueError) as error:
+        raise TeachingError(f"the request is not understood: {type(error).__name__}: {error}") from error
+    if not _MODEL.match(request.lesson.model):
+        raise TeachingError(
+            f"model {request.lesson.model!r}: a letter, then up to 40 letters, digits and '_' are needed"
+        )
+    return request
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Taught:
+    """A panel that recognition can find: its layout, the text of its file, and its face straight on."""
+
+    layout: PanelLayout
+    text: str
+    template: Picture
+    px_per_mm: float
+
+
+def teach(picture: Picture, lesson: Lesson, camera: CameraModel | None = None) -> Taught:
+    """Return the panel that a lesson describes, checked to be recognisable.
+
+    Parameters
+    ----------
+    picture
+        (H, W) or (H, W, C), as the camera saw it.
+    lesson
+        Places in it.
+    camera
+        The camera that took it: its distortion is taken out; None where it is not known.
+
+    Raises
+    ------
+    ValueError
+        What is wrong, with the value and the bound.
+    """
+    corners, controls = lesson.corners_px, list(lesson.controls)
+    if camera is not None:
+        picture = np.asarray(cv2.undistort(picture, camera.k, camera.d), np.uint8)
+        corners = _straightened(corners, camera)
+        places = _straightened(np.array([c.pixel for c in controls]).reshape(-1, 2), camera)
+        controls = [
+            Pointed(name=c.name, kind=c.kind, pixel=(u, v), size_mm=c.size_mm, height_mm=c.height_mm)
+            for c, (u, v) in zip(controls, places.tolist())
+        ]
+    to_mm = mm_from_pixel(corners, lesson.size_mm)
+    template = straight_on(picture, to_mm, lesson.size_mm, lesson.px_per_mm)
+    text = layout_text(lesson.model, lesson.title, lesson.size_mm, controls, to_mm)
+    layout = parse_layout(text, f"{lesson.model}.yaml")
+    PanelRecogniser(layout, picture=template, picture_px_per_mm=lesson.px_per_mm)  # a ValueError says what is missing
+    return Taught(layout=layout, text=text, template=template, px_per_mm=lesson.px_per_mm)
+
+
+def _straightened(pixels: Array, camera: CameraModel) -> Array:
+    return np.asarray(cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.k, camera.d, P=camera.k), float).reshape(
+        -1, 2
+    )

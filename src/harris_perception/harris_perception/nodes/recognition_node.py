@@ -23,6 +23,7 @@ from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS
 from harris_perception.core.recognition import PanelRecogniser, PoseAgreement, RecognitionConfig, Sighting
+from harris_perception.nodes.panel_teacher import PanelTeacher
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, ConfigError, nested, setting
 from icu_common.core.frames import CAMERA_LEFT, PANEL
@@ -60,6 +61,9 @@ class RecognitionNodeConfig(Config):
     template: str = setting("", "Picture of its face, straight on; empty: drawn from the layout", read_only=True)
     template_px_per_mm: float = setting(
         4.0, "Scale of that picture", minimum=0.1, maximum=100.0, unit="px/mm", read_only=True
+    )
+    teach_folder: str = setting(
+        "", "Folder for layouts of panels that are taught by messages, empty = none", read_only=True
     )
     rate_hz: float = setting(5.0, "Pictures that are looked at", minimum=0.1, maximum=60.0, unit="Hz")
     corners_wait_s: float = setting(
@@ -109,6 +113,11 @@ class RecognitionNode(Node):
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
         self.create_timer(_TICK_S, self._on_tick)
         self.create_timer(1.0, self._report)
+        self._teacher = PanelTeacher(self, self._live.config.teach_folder, lambda: self._camera and self._camera[1])
+
+    def close(self) -> None:
+        """Finish what is being taught."""
+        self._teacher.close()
 
     def _use(self, config: RecognitionNodeConfig) -> None:
         scale = config.template_px_per_mm

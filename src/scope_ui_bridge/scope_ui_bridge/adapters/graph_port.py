@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy.typing as npt
 
 
 class GraphError(RuntimeError):
@@ -31,6 +33,10 @@ class GraphPort(Protocol):
 
     def send_sequence(self, text: str) -> None:
         """Publish a sequence of gestures; GraphError when no sequencer listens."""
+        ...
+
+    def send_teaching(self, text: str, stamp_ns: int, encoding: str, picture: npt.NDArray[Any]) -> None:
+        """Publish a held picture and what was pointed at in it; GraphError when nobody listens."""
         ...
 
     def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:

@@ -131,6 +131,10 @@ class VideoHub:
             stream.raw_seq = self._seqs[camera]
             self._encode_if_wanted((camera, level))
 
+    def newest(self, camera: str) -> tuple[int, str, Picture] | None:
+        """Return stamp, encoding and the newest picture of a camera, None before the first."""
+        return self._streams[camera, False].raw
+
     def kick(self, viewer: VideoViewer) -> None:
         """Call when a viewer can take more or looks at something else."""
         # What is encoded already may have waited for as long as the last picture took: a newer one comes first.

@@ -16,6 +16,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import numpy.typing as npt
 from aiohttp import WSMessage, WSMsgType, web
 
 from icu_common.core.config import ConfigError
@@ -25,7 +26,7 @@ from scope_ui_bridge.adapters.mailbox import Mailbox
 from scope_ui_bridge.adapters.recorder import Recorder
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.adapters.turned_away import SUSPECT
-from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
+from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer, to_jpeg
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import (
@@ -33,6 +34,7 @@ from scope_ui_bridge.core.effects import (
     CallService,
     Effect,
     Heartbeat,
+    HoldPicture,
     Now,
     Order,
     Ping,
@@ -41,11 +43,14 @@ from scope_ui_bridge.core.effects import (
     SendCommand,
     SendGoal,
     SendSequence,
+    SendTeaching,
     StopNow,
 )
 from scope_ui_bridge.core.layers import LAYERS
+from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.sign_in import Session, SignIn
+from scope_ui_bridge.core.teaching import HeldPicture
 from scope_ui_bridge.core.wire import CAMERAS, MAX_BYTES, decode_object, encode
 
 _LOG = logging.getLogger(__name__)
@@ -54,6 +59,7 @@ _OUTBOX = 200
 _HARD_LIMIT = 64 * 1024  # above this the WebSocket library itself closes the connection
 _START_TIMEOUT_S = 10.0
 _IDLE_CONNECTION_S = 15.0
+_HELD_QUALITY = 95
 
 
 class WebServer:
@@ -86,6 +92,7 @@ class WebServer:
         self._writer = ThreadPoolExecutor(1, "audit")  # one thread keeps the records in order
         self.video = VideoHub(desk, self._encoder, lambda: desk.config.jpeg_quality, graph.ros_ns)
         self.recorder = Recorder(config.record_folder)
+        self._held: tuple[int, str, npt.NDArray[Any]] | None = None
         self._outboxes: dict[str, asyncio.Queue[str]] = {}
         self._controls: dict[str, web.WebSocketResponse] = {}
         self._sockets: set[web.WebSocketResponse] = set()
@@ -190,6 +197,7 @@ class WebServer:
         application.router.add_post("/stop", self._stop)
         application.router.add_get("/control", self._control)
         application.router.add_get("/video", self._video)
+        application.router.add_get("/held.jpg", self._held_picture)
         return application
 
     def _now(self) -> Now:
@@ -205,6 +213,25 @@ class WebServer:
         if "text/html" in request.headers.get("Accept", ""):  # the form without its script
             return web.Response(status=303, headers={"Location": "/"})
         return web.json_response({"ok": True})
+
+    async def _held_picture(self, request: web.Request) -> web.StreamResponse:
+        """Show the picture that a panel is pointed at in, at full size."""
+        session = self.door.session(request)
+        if session is None or not session.role.may(Role.ENGINEER):
+            raise web.HTTPUnauthorized(reason="engineers only")
+        if self._held is None:
+            raise web.HTTPNotFound(reason="no picture is held")
+        _, encoding, picture = self._held
+        jpeg = await self._loop.run_in_executor(self._encoder, to_jpeg, picture, encoding, _HELD_QUALITY)
+        return web.Response(body=jpeg, content_type="image/jpeg")
+
+    def _hold(self, viewer: str) -> None:
+        self._held = self.video.newest("left")
+        held = None
+        if self._held is not None:
+            stamp_ns, _, picture = self._held
+            held = HeldPicture(stamp_ns=stamp_ns, width=picture.shape[1], height=picture.shape[0])
+        self._carry_out(self._desk.picture_held(viewer, held))
 
     # --- WebSockets ------------------------------------------------------------------------------------------------
 
@@ -322,6 +349,8 @@ class WebServer:
                 text = encode(effect.message)
                 for viewer in list(self._outboxes):
                     self._put(viewer, text)
+            elif isinstance(effect, HoldPicture):
+                self._hold(effect.viewer)
             elif isinstance(effect, Record):
                 self._write_later(effect.record)
             else:
@@ -350,6 +379,9 @@ class WebServer:
                 self._graph.send_command(order.text)
             elif isinstance(order, SendSequence):
                 self._graph.send_sequence(order.text)
+            elif isinstance(order, SendTeaching):
+                assert self._held is not None, "the desk knows which picture is held"
+                self._graph.send_teaching(order.text, *self._held)
             elif isinstance(order, SendGoal):
                 self._graph.send_goal(order.frame, order.point, order.stamp_ns)
             elif isinstance(order, CallService):

@@ -11,8 +11,9 @@ from icu_common.core.results import GoalResult
 from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Record
 
 _OPEN = ("sent", "accepted")
-# A recorder starts as a program, and writes up to 256 MB of pictures at its end; it answers in any case.
-_PATIENCE_S = {"record": 60.0, "end_record": 60.0}
+# A recorder starts as a program, and writes up to 256 MB of pictures at its end; it answers in any case. Teaching
+# searches a new face for print. Neither moves anything.
+_PATIENCE_S = {"record": 60.0, "end_record": 60.0, "teach": 30.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,8 +63,12 @@ class CommandLog:
 
     @property
     def waiting(self) -> bool:
-        """Whether any command of the machine has no end yet; a recording holds nobody up."""
+        """Whether any command of the machine has no end yet; a recording or a lesson holds nobody up."""
         return any(entry.action not in _PATIENCE_S for entry in self._pending.values())
+
+    def at_work(self, action: str) -> bool:
+        """Tell whether a command of this kind has no end yet."""
+        return any(entry.action == action for entry in self._pending.values())
 
     @property
     def motion_waiting(self) -> bool:

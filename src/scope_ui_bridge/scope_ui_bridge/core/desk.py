@@ -24,6 +24,7 @@ from scope_ui_bridge.core.effects import (
     CallService,
     Effect,
     Heartbeat,
+    HoldPicture,
     Now,
     Order,
     Ping,
@@ -31,6 +32,7 @@ from scope_ui_bridge.core.effects import (
     SendCommand,
     SendGoal,
     SendSequence,
+    SendTeaching,
     StopNow,
 )
 from scope_ui_bridge.core.jog import HeldJog
@@ -43,6 +45,7 @@ from scope_ui_bridge.core.scene import Scene
 from scope_ui_bridge.core.selection import Selection, action_text, make_gesture, make_selection
 from scope_ui_bridge.core.sequencing import SequenceView
 from scope_ui_bridge.core.stop_cause import StopCauses
+from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
 
 HEARTBEAT_PERIOD_S = 0.2
 STATE_PERIOD_S = (0.1, 1.0)
@@ -85,6 +88,7 @@ class Desk:
         self.machine = MachineView()
         self.panel = PanelView()
         self.sequence = SequenceView()
+        self.held: HeldPicture | None = None
         self.lease = OperatorLease()
         self.stops = 0
         self._causes = StopCauses()
@@ -206,6 +210,8 @@ class Desk:
             effects = self._hold_jog(viewer, message, now)
         elif isinstance(message, wire.RunSequence):
             effects = self._run_sequence(viewer, message, now)
+        elif isinstance(message, (wire.Hold, wire.Teach)):
+            effects = self._teach(viewer, message, now)
         else:
             assert isinstance(message, wire.Call)
             effects = self._call(viewer, message.service, now)
@@ -395,6 +401,36 @@ class Desk:
         seen = {"camera": message.camera, "frame": str(message.stamp_ns)}
         marks = self._marks(entry, " ; ".join(step.text() for step in sequence.steps), seen, now)
         return [SendSequence(**marks, text=f"id: {run_id}\n{sequence.text()}"), shown(entry)]
+
+    def _teach(self, viewer: str, message: wire.Hold | wire.Teach, now: Now) -> list[Effect]:
+        self._need_role(viewer, Role.ENGINEER)
+        if self.moving:
+            raise Refusal("busy_moving")
+        if isinstance(message, wire.Hold):
+            return [HoldPicture(viewer=viewer)]
+        if self._log.at_work("teach"):
+            raise Refusal("busy_pending")
+        goal_id = f"service-{self.boot_id[:6]}-{self._log.count + 1}"
+        text = teaching_text(message, self.held, goal_id)
+        entry = self._log.add(self._name(viewer), "teach", message.model, now, status="sent", goal_id=goal_id)
+        return [SendTeaching(**self._marks(entry, f"teach {text}", {}, now), text=text), shown(entry)]
+
+    def picture_held(self, viewer: str, held: HeldPicture | None) -> list[Effect]:
+        """Note which picture is kept, and tell the page that wanted it."""
+        self.held = held
+        if held is None:
+            return [Send(viewer=viewer, message={"type": "held", "stamp": ""})]
+        size = {"width": held.width, "height": held.height}
+        return [Send(viewer=viewer, message={"type": "held", "stamp": str(held.stamp_ns), **size})]
+
+    def taught(self, result: GoalResult, now: Now) -> list[Effect]:
+        """Note perception's answer to a lesson."""
+        known = self._log.goal(result.goal_id)
+        if known is None:
+            return []
+        done = result.outcome is Outcome.REACHED
+        details = {**dict(result.details), "type": "taught", "ok": done, "reason": result.reason}
+        return [Broadcast(message=details), *self._log.ended(known, result, now)]
 
     def set_sequencer(self, text: str) -> None:
         """Note the sequencer's state; empty when there is none."""

@@ -93,10 +93,24 @@ class SendGoal(Order):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class HoldPicture:
+    """Keep the newest left picture, and tell this viewer which it is."""
+
+    viewer: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SendTeaching(Order):
+    """A request to make a panel of what was pointed at in the held picture."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CallService(Order):
     """A service of the graph: home, reset, enable, disable, calibrate."""
 
     service: str
 
 
-Effect = Send | Broadcast | Heartbeat | Ping | StopNow | Record | Order
+Effect = Send | Broadcast | Heartbeat | Ping | StopNow | Record | Order | HoldPicture

@@ -119,6 +119,34 @@ class RunSequence(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Hold(Message):
+    """Keep the newest left picture, to point at a new panel in it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointedControl:
+    """A control in the held picture: its foot's centre in raw pixels, its size and how far it stands proud in mm."""
+
+    name: str
+    kind: str
+    pixel: tuple[float, float]
+    size_mm: tuple[float, float]
+    proud_mm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Teach(Message):
+    """Make a panel of what was pointed at in the held picture: corners from the lower left, counter-clockwise."""
+
+    stamp_ns: int
+    model: str
+    title: str
+    size_mm: tuple[float, float]
+    corners: tuple[tuple[float, float], ...]
+    controls: tuple[PointedControl, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Call(Message):
     """Ask a service of the graph, one of SERVICES."""
 
@@ -203,7 +231,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _typed(raw: dict[str, Any]) -> Message:
     read = _Reader(raw)
-    kinds = ("alive", "hidden", "stop", "lease", "select", "act", "move", "jog", "sequence", "call")
+    kinds = ("alive", "hidden", "stop", "lease", "select", "act", "move", "jog", "sequence", "hold", "teach", "call")
     kind = read.choice("type", kinds)
     head: dict[str, Any] = {"seq": read.integer("seq"), "boot": read.text("boot"), "epoch": read.integer("epoch")}
     message: Message
@@ -244,10 +272,34 @@ def _typed(raw: dict[str, Any]) -> Message:
         stored = read.text("stored") if "stored" in raw else ""
         steps = () if stored else read.texts("steps")
         message = RunSequence(**head, **read.picture(), stored=stored, steps=steps)
+    elif kind == "hold":
+        message = Hold(**head)
+    elif kind == "teach":
+        message = _teach(head, read)
     else:
         message = Call(**head, service=read.choice("service", SERVICES))
     read.finish()
     return message
+
+
+def _teach(head: dict[str, Any], read: _Reader) -> Teach:
+    controls = []
+    for row in read.rows("controls", 7, texts=2):
+        name, kind, u, v, width, height, proud = row
+        controls.append(PointedControl(name=name, kind=kind, pixel=(u, v), size_mm=(width, height), proud_mm=proud))
+    corners = read.rows("corners", 2)
+    if len(corners) != 4:
+        read.wrong("corners", len(corners), "four corners")
+    (size,) = read.rows("size_mm", 2, single=True)
+    return Teach(
+        **head,
+        stamp_ns=read.stamp("stamp"),
+        model=read.text("model"),
+        title=read.text("title"),
+        size_mm=size,
+        corners=tuple(corners),
+        controls=tuple(controls),
+    )
 
 
 class _Reader:
@@ -299,6 +351,19 @@ class _Reader:
         if not good or not all(isinstance(v, str) and len(v) <= 300 and v.isprintable() for v in value):
             self.wrong(name, value, f"1 to {MAX_STEPS} texts of up to 300 characters")
         return tuple(value)
+
+    def rows(self, name: str, length: int, *, texts: int = 0, single: bool = False) -> list[Any]:
+        """Return lists of ``length`` values as tuples: the first ``texts`` of them short texts, the rest numbers."""
+        value = self._raw.pop(name, None)
+        rows = [value] if single else value
+        if not isinstance(rows, list) or len(rows) > 100:
+            self.wrong(name, value, "a list")
+        for row in rows:
+            good = isinstance(row, list) and len(row) == length
+            good = good and all(isinstance(v, str) and len(v) <= 40 and v.isprintable() for v in row[:texts])
+            if not good or not all(type(v) in (int, float) and abs(v) < 1e6 for v in row[texts:]):
+                self.wrong(name, row, f"{texts} texts and {length - texts} numbers" if texts else f"{length} numbers")
+        return [(*row[:texts], *map(float, row[texts:])) for row in rows]
 
     def choice(self, name: str, choices: tuple[str, ...]) -> str:
         value = self._raw.pop(name, None)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from rcl_interfaces.msg import Log
@@ -39,6 +40,7 @@ from icu_common.nodes.conversions import (
     controls_of_message,
     header,
     image_array,
+    image_message,
     joint_positions,
     panel_state_of_message,
     point_array,
@@ -184,6 +186,7 @@ class BridgeNode(Node):
         self._hear(DiagnosticArray, "/diagnostics", qos.RESULTS, self._facts_seen)
         self._hear(Log, "/rosout", qos.RESULTS, self._said)
         self._hear(DiagnosticArray, "gantry/result", qos.RESULTS, self._result_seen)
+        self._hear(DiagnosticArray, "panel/teach/result", qos.RESULTS, self._taught)
         self._hear(String, "gantry/sequence_state", qos.LATCHED, self._sequencer_seen)
         self._hear(DiagnosticArray, "gantry/sequence_result", qos.RESULTS, self._sequence_result_seen)
 
@@ -323,6 +326,9 @@ class BridgeNode(Node):
     def _sequence_result_seen(self, message: DiagnosticArray) -> None:
         self._server.post(self._desk.sequence_result, result_of_message(message))
 
+    def _taught(self, message: DiagnosticArray) -> None:
+        self._server.post(self._desk.taught, result_of_message(message))
+
     def _check_sequencer(self) -> None:
         # A sequencer that has died leaves its last state behind; it does nothing any more.
         if self.count_publishers("gantry/sequence_state") == 0:
@@ -343,6 +349,8 @@ class BridgeNode(Node):
     def _make_outlets(self) -> None:
         self._goal = self.create_publisher(PointStamped, "gantry/goal", qos.COMMAND)
         self._command = self.create_publisher(String, "gantry/command", qos.COMMAND)
+        self._teach_picture = self.create_publisher(Image, "panel/teach/image_raw", qos.RESULTS)
+        self._teach_request = self.create_publisher(String, "panel/teach/request", qos.RESULTS)
         self._sequence = self.create_publisher(String, "gantry/sequence", qos.COMMAND)
         self._stop_request = self.create_publisher(Empty, "gantry/stop_request", qos.RESULTS)
         self._heartbeat = self.create_publisher(Header, "heartbeat", qos.RESULTS)
@@ -373,6 +381,12 @@ class BridgeNode(Node):
         if self._sequence.get_subscription_count() == 0:
             raise GraphError("no sequencer listens")
         self._sequence.publish(String(data=text))
+
+    def send_teaching(self, text: str, stamp_ns: int, encoding: str, picture: npt.NDArray[Any]) -> None:
+        if self._teach_request.get_subscription_count() == 0:
+            raise GraphError("no recognition listens that could be taught a panel")
+        self._teach_picture.publish(image_message(picture, encoding, header(stamp_ns, CAMERA_LEFT)))
+        self._teach_request.publish(String(data=text))
 
     def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
         if self._goal.get_subscription_count() == 0:

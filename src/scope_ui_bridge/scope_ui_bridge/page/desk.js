@@ -64,7 +64,9 @@ class Desk {
 function explained(values = {}) {
   const name = values.state && has(`state_${values.state}`) ? t(`state_${values.state}`, values) : values.state;
   const role = values.role ? t(`role_name_${values.role}`) : "";
-  return { ...values, role, state: name, reason: values.reason && values.reason !== REQUESTED ? `– ${values.reason}` : "" };
+  const field = values.field ? t(`field_${values.field}`) : "";
+  const reason = values.reason && values.reason !== REQUESTED ? `– ${values.reason}` : "";
+  return { ...values, role, field, state: name, reason };
 }
 
 export const desk = new Desk();

@@ -17,6 +17,7 @@ import { banner, chip, stateChip } from "./status.js";
 import { stopBanner } from "./stop_cause.js";
 import { keepLanguage, language, startLanguage, t } from "./strings.js";
 import { wireTabs } from "./tabs.js";
+import { relabelTeach, renderTeach, setHeld, taught, wireTeach } from "./teach.js";
 import { renderTools, wireTools } from "./tools.js";
 
 const KEEP_ALIVE_MS = 200;
@@ -49,13 +50,15 @@ link.addEventListener("hello", ({ detail }) => {
     find("title").textContent = detail.title;
     document.title = `${detail.title} – ${t("product")}`;
   }
-  find("tab-console").hidden = desk.me.role !== "engineer";
+  find("tab-console").hidden = find("tab-teach").hidden = desk.me.role !== "engineer";
   log.reset(detail.log);
   setSelection(detail.selection);
   setState(detail.state);
 });
 link.addEventListener("facts", ({ detail }) => setFacts(detail.facts));
 link.addEventListener("sequence", ({ detail }) => setSequence(detail.sequence));
+link.addEventListener("held", ({ detail }) => setHeld(detail));
+link.addEventListener("taught", ({ detail }) => taught(detail));
 link.addEventListener("panel", ({ detail }) => {
   setPanel(detail.controls);
   overlay.relabel();
@@ -136,6 +139,7 @@ find("language").addEventListener("click", () => {
   overlay.relabel();
   showChoices();
   log.relabel();
+  relabelTeach();
   render();
 });
 
@@ -176,6 +180,7 @@ function render() {
   renderPanel(overlay.controls);
   renderMove();
   renderSequence();
+  renderTeach();
   renderTools();
   renderAge();
 }
@@ -293,6 +298,7 @@ wireDraw(overlay);
 wireMove();
 wireSequence();
 wireTools();
+wireTeach();
 wireTabs(find("tabs"));
 log.wireSearch(find("log-search"), find("log-found"), find("log-export"));
 if (location.search) history.replaceState(null, "", "/"); // the used token is no business of the address bar

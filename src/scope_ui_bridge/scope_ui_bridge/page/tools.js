@@ -156,6 +156,11 @@ function snapshot() {
   canvas.toBlob((blob) => save(`picture_${fileTime(at)}.png`, blob), "image/png");
 }
 
+/** Whether the pointer's last way was a drag, which clicks on nothing. */
+export function wasDragged() {
+  return dragged;
+}
+
 export function wireTools() {
   wireZoom();
   wireBefore();
