@@ -141,7 +141,7 @@ def test_a_silent_page_stops_a_sequence_between_two_gestures() -> None:
     rig.desk.set_sequencer("step 1/3: press:RUN_STOP")
     rig.wait(5.0, alive=True)
     (stop,) = of_type(rig.wait(0.7), StopNow)
-    assert stop.record["target"] == "stopped_page_silent"
+    assert stop.record["target"] == "stopped_link_lost", "nothing tells of a page that still answers"
     assert rig.desk.lease.holder == ""
 
 

@@ -133,7 +133,7 @@ class VideoHub:
 
     def newest(self, camera: str) -> tuple[int, str, Picture] | None:
         """Return stamp, encoding and the newest picture of a camera, None before the first."""
-        return self._streams[camera, False].raw
+        return self._streams[camera, 0].raw
 
     def kick(self, viewer: VideoViewer) -> None:
         """Call when a viewer can take more or looks at something else."""
