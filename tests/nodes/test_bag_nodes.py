@@ -100,12 +100,14 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:
 
         from scope_bench.adapters.bags import BagTopic
 
-        for name, kind in (("/a", "String"), ("/b", "String"), ("/operator/heartbeat", "Header")):
+        kinds = {"/a": "String", "/b": "String", "/gantry/sequence": "String", "/operator/heartbeat": "Header"}
+        for name, kind in kinds.items():
             bag.add_topic(BagTopic(name=name, type=f"std_msgs/msg/{kind}"))
         for i in range(4):
             stamp_ns = 10**9 + 20_000_000 * i
             bag.write("/a", stamp_ns, serialize_message(String(data=f"{i}")))
             bag.write("/b", stamp_ns, serialize_message(String(data=f"{i}")))
+            bag.write("/gantry/sequence", stamp_ns, serialize_message(String(data="steps: ['press:MENU']")))
             bag.write("/operator/heartbeat", stamp_ns, serialize_message(Header(stamp=Time(sec=i))))
     listener = ros.plain("listener")
     a = ros.collect(listener, String, "/a", qos.RESULTS)
@@ -121,7 +123,7 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:
     output = player.end(signal.SIGINT)
     assert [m.data for m in a[:9]] == ["0", "1", "2", "3", "0", "1", "2", "3", "0"]
     assert b == [] and beats == []
-    assert "not played: /b, /operator/heartbeat" in output
+    assert "not played: /b, /gantry/sequence, /operator/heartbeat" in output
 
 
 def test_recorded_pictures_come_back_as_pictures(ros: Ros, tmp_path: Path) -> None:

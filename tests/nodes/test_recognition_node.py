@@ -252,4 +252,3 @@ def test_a_panel_is_taught_by_messages(ros: Any, tmp_path: Path) -> None:
     place = load_layout(folder / "taught.yaml").control("RUN_STOP").position_mm
     assert place == pytest.approx((208.0, 127.0), abs=0.1)
     assert f"--set recognition.template={folder / 'taught.png'}" in details["start"]
-    assert "is there already" in ask().reason

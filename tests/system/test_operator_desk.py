@@ -61,7 +61,7 @@ def test_axe_finds_nothing_in_any_tab(browser: Any, instrument: Instrument, sche
         operator.takes_control()
         operator.selects("CH1_SCALE", "Channel 1 scale")
         found = []
-        for tab in ("machine", "move", "calibrate", "plots", "console"):
+        for tab in ("machine", "move", "sequence", "calibrate", "plots", "teach", "console"):
             operator.page.click(f"#tab-{tab}")
             found += [f"{tab}: {problem}" for problem in axe(operator)]
             operator.shoots(f"tab_{tab}_{scheme}")

@@ -18,8 +18,11 @@ from scope_bench.adapters.bags import BagTopic
 from scope_bench.nodes.bag_qos import message_class, playing_qos
 
 _LAST_WORDS = Duration(seconds=2)
-MOVING = ("gantry/goal", "gantry/command", "gantry/trajectory", "gantry/stop_request", "operator/heartbeat")
-"""Topics that move a machine, or let it move."""
+MOVING = (
+    *("gantry/goal", "gantry/command", "gantry/sequence", "gantry/trajectory", "gantry/stop_request"),
+    *("operator/heartbeat", "panel/teach/request"),
+)
+"""Topics that move a machine, let it move, or make it write down a panel."""
 
 
 class BagPlayer(Node):

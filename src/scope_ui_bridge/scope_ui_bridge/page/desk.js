@@ -17,6 +17,7 @@ class Desk {
   problem = "";
   replay = false;
   frozen = false; // the picture before is held over the live one
+  teaching = false; // the picture that a panel is pointed at in lies over the live one
   changed = () => {};
 
   get mine() {
@@ -34,6 +35,7 @@ class Desk {
     if (this.replay) return t("replay");
     if (!this.mine) return t(this.me.role === "viewer" ? "role_viewer" : "no_lease");
     if (this.frozen) return t("frozen_no_action");
+    if (this.teaching) return t("teaching_no_action");
     const age = this.video.ageMs;
     if (!(age <= this.limits.max_age_ms)) {
       return t("picture_late", { age_ms: Number.isFinite(age) ? Math.round(age) : "?", limit_ms: this.limits.max_age_ms });

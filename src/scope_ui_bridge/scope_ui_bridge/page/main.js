@@ -260,7 +260,7 @@ function renderAge() {
     { when: !state, look: "none", text: t("banner_connecting") },
     { when: state?.moving, look: "busy", text: t("banner_moving") },
     { when: !desk.mine, look: "none", text: t(desk.me.role === "viewer" ? "role_viewer" : "banner_viewing") },
-    { when: state?.refusal || desk.frozen, look: "waiting", text: t("banner_waiting", { reason: desk.whyNot }) },
+    { when: state?.refusal || desk.frozen || desk.teaching, look: "waiting", text: t("banner_waiting", { reason: desk.whyNot }) },
     { when: true, look: "good", text: t("banner_ready") },
   ]);
 }

@@ -10,6 +10,7 @@ let stored = [];
 let run = null; // what the bridge says of the last one
 let spokenOf = "";
 let timer = 0;
+let begun = ""; // the steps as they were written when the last run began
 
 export function setSequences(list, last) {
   stored = list;
@@ -78,7 +79,8 @@ async function start() {
   disarm();
   const name = find("sequence-choice").value;
   document.dispatchEvent(new Event("acting"));
-  await desk.ask("sequence", { ...(name ? { stored: name } : { steps: wanted() }), ...desk.seen });
+  const steps = wanted();
+  if (await desk.ask("sequence", { ...(name ? { stored: name } : { steps }), ...desk.seen })) begun = steps.join();
 }
 
 export function wireSequence() {
@@ -99,16 +101,15 @@ export function renderSequence() {
   const mine = wanted();
   const shown = running() ? run.steps : mine.length ? mine : run.steps;
   // The last run's steps keep their marks for as long as they are what is chosen.
-  const marked = running() || !mine.length || mine.join() === run.steps.join() || run.typed === mine.join();
+  const marked = running() || !mine.length || mine.join() === begun;
   const list = find("sequence-steps");
-  if (running()) run.typed = mine.join();
   const key = JSON.stringify([shown, marked && [run.status, run.number, run.reason], document.documentElement.lang]);
   if (list.dataset.key !== key) {
     list.dataset.key = key;
     list.replaceChildren(...shown.map((step, index) => item(step, marked ? status(index) : "waiting")));
   }
   const button = find("sequence-start");
-  const why = desk.whyNot || (mine.length ? "" : t("sequence_empty"));
+  const why = desk.whyNot || (run.state ? "" : t("sequence_nobody")) || (mine.length ? "" : t("sequence_empty"));
   button.disabled = why !== "";
   const armed = "armed" in button.dataset;
   put(button, t(armed ? "sequence_confirm" : "sequence_start", { count: mine.length }));

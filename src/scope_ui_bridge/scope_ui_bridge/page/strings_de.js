@@ -352,6 +352,7 @@ export const DE = {
   sequence_start: "{count} Schritte beginnen",
   sequence_confirm: "Bestätigen: {count} Schritte",
   sequence_steps: "Schritte",
+  sequence_nobody: "Es läuft kein Programm für Abläufe.",
   sequence_empty: "Es gibt noch keinen Schritt.",
   sequence_step: "Schritt {number} von {all} in Arbeit. STOP beendet den Ablauf.",
   sequence_reached: "{name}: alle {all} Schritte sind erledigt.",
@@ -371,6 +372,7 @@ export const DE = {
 
   tab_teach: "Anlernen",
   teach_hint: "Macht eine neue Front bekannt: Bild festhalten, Ecken und Elemente anklicken, Beschreibung schreiben. Nichts bewegt sich.",
+  teaching_no_action: "Ein festgehaltenes Bild liegt über dem laufenden. Anlernen verlassen, um weiterzumachen.",
   teach_hold: "Linkes Bild festhalten",
   teach_corners: "Ecken der Front im Bild",
   corner_lower_left: "Unten links",

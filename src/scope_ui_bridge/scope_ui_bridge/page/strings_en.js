@@ -352,6 +352,7 @@ export const EN = {
   sequence_start: "Start {count} steps",
   sequence_confirm: "Confirm: start {count} steps",
   sequence_steps: "Steps",
+  sequence_nobody: "No sequencer is running.",
   sequence_empty: "There is no step yet.",
   sequence_step: "Step {number} of {all} is at work. STOP ends the sequence.",
   sequence_reached: "{name}: all {all} steps are done.",
@@ -371,6 +372,7 @@ export const EN = {
 
   tab_teach: "Teach",
   teach_hint: "Makes a new panel known: hold a picture, click its corners and controls, write its layout. Nothing moves.",
+  teaching_no_action: "A held picture lies over the live one. Leave the tab Teach to go on.",
   teach_hold: "Hold the left picture",
   teach_corners: "Corners of the front, in the picture",
   corner_lower_left: "Lower left",

@@ -42,6 +42,8 @@ export async function setHeld(message) {
   canvas.getContext("2d").drawImage(bitmap, 0, 0);
   find("held-marks").setAttribute("viewBox", `-0.5 -0.5 ${message.width} ${message.height}`);
   held = message;
+  answer = command = "";
+  renderPlaces();
   show();
 }
 
@@ -52,7 +54,7 @@ export function show() {
   find("stage").classList.toggle("teaching", on);
   find("held").hidden = !on;
   if (!changed) return;
-  desk.frozen = on;
+  desk.teaching = on;
   desk.changed();
 }
 
