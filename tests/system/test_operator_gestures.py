@@ -136,9 +136,6 @@ def test_gestures_by_touch_in_german_on_a_tablet(browser: Any, instrument: Instr
         clean(operator, "gestures_tablet_german")
         wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
         assert wide <= 0, "nothing to scroll sideways"
-        page.tap("[data-act=double]")
-        operator.logs("Doppelt drücken.*erledigt", 10.0)
-        operator.sees("#chip-driver", "Ruht")
     finally:
         page.evaluate("localStorage.removeItem('language')")
         operator.context.close()
@@ -150,7 +147,7 @@ def test_gestures_by_touch_in_german_on_a_tablet(browser: Any, instrument: Instr
 @pytest.fixture
 def sequencer(instrument: Instrument) -> Iterator[None]:
     names = ["-r", "__ns:=/gantry", "-r", "panel/state:=/panel/state"]
-    program = [executable("gantry_driver", "sequencer"), "--ros-args", *names]
+    program = [executable("gantry_driver", "sequencer"), "--ros-args", *names, "-p", "check_s:=0.5"]
     running = subprocess.Popen(program, env=instrument.environment)
     try:
         yield

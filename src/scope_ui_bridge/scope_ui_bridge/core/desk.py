@@ -538,7 +538,8 @@ class Desk:
             if result.outcome.final and result.outcome is not Outcome.REJECTED:
                 return []  # the end of something whose beginning was long ago
             who = self.sequence.owner_of(result.goal_id) or "Graph"
-            known = self._log.add(who, result.goal, "", now, status="accepted", goal_id=result.goal_id)
+            goal = result.goal.partition(" id=")[0]
+            known = self._log.add(who, goal, "", now, status="accepted", goal_id=result.goal_id)
         jog = self._jog
         if jog is not None and jog.entry == known.entry and result.outcome.final:
             if result.outcome is Outcome.REACHED and now.mono_s < jog.until_s and self.lease.holder == jog.viewer:
