@@ -178,6 +178,7 @@ def test_a_sequence_is_collected_followed_and_stopped(
     page = person.page
     page.click("#tab-sequence")
     page.check("#sequence-collect")
+    rows = page.locator("#log tr").count()
     person.selects("MENU", "Menu")
     person.sees("#collecting", "move nothing")
     page.click("[data-act=double]")
@@ -185,7 +186,7 @@ def test_a_sequence_is_collected_followed_and_stopped(
     page.fill("#set-degrees", "60")
     page.click("[data-act=set]")
     assert page.input_value("#sequence-text") == "double:MENU\nset:CH1_SCALE:60\n"
-    assert "Double press" not in page.inner_text("#log"), "nothing was sent"
+    assert page.locator("#log tr").count() == rows, "nothing was sent"
     steps = lambda state: page.locator(f"#sequence-steps [data-state={state}]").count()  # noqa: E731
     begins(person)
     person.sees("#sequence-said", "all 2 steps are done", within_s=20.0)
@@ -272,8 +273,12 @@ def test_an_engineer_teaches_a_panel(person: Operator, teacher: Path) -> None:
     page.fill("#teach-model", "taught_scope")
     page.fill("#teach-controls li >> nth=1 >> input >> nth=0", "5")
     page.press("#teach-controls li >> nth=1 >> input >> nth=0", "Tab")
-    page.click("#teach-write")
-    person.sees("#teach-said", "(Nothing was written: .*'RUN_STOP' at .* reaches outside|not sent)", within_s=30.0)
+    for _ in range(10):  # the recognition node may still be starting
+        page.click("#teach-write")
+        said = person.sees("#teach-said", "Nothing was written: ", within_s=40.0)
+        if "no recognition listens" not in said:
+            break
+    assert "control 'RUN_STOP' at " in said and "reaches outside the panel 320 x 150 mm" in said
     assert not teacher.exists()
     page.click("#teach-controls li >> nth=1 >> button >> nth=0")
     click(*layout.control("RUN_STOP").position_mm)

@@ -383,7 +383,7 @@ class BridgeNode(Node):
         self._sequence.publish(String(data=text))
 
     def send_teaching(self, text: str, stamp_ns: int, encoding: str, picture: npt.NDArray[Any]) -> None:
-        if self._teach_request.get_subscription_count() == 0:
+        if not (self._teach_request.get_subscription_count() and self._teach_picture.get_subscription_count()):
             raise GraphError("no recognition listens that could be taught a panel")
         self._teach_picture.publish(image_message(picture, encoding, header(stamp_ns, CAMERA_LEFT)))
         self._teach_request.publish(String(data=text))

@@ -69,6 +69,7 @@ link.addEventListener("console", ({ detail }) => lines.add(detail.lines));
 link.addEventListener("log", ({ detail: { entry } }) => {
   log.show(entry);
   if (entry.action !== "stop") showLast(entry);
+  if (entry.action === "teach" && ["failed", "no_answer"].includes(entry.status)) taught({ ok: false, reason: spoken(entry) });
   if (["sent", "accepted"].includes(entry.status)) return;
   addError(entry);
   say(spoken(entry), entry.action === "stop" || ["aborted", "failed", "no_answer"].includes(entry.status));

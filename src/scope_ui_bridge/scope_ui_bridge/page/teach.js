@@ -166,6 +166,7 @@ function added(event) {
 async function write(event) {
   event.preventDefault();
   answer = command = "";
+  desk.changed();
   const open = [...Array(4 + controls.length).keys()].find((index) => place(index) === null);
   if (open !== undefined) {
     active = open;
