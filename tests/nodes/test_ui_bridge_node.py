@@ -237,7 +237,12 @@ def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
     """The bridge in a graph that it is matched with, and a page that is signed in and hears of the state."""
     graph = Graph(ros)
     parameters = {"port": 0, "token_file": str(tmp_path / "token"), "audit_file": str(tmp_path / "audit.jsonl")}
-    patient = {"lease_timeout_s": 60.0, "frame_max_age_s": 5.0, "recognition_max_age_s": 10.0}  # a loaded machine
+    patient = {
+        "lease_timeout_s": 60.0,
+        "silence_stop_s": 20.0,
+        "frame_max_age_s": 5.0,
+        "recognition_max_age_s": 10.0,
+    }  # a loaded machine
     node = ros.node(BridgeNode, {**parameters, **patient, "layout": str(LAYOUT)})
     ros.spin_until((tmp_path / "token").exists, WITHIN_S)
     url = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", capfd.readouterr().out)
