@@ -6,7 +6,7 @@ export PYTHON
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test check bench campaign soak docs setup clean picture
+.PHONY: help demo test check bench campaign golden soak docs setup clean picture
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -41,6 +41,10 @@ SOAK_MINUTES ?= 30
 soak: ## the whole graph at full rate for SOAK_MINUTES=30: memory, files, threads and delay must stay flat
 	@scripts/setup.sh dev
 	@$(VENV)/python benchmarks/soak.py --minutes $(SOAK_MINUTES)
+
+golden: ## make the golden bag (simulated bench, fixed seed) and the results that tests compare with it
+	@scripts/setup.sh dev
+	@PYTHONPATH=tests $(VENV)/python -m golden.make_bag
 
 docs: ## API documentation in artifacts/api; a warning is an error
 	@scripts/setup.sh dev
