@@ -40,6 +40,7 @@ REMAPS = [
             "panel/pose": "/panel/pose",
             "panel/controls": "/panel/controls",
             "panel/confidence": "/panel/confidence",
+            "panel/alarm": "/panel/alarm",
             "calibration/camera_from_base": "/calibration/camera_from_base",
             "calibration/axes": "/calibration/axes",
             "stylus/tip": "/stylus/tip",

@@ -23,7 +23,7 @@ from harris_perception.nodes.recognition_node import RecognitionNode
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import CAMERA_LEFT, PANEL
 from icu_common.core.geometry import Transform
-from icu_common.core.panel_layout import load_layout
+from icu_common.core.panel_layout import load_layout, parse_layout
 from icu_common.core.results import Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
@@ -139,6 +139,30 @@ def test_controls_and_outline_are_those_of_the_layout(ros: Any) -> None:
     top = run_stop.pose.position
     assert (top.x, top.y, top.z) == pytest.approx((0.208, 0.127, 0.003))
     assert message.markers[-1].type == Marker.LINE_STRIP
+
+
+def test_markers_that_contradict_the_print_raise_an_alarm_until_they_confirm_it(ros: Any, tmp_path: Path) -> None:
+    text = scene.LAYOUT.read_text() + (
+        "markers:\n  - {dictionary: 4X4_50, id: 7, position_mm: [156.5, 12.0], size_mm: 12.0}\n"
+    )
+    file = tmp_path / "marked.yaml"
+    file.write_text(text)
+    good, moved = parse_layout(text), parse_layout(text.replace("[156.5,", "[152.5,"))
+    rig = Rig(ros, layout=str(file), **{"recognition.agreement.frames": 1})
+    alarms: list[String] = ros.collect(rig.probe, String, "alarm", qos.LATCHED)
+    ros.spin_until(lambda: [a.data for a in alarms] == [""], 10.0)
+    views = [scene.picture(shown, CAMERA, scene.pose(good), scene.Look(), 1) for shown in (good, moved)]
+    assert rig.show(views[0], 1) > 0.8
+    assert rig.show(views[1], 2) == 0.0
+    ros.spin_until(lambda: len(alarms) == 2, 10.0)
+    assert "by marker 4X4_50 7 the panel is 4." in alarms[-1].data
+    assert "mm from where its print is, 2 mm are allowed" in alarms[-1].data
+    poses = len(rig.poses)
+    # A hidden marker confirms nothing.
+    assert rig.show(picture(), 3) == 0.0
+    assert len(rig.poses) == poses
+    assert rig.show(views[0], 4) > 0.8
+    ros.spin_until(lambda: alarms[-1].data == "", 10.0)
 
 
 def test_without_published_corners_it_finds_its_own(ros: Any) -> None:

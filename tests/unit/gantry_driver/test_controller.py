@@ -549,6 +549,28 @@ def test_moved_panel_while_pushing_stops_at_once(phase: Phase, command: str) -> 
     assert bench.stops == 1 and bench.controller.state == "stopped: on request"
 
 
+ALARM = "by marker 4X4_50 7 the panel is 6.0 mm from where its print is, 2 mm are allowed"
+
+
+def test_panel_in_doubt_refuses_every_goal_until_the_alarm_ends() -> None:
+    bench = Bench().start()
+    bench.tell(msg.PanelAlarm(text=ALARM))
+    bench.run(0.2)
+    assert bench.controller.state == f"waiting: {ALARM}"
+    rejected(bench, bench.do("press:RUN_STOP"), ALARM)
+    rejected(bench, bench.do("press:0.1,0.1@base_link"), ALARM)
+    bench.tell(msg.PanelAlarm(text=""))
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+
+
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK, Phase.CONTACT])
+def test_panel_in_doubt_ends_a_touch(phase: Phase) -> None:
+    bench = Bench().start()
+    bench.on_phase[phase] = lambda b: b.tell(msg.PanelAlarm(text=ALARM))
+    aborted(bench, bench.do("press:RUN_STOP"), ALARM)
+    assert bench.readings[2] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_small_shift_and_dip_of_confidence_are_tolerated() -> None:
     bench = Bench().start()
 

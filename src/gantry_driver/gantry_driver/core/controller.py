@@ -170,6 +170,8 @@ class Controller:
                 world.reported_panel = event
             case msg.PanelConfidence():
                 world.take_confidence(event.value, self.config.min_confidence)
+            case msg.PanelAlarm():
+                world.panel_alarm = event.text
             case msg.PanelControls():
                 world.panel = event.panel
             case msg.PanelState():

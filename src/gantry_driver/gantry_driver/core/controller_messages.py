@@ -60,6 +60,13 @@ class PanelConfidence:
     value: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PanelAlarm:
+    """Why the panel's pose must not be believed; empty: it may be."""
+
+    text: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PanelControls:
     panel: PanelMap
@@ -129,6 +136,7 @@ Event = (
     | MotionResult
     | PanelPose
     | PanelConfidence
+    | PanelAlarm
     | PanelControls
     | PanelState
     | CameraFromBase

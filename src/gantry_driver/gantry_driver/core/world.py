@@ -61,6 +61,7 @@ class World:
     camera_from_panel: Transform | None = None
     panel_stamp_ns: int = 0
     confidence: float = 0.0
+    panel_alarm: str = ""
     panel: PanelMap | None = None
     seen: PanelSeen | None = None
     hidden_ns: dict[str, int] = field(default_factory=dict)
@@ -86,6 +87,8 @@ class World:
         if self.age_s(self.heartbeat_ns) > config.heartbeat_timeout_s:
             age = since(self.age_s(self.heartbeat_ns))
             return Fault(cause=f"lost the operator: no heartbeat {age}")
+        if self.panel_alarm:
+            return Fault(cause=self.panel_alarm)
         return None
 
     def sight_fault(
@@ -216,6 +219,8 @@ class World:
                 f"at most {config.heartbeat_timeout_s:g} s are allowed",
                 every_goal=True,
             )
+        if self.panel_alarm:
+            yield Obstacle(state=f"waiting: {self.panel_alarm}", reason=self.panel_alarm, every_goal=True)
         if self.camera_from_base is None or self.base_from_reading is None:
             yield Obstacle(state="waiting: not calibrated", reason="not calibrated", every_goal=False)
         camera_age = self.age_s(self.camera_stamp_ns)

@@ -82,6 +82,7 @@ class ControllerNode(Node):
         self._hear(PoseStamped, "panel/pose", qos.LATCHED, _panel_pose)
         self._hear(MarkerArray, "panel/controls", qos.LATCHED, _panel_controls)
         self._hear(Float32, "panel/confidence", qos.SENSOR, lambda m: msg.PanelConfidence(value=m.data))
+        self._hear(String, "panel/alarm", qos.LATCHED, lambda m: msg.PanelAlarm(text=m.data))
         self._hear(DiagnosticArray, "panel/state", qos.SENSOR, lambda m: msg.PanelState(seen=panel_state_of_message(m)))
         self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, _camera_from_base)
         self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, _axes)

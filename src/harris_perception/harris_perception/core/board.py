@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from icu_common.core import fiducial
 from icu_common.core.config import Config, ConfigError, setting
 from icu_common.core.geometry import Array
 
@@ -97,10 +98,8 @@ class Rectangle(NamedTuple):
 
 
 def aruco_dictionary(name: str) -> Any:
-    """Return OpenCV's marker dictionary of that name; 4.6 and its successors name the maker differently."""
-    number = getattr(cv2.aruco, f"DICT_{name}")
-    make = getattr(cv2.aruco, "getPredefinedDictionary", None) or cv2.aruco.Dictionary_get  # type: ignore[attr-defined]
-    return make(number)
+    """Return OpenCV's marker dictionary of that name."""
+    return fiducial.dictionary(name)
 
 
 def _marker_bits(dictionary: Any, number: int) -> npt.NDArray[np.bool_]:

@@ -15,9 +15,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-from std_msgs.msg import Float32
+from std_msgs.msg import Float32, String
 from visualization_msgs.msg import MarkerArray
 
+from harris_perception.core.fiducials import MarkerFinder, SeenMarker
 from harris_perception.core.gray import bgr_of, gray_of
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
@@ -79,6 +80,9 @@ class RecognitionNodeConfig(Config):
         maximum=5.0,
         unit="s",
     )
+    marker_bound_mm: float = setting(
+        2.0, "The panel by its markers and by its print may differ by so much", minimum=0.1, maximum=100.0, unit="mm"
+    )
     recognition: RecognitionConfig = nested(RecognitionConfig)
     state: StateConfig = nested(StateConfig)
     harris: HarrisConfig = nested(HarrisConfig)
@@ -100,6 +104,9 @@ class RecognitionNode(Node):
         self._busy_s, self._seen = 0.0, (0, 0, 0)
         self._sighting: Sighting | None = None
         self._tip: tuple[int, Array] | None = None
+        self._alarm = ""
+        self._alarm_out = self.create_publisher(String, "alarm", qos.LATCHED)
+        self._alarm_out.publish(String(data=""))
         self._pose = self.create_publisher(PoseStamped, "pose", qos.LATCHED)
         self._controls = self.create_publisher(MarkerArray, "controls", qos.LATCHED)
         self._state = self.create_publisher(DiagnosticArray, "state", qos.RESULTS)
@@ -128,6 +135,7 @@ class RecognitionNode(Node):
         self._agreement = PoseAgreement(config.recognition.agreement, self._layout.size_mm)
         self._reader = PanelReader(self._layout, config.state)
         self._detector = HarrisDetector(config.harris)
+        self._markers = MarkerFinder(self._layout)
 
     def _on_config(self, config: RecognitionNodeConfig) -> None:
         try:
@@ -195,16 +203,33 @@ class RecognitionNode(Node):
             gray = _eight_bits(gray_of(image_array(message), message.encoding))
             self._with_corners += corners is not None
             xy = corners if corners is not None else self._detector.detect(gray).xy
-            sighting = self._recogniser.locate(gray, xy, self._camera[1])
+            camera = self._camera[1]
+            markers = self._markers.find(gray, camera)
+            sighting = self._recogniser.locate(gray, xy, camera)
+            self._compare(markers, sighting)
         except ValueError as error:
             self.get_logger().error(f"picture refused: {error}", throttle_duration_sec=5.0)
-        pose = self._agreement.add(None if sighting is None else sighting.camera_from_panel)
+        pose = self._agreement.add(None if sighting is None or self._alarm else sighting.camera_from_panel)
         self._publish(sighting, pose, message)
         if sighting is not None and pose is not None:
             self._read(message, sighting, pose)
         self._frames += 1
         self._found += sighting is not None
         self._busy_s += time.perf_counter() - start
+
+    def _compare(self, markers: list[SeenMarker], sighting: Sighting | None) -> None:
+        """Raise the alarm when the markers contradict the print; only markers that confirm it end it."""
+        if sighting is None:
+            return
+        assert self._camera is not None
+        pose, bound_mm = sighting.camera_from_panel, self._live.config.marker_bound_mm
+        text = self._markers.disagreement(markers, pose, self._camera[1], bound_mm)
+        if text is None or text == self._alarm:
+            return
+        if text:
+            self.get_logger().error(text, throttle_duration_sec=5.0)
+        self._alarm = text
+        self._alarm_out.publish(String(data=text))
 
     def _publish(self, sighting: Sighting | None, pose: Transform | None, message: Image | None) -> None:
         self._sighting = sighting
@@ -249,6 +274,8 @@ class RecognitionNode(Node):
                 ("rms_px", f"{s.rms_px:.3f}"),
             ]
         level = "ok" if self._confidence > 0 and not unaided else "warn"
+        if self._alarm:
+            level, text = "error", self._alarm
         status = diagnostic_status(self.get_fully_qualified_name(), level, text, values)
         head = header(self.get_clock().now().nanoseconds, "")
         self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))

@@ -12,6 +12,8 @@ from typing import Any
 
 import yaml
 
+from icu_common.core.fiducial import DICTIONARIES, Fiducial, count_of
+
 CONTROL_KINDS = ("button", "knob", "touch_area", "connector")
 SHAPES = ("rectangle", "circle")
 
@@ -95,7 +97,10 @@ Artwork = Rectangle | Circle | Line | Text
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PanelLayout:
-    """A whole front panel; ``colour`` is the face's, ``artwork`` is drawn in order, then the controls."""
+    """A whole front panel; ``colour`` is the face's, ``artwork`` is drawn in order, then the controls.
+
+    ``markers`` tell where markers stick on the face; how they are printed is the last part of ``artwork``.
+    """
 
     model: str
     title: str
@@ -103,6 +108,7 @@ class PanelLayout:
     colour: str
     controls: tuple[Control, ...]
     artwork: tuple[Artwork, ...]
+    markers: tuple[Fiducial, ...] = ()
 
     def control(self, name: str) -> Control:
         """Return the control with that name.
@@ -168,7 +174,7 @@ class _Reader:
         self.file_name = file_name
 
     def layout(self, document: dict[str, Any]) -> PanelLayout:
-        self.known(document, {"model", "title", "size_mm", "colour", "controls", "artwork"})
+        self.known(document, {"model", "title", "size_mm", "colour", "controls", "artwork", "markers"})
         width, height = self.numbers(document, "size_mm", 2, positive=True)
         controls: list[Control] = []
         for entry in self.entries(document, "controls"):
@@ -185,14 +191,47 @@ class _Reader:
             controls.append(control)
         if not controls:
             raise self.error(document, "no controls")
+        markers: list[Fiducial] = []
+        for entry in self.entries(document, "markers"):
+            marker = self.one_marker(entry)
+            if marker.name in {m.name for m in markers}:
+                raise self.error(entry, f"marker {marker.name} stands twice")
+            self.check_place(entry, marker, (width, height), controls)
+            markers.append(marker)
         return PanelLayout(
             model=self.text(document, "model"),
             title=self.text(document, "title", self.text(document, "model")),
             size_mm=(width, height),
             colour=self.colour(document, "colour", "#303438"),
             controls=tuple(controls),
-            artwork=tuple(self.one_artwork(entry) for entry in self.entries(document, "artwork")),
+            artwork=(
+                *(self.one_artwork(entry) for entry in self.entries(document, "artwork")),
+                *(shape for marker in markers for shape in marker_artwork(marker)),
+            ),
+            markers=tuple(markers),
         )
+
+    def one_marker(self, entry: dict[str, Any]) -> Fiducial:
+        self.known(entry, {"dictionary", "id", "position_mm", "size_mm"})
+        dictionary = self.choice(entry, "dictionary", DICTIONARIES)
+        number, count = self.one_number(entry, "id", -1.0), count_of(dictionary)
+        if number != int(number) or not 0 <= number < count:
+            raise self.error(entry, f"id = {entry.get('id')!r}: {dictionary} has the markers 0 to {count - 1}")
+        x, y = self.numbers(entry, "position_mm", 2)
+        size = self.numbers({**entry, "size_mm": [entry.get("size_mm")]}, "size_mm", 1, positive=True)[0]
+        return Fiducial(dictionary=dictionary, id=int(number), position_mm=(x, y), size_mm=size)
+
+    def check_place(
+        self, entry: dict[str, Any], marker: Fiducial, size_mm: tuple[float, float], controls: list[Control]
+    ) -> None:
+        (x, y), half = marker.position_mm, marker.side_mm / 2
+        if not all(half <= place <= side - half for place, side in zip((x, y), size_mm)):
+            text = f"marker {marker.name} at ({x:g}, {y:g}) with its white rim, {marker.side_mm:.1f} mm wide,"
+            raise self.error(entry, f"{text} reaches outside the panel {size_mm[0]:g} x {size_mm[1]:g} mm")
+        for control in controls:
+            beside = (abs(p - q) - s / 2 - half for p, q, s in zip((x, y), control.position_mm, control.size_mm))
+            if max(beside) < 0:
+                raise self.error(entry, f"marker {marker.name} with its white rim is under control {control.name!r}")
 
     def one_control(self, entry: dict[str, Any]) -> Control:
         fields = {"name", "kind", "position_mm", "size_mm", "shape", "height_mm", "label", "colour", "lit_colour"}
@@ -322,6 +361,17 @@ class _Reader:
                 entry, f"{key} = {value!r}: {'positive ' if positive else ''}numbers up to 10000 are needed"
             )
         return numbers
+
+
+def marker_artwork(marker: Fiducial) -> tuple[Rectangle, ...]:
+    """Return how a marker is printed: the white rim, the black square, the white modules."""
+
+    def square(side: float, fill: str) -> Rectangle:
+        x, y = (place - side / 2 for place in marker.position_mm)
+        return Rectangle(rectangle_mm=(x, y, side, side), fill=fill)
+
+    white = tuple(Rectangle(rectangle_mm=module, fill="#ffffff") for module in marker.white_mm())
+    return (square(marker.side_mm, "#ffffff"), square(marker.size_mm, "#000000"), *white)
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

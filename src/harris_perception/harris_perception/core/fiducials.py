@@ -1,0 +1,92 @@
+"""Finds the markers of a panel's face: a second source of its place, which checks the first.
+
+ArUco: S. Garrido-Jurado et al., Pattern Recognition 47(6), 2014; AprilTag: E. Olson, ICRA 2011.
+The detector is OpenCV's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.planar_pose import homography_of_pose, inverse, map_points
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.fiducial import Fiducial, dictionary
+from icu_common.core.geometry import Array, Transform
+from icu_common.core.panel_layout import PanelLayout
+
+_LEAST_SIDE_PX = 12.0
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SeenMarker:
+    """A marker in a picture: its dictionary and number, and its corners (4, 2), rectified px, in OpenCV's order."""
+
+    dictionary: str
+    id: int
+    corners_px: Array
+
+
+class MarkerFinder:
+    """Finds markers of the dictionaries that a layout uses, with either of OpenCV's interfaces (4.6, 4.7 and later)."""
+
+    def __init__(self, layout: PanelLayout) -> None:
+        self._layout = layout
+        self._known = {(m.dictionary, m.id): m for m in layout.markers}
+        aruco: Any = cv2.aruco
+        self._newer = hasattr(aruco, "ArucoDetector")
+        parameters = aruco.DetectorParameters() if self._newer else aruco.DetectorParameters_create()
+        parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
+        self._detectors: dict[str, Any] = {}
+        for name in {m.dictionary for m in layout.markers}:
+            made = dictionary(name)
+            self._detectors[name] = aruco.ArucoDetector(made, parameters) if self._newer else (made, parameters)
+
+    def find(self, gray: npt.NDArray[np.uint8], camera: CameraModel) -> list[SeenMarker]:
+        """Return the markers in a raw picture (H, W) uint8, also those that the layout does not have."""
+        found = []
+        for name, detector in self._detectors.items():
+            if self._newer:
+                corners, numbers, _ = detector.detectMarkers(gray)
+            else:
+                made, parameters = detector
+                corners, numbers, _ = cv2.aruco.detectMarkers(gray, made, parameters=parameters)  # type: ignore[attr-defined]
+            for number, places in zip([] if numbers is None else np.ravel(numbers), corners):
+                raw = np.asarray(places, np.float64).reshape(4, 2)
+                if np.linalg.norm(raw - np.roll(raw, 1, axis=0), axis=1).min() >= _LEAST_SIDE_PX:
+                    found.append(SeenMarker(dictionary=name, id=int(number), corners_px=camera.rectify(raw)))
+        return found
+
+    def disagreement(
+        self, seen: list[SeenMarker], camera_from_panel: Transform, camera: CameraModel, bound_mm: float
+    ) -> str | None:
+        """Say how the markers contradict a pose; empty when they confirm it, None when none of the panel's is seen.
+
+        A marker's distance is that of its corners on the face, by that pose, from where the layout has them.
+        """
+        mm_from_rectified = inverse(homography_of_pose(camera_from_panel, camera))
+        confirmed = False
+        for marker in seen:
+            places_mm = map_points(mm_from_rectified, marker.corners_px)
+            known = self._known.get((marker.dictionary, marker.id))
+            if known is not None:
+                apart_mm = float(np.linalg.norm(places_mm - known.corners_mm(), axis=1).max())
+                if not apart_mm <= bound_mm:
+                    return (
+                        f"by marker {known.name} the panel is {apart_mm:.1f} mm from where its print is, "
+                        f"{bound_mm:g} mm are allowed"
+                    )
+                confirmed = True
+            elif (other := self._in_place_of(places_mm.mean(axis=0))) is not None:
+                return f"marker {marker.dictionary} {marker.id} is where the layout has {other.name}"
+        return "" if confirmed else None
+
+    def _in_place_of(self, centre_mm: Array) -> Fiducial | None:
+        for known in self._layout.markers:
+            if np.abs(centre_mm - known.position_mm).max() < known.size_mm / 2:
+                return known
+        return None
