@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from icu_common.core.fiducial import marker_modules
 from icu_common.core.panel_layout import load_layout, parse_layout
 from icu_common.core.stroke_font import text_strokes
 from scope_bench.core.panel_texture import Canvas, bgr, draw_face
@@ -117,3 +118,17 @@ artwork:
     assert face[25, 100].tolist() == [0, 255, 0]
     assert face[110, 150].tolist() == [255, 0, 0]
     assert face[60, 150].max() < 40
+
+
+def test_markers_of_the_layout_are_printed_module_by_module() -> None:
+    text = (ROOT / "config" / "scopes" / "dso_bench_4.yaml").read_text() + (
+        "markers:\n  - {dictionary: APRILTAG_36h11, id: 3, position_mm: [68.0, 13.0], size_mm: 12.0}\n"
+    )
+    layout = parse_layout(text)
+    face = draw_face(layout, 8.0)
+    modules = marker_modules("APRILTAG_36h11", 3)
+    step = 12.0 / len(modules)
+    for (row, column), white in np.ndenumerate(modules):
+        x, y = 62.0 + (column + 0.5) * step, 19.0 - (row + 0.5) * step
+        assert (face[int((150.0 - y) * 8), int(x * 8)] == (255 if white else 0)).all(), (row, column)
+    assert (face[int((150.0 - 19.7) * 8), int(68.0 * 8)] == 255).all()
