@@ -239,7 +239,7 @@ def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
     parameters = {"port": 0, "token_file": str(tmp_path / "token"), "audit_file": str(tmp_path / "audit.jsonl")}
     patient = {
         "lease_timeout_s": 60.0,
-        "silence_stop_s": 20.0,
+        "silence_stop_s": 3.0,
         "frame_max_age_s": 5.0,
         "recognition_max_age_s": 10.0,
     }  # a loaded machine
