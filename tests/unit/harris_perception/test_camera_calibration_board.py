@@ -90,10 +90,10 @@ def test_first_square_is_black_and_as_large_as_said(board: Board) -> None:
     assert board.size_m == pytest.approx((0.24, 0.168))
 
 
-CHARUCO = hasattr(getattr(cv2, "aruco", None), "CharucoDetector")
+DRAWS_BOARDS = hasattr(getattr(cv2, "aruco", None), "CharucoDetector")
 
 
-@pytest.mark.skipif(not CHARUCO, reason="this OpenCV draws boards otherwise")
+@pytest.mark.skipif(not DRAWS_BOARDS, reason="this OpenCV draws boards otherwise")
 def test_charuco_equals_the_library_s_own_drawing() -> None:
     made = cv2.aruco.CharucoBoard((10, 7), 0.024, 0.018, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250))
     theirs = made.generateImage((10 * 24 * PER_MM, 7 * 24 * PER_MM))
