@@ -191,3 +191,8 @@ def running_graph(started_graph: RunningGraph) -> RunningGraph:
     if not started_graph.prepared:
         started_graph.prepare()
     return started_graph
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests on the shared graph last: it runs until the session ends, and would slow down all others."""
+    items.sort(key=lambda item: "started_graph" in getattr(item, "fixturenames", ()))

@@ -17,7 +17,7 @@ from system.conftest import ROOT, RunningGraph, executable, wait_for
 from system.operator_browser import Operator
 
 SHOTS = ROOT / "artifacts" / "story"
-pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600)]
 
 
 def test_from_the_first_sign_in_to_the_replay(browser: Any, started_graph: RunningGraph, tmp_path: Path) -> None:

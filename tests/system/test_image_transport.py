@@ -46,6 +46,7 @@ def lost(rows: list[dict[str, Any]]) -> int:
 
 
 @pytest.mark.system
+@pytest.mark.alone
 def test_none_of_300_pictures_is_lost(tmp_path: Path, two_cores: None) -> None:
     write_pictures(tmp_path)
     environment = dict(os.environ, ROS_DOMAIN_ID=str(101 + os.getpid() % 100), ROS_LOG_DIR=str(tmp_path / "log"))
