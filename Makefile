@@ -6,7 +6,7 @@ export PYTHON
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test check bench campaign golden soak docs setup clean picture
+.PHONY: help demo test check bench campaign golden soak story docs setup clean picture
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -19,7 +19,7 @@ test: ## set up and run all checks and tests
 	@scripts/setup.sh dev
 	@$(MAKE) --no-print-directory check
 	@$(VENV)/python -m pytest tests -m "not alone" -n 2 --dist loadfile --durations 12; small=$$?; \
-		$(VENV)/python -m pytest tests/system -m alone --durations 12 && exit $$small
+		$(VENV)/python -m pytest tests/system -m "alone and not story" --durations 12 && exit $$small
 
 check: ## lint, formatting, types and import contracts
 	@scripts/setup.sh dev
@@ -51,9 +51,11 @@ docs: ## API documentation in artifacts/api; a warning is an error
 	@$(VENV)/python -W error -W ignore::DeprecationWarning -m pdoc --docformat numpy --output-directory artifacts/api \
 		icu_common harris_perception gantry_driver scope_ui_bridge scope_bench
 
-picture: ## make the README's picture of the operator page anew
+story: ## a new user's whole way at the page on the whole graph; pictures in artifacts/story
 	@scripts/setup.sh dev
 	@$(VENV)/python -m pytest -s tests/system/test_a_whole_story.py
+
+picture: story ## make the README's picture of the operator page anew
 	@cp artifacts/story/06_moving.png docs/operator_page.png
 
 setup: ## only set up

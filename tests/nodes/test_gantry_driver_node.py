@@ -159,8 +159,8 @@ def test_bad_goals_are_refused_with_the_reason_and_nothing_moves(operator: Calla
 
 def test_not_enabled_or_without_heartbeat_nothing_moves(operator: Callable[..., Operator]) -> None:
     op = operator()
-    op.state("unhomed")
     op.beating = False
+    op.state("unhomed")
     answer = op.call("home")
     assert not answer.success and answer.message == "refused: not enabled"
     op.call("enable", SetBool, data=True)

@@ -1,7 +1,7 @@
 """A new user's whole way at the page, with the whole graph on the simulated bench; each step leaves a screenshot.
 
-Sign in, take control, calibrate with the guide, recognise, press, turn, stop, hand over, record, replay. The graph is
-prepared by this for all tests after it. The pictures are in ``artifacts/story``.
+Sign in, take control, calibrate with the guide, recognise, press, turn, stop, hand over, record, replay. Started
+by ``make story``; the pictures are in ``artifacts/story``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from system.conftest import ROOT, RunningGraph, executable, wait_for
 from system.operator_browser import Operator
 
 SHOTS = ROOT / "artifacts" / "story"
-pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest.mark.story, pytest.mark.timeout(600)]
 
 
 def test_from_the_first_sign_in_to_the_replay(browser: Any, started_graph: RunningGraph, tmp_path: Path) -> None:
