@@ -239,11 +239,19 @@ def test_outlines_edges_and_the_way_are_seen_on_any_picture(operator: Operator, 
     print({layer: (len(found), round(min(found), 1)) for layer, found in seen.items()})
     assert {layer: min(found) for layer, found in seen.items() if min(found) < 3} == {}
     assert len(seen["layer-controls"]) > 20 and len(seen["layer-path"]) >= 2
+    # A picture that was under way when the layer was switched off does not bring it again.
+    page.evaluate(
+        """() => { const counts = window.counts = { edges: 0, tip: 0 };
+            const added = (changes) => changes.reduce((sum, change) => sum + change.addedNodes.length, 0);
+            const watch = (layer) => new MutationObserver((changes) => { counts[layer] += added(changes); })
+              .observe(document.querySelector(`.layer-${layer}`), { childList: true });
+            const button = document.querySelector('[data-layer=edges]');
+            button.addEventListener('click', () => { watch('edges'); watch('tip'); }); }"""
+    )
     page.click("[data-layer=edges]")
     page.click("[data-layer=path]")
-    # A picture that was under way may still bring it.
-    left = page.locator(".layer-edges .over").count
-    operator.until(lambda: left() == 0, 5.0, lambda: f"{left()} left of a layer that is switched off")
+    operator.until(lambda: page.evaluate("counts.tip") >= 20, 10.0, lambda: "ten more pictures with the stylus's tip")
+    assert page.evaluate("counts.edges") == page.locator(".layer-edges .over").count() == 0
     assert not page.is_visible(".layer-path")
     page.click("[data-layer=path]")
     operator.confirms()

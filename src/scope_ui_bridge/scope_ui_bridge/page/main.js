@@ -19,9 +19,9 @@ import { keepLanguage, language, startLanguage, t } from "./strings.js";
 import { wireTabs } from "./tabs.js";
 import { relabelTeach, renderTeach, setHeld, taught, wireTeach } from "./teach.js";
 import { renderTools, wireTools } from "./tools.js";
+import { COMPUTED } from "./video.js";
 
 const KEEP_ALIVE_MS = 200;
-const COMPUTED = ["corners", "edges"]; // layers that are found in each picture, only while somebody looks
 
 startLanguage();
 const { link, video } = desk;

@@ -1,5 +1,7 @@
 // The live picture: newest frame only. A frame is acknowledged once it is drawn, so a slow or hidden page gets fewer.
 
+export const COMPUTED = ["corners", "edges"]; // layers that are found in each picture, only while somebody looks
+
 export class Video extends EventTarget {
   #socket = null;
   #canvas;
@@ -85,6 +87,8 @@ export class Video extends EventTarget {
       this.#canvas.height = about.height;
     }
     this.#context.drawImage(bitmap, 0, 0, about.width, about.height); // light pictures are half as large
+    // What was under way when a layer was switched off is not wanted any more.
+    for (const layer of COMPUTED) if (!this.#wish[layer]) delete about[layer];
     this.shown = { camera: about.camera, stamp: about.stamp, age_ms: about.age_ms, light: about.light, arrived };
     this.dispatchEvent(new CustomEvent("frame", { detail: about }));
   }
