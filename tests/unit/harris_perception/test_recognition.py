@@ -63,6 +63,12 @@ VIEWS: list[tuple[dict[str, Any], dict[str, Any], float]] = [
 ]
 
 
+OCCLUDED: list[tuple[dict[str, Any], dict[str, Any]]] = [
+    ({"roll_deg": 60.0}, {"hidden": 0.7}),
+    ({"distance_m": 1.0, "side_deg": 20.0}, {"blur_px": 2.5}),
+]
+
+
 @pytest.mark.parametrize(("view", "look", "limit_mm"), VIEWS)
 def test_found_with_all_controls_in_place(view: dict[str, Any], look: dict[str, Any], limit_mm: float) -> None:
     truth = scene.pose(LAYOUT, **view)
@@ -279,10 +285,73 @@ def test_pose_from_exact_points_and_from_distances_across_edges() -> None:
     # What lies along an edge is unknown, and a few measurements are wrong.
     slid = pixels + rng.normal(0, 30, (60, 1)) * across[:, ::-1] * (1.0, -1.0)
     slid[:8] += 9.0 * across[:8]
-    pose, error = fit_pose(off, FacePoints(in_face=points, pixels=slid, across=across), CAMERA)
+    fit = fit_pose(off, FacePoints(in_face=points, pixels=slid, across=across), CAMERA)
+    pose, error = fit.camera_from_panel, fit.error_px
     np.testing.assert_allclose(pose.rotation, truth.rotation, atol=1e-9)
     np.testing.assert_allclose(pose.translation, truth.translation, atol=1e-9)
     np.testing.assert_allclose(error[:8], 9.0, atol=1e-6)
+
+
+def test_deviation_tells_how_well_a_strip_of_points_fixes_the_far_end() -> None:
+    """Against the spread of many fits to points with noise."""
+    rng = np.random.default_rng(12)
+    truth = scene.pose(LAYOUT, side_deg=12.0)
+    points = rng.uniform((0, 0), (0.32, 0.02), (80, 2))
+    pixels = map_points(homography_of_pose(truth, CAMERA), points * 1e3)
+    far = np.array([(0.16, 0.15, 0.0)])
+    seen, expected = [], []
+    for _ in range(60):
+        noisy = pixels + rng.normal(0, 0.3, pixels.shape)
+        fit = fit_pose(truth, FacePoints.of_corners(points, noisy), CAMERA)
+        at = fit.camera_from_panel.apply(far)[0]
+        seen.append(1700.0 * at[:2] / at[2])
+        expected.append(fit.deviation_px(far, CAMERA)[0])
+    spread = float(np.sqrt(np.linalg.eigvalsh(np.cov(np.array(seen).T))[-1]))
+    print(f"spread {spread:.2f} px, expected {np.mean(expected):.2f} px")
+    assert spread > 0.5  # of single points it is 0.3, where they are 0.05
+    assert 0.6 < np.mean(expected) / spread < 1.5
+
+
+@pytest.mark.parametrize(("view", "look"), OCCLUDED)
+def test_found_where_most_of_it_is_hidden_or_blurred(view: dict[str, Any], look: dict[str, Any]) -> None:
+    truth = scene.pose(LAYOUT, **view)
+    picture = scene.picture(LAYOUT, CAMERA, truth, scene.Look(**look), seed=3)
+    recogniser().forget()
+    sighting = recogniser().locate(picture, DETECTOR.detect(picture).xy, CAMERA)
+    assert sighting is not None
+    _, error_px = error_mm_px(sighting.camera_from_panel, truth)
+    print(f"{view} {look}: {error_px:.3f} px, agreement {sighting.agreement:.2f}, said {sighting.deviation_px:.2f} px")
+    assert error_px < 1.5
+    assert sighting.deviation_px < 0.45
+
+
+def test_darkness_is_told_and_the_panel_is_found_in_the_first_picture_after_it() -> None:
+    truth = scene.pose(LAYOUT, distance_m=0.8)
+    light, dark = (scene.picture(LAYOUT, CAMERA, truth, scene.Look(gain=gain), seed=4) for gain in (1.0, 0.02))
+    recogniser().forget()
+    seen = [recogniser().locate(p, DETECTOR.detect(p).xy, CAMERA) for p in (light, dark, dark, light)]
+    assert [sighting is not None for sighting in seen] == [True, False, False, True]
+    assert seen[3] is not None and seen[3].agreement > 0.9
+    assert error_mm_px(seen[3].camera_from_panel, truth)[1] < 0.5
+
+
+@pytest.mark.parametrize(("before_px", "after_px"), [(2.5, 0.6), (0.6, 2.5)])
+def test_tracking_follows_the_pictures_blur(before_px: float, after_px: float) -> None:
+    """A lens that is focused meanwhile: measured as well as in a fresh search before long."""
+    truth = scene.pose(LAYOUT, distance_m=0.8)
+    before, after = (
+        scene.picture(LAYOUT, CAMERA, truth, scene.Look(blur_px=blur), seed=5) for blur in (before_px, after_px)
+    )
+    corners = DETECTOR.detect(after).xy
+    recogniser().forget()
+    fresh = recogniser().locate(after, corners, CAMERA)
+    recogniser().forget()
+    recogniser().locate(before, DETECTOR.detect(before).xy, CAMERA)
+    tracked = [recogniser().locate(after, corners, CAMERA) for _ in range(12)][-1]
+    assert fresh is not None and tracked is not None and tracked.tracked
+    print(f"{before_px} to {after_px} px: rms {tracked.rms_px:.3f} px, in a fresh search {fresh.rms_px:.3f} px")
+    assert tracked.rms_px < 1.2 * fresh.rms_px
+    assert len(tracked.points.pixels) > 0.8 * len(fresh.points.pixels)
 
 
 def poses(rng: np.random.Generator, count: int, shift: float = 0.0, noise: float = 2e-5) -> list[Transform]:

@@ -72,7 +72,7 @@ def test_points_of_all_views_together_beat_single_poses_where_little_is_seen() -
             view = measured_face(pose, rng, 0.2, count=60, part=1 / 3)
             view.pixels[::5] += rng.uniform(-6, 6, (12, 1)) * view.across[::5]
             views.append(view)
-            origins.append(fit_pose(pose, view, PAIR.left)[0].translation)
+            origins.append(fit_pose(pose, view, PAIR.left).camera_from_panel.translation)
         start = np.linalg.lstsq(AWAY, np.array(origins), rcond=None)[0]
         rotation, found, covariance = refine_panel(views, AWAY, PANEL_TURN, start, PAIR.left)
         by_pose.append((AWAY @ (start - PANEL_AT)).ravel())

@@ -30,10 +30,11 @@ def robot(prepared: VirtualRobot) -> Iterator[VirtualRobot]:
     prepared.look_at_panel()
     prepared.take_records()
     yield prepared
-    prepared.watch_panel, prepared.heart, prepared.camera_on = False, True, True
+    prepared.heart, prepared.camera_on = True, True
     prepared.renderer.hide(None)
     prepared.renderer.relight(prepared.bench.config.light)
     prepared.run_for(3.0)
+    prepared.watch_panel = False
     if prepared.driver.state == "stopped":
         prepared.until(lambda: not prepared.driver.reset(prepared.now), 10.0)
     prepared.until(lambda: prepared.state == "ready", 10.0)

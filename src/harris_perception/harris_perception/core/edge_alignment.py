@@ -21,9 +21,10 @@ _STEP_PX = 0.5
 _BESIDE_PX = (-2.0, -1.0, 0.0, 1.0, 2.0)
 _LEAST_GRADIENT = 4.0
 _CELL_PX = 6
+_CONTRAST = 2.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EdgePoints:
     """Points on edges of a picture.
 
@@ -35,29 +36,44 @@ class EdgePoints:
         (N, 2) unit vectors along the gradient.
     profiles
         (N, K) grey values across the edge, mean zero and length one.
+    contrast
+        (N,) their lengths before.
+    half_px
+        How far the profiles reach to either side.
     """
 
     px: Array
     across: Array
     profiles: Array
+    contrast: Array
+    half_px: float
 
     def __len__(self) -> int:
         return len(self.px)
 
     def chosen(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> EdgePoints:
         """Return some of the points, by mask or index."""
-        return EdgePoints(self.px[which], self.across[which], self.profiles[which])
+        return EdgePoints(
+            px=self.px[which],
+            across=self.across[which],
+            profiles=self.profiles[which],
+            contrast=self.contrast[which],
+            half_px=self.half_px,
+        )
 
 
-def edge_points(gray: npt.NDArray[np.uint8], allowed: npt.NDArray[np.bool_]) -> EdgePoints:
-    """Choose points on the edges of ``gray`` (H, W) where ``allowed`` (H, W): the strongest of each small cell."""
+def edge_points(gray: npt.NDArray[np.uint8], allowed: npt.NDArray[np.bool_], half_px: float = _HALF_PX) -> EdgePoints:
+    """Choose points on the edges of ``gray`` (H, W) where ``allowed`` (H, W): the strongest of each small cell.
+
+    Profiles reach ``half_px`` to either side: more where the picture is blurred.
+    """
     smooth = cv2.GaussianBlur(gray, (0, 0), 1.0).astype(np.float32)
     gx = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)
     gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
     strength = np.hypot(gx, gy)
     response = HarrisDetector(HarrisConfig(gradient="gaussian", window="gaussian")).response(gray)
     # Profiles must not reach over the picture's border, nor to what is not allowed.
-    reach = int(np.ceil(_HALF_PX)) + 1
+    reach = int(np.ceil(half_px)) + 1
     size = 2 * reach + 1
     inside = cv2.erode(allowed.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=0).astype(bool)
     strength[~inside | (response >= 0)] = 0.0
@@ -71,7 +87,10 @@ def edge_points(gray: npt.NDArray[np.uint8], allowed: npt.NDArray[np.bool_]) -> 
     across = np.column_stack([gx[y, x], gy[y, x]]).astype(np.float64)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     px = np.column_stack([x, y]).astype(np.float64)
-    return EdgePoints(px, across, _normalised(_profiles(gray, px, across, _HALF_PX)))
+    profiles = _profiles(gray, px, across, half_px)
+    profiles = profiles - profiles.mean(axis=1, keepdims=True)
+    contrast = np.maximum(np.linalg.norm(profiles, axis=1), 1e-6)
+    return EdgePoints(px=px, across=across, profiles=profiles / contrast[:, None], contrast=contrast, half_px=half_px)
 
 
 def shifts(
@@ -90,11 +109,13 @@ def shifts(
     least_correlation
         Normalised correlation of the profiles from which on a measurement is good.
     """
-    long = _profiles(picture, points.px, points.across, _HALF_PX + reach_px)
-    windows = np.lib.stride_tricks.sliding_window_view(long, points.profiles.shape[1], axis=1)
-    centred = windows - windows.mean(axis=2, keepdims=True)
-    length = np.linalg.norm(centred, axis=2)
-    likeness = np.einsum("nsk,nk->ns", centred, points.profiles) / np.maximum(length, 1e-6)
+    long = _profiles(picture, points.px, points.across, points.half_px + reach_px)
+    count = points.profiles.shape[1]
+    windows = np.lib.stride_tricks.sliding_window_view(long, count, axis=1)
+    # Running sums give each window's variance; the template's profiles have the mean zero, so windows may keep theirs.
+    sums, squares = (_running(values, count) for values in (long, long * long))
+    length = np.sqrt(np.maximum(squares - sums * sums / count, 0.0))
+    likeness = np.einsum("nsk,nk->ns", windows, points.profiles) / np.maximum(length, 1e-6)
     best = likeness.argmax(axis=1)
     middle = np.clip(best, 1, likeness.shape[1] - 2)
     row = np.arange(len(best))
@@ -102,27 +123,30 @@ def shifts(
     curve = before - 2 * peak + after
     offset = np.where(curve < -1e-9, 0.5 * (before - after) / np.where(curve < -1e-9, curve, -1.0), 0.0)
     shift = (middle + np.clip(offset, -1.0, 1.0)) * _STEP_PX - reach_px
-    good = (best == middle) & (peak >= least_correlation) & (length[row, middle] > 4.0)
-    return shift, good
+    found = length[row, middle]
+    good = (best == middle) & (peak >= least_correlation) & (found > 4.0)
+    # A smooth thing in front looks like a faint edge anywhere; light makes all edges fainter or stronger alike.
+    gain = found / points.contrast
+    usual = float(np.median(gain[good])) if good.any() else 1.0
+    return shift, good & (gain > usual / _CONTRAST) & (gain < usual * _CONTRAST)
+
+
+def _running(values: Array, count: int) -> Array:
+    """Return (N, K - count + 1) sums of ``count`` neighbours in each row of (N, K)."""
+    total = np.pad(np.cumsum(values, axis=1), ((0, 0), (1, 0)))
+    return np.asarray(total[:, count:] - total[:, :-count])
 
 
 def _profiles(gray: npt.NDArray[np.uint8], px: Array, across: Array, half_px: float) -> Array:
     """Return (N, K) grey values across each edge, averaged over a few neighbours along it."""
     steps = np.arange(-half_px, half_px + 0.5 * _STEP_PX, _STEP_PX)
-    along = across[:, ::-1] * (-1.0, 1.0)
-    at = (
-        px[:, None, None]
-        + steps[None, :, None, None] * across[:, None, None]
-        + np.array(_BESIDE_PX)[None, None, :, None] * along[:, None, None]
-    ).astype(np.float32)
     if not len(px):
         return np.empty((0, len(steps)))
-    flat = at.reshape(len(px), -1, 2)
+    along = across[:, ::-1] * (-1.0, 1.0)
+    middle = px[:, None] + steps[None, :, None] * across[:, None]
     smooth = cv2.GaussianBlur(gray, (0, 0), 0.7)
-    values = cv2.remap(smooth, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(values.reshape(len(px), len(steps), -1).mean(axis=2), dtype=np.float64)
-
-
-def _normalised(profiles: Array) -> Array:
-    centred = profiles - profiles.mean(axis=1, keepdims=True)
-    return np.asarray(centred / np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), 1e-6))
+    total = np.zeros((len(px), len(steps)))
+    for beside in _BESIDE_PX:
+        at = (middle + beside * along[:, None]).astype(np.float32)
+        total += cv2.remap(smooth, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return total / len(_BESIDE_PX)

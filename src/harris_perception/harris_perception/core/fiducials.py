@@ -1,4 +1,4 @@
-"""Finds the markers of a panel's face: a second source of its place, which checks the first.
+"""Finds the markers of a panel's face: a second source of its pose, and a check of the first.
 
 ArUco: S. Garrido-Jurado et al., Pattern Recognition 47(6), 2014; AprilTag: E. Olson, ICRA 2011.
 The detector is OpenCV's.
@@ -13,7 +13,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.planar_pose import homography_of_pose, inverse, map_points
+from harris_perception.core.planar_pose import (
+    FacePoints,
+    fit_pose,
+    homography_of_pose,
+    inverse,
+    map_points,
+    planar_poses,
+)
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.fiducial import Fiducial, dictionary
 from icu_common.core.geometry import Array, Transform
@@ -60,6 +67,17 @@ class MarkerFinder:
                 if np.linalg.norm(raw - np.roll(raw, 1, axis=0), axis=1).min() >= _LEAST_SIDE_PX:
                     found.append(SeenMarker(dictionary=name, id=int(number), corners_px=camera.rectify(raw)))
         return found
+
+    def poses(self, seen: list[SeenMarker], camera: CameraModel) -> list[Transform]:
+        """Return the poses (none, one or two, the better first) that the layout's markers among ``seen`` go with."""
+        pairs = [(self._known[m.dictionary, m.id], m) for m in seen if (m.dictionary, m.id) in self._known]
+        if not pairs:
+            return []
+        places_m = np.vstack([known.corners_mm() for known, _ in pairs]) * 1e-3
+        pixels = np.vstack([m.corners_px for _, m in pairs])
+        measured = FacePoints.of_corners(places_m, pixels)
+        found = planar_poses(places_m, pixels, camera)
+        return [fit_pose(pose, measured, camera, floor_px=0.3).camera_from_panel for pose in found]
 
     def disagreement(
         self, seen: list[SeenMarker], camera_from_panel: Transform, camera: CameraModel, bound_mm: float

@@ -18,6 +18,11 @@ from icu_common.core.geometry import Array, Transform, nearest_rotation
 
 # Tukey's biweight at 95 % efficiency, and the median absolute deviation of a normal distribution.
 _TUKEY, _MAD = 4.685, 1.4826
+# Edge points of one line, and corners of one word, err together: their fits are so many times less certain (variance)
+# than independent points would make them. Measured on renders with known truth.
+_EDGES_SHARE, _CORNERS_SHARE = 16.0, 4.0
+# What is known of a pose before anything was measured: half a radian, half a metre.
+_UNMEASURED = 0.5
 
 FACE_POINT_COLUMNS = ("x", "y", "u", "v", "across_u", "across_v")
 """How points of a face travel."""
@@ -53,6 +58,12 @@ class FacePoints:
         )
 
     @classmethod
+    def of_corners(cls, in_face: Array, pixels: Array) -> FacePoints:
+        """Return what (N, 2) points are that were measured in both directions: 2 N points, along u and v in turn."""
+        across = np.tile(np.eye(2), (len(in_face), 1))
+        return cls(in_face=np.repeat(in_face, 2, axis=0), pixels=np.repeat(pixels, 2, axis=0), across=across)
+
+    @classmethod
     def of_rows(cls, rows: npt.NDArray[Any]) -> FacePoints:
         """Return points from (N, 6), in the order of FACE_POINT_COLUMNS."""
         values = np.asarray(rows, dtype=np.float64)
@@ -86,9 +97,42 @@ class FacePoints:
         return error, np.column_stack([scaled, -np.einsum("ni,ni->n", scaled, slopes)])
 
 
-def inverse(homography: Array) -> Array:
-    """Return the inverse of a (3, 3) homography."""
-    return np.asarray(np.linalg.inv(homography), dtype=np.float64)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PoseFit:
+    """A fitted pose and how well it is known.
+
+    Attributes
+    ----------
+    camera_from_panel
+        The pose.
+    error_px
+        (N,) residuals of the points across.
+    centre
+        (3,) m in the camera's frame: what the turn of ``covariance`` is about.
+    covariance
+        (6, 6) of a small turn about ``centre`` [rad] and a shift [m], in the camera's frame.
+    """
+
+    camera_from_panel: Transform
+    error_px: Array
+    centre: Array
+    covariance: Array
+
+    def deviation_px(self, points_m: Array, camera: CameraModel) -> Array:
+        """Return the standard deviation (N,) of where points (N, 3) m of the panel are seen, px.
+
+        It is that of the direction in which it is greatest.
+        """
+        jacobian = _by_motion(self.camera_from_panel.apply(points_m), self.centre, camera)
+        spread = jacobian @ self.covariance @ jacobian.transpose(0, 2, 1)
+        # The greater eigenvalue of a symmetric (2, 2) matrix.
+        half, apart = (spread[:, 0, 0] + spread[:, 1, 1]) / 2, (spread[:, 0, 0] - spread[:, 1, 1]) / 2
+        return np.asarray(np.sqrt(half + np.hypot(apart, spread[:, 0, 1])))
+
+
+def inverse(matrix: Array) -> Array:
+    """Return the inverse of a square matrix."""
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 def map_points(homography: Array, points: npt.NDArray[Any]) -> Array:
@@ -114,10 +158,15 @@ def homography_of_pose(camera_from_panel: Transform, camera: CameraModel) -> Arr
 
 
 def planar_pose(points_m: Array, pixels: Array, camera: CameraModel) -> Transform | None:
-    """Return camera_from_panel of at least four points (N, 2) m on a plane, seen at (N, 2) px; None without one.
+    """Return camera_from_panel of at least four points (N, 2) m on a plane, seen at (N, 2) px; None without one."""
+    return next(iter(planar_poses(points_m, pixels, camera)), None)
 
-    Infinitesimal plane-based pose estimation (T. Collins, A. Bartoli, IJCV 109(3), 2014); of its two solutions the one
-    that fits better.
+
+def planar_poses(points_m: Array, pixels: Array, camera: CameraModel) -> list[Transform]:
+    """Return the one or two poses that explain points (N, 2) m on a plane, seen at (N, 2) px, the better first.
+
+    Infinitesimal plane-based pose estimation (T. Collins, A. Bartoli, IJCV 109(3), 2014). Where the points crowd, noise
+    decides which of its two solutions fits better.
     """
     world = np.column_stack([points_m, np.zeros(len(points_m))])
     shift = world.mean(axis=0)  # the method wants the points around the origin of their plane
@@ -126,23 +175,33 @@ def planar_pose(points_m: Array, pixels: Array, camera: CameraModel) -> Transfor
             world - shift, pixels, camera.p[:, :3], np.zeros(5), flags=cv2.SOLVEPNP_IPPE
         )
     except cv2.error:
-        return None
-    if not count:
-        return None
-    best = int(np.argmin(np.ravel(errors)))
-    rotation = nearest_rotation(cv2.Rodrigues(turns[best])[0])
-    translation = np.ravel(moves[best]) - rotation @ shift
-    if not (np.isfinite(translation).all() and translation[2] > 0):
-        return None
-    return Transform(rotation, translation)
+        return []
+    found = []
+    for number in np.argsort(np.ravel(errors)) if count else ():
+        rotation = nearest_rotation(cv2.Rodrigues(turns[number])[0])
+        translation = np.ravel(moves[number]) - rotation @ shift
+        if np.isfinite(translation).all() and translation[2] > 0:
+            found.append(Transform(rotation, translation))
+    return found
 
 
 def fit_pose(
-    start: Transform, points: FacePoints, camera: CameraModel, floor_px: float = 0.1
-) -> tuple[Transform, Array]:
-    """Refine a pose by robust Gauss-Newton; return camera_from_panel and the residuals (N,) px.
+    start: Transform, points: FacePoints, camera: CameraModel, floor_px: float = 0.1, prior: PoseFit | None = None
+) -> PoseFit:
+    """Refine a pose by robust Gauss-Newton.
 
-    Residuals below a few times ``floor_px`` are never outliers.
+    Parameters
+    ----------
+    start
+        camera_from_panel.
+    points
+        What was measured.
+    camera
+        Gives the intrinsics of the rectified picture.
+    floor_px
+        Residuals below a few times this are never outliers, and no measurement is believed to be better.
+    prior
+        What is known of the pose from elsewhere, weighted by its covariance.
     """
     world, pose = points.in_space, start
     for _ in range(20):
@@ -151,19 +210,97 @@ def fit_pose(
         # Turn about the seen centre, so that rotation and translation hardly disturb one another.
         centre = seen.mean(axis=0)
         rows = np.column_stack([np.einsum("nj,njk->nk", by_point, -cross(seen - centre)), by_point])
-        weight = tukey(error, floor_px)
-        step = np.linalg.lstsq(rows * weight[:, None], error * weight, rcond=None)[0]
+        weight = tukey(error, floor_px) / _scale(error, floor_px)
+        weighted = rows * weight[:, None]
+        information, pull = weighted.T @ weighted, weighted.T @ (error * weight)
+        if prior is not None:
+            off, known = _from_prior(prior, pose, centre)
+            information, pull = information + known, pull + known @ off
+        if not (np.isfinite(information).all() and np.isfinite(pull).all()):
+            information = np.zeros((6, 6))  # a wild start has run away: nothing is known of such a pose
+            break
+        step = np.linalg.lstsq(information, pull, rcond=None)[0]
         turn = np.asarray(cv2.Rodrigues(step[:3])[0], dtype=np.float64)
         pose = Transform(nearest_rotation(turn @ pose.rotation), turn @ (pose.translation - centre) + centre + step[3:])
         if np.abs(step).max() < 1e-9:
             break
-    return pose, points.residuals(pose.apply(world), camera)[0]
+    return PoseFit(
+        camera_from_panel=pose,
+        error_px=points.residuals(pose.apply(world), camera)[0],
+        centre=centre,
+        covariance=inverse(information + np.eye(6) / _UNMEASURED**2),
+    )
+
+
+def with_plane(fit: PoseFit, plane_pose: Transform, covariance: Array, most_off: float = 3.0) -> PoseFit | None:
+    """Improve a pose by a plane that was measured otherwise, each weighted by its covariance.
+
+    Parameters
+    ----------
+    fit
+        The pose and its covariance.
+    plane_pose
+        camera_from_plane: a point of the plane, z along its normal.
+    covariance
+        (6, 6) of that, as :class:`~harris_perception.core.plane_fit.PlaneFit` has it.
+    most_off
+        Standard deviations by which the two may differ; None is returned where they differ more: it is another plane.
+    """
+    normal, point = plane_pose.rotation[:, 2], plane_pose.translation
+    before, covariance = _EDGES_SHARE * fit.covariance, _CORNERS_SHARE * covariance
+    # The plane's place is compared at three of its points, an arm's length of 0.1 m apart.
+    places = point + 0.1 * np.array([np.zeros(3), plane_pose.rotation[:, 0], plane_pose.rotation[:, 1]])
+    measured = np.column_stack([np.tile(normal, (3, 1)), np.cross(places - point, normal)])
+    noise = measured @ covariance @ measured.T
+    pose = fit.camera_from_panel
+    face = pose.rotation[:, 2]
+    jacobian = -np.column_stack([np.cross(places - fit.centre, face), np.tile(face, (3, 1))])
+    apart = (places - pose.translation) @ face
+    expected = jacobian @ before @ jacobian.T + noise
+    if float(apart @ np.linalg.solve(expected, apart)) > 3 * most_off**2:
+        return None
+    gain = np.linalg.solve(expected, jacobian @ before).T
+    step = -gain @ apart
+    turn = np.asarray(cv2.Rodrigues(step[:3])[0], dtype=np.float64)
+    moved = Transform(
+        nearest_rotation(turn @ pose.rotation), turn @ (pose.translation - fit.centre) + fit.centre + step[3:]
+    )
+    return PoseFit(
+        camera_from_panel=moved,
+        error_px=fit.error_px,
+        centre=fit.centre + step[3:],
+        covariance=before - gain @ jacobian @ before,
+    )
+
+
+def _from_prior(prior: PoseFit, pose: Transform, centre: Array) -> tuple[Array, Array]:
+    """Return the step (6,) from ``pose`` to the prior's pose, and its information (6, 6), about ``centre``."""
+    turn = prior.camera_from_panel.rotation @ pose.rotation.T
+    move = prior.camera_from_panel.translation - turn @ (pose.translation - centre) - centre
+    # A turn w about the prior's centre moves ``centre`` by w x (centre - prior.centre).
+    shift = np.eye(6)
+    shift[3:, :3] = -cross((centre - prior.centre)[None])[0]
+    step = np.concatenate([cv2.Rodrigues(turn)[0][:, 0], move]).astype(np.float64)
+    return step, np.asarray(np.linalg.inv(shift @ prior.covariance @ shift.T), np.float64)
+
+
+def _by_motion(seen: Array, centre: Array, camera: CameraModel) -> Array:
+    """Return (N, 2, 6) derivatives of the pixels of points (N, 3) by a turn about ``centre`` and a shift."""
+    focal = np.array([camera.p[0, 0], camera.p[1, 1]])
+    by_point = np.zeros((len(seen), 2, 3))
+    by_point[:, (0, 1), (0, 1)] = focal / seen[:, 2:]
+    by_point[:, :, 2] = -focal * seen[:, :2] / seen[:, 2:] ** 2
+    return np.concatenate([by_point @ -cross(seen - centre), by_point], axis=2)
+
+
+def _scale(error: Array, floor: float) -> float:
+    """Return the standard deviation of residuals around zero but for outliers, at least ``floor``."""
+    return max(_MAD * float(np.median(np.abs(error))), floor)
 
 
 def tukey(error: Array, floor: float) -> Array:
     """Return square roots of Tukey's weights for residuals around zero."""
-    scale = max(_MAD * float(np.median(np.abs(error))), floor)
-    return np.asarray(1 - np.minimum(np.abs(error) / (_TUKEY * scale), 1.0) ** 2)
+    return np.asarray(1 - np.minimum(np.abs(error) / (_TUKEY * _scale(error, floor)), 1.0) ** 2)
 
 
 def cross(vectors: Array) -> Array:

@@ -46,6 +46,9 @@ class PlaneFit:
         Root mean square of the inliers' distance from it.
     share
         Inliers over all points.
+    covariance
+        (6, 6) of the pose in ROS's order, in the frame's axes: a shift [m], and a turn about ``centre`` [rad]. A plane
+        tells only the shift along its normal and two turns; the rest is zero, not known.
     """
 
     plane: Plane
@@ -53,6 +56,7 @@ class PlaneFit:
     inlier: npt.NDArray[np.bool_]
     rms_m: float
     share: float
+    covariance: Array
 
     def pose(self) -> Transform:
         """Return frame_from_plane: z is the normal, x the frame's own x as far as it lies in the plane."""
@@ -110,7 +114,39 @@ def fit_plane(
     plane = Plane(-coefficients / length, -1 / length)
     middle = design[inlier].mean(axis=0)
     rms = float(np.sqrt(np.mean(plane.distance(xyz[inlier]) ** 2)))
-    return PlaneFit(plane=plane, centre=middle / (middle @ coefficients), inlier=inlier, rms_m=rms, share=share)
+    centre = middle / (middle @ coefficients)
+    w = weight[inlier]
+    misfit = (design[inlier] @ coefficients - inverse[inlier]) * w
+    scale = max(1.0, float(misfit @ misfit) / max(len(w) - 3, 1))
+    spread = scale * np.linalg.inv((design[inlier] * w[:, None]).T @ (design[inlier] * w[:, None]))
+    return PlaneFit(
+        plane=plane,
+        centre=centre,
+        inlier=inlier,
+        rms_m=rms,
+        share=share,
+        covariance=_pose_covariance(plane.normal, centre, coefficients, np.asarray(spread, np.float64)),
+    )
+
+
+def _pose_covariance(normal: Array, centre: Array, coefficients: Array, spread: Array) -> Array:
+    """Return (6, 6) from the covariance (3, 3) of the inverse depth's coefficients; see :class:`PlaneFit`."""
+    x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    x /= np.linalg.norm(x)
+    y = np.cross(normal, x)
+    arms = np.array([0.0 * x, x, y])
+    rays = centre + 0.1 * arms
+    rays = rays / rays[:, 2:]
+    depth = 1 / (rays @ coefficients)
+    points = rays * depth[:, None]
+    # A change of the coefficients moves each point along its ray; so does a shift along the normal with two turns.
+    by_coefficients = -(depth**2 * (rays @ normal))[:, None] * rays
+    arm = np.cross(points - centre, normal)
+    by_pose = np.column_stack([np.ones(3), arm @ x, arm @ y])
+    change = np.linalg.solve(by_pose, by_coefficients)
+    axes = np.zeros((6, 3))
+    axes[:3, 0], axes[3:, 1], axes[3:, 2] = normal, x, y
+    return np.asarray(axes @ change @ spread @ change.T @ axes.T)
 
 
 def _consensus(

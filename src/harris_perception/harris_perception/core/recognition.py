@@ -1,10 +1,15 @@
 """Finds the designated panel in a picture and gives its pose.
 
 A new panel is searched by descriptors at Harris corners, matched with those of a template pyramid, under a robust
-homography (RANSAC). A found one is refined by warping the picture onto the template and measuring with optical flow,
-forward and backward, what is still amiss; the same step follows it from frame to frame. The template's edges (where the
-Harris response is negative) are then measured across, which is most of what a drawn panel shows, and give the pose. A
-patchwise correlation with the template decides whether to believe it, and several frames must agree before it counts.
+homography (RANSAC). Every pose that its matches suggest is measured, and the one that most print agrees with is judged:
+a strip of matches, all that a hand may leave, goes with two poses about equally well. A pose is refined by warping the
+picture onto the template and measuring with optical flow, forward and backward, what is still amiss; the same step
+follows it from frame to frame. The template's edges (where the Harris response is negative) are then measured across,
+which is most of what a drawn panel shows, and give the pose.
+
+A patchwise correlation with the template decides whether to believe it, and several frames must agree before it counts.
+Few patches may agree, for most of the panel may be hidden; but where some do their neighbours must, and few may show
+other print instead, as another panel does.
 
 Only what is printed on the face is used: controls stand proud (parallax), screens and lamps change. Text is good for
 finding the panel; where it was drawn from the layout its typeface is not the maker's, and it measures nothing.
@@ -12,7 +17,9 @@ finding the panel; where it was drawn from the layout its typeface is not the ma
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,17 +32,34 @@ from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_template import PanelTemplate, hidden_by_controls, panel_template
 from harris_perception.core.planar_pose import (
     FacePoints,
+    PoseFit,
     fit_pose,
     homography_of_pose,
     inverse,
     map_points,
-    pose_of_homography,
+    planar_poses,
 )
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, ConfigError, nested, setting
 from icu_common.core.geometry import Array, Transform, nearest_rotation
 from icu_common.core.panel_layout import PanelLayout
 
+# A sighting that more of the face agrees with is not compared with others.
+_SURE = 0.6
+# The template is tried as a picture so blurred (px) shows it; it must look that much more like the picture than the one
+# before. A tracked panel's blur is tried anew in every so many pictures.
+_BLURS_PX = (0.0, 1.0, 1.6, 2.3)
+_BLURRED = 0.01
+_BLUR_EVERY = 10
+# The corners are mostly text, whose typeface is not the maker's, and a word's corners err together: their covariance
+# counts so many times.
+_TYPEFACE = 4.0
+# Most patches of a place; the part of a print's variance from which on it is print.
+_MOST = 0.6
+_PRINT = 0.25
+# How much larger a picture is searched that shows no panel as it is, and every how many such pictures.
+_ENLARGED = 1.5
+_ENLARGE_EVERY = 5
 Gray = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]
 
@@ -58,6 +82,9 @@ class SearchConfig(Config):
     )
     tolerance_px: float = setting(3.0, "Misfit of a match", minimum=0.5, maximum=20.0, unit="px")
     min_matches: int = setting(10, "Matches under the homography", minimum=6, maximum=1000)
+    hypotheses: int = setting(
+        3, "Homographies that are tried, each from the matches that those before left", minimum=1, maximum=20
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +97,9 @@ class RefineConfig(Config):
     round_trip_px: float = setting(0.4, "Forward and backward flow may differ", minimum=0.01, maximum=5.0, unit="px")
     tolerance_px: float = setting(0.8, "Misfit of a measured point", minimum=0.1, maximum=10.0, unit="px")
     min_points: int = setting(20, "Points that fit", minimum=6, maximum=5000)
-    min_spread: float = setting(0.05, "Part of the face that the points span", minimum=0.0, maximum=1.0)
+    max_deviation_px: float = setting(
+        0.45, "Standard deviation to which the pose must tell every place of the face", minimum=0.01, maximum=20.0
+    )
     edge_points: int = setting(30, "Edge points that fit", minimum=8, maximum=5000)
     max_edge_points: int = setting(1000, "Edge points that are measured", minimum=50, maximum=20000)
     edge_reach_px: float = setting(5.0, "Greatest distance of an edge", minimum=1.0, maximum=30.0, unit="px")
@@ -80,8 +109,12 @@ class RefineConfig(Config):
     edge_correlation: float = setting(0.75, "Likeness of the profiles across an edge", minimum=0.1, maximum=1.0)
     patch_mm: float = setting(6.0, "Side of a patch of the correlation", minimum=1.0, maximum=100.0, unit="mm")
     patch_correlation: float = setting(0.6, "A patch agrees from here on", minimum=0.1, maximum=1.0)
+    min_purity: float = setting(0.94, "Part of the patches that agree where most around do", minimum=0.0, maximum=1.0)
+    max_contradiction: float = setting(
+        0.8, "Patches that show other print than the template's, over those that agree", minimum=0.0, maximum=10.0
+    )
     min_agreement: float = setting(
-        0.3,
+        0.2,
         "Agreeing part of the face's textured patches, hidden ones not agreeing",
         minimum=0.05,
         maximum=1.0,
@@ -117,10 +150,33 @@ class RecognitionConfig(Config):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Patches:
-    """The face's textured, visible patches: their centres (N, 2) in mm, and (N,) which look like the template."""
+    """The face's textured patches that no control hides.
+
+    Attributes
+    ----------
+    centres_mm
+        (N, 2) mm.
+    agreeing
+        (N,) which look like the template.
+    likeness
+        Mean correlation of those, 0 without one.
+    purity
+        Where most patches of a place agree, the part that does: print that is partly hidden agrees nearly everywhere
+        that it can be seen, a wrong pose here and there.
+    contradiction
+        The part that shows other print in the place of the template's, which a hand does not.
+    """
 
     centres_mm: Array
     agreeing: npt.NDArray[np.bool_]
+    likeness: float = 0.0
+    purity: float = 0.0
+    contradiction: float = 0.0
+
+    @property
+    def count(self) -> int:
+        """How many agree."""
+        return int(self.agreeing.sum())
 
     @property
     def agreement(self) -> float:
@@ -138,25 +194,33 @@ class Sighting:
         (3, 3) homography from the face's mm to rectified pixels.
     camera_from_panel
         Pose in the camera's rectified frame, metres.
-    agreement
-        Agreeing part of the face's textured patches, 0 to 1.
     points
         The measured points that fit.
     rms_px
         Their misfit under the pose.
+    deviation_px
+        Standard deviation to which the pose tells where the face's corners are seen.
     tracked
         Followed from the frame before rather than searched.
     patches
         Where on the face the print agrees.
+    fit
+        The pose with its covariance.
     """
 
     rectified_from_mm: Array
     camera_from_panel: Transform
-    agreement: float
     points: FacePoints
     rms_px: float
+    deviation_px: float
     tracked: bool
     patches: Patches
+    fit: PoseFit
+
+    @property
+    def agreement(self) -> float:
+        """Agreeing part of the face's textured patches, 0 to 1."""
+        return self.patches.agreement
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,6 +266,10 @@ class PanelRecogniser:
         self.config = config if config is not None else RecognitionConfig()
         search = self.config.search
         detector = HarrisDetector(harris)
+        fine = HarrisConfig() if harris is None else harris
+        self._fine_detector = HarrisDetector(
+            dataclasses.replace(fine, relative_threshold=0.3 * fine.relative_threshold)
+        )
         scales = [search.px_per_mm / search.factor**k for k in range(search.levels)]
         self._levels = [
             _level(panel_template(layout, scale, picture, picture_px_per_mm), detector)
@@ -222,12 +290,18 @@ class PanelRecogniser:
         )
         self._maps: tuple[CameraModel, tuple[Any, Any]] | None = None
         self._last: Sighting | None = None
+        self._failures = self._tracked = 0
+        self._blur_px = 0.0
+        self._soft: dict[tuple[int, float], _Level] = {}
 
     def forget(self) -> None:
         """Search the next picture from nothing."""
         self._last = None
+        self._failures = 0
 
-    def locate(self, gray: Gray, corners_px: npt.ArrayLike, camera: CameraModel) -> Sighting | None:
+    def locate(
+        self, gray: Gray, corners_px: npt.ArrayLike, camera: CameraModel, suggested: Sequence[Transform] = ()
+    ) -> Sighting | None:
         """Find the panel in a raw picture, or return None.
 
         Parameters
@@ -238,6 +312,8 @@ class PanelRecogniser:
             (N, 2) its Harris corners in raw pixels by falling response.
         camera
             The camera that took it.
+        suggested
+            Poses (camera_from_panel) from elsewhere, where a search looks first; judged as any other.
 
         Raises
         ------
@@ -250,21 +326,77 @@ class PanelRecogniser:
         sighting = self._track(rectified, camera) if self._last is not None else None
         if sighting is None:
             raw = np.asarray(corners_px, dtype=np.float64).reshape(-1, 2)[: self.config.search.max_corners]
-            found = self.search(rectified, camera.rectify(raw).astype(np.float32))
-            start = None if found is None else self._by_corners(rectified, found, camera)
-            sighting = None if start is None else self._measure(rectified, start, camera, tracked=False)
+            best = self._best(rectified, suggested, camera)
+            if best is None or not self._believed(best):
+                best = self._find(rectified, camera.rectify(raw).astype(np.float32), camera)
+            if best is None and self._failures % _ENLARGE_EVERY == 0:
+                best = self._find_enlarged(rectified, camera)
+            sighting = best if best is not None and self._believed(best) else None
+        self._failures = 0 if sighting is not None else self._failures + 1
         self._last = sighting
         return sighting
+
+    def _find(self, rectified: Gray, corners_px: Floats, camera: CameraModel) -> Sighting | None:
+        matched = ((places, pixels) for _, places, pixels in self._matched(rectified, corners_px))
+        return self._best(rectified, self._suggested(matched, camera), camera)
+
+    def _find_enlarged(self, rectified: Gray, camera: CameraModel) -> Sighting | None:
+        """Search the picture enlarged: its descriptors see less around a corner, and that is more often unhidden."""
+        size = tuple(round(_ENLARGED * side) for side in rectified.shape[::-1])
+        larger = np.asarray(cv2.resize(rectified, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+        corners = self._fine_detector.detect(larger).xy[: self.config.search.max_corners].astype(np.float32)
+        matched = ((places, (pixels + 0.5) / _ENLARGED - 0.5) for _, places, pixels in self._matched(larger, corners))
+        return self._best(rectified, self._suggested(matched, camera), camera)
+
+    def _best(self, rectified: Gray, poses: Iterable[Transform], camera: CameraModel) -> Sighting | None:
+        """Measure at all suggested poses, and return what most print agrees with, not yet judged.
+
+        Where that cannot be believed, what is less likely must not take its place: it would be wrong.
+        """
+        best: Sighting | None = None
+        blur_px = 0.0
+        for pose in poses:
+            self._blur_px = 0.0
+            start = self._by_corners(rectified, pose, camera)
+            if start is None:
+                continue
+            self._blur_px = self._blur(rectified, start.camera_from_panel, camera)
+            sighting = self._measure(rectified, start, camera, tracked=False)
+            if sighting is not None and (best is None or sighting.patches.count > best.patches.count):
+                best, blur_px = sighting, self._blur_px
+                if best.agreement > _SURE and self._believed(best):
+                    break
+        self._blur_px = blur_px
+        return best
 
     def _track(self, rectified: Gray, camera: CameraModel) -> Sighting | None:
         """Look near the last sighting: by the edges alone; by the corners first where those find less than before."""
         assert self._last is not None
-        last = self._last.rectified_from_mm
+        last = self._last.camera_from_panel
+        self._tracked += 1
+        if self._tracked % _BLUR_EVERY == 0:
+            self._blur_px = self._blur(rectified, last, camera)
         sighting = self._measure(rectified, last, camera, tracked=True)
+        if sighting is not None and not self._believed(sighting):
+            sighting = None
         if sighting is not None and sighting.agreement > 0.9 * self._last.agreement:
             return sighting
         start = self._by_corners(rectified, last, camera)
-        return sighting if start is None else self._measure(rectified, start, camera, tracked=True) or sighting
+        if start is None:
+            return sighting
+        self._blur_px = self._blur(rectified, start.camera_from_panel, camera)
+        again = self._measure(rectified, start, camera, tracked=True)
+        return again if again is not None and self._believed(again) else sighting
+
+    def _believed(self, sighting: Sighting) -> bool:
+        """Tell whether enough print agrees, nearly all of it where any does, and whether that fixes the whole face."""
+        config, patches = self.config.refine, sighting.patches
+        return (
+            patches.agreement >= config.min_agreement
+            and patches.purity >= config.min_purity
+            and patches.contradiction <= config.max_contradiction * patches.agreement
+            and sighting.deviation_px <= config.max_deviation_px
+        )
 
     def _rectify(self, gray: Gray, camera: CameraModel) -> Gray:
         if self._maps is None or self._maps[0] is not camera:
@@ -283,73 +415,97 @@ class PanelRecogniser:
         corners_px
             (N, 2) float32 its corners by falling response.
         """
+        return next((homography for homography, _, _ in self._matched(rectified, corners_px)), None)
+
+    def _matched(self, rectified: Gray, corners_px: Floats) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield homographies, the likeliest first, with the places (N, 2) mm and pixels (N, 2) that agree on each."""
         search = self.config.search
-        if len(corners_px) < search.min_matches:
-            return None
         descriptors, kept = self._describe(rectified, corners_px)
         if len(kept) < search.min_matches:
-            return None
+            return
         query, place = _matches(descriptors, self._descriptors, self._places_mm, search)
-        if len(query) < search.min_matches:
-            return None
-        fitted = _homography(
-            self._places_mm[place], corners_px[kept][query].astype(np.float64), search.tolerance_px, search.min_matches
-        )
-        return None if fitted is None else fitted[0]
+        places, pixels = self._places_mm[place], corners_px[kept][query].astype(np.float64)
+        for _ in range(search.hypotheses):
+            if len(places) < search.min_matches:
+                return
+            fitted = _homography(places, pixels, search.tolerance_px, search.min_matches)
+            if fitted is None:
+                return
+            homography, used = fitted
+            yield homography, places[used], pixels[used]
+            places, pixels = places[~used], pixels[~used]
 
-    def _measure(self, rectified: Gray, start: Array, camera: CameraModel, *, tracked: bool) -> Sighting | None:
-        """Measure the panel near ``start`` (rectified_from_mm) and judge it; None when it is not there."""
+    def _suggested(self, matched: Iterable[tuple[Array, Array]], camera: CameraModel) -> Iterator[Transform]:
+        """Yield the poses that places (N, 2) mm and pixels (N, 2) go with."""
+        for places_mm, pixels in matched:
+            for pose in planar_poses(places_mm * 1e-3, pixels, camera):
+                yield fit_pose(
+                    pose, FacePoints.of_corners(places_mm * 1e-3, pixels), camera, floor_px=1.0
+                ).camera_from_panel
+
+    def _measure(
+        self, rectified: Gray, start: PoseFit | Transform, camera: CameraModel, *, tracked: bool
+    ) -> Sighting | None:
+        """Measure the panel near ``start`` and judge it; None when it is not there."""
         measured = self._by_edges(rectified, start, camera)
         if measured is None:
             return None
-        pose, points, rms = measured
+        fit, points, rms = measured
+        pose = fit.camera_from_panel
         homography = homography_of_pose(pose, camera)
         level = self._level_for(homography)
         if level is None:
             return None
-        patches = self._patches(level, self._visible(level, pose), self._warp(rectified, homography, level))
-        agreement = patches.agreement
-        if agreement < self.config.refine.min_agreement:
-            return None
         return Sighting(
             rectified_from_mm=homography,
             camera_from_panel=pose,
-            agreement=agreement,
             points=points,
             rms_px=rms,
+            deviation_px=float(fit.deviation_px(self._outline_m(), camera).max()),
             tracked=tracked,
-            patches=patches,
+            patches=self._patches(level, self._visible(level, pose), self._warp(rectified, homography, level)),
+            fit=fit,
         )
 
-    def _by_corners(self, rectified: Gray, start: Array, camera: CameraModel) -> Array | None:
-        """Return rectified_from_mm after following the template's corners: robust, coarse."""
-        homography = start
+    def _outline_m(self) -> Array:
+        width, height = (1e-3 * side for side in self.layout.size_mm)
+        return np.array([(0.0, 0.0, 0.0), (width, 0.0, 0.0), (width, height, 0.0), (0.0, height, 0.0)])
+
+    def _by_corners(self, rectified: Gray, start: Transform, camera: CameraModel) -> PoseFit | None:
+        """Return the pose after following the template's corners: robust, coarse."""
+        pose, fit = start, None
         for _ in range(2):
+            homography = homography_of_pose(pose, camera)
             level = self._level_for(homography)
-            pose = pose_of_homography(homography, self.layout.size_mm, camera) if level is not None else None
-            if level is None or pose is None:
+            if level is None:
                 return None
             warped = self._warp(rectified, homography, level)
             flow = _flow(level, self._visible(level, pose), warped, self.config.refine)
             if flow is None:
                 return None
             pixels = map_points(homography @ inverse(level.template.px_from_mm), flow[1])
-            fitted = _fit(flow[0], pixels, self.config.refine, self.layout.size_mm)
+            fitted = _homography(flow[0], pixels, self.config.refine.tolerance_px, self.config.refine.min_points)
             if fitted is None:
                 return None
-            homography = fitted
-        return homography
+            used = fitted[1]
+            fit = fit_pose(pose, FacePoints.of_corners(flow[0][used] * 1e-3, pixels[used]), camera)
+            pose = fit.camera_from_panel
+        return fit
 
     def _by_edges(
-        self, rectified: Gray, start: Array, camera: CameraModel
-    ) -> tuple[Transform, FacePoints, float] | None:
-        """Return camera_from_panel, the edge points that fit, and their rms misfit in px."""
+        self, rectified: Gray, start: PoseFit | Transform, camera: CameraModel
+    ) -> tuple[PoseFit, FacePoints, float] | None:
+        """Return the pose, the edge points that fit, and their rms misfit in px.
+
+        Where a pose comes from a few crowded points, far edges are measured only once the nearer ones have told where
+        to look for them.
+        """
         config = self.config.refine
-        pose = pose_of_homography(start, self.layout.size_mm, camera)
-        measured, error = FacePoints.joined([]), np.empty(0)
-        for reach in (config.edge_reach_px, 0.5 * config.edge_reach_px, 2.0):
-            if pose is None:
-                return None
+        fit = start if isinstance(start, PoseFit) else None
+        prior = None if fit is None else dataclasses.replace(fit, covariance=fit.covariance * _TYPEFACE)
+        pose = start.camera_from_panel if isinstance(start, PoseFit) else start
+        turns = 0
+        while True:
             homography = homography_of_pose(pose, camera)
             level = self._level_for(homography)
             if level is None:
@@ -359,6 +515,18 @@ class PanelRecogniser:
             usable = np.flatnonzero(seen)
             count = min(len(usable), config.max_edge_points)
             edges = level.edges.chosen(usable[np.linspace(0, len(usable) - 1, count).astype(int)])
+            reach = (config.edge_reach_px, 0.5 * config.edge_reach_px, 2.0)[min(turns, 2)]
+            known = np.ones(count, bool)
+            if fit is not None and count:
+                places_m = np.column_stack([map_points(inverse(level.template.px_from_mm), edges.px), np.zeros(count)])
+                known = 3 * fit.deviation_px(places_m * 1e-3, camera) < reach
+                if not known.all():
+                    reach = config.edge_reach_px
+                    known = 3 * fit.deviation_px(places_m * 1e-3, camera) < reach
+            complete = bool(known.all())
+            edges = edges.chosen(known)
+            if len(edges) < config.edge_points:
+                return None
             moved, good = shifts(edges, self._warp(rectified, homography, level), reach, config.edge_correlation)
             if int(good.sum()) < config.edge_points:
                 return None
@@ -372,12 +540,32 @@ class PanelRecogniser:
             across /= np.linalg.norm(across, axis=1, keepdims=True)
             points_m = map_points(inverse(level.template.px_from_mm), edges.px) * 1e-3
             measured = FacePoints(in_face=points_m, pixels=pixels, across=across)
-            pose, error = fit_pose(pose, measured, camera)
+            fit = fit_pose(pose, measured, camera, prior=prior)
+            pose = fit.camera_from_panel
+            turns += 1
+            if (complete and turns >= 3) or turns >= 8:
+                break
+        error = fit.error_px
         near = np.abs(error) < max(3 * 1.4826 * float(np.median(np.abs(error))), 0.3)
         rms = float(np.sqrt(np.mean(error[near] ** 2)))
-        if pose is None or int(near.sum()) < max(config.edge_points, 0.5 * len(error)) or rms > config.max_rms_px:
+        if int(near.sum()) < max(config.edge_points, 0.5 * len(error)) or rms > config.max_rms_px:
             return None
-        return pose, measured.chosen(near), rms
+        return fit, measured.chosen(near), rms
+
+    def _blur(self, rectified: Gray, pose: Transform, camera: CameraModel) -> float:
+        """Return by how much (px) the template must be blurred to look most like the picture."""
+        homography = homography_of_pose(pose, camera)
+        before = self._blur_px
+        likeness: dict[float, float] = {}
+        for self._blur_px in _BLURS_PX:
+            level = self._level_for(homography)
+            if level is None:
+                return 0.0
+            if not likeness:
+                visible, warped = self._visible(level, pose), self._warp(rectified, homography, level)
+            likeness[self._blur_px] = self._patches(level, visible, warped).likeness
+        best = max(likeness, key=lambda blur: likeness[blur])
+        return best if likeness[best] > likeness[before] + _BLURRED else before
 
     def _level_for(self, homography: Array) -> _Level | None:
         """Return the level whose scale is nearest to the picture's; None for a homography that no camera makes."""
@@ -397,7 +585,21 @@ class PanelRecogniser:
         scale = np.sqrt(area / (width * height))
         if not 0.5 * self._levels[-1].template.px_per_mm < scale < 2.5 * self._levels[0].template.px_per_mm:
             return None
-        return min(self._levels, key=lambda level: abs(np.log(level.template.px_per_mm / scale)))
+        number = int(np.argmin([abs(np.log(level.template.px_per_mm / scale)) for level in self._levels]))
+        return self._levels[number] if self._blur_px == 0.0 else self._softened(number, self._blur_px)
+
+    def _softened(self, number: int, blur_px: float) -> _Level:
+        """Return a level as a blurred picture shows it."""
+        if (number, blur_px) not in self._soft:
+            sharp = self._levels[number]
+            gray = np.asarray(cv2.GaussianBlur(sharp.template.gray, (0, 0), blur_px), np.uint8)
+            self._soft[number, blur_px] = dataclasses.replace(
+                sharp,
+                template=dataclasses.replace(sharp.template, gray=gray),
+                even=even_out(gray),
+                edges=edge_points(gray, sharp.template.exact, 4.0 + blur_px),
+            )
+        return self._soft[number, blur_px]
 
     def _visible(self, level: _Level, pose: Transform, margin_px: int = 0) -> npt.NDArray[np.bool_]:
         """Return where steady print is not hidden by proud controls, at least ``margin_px`` away from them."""
@@ -435,11 +637,20 @@ class PanelRecogniser:
         var_b = np.maximum(blocks(weight * b * b) / full - mean_b**2, 0)
         correlation = (blocks(weight * a * b) / full - mean_a * mean_b) / np.sqrt(var_a * var_b + 1e-6)
         textured = (count > 0.3 * side * side) & (var_a > 36.0)
+        agreeing = textured & (correlation > config.patch_correlation)
+        around: Any = {"ddepth": -1, "ksize": (3, 3), "normalize": False, "borderType": cv2.BORDER_CONSTANT}
+        there, agreed = (cv2.boxFilter(values.astype(np.float64), **around) for values in (textured, agreeing))
+        seen = textured & (agreed > _MOST * there)
         row, column = np.nonzero(textured)
         centres = (np.column_stack([column, row]) + 0.5) * side - 0.5
+        gain = float(np.median(var_b[agreeing] / var_a[agreeing])) if agreeing.any() else 1.0
+        contradicting = textured & ~agreeing & (var_b > _PRINT * gain * var_a)
         return Patches(
             centres_mm=map_points(inverse(level.template.px_from_mm), centres),
-            agreeing=np.asarray(correlation[textured] > config.patch_correlation),
+            agreeing=agreeing[textured],
+            likeness=float(correlation[agreeing].mean()) if agreeing.any() else 0.0,
+            purity=float(agreeing[seen].mean()) if seen.any() else 0.0,
+            contradiction=float(contradicting.sum() / max(int(textured.sum()), 1)),
         )
 
 
@@ -532,16 +743,6 @@ def _flow(
     if int(good.sum()) < config.min_points:
         return None
     return level.corners_mm[usable[good]], forward[good, 0].astype(np.float64)
-
-
-def _fit(points_mm: Array, pixels: Array, config: RefineConfig, size_mm: tuple[float, float]) -> Array | None:
-    """Return rectified_from_mm; None when too few points fit or they crowd in one place."""
-    fitted = _homography(points_mm, pixels, config.tolerance_px, config.min_points)
-    if fitted is None:
-        return None
-    homography, used = fitted
-    hull = cv2.convexHull(points_mm[used].astype(np.float32))
-    return homography if cv2.contourArea(hull) >= config.min_spread * size_mm[0] * size_mm[1] else None
 
 
 def _homography(

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Float32, String
@@ -22,7 +22,7 @@ from harris_perception.core.fiducials import MarkerFinder, SeenMarker
 from harris_perception.core.gray import bgr_of, gray_of
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
-from harris_perception.core.planar_pose import FACE_POINT_COLUMNS
+from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, with_plane
 from harris_perception.core.recognition import PanelRecogniser, PoseAgreement, RecognitionConfig, Sighting
 from harris_perception.nodes.panel_teacher import PanelTeacher
 from icu_common.core.camera_model import CameraModel
@@ -37,6 +37,7 @@ from icu_common.nodes.conversions import (
     cloud_array,
     cloud_message,
     controls_message,
+    covariance_array,
     diagnostic_status,
     header,
     image_array,
@@ -45,6 +46,7 @@ from icu_common.nodes.conversions import (
     pose_message,
     same_camera,
     stamp_ns,
+    transform_of_pose,
 )
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
@@ -80,6 +82,14 @@ class RecognitionNodeConfig(Config):
         maximum=5.0,
         unit="s",
     )
+    plane_max_age_s: float = setting(
+        0.0,
+        "The pose is improved by a stereo plane of a picture so near in time; 0: by none, and stereo need not run",
+        minimum=0.0,
+        maximum=5.0,
+        unit="s",
+        read_only=True,
+    )
     marker_bound_mm: float = setting(
         2.0, "The panel by its markers and by its print may differ by so much", minimum=0.1, maximum=100.0, unit="mm"
     )
@@ -104,6 +114,8 @@ class RecognitionNode(Node):
         self._busy_s, self._seen = 0.0, (0, 0, 0)
         self._sighting: Sighting | None = None
         self._tip: tuple[int, Array] | None = None
+        self._plane: tuple[int, Transform, Array] | None = None
+        self._improved = 0
         self._alarm = ""
         self._alarm_out = self.create_publisher(String, "alarm", qos.LATCHED)
         self._alarm_out.publish(String(data=""))
@@ -117,6 +129,8 @@ class RecognitionNode(Node):
         self.create_subscription(CameraInfo, "camera_info", self._on_camera, qos.SENSOR)
         self.create_subscription(PointCloud2, "corners", self._on_corners, qos.SENSOR)
         self.create_subscription(PointStamped, "tip", self._on_tip, qos.SENSOR)
+        if self._live.config.plane_max_age_s > 0:
+            self.create_subscription(PoseWithCovarianceStamped, "plane", self._on_plane, qos.SENSOR)
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
         self.create_timer(_TICK_S, self._on_tick)
         self.create_timer(1.0, self._report)
@@ -179,6 +193,23 @@ class RecognitionNode(Node):
             return
         self._tip = stamp_ns(message.header.stamp), point_array(message)
 
+    def _on_plane(self, message: PoseWithCovarianceStamped) -> None:
+        try:
+            check_frame(message.header, CAMERA_LEFT)
+            plane = transform_of_pose(message.pose.pose)
+            self._plane = stamp_ns(message.header.stamp), plane, covariance_array(message)
+        except ValueError as error:
+            self.get_logger().error(f"plane: {error}", throttle_duration_sec=5.0)
+
+    def _with_plane(self, sighting: Sighting, stamp: int) -> Transform:
+        """Return the sighting's pose, improved by the stereo plane where there is one that goes with it."""
+        if self._plane is not None and abs(stamp - self._plane[0]) <= 1e9 * self._live.config.plane_max_age_s:
+            better = with_plane(sighting.fit, self._plane[1], self._plane[2])
+            if better is not None:
+                self._improved += 1
+                return better.camera_from_panel
+        return sighting.camera_from_panel
+
     def _on_tick(self) -> None:
         self._try_waiting()
         if self._confidence > 0 and time.monotonic() - self._last_seen_s > self._live.config.silence_s:
@@ -205,11 +236,14 @@ class RecognitionNode(Node):
             xy = corners if corners is not None else self._detector.detect(gray).xy
             camera = self._camera[1]
             markers = self._markers.find(gray, camera)
-            sighting = self._recogniser.locate(gray, xy, camera)
+            sighting = self._recogniser.locate(gray, xy, camera, self._markers.poses(markers, camera))
             self._compare(markers, sighting)
         except ValueError as error:
             self.get_logger().error(f"picture refused: {error}", throttle_duration_sec=5.0)
-        pose = self._agreement.add(None if sighting is None or self._alarm else sighting.camera_from_panel)
+        found = None
+        if sighting is not None and not self._alarm:
+            found = self._with_plane(sighting, stamp_ns(message.header.stamp))
+        pose = self._agreement.add(found)
         self._publish(sighting, pose, message)
         if sighting is not None and pose is not None:
             self._read(message, sighting, pose)
@@ -262,6 +296,7 @@ class RecognitionNode(Node):
             ("panel", self._layout.model),
             ("frames", self._frames),
             ("frames_with_published_corners", self._with_corners),
+            ("poses_improved_by_stereo", self._improved),
             ("ms_per_frame", f"{1e3 * self._busy_s / frames:.1f}" if frames else "-"),
             ("found_in_last_second", f"{found}/{frames}"),
         ]

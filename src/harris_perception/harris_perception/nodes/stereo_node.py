@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
@@ -32,6 +32,7 @@ from icu_common.nodes.conversions import (
     cloud_array,
     cloud_message,
     diagnostic_status,
+    estimate_message,
     header,
     image_array,
     pose_message,
@@ -77,8 +78,8 @@ class Matcher:
 
 
 class StereoNode(Node):
-    """Subscribes to ``image_raw``, ``camera_info`` and ``corners`` of both sides; publishes ``points2`` and
-    ``panel_plane``.
+    """Subscribes to ``image_raw``, ``camera_info`` and ``corners`` of both sides; publishes ``points2``,
+    ``panel_plane``, and that with its covariance as ``panel_plane_estimate``.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -93,6 +94,7 @@ class StereoNode(Node):
         self._complaint = "no pictures with corners yet"
         self._points = self.create_publisher(PointCloud2, "points2", qos.RESULTS)
         self._plane = self.create_publisher(PoseStamped, "panel_plane", qos.RESULTS)
+        self._estimate = self.create_publisher(PoseWithCovarianceStamped, "panel_plane_estimate", qos.RESULTS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         for i, side in enumerate(SIDES):
             self._listen(i, Image, f"{side}/image_raw", qos.IMAGES)
@@ -120,7 +122,7 @@ class StereoNode(Node):
         stamp = stamp_ns(image.header.stamp)
         period_ns = 1e9 / self._live.config.rate_hz - 1e6
         due = not self._last_ns <= stamp < self._last_ns + period_ns
-        wanted = self._points.get_subscription_count() + self._plane.get_subscription_count() > 0
+        wanted = any(p.get_subscription_count() > 0 for p in (self._points, self._plane, self._estimate))
         if due and wanted:
             self._last_ns = stamp
         return due and wanted
@@ -133,6 +135,7 @@ class StereoNode(Node):
         self._points.publish(cloud_message(COLUMNS, points, head))
         if fit is not None:
             self._plane.publish(pose_message(fit.pose(), head))
+            self._estimate.publish(estimate_message(fit.pose(), fit.covariance, head))
         self._note(points, fit, time.perf_counter() - start)
 
     def _note(self, points: Array, fit: PlaneFit | None, took_s: float) -> None:

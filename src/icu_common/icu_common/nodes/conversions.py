@@ -11,7 +11,16 @@ import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion, TransformStamped, Vector3
+from geometry_msgs.msg import (
+    Point,
+    PointStamped,
+    Pose,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    TransformStamped,
+    Vector3,
+)
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointField, RegionOfInterest
 from std_msgs.msg import ColorRGBA, Header
 from stereo_msgs.msg import DisparityImage
@@ -250,6 +259,28 @@ def transform_of_pose(value: Pose) -> Transform:
 def pose_message(frame_from_object: Transform, head: Header) -> PoseStamped:
     """Pack the pose of an object in the header's frame."""
     return PoseStamped(header=head, pose=pose(frame_from_object))
+
+
+def estimate_message(frame_from_object: Transform, covariance: Array, head: Header) -> PoseWithCovarianceStamped:
+    """Pack a pose with its covariance (6, 6): shift [m], then turn [rad], along and about the frame's axes."""
+    message = PoseWithCovarianceStamped(header=head)
+    message.pose.pose = pose(frame_from_object)
+    message.pose.covariance = np.asarray(covariance, dtype=np.float64).ravel()
+    return message
+
+
+def covariance_array(message: PoseWithCovarianceStamped) -> Array:
+    """Unpack the covariance (6, 6) of :func:`estimate_message`.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or a variance is below zero.
+    """
+    covariance = np.array(message.pose.covariance, dtype=np.float64).reshape(6, 6)
+    if not np.isfinite(covariance).all() or np.diag(covariance).min() < 0:
+        raise ValueError(f"a covariance must be finite with no variance below zero, not {np.diag(covariance).tolist()}")
+    return covariance
 
 
 def transform_message(parent_from_child: Transform, head: Header, child: str) -> TransformStamped:
