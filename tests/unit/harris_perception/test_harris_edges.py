@@ -247,15 +247,17 @@ def test_edge_pixels_of_the_corners_pass_are_those_of_the_definition(
     rng = np.random.default_rng(seed)
     picture = cv2.blur(rng.integers(0, 256, (height, width)).astype(np.uint8), (3, 3))
     detector = HarrisDetector(HarrisConfig(), bands=bands)
-    corners, pixels = detector.detect_with_edges(picture, least)
-    y, x = np.divmod(pixels.places, width + 2)
-    found = dict(zip(zip((x - 1).tolist(), (y - 1).tolist()), pixels.strength.tolist()))
-    expected = naive_edge_pixels(picture, least)
-    # Float32 may fall on the other side of the threshold, or of a tie.
-    assert all(abs(value - least) < 1e-3 * least for place, value in expected.items() if place not in found)
-    assert all(abs(value - least) < 1e-3 * least for place, value in found.items() if place not in expected)
-    for place in found.keys() & expected.keys():
-        assert found[place] == pytest.approx(expected[place], rel=1e-3)
+    high = 1.7 * least
+    corners, pixels = detector.detect_with_edges(picture, least, high)
+    assert pixels.marks.shape == (height + 2, width + 2) and set(np.unique(pixels.marks)) <= {0, 1}
+    weak = {(int(x) - 1, int(y) - 1) for y, x in np.argwhere(pixels.marks)}
+    strong = {(place % (width + 2) - 1, place // (width + 2) - 1) for place in pixels.seeds.tolist()}
+    assert strong <= weak and len(strong) == len(pixels.seeds)
+    expected = naive_edge_pixels(picture, 0.99 * least)
+    for found, bound in ((weak, least), (strong, high)):
+        # Float32 may fall on the other side of the threshold.
+        assert found >= {place for place, value in expected.items() if value > 1.001 * bound}
+        assert found <= {place for place, value in expected.items() if value > 0.999 * bound}
     np.testing.assert_array_equal(corners.xy, detector.detect(picture).xy)
 
 
@@ -264,9 +266,8 @@ def test_wide_pictures_have_the_same_edge_pixels_as_their_transposes() -> None:
     picture = cv2.GaussianBlur(rng.integers(0, 256, (60, 1300)).astype(np.float32), (0, 0), 2.0) * 3
     places = []
     for p in (picture, np.ascontiguousarray(picture.T)):
-        pixels = HarrisDetector().detect_with_edges(p, 2.0)[1]
-        y, x = np.divmod(pixels.places, p.shape[1] + 2)
-        places.append(set(zip((x - 1).tolist(), (y - 1).tolist())))
+        pixels = HarrisDetector().detect_with_edges(p, 2.0, 20.0)[1]
+        places.append({(int(x) - 1, int(y) - 1) for y, x in np.argwhere(pixels.marks)})
     assert len(places[0]) > 1000
     assert len({(y, x) for x, y in places[0]} ^ places[1]) <= 0.01 * len(places[0])  # ties of the two axes
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.compiled import called, compiled
+from harris_perception.core.harris_kernels import collect_marked
 
 Array = npt.NDArray[Any]
 
@@ -20,9 +21,9 @@ Array = npt.NDArray[Any]
 _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1], np.int32)
 _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1], np.int32)
 
-# States: a candidate that continues or starts an edge; a pixel of an edge (bit 7) with the number of its neighbours in
-# the lower half; the mark of what is done with; a corner in the result.
-_WEAK, _STRONG, _KEPT, _USED, _CORNER = 1, 2, 128, 32, 255
+# States: a candidate; a pixel of an edge (bit 7) with the number of its neighbours in the lower half; the mark of what
+# is done with; a corner in the result.
+_WEAK, _KEPT, _USED, _CORNER = 1, 128, 32, 255
 _DEGREE = 15
 
 
@@ -58,30 +59,25 @@ def _pattern(state: Array, here: int, stride: int) -> int:
 
 @called
 def _connected(
-    state: Array, places: Array, values: Array, stride: int, high: float, low: float, least: int, weight: float
+    state: Array, seeds: Array, strength: Array, stride: int, steps: Array, least: int, weight: float
 ) -> tuple[Array, Array]:
-    """Set the pixels of connected pieces above ``low`` with one above ``high`` to kept.
+    """Set the pixels of connected pieces with a seed to kept and clear all others.
 
     Returns their places, and of these the ones that may be needless: one look at the neighbours serves both.
     """
-    at = np.empty(len(state) if weight > 0.0 else 0, np.float32)  # only where state is set
-    upper, lower = np.float32(high), np.float32(low)
-    for i in range(len(places)):
-        if values[i] >= lower:
-            state[places[i]] = _STRONG if values[i] >= upper else _WEAK
-            if weight > 0.0:
-                at[places[i]] = values[i]
-    steps = _DY * stride + _DX
-    kept, crowded = np.empty(len(places) + 1, np.int32), np.empty(len(places) + 1, np.int32)
+    kept, crowded = np.empty(len(seeds) + 8192, np.int32), np.empty(len(seeds) + 8192, np.int32)
     count = full = 0
-    for i in range(len(places)):
-        if state[places[i]] != _STRONG:
+    for i in range(len(seeds)):
+        if state[seeds[i]] != _WEAK:
             continue
         first, done, first_full = count, count, full
-        kept[count] = places[i]
-        state[places[i]] = _KEPT
+        kept[count] = seeds[i]
+        state[seeds[i]] = _KEPT
         count += 1
         while done < count:
+            if count + 8 >= len(kept):
+                kept = np.concatenate((kept, np.empty_like(kept)))
+                crowded = np.concatenate((crowded, np.empty_like(crowded)))
             here = kept[done]
             done += 1
             pattern = 0
@@ -90,7 +86,7 @@ def _connected(
                 value = state[beside]
                 pattern |= (value != 0) << j
                 kept[count] = beside
-                if value != 0 and value < _KEPT:
+                if value == _WEAK:
                     state[beside] = _KEPT
                     count += 1
             state[here] = _KEPT | _COUNT[pattern]
@@ -99,14 +95,13 @@ def _connected(
         total = 0.0
         if weight > 0.0:
             for j in range(first, count):
-                total += at[kept[j]]
-        if count - first < least or total < weight * high:
+                total += strength[kept[j] // stride - 1, kept[j] % stride - 1]
+        if count - first < least or total < weight:
             for j in range(first, count):
                 state[kept[j]] = 0
             count, full = first, first_full
-    for i in range(len(places)):
-        if state[places[i]] < _KEPT:
-            state[places[i]] = 0
+    for i in range(len(state)):  # all at once, without a branch
+        state[i] = state[i] if state[i] >= _KEPT else 0
     return kept[:count], crowded[:full]
 
 
@@ -341,32 +336,28 @@ def _link(state: Array, kept: Array, stride: int, steps: Array) -> tuple[Array, 
 
 @compiled
 def trace(
-    places: Array,
-    values: Array,
-    height: int,
-    width: int,
-    high: float,
-    low: float,
+    marks: Array,
+    seeds: Array,
+    strength: Array,
     least: int,
     weight: float,
     longest: int,
     corners: Array,
     farthest: float,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array]:
     """Link thinned pixels to chains.
 
     Parameters
     ----------
-    places
-        (N,) int32, ``(y + 1) * (width + 2) + x + 1`` of each candidate.
-    values
-        (N,) float32 strengths, greater than zero.
-    height, width
-        Of the picture, px.
-    high, low
-        Connected pixels above ``low`` with one above ``high`` are kept.
+    marks
+        (H + 2, W + 2) uint8, framed by a pixel of zeros: 1 where an edge may be; it is changed to 128 on edges, 255 on
+        corners.
+    seeds
+        (N,) int32 places in ``marks``, taken as one row: what is connected with one of them is kept.
+    strength
+        (H, W) float32, looked at for ``weight`` only.
     least, weight
-        Pieces of fewer pixels, or whose strengths add up to less than ``weight`` times ``high``, are left out.
+        Pieces of fewer pixels, or whose strengths add up to less than ``weight``, are left out.
     longest
         Branches of up to so many px that end freely are removed.
     corners
@@ -377,13 +368,13 @@ def trace(
     Returns
     -------
     tuple
-        The framed picture (height + 2, width + 2) uint8, 128 on edges, 255 on corners; points (K, 2) int32 x, y;
-        starts (C + 1,): chain i is points[starts[i]:starts[i + 1]], a closed one repeats its first point.
+        Points (K, 2) int32 x, y; starts (C + 1,): chain i is points[starts[i]:starts[i + 1]], a closed one repeats its
+        first point.
     """
-    stride = width + 2
-    state = np.zeros((height + 2) * stride, np.uint8)
+    stride = marks.shape[1]
+    state = marks.reshape(marks.size)
     steps = _DY * stride + _DX
-    kept, crowded = _connected(state, places, values, stride, high, low, least, weight)
+    kept, crowded = _connected(state, seeds, strength, stride, steps, least, weight)
     _thin_out(state, crowded, len(crowded), stride, steps)
     if longest > 0:
         _prune(state, kept, stride, steps, longest)
@@ -395,30 +386,23 @@ def trace(
             state[kept[i]] = _KEPT
     for i in range(len(corners)):
         state[(corners[i, 1] + 1) * stride + corners[i, 0] + 1] = _CORNER
-    return state.reshape(height + 2, stride), points, starts
+    return points, starts
 
 
 @compiled
-def candidates(thinned: Array, low: float) -> tuple[Array, Array]:
-    """Return places and values, as ``trace`` takes them, of the pixels of (H, W) float32 that are at least ``low``."""
+def candidates(thinned: Array, low: float, high: float) -> tuple[Array, Array]:
+    """Return marks and seeds, as ``trace`` takes them, of (H, W) float32: what is at least ``low``, and ``high``."""
     height, width = thinned.shape
-    lower, zero = np.float32(low), np.float32(0.0)
-    places = np.empty(4096, np.int32)
-    values = np.empty(4096, np.float32)
-    marks = np.zeros((width + 7) // 8 * 8, np.uint8)
-    words = marks.view(np.uint64)
+    lower, upper, zero = np.float32(low), np.float32(max(low, high)), np.float32(0.0)
+    result = np.zeros((height + 2, width + 2), np.uint8)
+    seeds = np.empty(4096, np.int32)
+    words = np.zeros((width + 31) // 32 * 4, np.uint64)
+    marks = words.view(np.uint8)
     count = 0
     for y in range(height):
-        row = thinned[y]
+        row, out = thinned[y], result[y + 1, 1:]
         for x in range(width):
-            marks[x] = (row[x] > zero) & (row[x] >= lower)
-        if count + width > len(places):
-            places = np.concatenate((places, np.empty(len(places) + width, np.int32)))
-            values = np.concatenate((values, np.empty(len(values) + width, np.float32)))
-        for word in range(len(words)):
-            if words[word] != 0:
-                for x in range(8 * word, min(8 * word + 8, width)):
-                    places[count] = (y + 1) * (width + 2) + x + 1
-                    values[count] = row[x]
-                    count += marks[x]
-    return places[:count], values[:count]
+            out[x] = (row[x] > zero) & (row[x] >= lower)
+            marks[x] = (row[x] > zero) & (row[x] >= upper)
+        seeds, count = collect_marked(words, width, (y + 1) * (width + 2) + 1, seeds, count)
+    return result, seeds[:count]

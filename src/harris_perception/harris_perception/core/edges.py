@@ -23,6 +23,8 @@ from icu_common.core.config import Config, setting
 FLAT, EDGE, CORNER = 0, 128, 255
 """Values of the label picture."""
 
+_NO_STRENGTH = np.empty((0, 0), np.float32)
+
 _SHRUNK = 4
 """The coarse scale is computed on a picture so many times smaller."""
 
@@ -48,13 +50,6 @@ class TracingConfig(Config):
     high: float = setting(20.0, "Strength that starts an edge", minimum=0.0, maximum=1e5, unit="grey levels per px")
     low_of_high: float = setting(0.5, "Strength that continues an edge, as a fraction", minimum=0.0, maximum=1.0)
     min_length_px: int = setting(10, "Smaller connected pieces are removed", minimum=1, maximum=10_000, unit="px")
-    min_weight_px: float = setting(
-        0.0,
-        "Pieces are removed whose strengths add up to less than so many pixels of the strength 'high'",
-        minimum=0.0,
-        maximum=1e5,
-        unit="px",
-    )
     max_spur_px: int = setting(3, "Branches up to this length are removed", minimum=0, maximum=100, unit="px")
     max_gap_px: float = setting(
         3.0, "Free ends this near to a corner are led to it", minimum=0.0, maximum=50.0, unit="px"
@@ -229,9 +224,9 @@ class EdgeDetector:
 
     def edges_of(self, thinned: npt.NDArray[Any], corners_xy: npt.ArrayLike = ()) -> Edges:
         """Do the second half of ``detect``, from what ``thinned`` has returned."""
-        low = self.config.low_of_high * self.config.high
-        places, values = tracing.candidates(np.ascontiguousarray(thinned, np.float32), low)
-        return traced(places, values, thinned.shape, self.config, corners_xy)
+        config, values = self.config, np.ascontiguousarray(thinned, np.float32)
+        marks, seeds = tracing.candidates(values, config.low_of_high * config.high, config.high)
+        return traced(marks, seeds, config, corners_xy, values, config.min_weight_px * config.high)
 
 
 class CombinedDetector:
@@ -270,36 +265,27 @@ class CombinedDetector:
             For another shape or dtype, or a response other than ``harris``.
         """
         config = self.edges
-        corners, pixels = self._detector.detect_with_edges(gray, config.low_of_high * config.high)
-        return corners, traced(pixels.places, pixels.strength, gray.shape, config, corners.xy)
+        corners, pixels = self._detector.detect_with_edges(gray, config.low_of_high * config.high, config.high)
+        return corners, traced(pixels.marks, pixels.seeds, config, corners.xy)
 
 
 def traced(
-    places: npt.NDArray[np.int32],
-    values: npt.NDArray[np.float32],
-    shape: tuple[int, ...],
+    marks: npt.NDArray[np.uint8],
+    seeds: npt.NDArray[np.int32],
     config: TracingConfig,
     corners_xy: npt.ArrayLike,
+    strength: npt.NDArray[np.float32] = _NO_STRENGTH,
+    weight: float = 0.0,
 ) -> Edges:
-    """Return the edges of a picture of ``shape`` (H, W) from its thinned pixels, in the form of ``tracing.trace``."""
-    height, width = shape
+    """Return the edges of a picture from its thinned pixels, given as to ``tracing.trace``; ``marks`` become labels."""
+    height, width = marks.shape[0] - 2, marks.shape[1] - 2
     corners = np.rint(np.asarray(corners_xy, np.float64).reshape(-1, 2)).astype(np.int32)
     if ((corners < 0) | (corners >= (width, height))).any():
         raise ValueError(f"a corner lies outside the picture of {width} x {height} px")
-    state, points, starts = tracing.trace(
-        places,
-        values,
-        height,
-        width,
-        config.high,
-        config.low_of_high * config.high,
-        config.min_length_px,
-        config.min_weight_px,
-        config.max_spur_px,
-        corners,
-        config.max_gap_px,
+    points, starts = tracing.trace(
+        marks, seeds, strength, config.min_length_px, weight, config.max_spur_px, corners, config.max_gap_px
     )
-    return Edges(state[1:-1, 1:-1], points, starts)
+    return Edges(marks[1:-1, 1:-1], points, starts)
 
 
 def _half_taps(sigma: float) -> npt.NDArray[np.float32]:

@@ -26,10 +26,11 @@ from icu_common.core.config import Config, ConfigError, setting
 
 F32 = npt.NDArray[Any]
 
-Band = tuple[F32, float, npt.NDArray[np.int32], F32]
+Band = tuple[F32, float, npt.NDArray[np.int32]]
 BandMap = Callable[[Callable[[Callable[[], Band]], Band], Iterable[Callable[[], Band]]], Iterable[Band]]
 
 _RESPONSES = ("harris", "shi_tomasi", "noble")
+_NO_EDGES = (0.0, 0.0, np.empty((0, 0), np.uint8))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,14 +116,14 @@ class EdgePixels:
 
     Attributes
     ----------
-    places
-        (N,) int32 ``(y + 1) * (width + 2) + x + 1``.
-    strength
-        (N,) float32 (-R / k)^(1/4), on a straight edge the gradient in grey levels per px.
+    marks
+        (H + 2, W + 2) uint8, framed by a pixel: 1 where an edge may be, else 0.
+    seeds
+        (N,) int32 places in ``marks``, taken as one row, of the strong ones, ``(y + 1) * (W + 2) + x + 1``.
     """
 
-    places: npt.NDArray[np.int32]
-    strength: F32
+    marks: npt.NDArray[np.uint8]
+    seeds: npt.NDArray[np.int32]
 
 
 class HarrisDetector:
@@ -261,15 +262,16 @@ class HarrisDetector:
             return self._detect([gray])[0]
         return self._detect(gray)
 
-    def detect_with_edges(self, gray: npt.NDArray[Any], least: float) -> tuple[Corners, EdgePixels]:
-        """Return the corners, and the pixels of edges of at least a strength: both halves of the detector of 1988.
+    def detect_with_edges(self, gray: npt.NDArray[Any], low: float, high: float) -> tuple[Corners, EdgePixels]:
+        """Return the corners, and the pixels of edges: both halves of the detector of 1988.
 
         Parameters
         ----------
         gray
             (H, W) uint8, uint16 or float32.
-        least
-            Strength in grey levels per px.
+        low, high
+            Strengths (-R / k)^(1/4), on a straight edge the gradient in grey levels per px, that a pixel and a strong
+            pixel have at least.
 
         Raises
         ------
@@ -281,17 +283,17 @@ class HarrisDetector:
         # On a straight edge R = -k trace^2, and the trace is the squared gradient times the gain of kernels and window.
         x = np.arange(len(self._derivative)) - len(self._derivative) // 2
         gain = float((self._derivative * x).sum() * self._smooth.sum() * self._window.sum())
-        ceiling = -self.config.k * (gain * max(least, 1e-6)) ** 4
+        weak, strong = (-self.config.k * (gain * max(least, 1e-6)) ** 4 for least in (low, max(low, high)))
         picture = _checked(gray)
+        marks = np.zeros((picture.shape[0] + 2, picture.shape[1] + 2), np.uint8)
         if self._fused:
-            found = list(self._run(_call, self._tasks(picture, ceiling)))
-            places, responses = (np.concatenate([band[i] for band in found]) for i in (2, 3))
+            found = list(self._run(_call, self._tasks(picture, (weak, strong, marks))))
+            seeds = np.concatenate([band[2] for band in found])
         else:
             response, a, b = self._response(picture)
             found = list(self._run(_call, self._tasks(picture, response=response)))
-            places, responses = kernels.minima_of(response, a, b, self.margin_px + 1, ceiling)
-        strength = np.sqrt(np.sqrt(responses * np.float32(-1.0 / self.config.k))) * np.float32(1.0 / gain)
-        return self._selected(found), EdgePixels(places, strength)
+            seeds = kernels.minima_of(response, a, b, self.margin_px + 1, weak, strong, marks)
+        return self._selected(found), EdgePixels(marks, seeds)
 
     def _detect(self, pictures: Sequence[npt.NDArray[Any]]) -> list[Corners]:
         tasks = [task for picture in pictures for task in self._tasks(_checked(picture))]
@@ -300,7 +302,10 @@ class HarrisDetector:
         return [self._selected(found[i * each : (i + 1) * each]) for i in range(len(pictures))]
 
     def _tasks(
-        self, picture: npt.NDArray[Any], ceiling: float = math.nan, response: F32 | None = None
+        self,
+        picture: npt.NDArray[Any],
+        edges: tuple[float, float, npt.NDArray[np.uint8]] = _NO_EDGES,
+        response: F32 | None = None,
     ) -> list[Callable[[], Band]]:
         """Return one task for each band of rows; every picture gets the same number."""
         config = self.config
@@ -313,7 +318,7 @@ class HarrisDetector:
             rows = np.ascontiguousarray(picture, np.uint8 if picture.dtype == np.uint8 else np.float32)
             centre = self._smooth[1:2].astype(np.int16 if rows.dtype == np.uint8 else np.float32)
             find: Callable[..., Band] = partial(kernels.fused_peaks, rows, centre, border)
-            thresholds = (config.k, *thresholds, ceiling)
+            thresholds = (config.k, *thresholds, *edges)
         else:
             find = partial(_peaks_of, self._response(picture)[0] if response is None else response, border)
         limits = np.linspace(border, height - border, self._bands + 1).astype(int).tolist()
@@ -338,11 +343,11 @@ def _call(task: Callable[[], Band]) -> Band:
 
 
 def _nothing() -> Band:
-    return np.empty((0, 3), np.float32), 0.0, np.empty(0, np.int32), np.empty(0, np.float32)
+    return np.empty((0, 3), np.float32), 0.0, np.empty(0, np.int32)
 
 
 def _peaks_of(*arguments: Any) -> Band:
-    return (*kernels.peaks_of(*arguments), *_nothing()[2:])
+    return (*kernels.peaks_of(*arguments), _nothing()[2])
 
 
 def _checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:

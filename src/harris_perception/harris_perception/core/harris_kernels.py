@@ -23,6 +23,9 @@ Array = npt.NDArray[Any]
 _STRIP = 640
 _ROW = 656
 
+# Length of a row of marks, a byte for each column: whole blocks of four words.
+_MARKS = 672
+
 # Below this fraction of the product of the two diagonal elements a determinant is rounding of float32, no corner.
 _RANK_ONE = np.float32(2.0**-21)
 
@@ -83,32 +86,34 @@ def _mark_peaks(above: Any, here: Any, below: Any, marks: Any, n: int, floor: An
 
 
 @inlined
-def _mark_both(
-    above: Any, here: Any, below: Any, g: Any, row: int, marks: Any, edges: Any, n: int, floor: Any, ceiling: Any
+def _mark_all(
+    above: Any, here: Any, below: Any, g: Any, row: int, marks: Any, n: int, floor: Any, weak: Any, strong: Any
 ) -> None:
-    """Mark peaks as ``_mark_peaks`` and, in ``edges``, minima below ``ceiling`` along the axis nearer to the gradient.
+    """Mark peaks as ``_mark_peaks``, then minima below ``weak`` and ``strong`` along the axis nearer to the gradient.
 
-    Element x of the responses lies under element x + 1 of the gradients, which begin at ``row`` of ``g``. This is the
-    thinning of the paper of 1988.
+    The three rows of marks lie ``_MARKS`` apart. Element x of the responses lies under element x + 1 of the gradients,
+    which begin at ``row`` of ``g``. This is the thinning of the paper of 1988.
     """
     for x in range(1, n - 1):
         r, west, east, north, south = here[x], here[x - 1], here[x + 1], above[x], below[x]
         u, v = np.float32(g[row + x + 1]), np.float32(g[row + _ROW + x + 1])
         along_x = u * u >= v * v
         before, after = west if along_x else north, east if along_x else south
+        least = (r < before) & (r <= after)
         marks[x] = (r > floor) & (r > west) & (r >= east) & (r > north) & (r >= south)
-        edges[x] = (r < ceiling) & (r < before) & (r <= after)
+        marks[_MARKS + x] = least & (r < weak)
+        marks[2 * _MARKS + x] = least & (r < strong)
 
 
 @called
-def _collect_edges(
-    here: Any, words: Any, n: int, place: int, places: Any, values: Any, count: int
-) -> tuple[Any, Any, int]:
-    """Append ``place`` + x and the response of the marked columns; returns the lists, longer where full, and count."""
+def collect_marked(words: Any, n: int, place: int, places: Any, count: int) -> tuple[Any, int]:
+    """Append ``place`` + x of the columns of ``n`` that are marked; returns the list, longer where full, and count.
+
+    ``words`` are the marks, eight to a word, in blocks of four words.
+    """
     marks = words.view(np.uint8)
-    if count + n + 8 > len(places):
-        places = np.concatenate((places, np.empty(len(places) + n + 8, places.dtype)))
-        values = np.concatenate((values, np.empty(len(values) + n + 8, values.dtype)))
+    if count + n + 32 > len(places):
+        places = np.concatenate((places, np.empty(len(places) + n + 32, places.dtype)))
     for block in range((n + 31) // 32):
         w = 4 * block
         if (words[w] | words[w + 1] | words[w + 2] | words[w + 3]) == 0:
@@ -116,9 +121,9 @@ def _collect_edges(
         for word in range(w, w + 4):
             if words[word] != 0:
                 for x in range(8 * word, 8 * word + 8):
-                    places[count], values[count] = place + x, here[x]
+                    places[count] = place + x
                     count += marks[x]
-    return places, values, count
+    return places, count
 
 
 @inlined
@@ -242,11 +247,13 @@ def fused_peaks(
     absolute: float,
     relative: float,
     subpixel: bool,
-    ceiling: float,
-) -> tuple[Array, Any, Array, Array]:
+    weak: float,
+    strong: float,
+    edges: Array,
+) -> tuple[Array, Any, Array]:
     """Return the peaks of the Harris response with a 3x3 gradient and a 3x3 box window in the rows first to last - 1.
 
-    And, where ``ceiling`` is a number, the pixels of edges: minima of the response below it, across the edge.
+    And set, where there is a picture for them, the pixels of edges: minima of the response across the edge.
 
     Parameters
     ----------
@@ -265,14 +272,16 @@ def fused_peaks(
         Thresholds; the second as a fraction of the strongest peak so far.
     subpixel
         Refine by the quadratic through 3x3 responses.
-    ceiling
-        Negative; NaN for no edges.
+    weak, strong
+        Negative: the response that continues an edge, and the one that starts it.
+    edges
+        (H + 2, W + 2) uint8 zeros, framed by a pixel, that become 1 where an edge may be; (0, 0) for no edges.
 
     Returns
     -------
     tuple
-        (N, 3) float32 x, y, response, and the threshold reached, which the first of them may not exceed; of the pixels
-        of edges the places (M,) int32 ``(y + 1) * (W + 2) + x + 1`` and the responses (M,) float32.
+        (N, 3) float32 x, y, response, and the threshold reached, which the first of them may not exceed; the places
+        (M,) int32 in ``edges``, taken as one row, of the strong ones.
     """
     width = gray.shape[1]
     centre = weight[0]
@@ -282,24 +291,20 @@ def fused_peaks(
     rows = np.empty(16 * _ROW, np.float32)
     r0, r1 = rows[12 * _ROW : 13 * _ROW], rows[13 * _ROW : 14 * _ROW]
     r2, r3 = rows[14 * _ROW : 15 * _ROW], rows[15 * _ROW :]
-    words = np.zeros(_ROW // 8 + 4, np.uint64)  # _collect reads blocks of four
+    words = np.zeros(3 * _MARKS // 8, np.uint64)  # peaks, edges, strong edges
+    strong_words = words[2 * _MARKS // 8 :]
     marks = words.view(np.uint8)
     columns = np.empty(_ROW + 8, np.int32)
     weight_k, fraction, floor = np.float32(k), np.float32(relative), np.float32(absolute)
     found = np.empty((2048, 3), np.float32)
     count = 0
-    edges = not np.isnan(ceiling)
-    edge_words = np.zeros(_ROW // 8 + 4, np.uint64)
-    edge_marks = edge_words.view(np.uint8)
-    deepest = np.float32(ceiling)
-    places = np.empty(8192 if edges else 0, np.int32)
-    values = np.empty(8192 if edges else 0, np.float32)
-    edge_count = 0
+    low, high = np.float32(weak), np.float32(strong)
+    seeds = np.empty(4096 if edges.size > 0 else 0, np.int32)
+    seed_count = 0
     for start in range(border, width - border, _STRIP):
         x0 = start - 1  # column of the response's first element; its gradient starts one further left, the picture two
         n = min(start + _STRIP, width - border) + 1 - x0
         words[:] = 0
-        edge_words[:] = 0
         for y in range(first - 2, last + 2, 2):  # y and y + 1 are gradient rows; responses are y - 1 and y
             p = x0 - 2
             # The last pair may lack its second row; what is computed from the repeated one is not looked at.
@@ -327,17 +332,17 @@ def fused_peaks(
                 if not first <= row < last:
                     continue
                 one, middle, other = (above, here, below) if i == 0 else (here, below, beyond)
-                if edges:
-                    _mark_both(one, middle, other, before, 2 * i * _ROW, marks, edge_marks, n, floor, deepest)
-                    places, values, edge_count = _collect_edges(
-                        middle, edge_words, n, (row + 1) * (width + 2) + x0 + 1, places, values, edge_count
-                    )
+                if edges.size > 0:
+                    _mark_all(one, middle, other, before, 2 * i * _ROW, marks, n, floor, low, high)
+                    edges[row + 1, x0 + 2 : x0 + n] = marks[_MARKS + 1 : _MARKS + n - 1]
+                    place = (row + 1) * (width + 2) + x0 + 1
+                    seeds, seed_count = collect_marked(strong_words, n, place, seeds, seed_count)
                 else:
                     _mark_peaks(one, middle, other, marks, n, floor)
                 found, count, floor = _collect(
                     one, middle, other, words, columns, n, x0, row, floor, fraction, subpixel, found, count
                 )
-    return found[:count], floor, places[:edge_count], values[:edge_count]
+    return found[:count], floor, seeds[:seed_count]
 
 
 @compiled
@@ -346,7 +351,7 @@ def peaks_of(
 ) -> tuple[Array, Any]:
     """Return the peaks of a response picture (H, W) float32; parameters and result as for ``fused_peaks``."""
     width = response.shape[1]
-    words = np.zeros(_ROW // 8 + 4, np.uint64)  # _collect reads blocks of four
+    words = np.zeros(_MARKS // 8, np.uint64)
     marks = words.view(np.uint8)
     columns = np.empty(_ROW + 8, np.int32)
     fraction, floor = np.float32(relative), np.float32(absolute)
@@ -366,8 +371,10 @@ def peaks_of(
 
 
 @compiled
-def minima_of(response: Array, a: Array, b: Array, border: int, ceiling: float) -> tuple[Array, Array]:
-    """Return places and responses of the pixels of edges, as ``fused_peaks``, of a response picture (H, W) float32.
+def minima_of(
+    response: Array, a: Array, b: Array, border: int, weak: float, strong: float, edges: Array
+) -> npt.NDArray[np.int32]:
+    """Set the pixels of edges and return the strong ones, as ``fused_peaks``, of a response picture (H, W) float32.
 
     ``a`` and ``b`` are the sums of gx^2 and gy^2 of all but the outermost ``border - 1`` pixels; nearer than ``border``
     to the picture's edge there are no edges.
@@ -375,18 +382,20 @@ def minima_of(response: Array, a: Array, b: Array, border: int, ceiling: float) 
     height, width = response.shape
     words = np.zeros((width + 31) // 32 * 4 + 4, np.uint64)
     marks = words.view(np.uint8)
-    places, values = np.empty(8192 + width, np.int32), np.empty(8192 + width, np.float32)
+    seeds = np.empty(4096, np.int32)
     count = 0
-    deepest = np.float32(ceiling)
+    low, high = np.float32(weak), np.float32(strong)
     for y in range(border, height - border):
         above, here, below = response[y - 1], response[y], response[y + 1]
         ra, rb = a[y - border + 1], b[y - border + 1]
         for x in range(border, width - border):
             along_x = ra[x - border + 1] >= rb[x - border + 1]
             before, after = (here[x - 1], here[x + 1]) if along_x else (above[x], below[x])
-            marks[x] = (here[x] < deepest) & (here[x] < before) & (here[x] <= after)
-        places, values, count = _collect_edges(here, words, width, (y + 1) * (width + 2) + 1, places, values, count)
-    return places[:count], values[:count]
+            least = (here[x] < before) & (here[x] <= after)
+            edges[y + 1, x + 1] = least & (here[x] < low)
+            marks[x] = least & (here[x] < high)
+        seeds, count = collect_marked(words, width, (y + 1) * (width + 2) + 1, seeds, count)
+    return seeds[:count]
 
 
 @compiled
