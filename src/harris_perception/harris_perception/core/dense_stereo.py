@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.compiled import compiled
+from harris_perception.core.compiled import called, compiled
 from icu_common.core.camera_model import StereoModel
 from icu_common.core.config import Config, ConfigError, setting
 
@@ -143,7 +143,8 @@ def _accept(found: npt.NDArray[np.int16], first: int, least_px: int, searched: i
                 disparity[y, first + i] = value
 
 
-_WINDOW_PX = 5
+_REACH = 2
+"""The windows of the refinement have 5 x 5 px."""
 _MAX_STEP_PX = 0.5
 _LEAST_VARIANCE = 30.0
 """Variance of the gradient, grey values squared per px squared, below which its step is damped."""
@@ -156,28 +157,77 @@ def refined(left: U8, right: U8, disparity: F32) -> F32:
     Gauss-Newton step along the row takes most of this away (B. Lucas, T. Kanade, IJCAI 1981); each window's own mean is
     taken off, since the two cameras seldom see the same brightness.
     """
-    known = np.isfinite(disparity)
-    weight = known.astype(np.float32)
+    better = np.empty_like(disparity)
+    _refine(left, right, disparity, better)
+    return better
+
+
+@compiled
+def _refine(left: U8, right: U8, disparity: F32, better: F32) -> None:
+    """Do it in one pass: each row is compared once, and the last rows' values are kept for the windows' sums."""
     height, width = disparity.shape
-    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
-    x -= np.where(known, disparity, np.float32(0))
-    ours, theirs = left.astype(np.float32), right.astype(np.float32)
+    side = 2 * _REACH + 1
+    kept = np.zeros((side, 5, width), np.float32)  # known, difference, slope, and the last two's products
+    sums = np.empty((5, width + 2 * _REACH), np.float32)
+    for row in range(height + _REACH):
+        if row < height:
+            _compare(left[row], right[row], disparity[row], kept[row % side])
+        else:
+            kept[row % side] = np.float32(0)
+        y = row - _REACH
+        if y < 0:
+            continue
+        sums[:] = np.float32(0)
+        for r in range(side):
+            for k in range(5):
+                for x in range(width):
+                    sums[k, x + _REACH] += kept[r, k, x]
+        for k in range(5):
+            for x in range(width):
+                total = np.float32(0)
+                for i in range(side):
+                    total += sums[k, x + i]
+                sums[k, x] = total
+        for x in range(width):
+            share = max(sums[0, x], np.float32(1))
+            slope = sums[2, x] / share
+            covariance = sums[3, x] / share - slope * sums[1, x] / share
+            variance = max(sums[4, x] / share - slope * slope, np.float32(0))
+            step = -covariance / (variance + np.float32(_LEAST_VARIANCE))
+            small = abs(step) < np.float32(_MAX_STEP_PX)
+            better[y, x] = disparity[y, x] + (step if small else np.float32(0))
 
-    def seen(shift: float, how: int) -> Any:
-        return cv2.remap(theirs, x + np.float32(shift), y, how, borderMode=cv2.BORDER_REPLICATE)
 
-    def mean(values: Any) -> Any:
-        return cv2.boxFilter(values, -1, (_WINDOW_PX, _WINDOW_PX)) / share
-
-    share = np.maximum(cv2.boxFilter(weight, -1, (_WINDOW_PX, _WINDOW_PX)), np.float32(1e-3))
-    difference = (ours - seen(0.0, cv2.INTER_CUBIC)) * weight
-    slope = 0.5 * (seen(1.0, cv2.INTER_LINEAR) - seen(-1.0, cv2.INTER_LINEAR))
-    slope = 0.5 * (slope + 0.5 * cv2.Sobel(ours, cv2.CV_32F, 1, 0, ksize=1)) * weight
-    mean_slope, mean_difference = mean(slope), mean(difference)
-    covariance = mean(difference * slope) - mean_slope * mean_difference
-    variance = np.maximum(mean(slope * slope) - mean_slope * mean_slope, np.float32(0))
-    step = -covariance / (variance + np.float32(_LEAST_VARIANCE))
-    return np.where(known & (np.abs(step) < _MAX_STEP_PX), disparity + step, disparity)
+@called
+def _compare(ours: Any, theirs: Any, disparity: Any, values: Any) -> None:
+    """Write one row's known pixels (1 or 0), differences, slopes, and products; the right row goes on past its ends."""
+    width = len(disparity)
+    last = width - 1
+    for x in range(width):
+        values[:, x] = np.float32(0)
+        if np.isnan(disparity[x]):
+            continue
+        place = min(max(np.float32(x) - disparity[x], np.float32(-1)), np.float32(width))
+        whole = int(np.floor(place))
+        t = place - np.float32(whole)
+        p0 = np.float32(theirs[min(max(whole - 1, 0), last)])
+        p1 = np.float32(theirs[min(max(whole, 0), last)])
+        p2 = np.float32(theirs[min(max(whole + 1, 0), last)])
+        p3 = np.float32(theirs[min(max(whole + 2, 0), last)])
+        # Catmull-Rom's cubic; the slope is the mean of both pictures' central differences.
+        a = np.float32(0.5) * (p3 - p0) + np.float32(1.5) * (p1 - p2)
+        b = p0 - np.float32(2.5) * p1 + np.float32(2) * p2 - np.float32(0.5) * p3
+        c = np.float32(0.5) * (p2 - p0)
+        seen = ((a * t + b) * t + c) * t + p1
+        across = c + t * (np.float32(0.5) * (p3 - p1) - c)
+        own = np.float32(ours[min(x + 1, last)]) - np.float32(ours[max(x - 1, 0)])
+        slope = np.float32(0.5) * (across + np.float32(0.5) * own)
+        difference = np.float32(ours[x]) - seen
+        values[0, x] = np.float32(1)
+        values[1, x] = difference
+        values[2, x] = slope
+        values[3, x] = difference * slope
+        values[4, x] = slope * slope
 
 
 @compiled
@@ -251,8 +301,8 @@ class DenseStereo:
             raise ValueError(f"max_depth_m = {config.max_depth_m}: pictures {width} px wide show nothing so near")
         across = (np.arange(width, dtype=np.float64) - centre[0]) / self.focal_px
         down = (np.arange(height, dtype=np.float64) - centre[1]) * (stereo.focal_px / stereo.left.p[1, 1])
-        self._across = across.astype(np.float32)[None, :]
-        self._down = (down / self.focal_px).astype(np.float32)[:, None]
+        self._across = across.astype(np.float32)
+        self._down = (down / self.focal_px).astype(np.float32)
         # Turning the pictures leaves black borders, in which the matcher would find disparities of its own making.
         whole = np.full(stereo.left.size[::-1], 255, np.uint8)
         near = np.ones((5, 5), np.uint8)
@@ -272,7 +322,7 @@ class DenseStereo:
         whole = cv2.remap(raw, *self._maps[side], cv2.INTER_LINEAR)
         if self._binning == 1:
             return np.asarray(whole, np.uint8)
-        height, width = len(self._down), self._across.shape[1]
+        height, width = len(self._down), len(self._across)
         cut = whole[: height * self._binning, : width * self._binning]
         return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
@@ -282,14 +332,35 @@ class DenseStereo:
         NaN where unknown, and where the rectified pictures show nothing.
         """
         found = self._matcher(self.rectified(0, left_raw), self.rectified(1, right_raw))
-        rows, columns = np.nonzero(np.isfinite(found))
-        partners = np.round(columns - found[rows, columns]).astype(np.intp).clip(0, found.shape[1] - 1)
-        outside = ~(self._covered[0][rows, columns] & self._covered[1][rows, partners])
-        found[rows[outside], columns[outside]] = np.nan
+        _keep_covered(found, self._covered[0], self._covered[1])
         return found - np.float32(self._offset_px)
 
     def points(self, disparity: F32) -> F32:
         """Return (H, W, 3) float32 points in metres, NaN where the disparity is unknown or not positive."""
-        with np.errstate(divide="ignore"):
-            z = np.where(disparity > 0, np.float32(self.focal_px * self.baseline_m) / disparity, np.float32(np.nan))
-        return np.stack([z * self._across, z * self._down, z], axis=2)
+        xyz = np.empty((*disparity.shape, 3), np.float32)
+        _spread_out(disparity, np.float32(self.focal_px * self.baseline_m), self._across, self._down, xyz)
+        return xyz
+
+
+@compiled
+def _keep_covered(disparity: F32, left: npt.NDArray[np.bool_], right: npt.NDArray[np.bool_]) -> None:
+    """Make unknown, in place, what either rectified picture does not show."""
+    height, width = disparity.shape
+    for y in range(height):
+        for x in range(width):
+            if not np.isnan(disparity[y, x]):
+                partner = min(max(int(np.round(x - disparity[y, x])), 0), width - 1)
+                if not (left[y, x] and right[y, partner]):
+                    disparity[y, x] = np.nan
+
+
+@compiled
+def _spread_out(disparity: F32, product: np.float32, across: F32, down: F32, xyz: F32) -> None:
+    """Write the points (H, W, 3) of disparities; ``across`` (W,) and ``down`` (H,) are the pixels' rays at depth 1."""
+    height, width = disparity.shape
+    for y in range(height):
+        for x in range(width):
+            z = product / disparity[y, x] if disparity[y, x] > 0 else np.float32(np.nan)
+            xyz[y, x, 0] = z * across[x]
+            xyz[y, x, 1] = z * down[y]
+            xyz[y, x, 2] = z

