@@ -21,7 +21,7 @@ from harris_perception.core.carriage_camera import (
     held_out_on_carriage,
     origin_sample,
 )
-from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate
+from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate, tip_sample
 from harris_perception.core.planar_pose import FacePoints
 from icu_common.core.camera_model import StereoModel
 from icu_common.core.config import Config, ConfigError, setting
@@ -426,7 +426,7 @@ class CalibrationRun:
 
     def _seen(self, calibration: HandEye, purpose: Purpose) -> list[Sample]:
         if not self._see_panel:
-            return self._samples[purpose]
+            return [tip_sample(calibration, sample, self._cameras) for sample in self._samples[purpose]]
         return [origin_sample(calibration, panel, self._cameras.left) for panel in self._panels[purpose]]
 
     def _fail(self, reason: str) -> list[Action]:

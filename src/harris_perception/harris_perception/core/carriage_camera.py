@@ -137,16 +137,12 @@ def calibrate_on_carriage(
     points = np.array([_origin(p, rotation).tip for p in panels])
     fit = robust_fit(design, points, shape, config)
     views = [p.points for p, used in zip(panels, fit.used) if used]
-    rotation, regression, spread = refine_panel(views, design[fit.used], rotation, fit.regression, cameras.left)
-    origins = np.array([panel_origin(v, rotation, o, cameras.left) for v, o in zip(views, points[fit.used])])
-    off = origins - design[fit.used] @ regression
-    # With the rotation known, a view's place is twice as unsure along the line of sight as across.
-    shape = RayError(eye=None, across_m=1.0, along_m=2.0).covariance(origins[:1])[0]
+    rotation, regression, spread, sigma = refine_panel(views, design[fit.used], rotation, fit.regression, cameras.left)
     fit = dataclasses.replace(
         fit,
         regression=regression,
         spread=spread,
-        noise=shape * float(np.sum(np.linalg.solve(shape, off.T) * off.T)) / (3 * max(len(off) - design.shape[1], 1)),
+        sigma_px=sigma,
         # What is seen of the panel is in the middle of the picture, wherever its origin is.
         common=RayError(eye=None, across_m=config.panel_sigma_m, along_m=config.panel_depth_sigma_m),
     )
@@ -172,11 +168,15 @@ def calibrate_on_carriage(
 
 
 def origin_sample(calibration: HandEye, panel: PanelSample, camera: CameraModel) -> Sample:
-    """Return the panel's origin as a sample of it shows it, with the rotation that the calibration found."""
+    """Return the panel's origin as a sample of it shows it, with the rotation that the calibration found.
+
+    Its covariance is what the calibration's views were off by, each for itself.
+    """
     rotation = calibration.panel_rotation
     assert rotation is not None
     start = _origin(panel, rotation)
-    return dataclasses.replace(start, tip=panel_origin(panel.points, rotation, start.tip, camera))
+    origin, per_pixel = panel_origin(panel.points, rotation, start.tip, camera)
+    return dataclasses.replace(start, tip=origin, covariance=calibration.fit.sigma_px**2 * per_pixel)
 
 
 def held_out_on_carriage(calibration: HandEye, checks: Sequence[PanelSample], camera: CameraModel) -> Array:
@@ -260,7 +260,7 @@ def _touched(
     tip = Fit(
         regression=mean[np.newaxis],
         spread=noise / count,
-        noise=noise,
+        sigma_px=float("nan"),
         common=RayError(eye=None, across_m=0.0, along_m=0.0),
         variance_factor=1.0,
         rms_m=rms,

@@ -112,8 +112,9 @@ class Fit:
         (P, 3) columns of the model, point = design @ regression.
     spread
         (3 P, 3 P) m^2, covariance of ``regression``, row by row.
-    noise
-        (3, 3) m^2, covariance of one sample, a posteriori.
+    sigma_px
+        What the residuals show that one sample is off by: the tip in each picture; a view of the panel, as the error of
+        each of its points that would move the whole as far.
     common
         What all samples share.
     variance_factor
@@ -126,7 +127,7 @@ class Fit:
 
     regression: Array
     spread: Array
-    noise: Array
+    sigma_px: float
     common: RayError
     variance_factor: float
     rms_m: float
@@ -288,7 +289,7 @@ def fit_tip(design: Array, samples: Sequence[Sample], places: int, cameras: Ster
         used=used,
         regression=regression,
         spread=spread,
-        noise=sigma**2 * shape,
+        sigma_px=sigma,
         common=RayError(
             eye=np.array([0.5 * cameras.baseline, 0.0, 0.0]),
             across_m=float(np.hypot(config.common_error, config.place_error * np.sqrt(0.5 / places)))
@@ -298,6 +299,13 @@ def fit_tip(design: Array, samples: Sequence[Sample], places: int, cameras: Ster
         ),
         variance_factor=(sigma / expected_px) ** 2,
     )
+
+
+def tip_sample(calibration: HandEye, sample: Sample, cameras: StereoModel) -> Sample:
+    """Return a sample of the tip with the covariance that the calibration's residuals show, where it was seen."""
+    by_point = pair_pixels(sample.tip[np.newaxis], cameras)[1][0]
+    covariance = calibration.fit.sigma_px**2 * np.linalg.inv(by_point.T @ by_point)
+    return dataclasses.replace(sample, covariance=np.asarray(covariance))
 
 
 def checked(samples: Sequence[Sample], what: str, config: HandEyeConfig) -> tuple[Array, Array]:
@@ -353,7 +361,7 @@ def robust_fit(design: Array, points: Array, shape: Array, config: HandEyeConfig
     return Fit(
         regression=regression,
         spread=np.kron(leverage, shape * factor),
-        noise=shape * factor,
+        sigma_px=float("nan"),
         common=RayError(eye=None, across_m=0.0, along_m=0.0),
         variance_factor=factor,
         rms_m=rms,

@@ -96,7 +96,7 @@ def refine_points(design: Array, points: Array, start: Array, cameras: StereoMod
 
 def refine_panel(
     views: Sequence[FacePoints], design: Array, rotation: Array, start: Array, camera: CameraModel
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, float]:
     """Refine the panel's rotation, which all views share, and the regression of its origin, by all measured points.
 
     Robust by Tukey's weights. What the points of one view have in common (the same print, the same light) makes the
@@ -115,8 +115,8 @@ def refine_panel(
 
     Returns
     -------
-    rotation, regression, covariance
-        (3, 3); (P, 3) m; (3 P, 3 P) m^2.
+    rotation, regression, covariance, sigma_px
+        (3, 3); (P, 3) m; (3 P, 3 P) m^2; and the error of each point that would make views as far off as they are.
     """
     everything = FacePoints.joined(views)
     counts = [len(view.pixels) for view in views]
@@ -143,17 +143,21 @@ def refine_panel(
         pull = part.T @ (of[:, 0] * off)
         squares += float(pull @ np.linalg.solve(part.T @ (of * part), pull))
     factor = squares / max(6 * len(views) - unknown, 1)
-    return rotation, regression, np.asarray(factor * np.linalg.inv(normal)[3:, 3:])
+    return rotation, regression, np.asarray(factor * np.linalg.inv(normal)[3:, 3:]), float(np.sqrt(factor))
 
 
-def panel_origin(view: FacePoints, rotation: Array, start: Array, camera: CameraModel) -> Array:
-    """Return (3,) m: where one view's points see the panel's origin, when it is turned by ``rotation``; robust."""
+def panel_origin(view: FacePoints, rotation: Array, start: Array, camera: CameraModel) -> tuple[Array, Array]:
+    """Return where one view's points see the panel's origin when it is turned by ``rotation``, (3,) m; robust.
+
+    And its covariance (3, 3) m^2 for points with an error of 1 px, each its own.
+    """
     turned, origin = view.in_space @ rotation.T, start
     for _ in range(_ROUNDS):
         error, by_point = view.residuals(turned + origin, camera)
         weight = tukey(error, _FLOOR_PX)
-        step = np.linalg.lstsq(by_point * weight[:, None], error * weight, rcond=None)[0]
+        rows = by_point * weight[:, None]
+        step = np.linalg.lstsq(rows, error * weight, rcond=None)[0]
         origin = origin + step
         if np.abs(step).max() < _STEP:
             break
-    return np.asarray(origin)
+    return np.asarray(origin), np.asarray(np.linalg.inv(rows.T @ rows))
