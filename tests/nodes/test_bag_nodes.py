@@ -101,6 +101,7 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:
         from scope_bench.adapters.bags import BagTopic
 
         kinds = {"/a": "String", "/b": "String", "/gantry/sequence": "String", "/operator/heartbeat": "Header"}
+        kinds["/bed_1/gantry/trajectory"] = "String"
         for name, kind in kinds.items():
             bag.add_topic(BagTopic(name=name, type=f"std_msgs/msg/{kind}"))
         for i in range(4):
@@ -108,11 +109,14 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:
             bag.write("/a", stamp_ns, serialize_message(String(data=f"{i}")))
             bag.write("/b", stamp_ns, serialize_message(String(data=f"{i}")))
             bag.write("/gantry/sequence", stamp_ns, serialize_message(String(data="steps: ['press:MENU']")))
+            bag.write("/bed_1/gantry/trajectory", stamp_ns, serialize_message(String(data=f"way {i}")))
             bag.write("/operator/heartbeat", stamp_ns, serialize_message(Header(stamp=Time(sec=i))))
     listener = ros.plain("listener")
     a = ros.collect(listener, String, "/a", qos.RESULTS)
     b = ros.collect(listener, String, "/b", qos.RESULTS)
     beats = ros.collect(listener, Header, "/operator/heartbeat", qos.RESULTS)
+    orders = ros.collect(listener, String, "/bed_1/gantry/trajectory", qos.RESULTS)
+    ways = ros.collect(listener, String, "/bed_1/gantry/recorded_trajectory", qos.RESULTS)
     player = Command(ros, tmp_path, "bag_play", str(tmp_path / "bag"), "--loop", "--start-paused", "--exclude", "/b")
     toggle = listener.create_client(Trigger, "/bag_player/toggle_paused")
     ros.spin_until(toggle.service_is_ready, 15.0)
@@ -122,8 +126,9 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:
     assert future.result().message == "playing"
     output = player.end(signal.SIGINT)
     assert [m.data for m in a[:9]] == ["0", "1", "2", "3", "0", "1", "2", "3", "0"]
-    assert b == [] and beats == []
-    assert "not played: /b, /gantry/sequence, /operator/heartbeat" in output
+    assert b == [] and beats == [] and orders == []
+    assert [m.data for m in ways[:2]] == ["way 0", "way 1"], "where it went can be seen"
+    assert "not played: /b, /gantry/sequence, /operator/heartbeat\n" in output
 
 
 def test_recorded_pictures_come_back_as_pictures(ros: Ros, tmp_path: Path) -> None:

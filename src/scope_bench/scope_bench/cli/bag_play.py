@@ -1,6 +1,7 @@
 """Play a rosbag2 bag, of this project or of `ros2 bag`; space pauses, Ctrl-C ends it.
 
-Topics that move a machine are only played with --moving: beside a real robot they would be orders.
+Topics that move a machine are only played with --moving: beside a real robot they would be orders. Trajectories come as
+gantry/recorded_trajectory otherwise, for pages that show them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic
 from scope_bench.cli.progress import ProgressLine
 from scope_bench.core.play_clock import PlayClock, progress_bar
-from scope_bench.nodes.bag_player import MOVING, BagPlayer
+from scope_bench.nodes.bag_player import ASIDE, MOVING, BagPlayer
 from scope_bench.nodes.step_player import StepPlayer
 
 
@@ -57,7 +58,7 @@ def chosen(bag: BagReader, options: argparse.Namespace) -> list[BagTopic]:
     BagError
         If one that was named is not in the bag.
     """
-    names = {topic.name for topic in bag.topics}
+    names, in_step = {topic.name for topic in bag.topics}, bool(options.in_step)
     unknown = {*(options.topics or ()), *options.exclude} - names
     if unknown:
         raise BagError(f"{bag.path} has no {', '.join(sorted(unknown))}; it has {', '.join(sorted(names))}")
@@ -66,7 +67,7 @@ def chosen(bag: BagReader, options: argparse.Namespace) -> list[BagTopic]:
         for topic in bag.topics
         if (options.topics is None or topic.name in options.topics)
         and topic.name not in options.exclude
-        and (options.moving or not topic.name.endswith(MOVING))
+        and (options.moving or not topic.name.endswith(MOVING) or (topic.name.endswith(tuple(ASIDE)) and not in_step))
     ]
 
 
@@ -80,7 +81,11 @@ class Playing:
         self._start_ns = bag.start_ns + round(options.start_offset * 1e9)
         self._clock = PlayClock(self._start_ns, options.rate, time.monotonic(), paused=True)
         self._node = BagPlayer(
-            self._topics, unpack=not options.keep_compressed, in_step=bool(options.in_step), toggle=self._toggle
+            self._topics,
+            unpack=not options.keep_compressed,
+            in_step=bool(options.in_step),
+            aside=not options.moving,
+            toggle=self._toggle,
         )
         self._step = StepPlayer(session, self._node, bag, options.patience) if options.in_step else None
         session.executor.add_node(self._node)

@@ -23,6 +23,8 @@ MOVING = (
     *("operator/heartbeat", "panel/teach/request"),
 )
 """Topics that move a machine, let it move, or make it write down a panel."""
+ASIDE = {"gantry/trajectory": "gantry/recorded_trajectory"}
+"""What is played under another name instead: a page shows it, and no driver listens there."""
 
 
 class BagPlayer(Node):
@@ -36,6 +38,8 @@ class BagPlayer(Node):
         Publish pictures that were recorded compressed as ``Image`` on the topic that they came from.
     in_step
         Let nothing be lost, and offer /clock from the start.
+    aside
+        Publish topics in ASIDE under their other names.
     toggle
         Called by the service ``toggle_paused``; returns whether it is paused now.
     """
@@ -46,6 +50,7 @@ class BagPlayer(Node):
         *,
         unpack: bool = True,
         in_step: bool = False,
+        aside: bool = True,
         toggle: Callable[[], bool] = lambda: False,
         **options: Any,
     ) -> None:
@@ -60,6 +65,9 @@ class BagPlayer(Node):
             if unpack and kind == COMPRESSED and name.endswith(SUFFIX):
                 self._packed.add(name)
                 name, kind = name.removesuffix(SUFFIX), IMAGE
+            for ending, other in ASIDE.items() if aside else ():
+                if name.endswith(ending):
+                    name = name.removesuffix(ending) + other
             profile = playing_qos(topic.qos)
             if in_step:
                 profile.reliability = ReliabilityPolicy.RELIABLE

@@ -176,7 +176,8 @@ class BridgeNode(Node):
         self._hear(Float32, "panel/confidence", qos.SENSOR, self._confidence_seen)
         self._hear(PointStamped, "stylus/tip", qos.SENSOR, self._tip_seen)
         self._hear(PointStamped, "gantry/target", qos.LATCHED, self._target_seen)
-        self._hear(JointTrajectory, "gantry/trajectory", qos.COMMAND, self._trajectory_seen)
+        way = "gantry/recorded_trajectory" if self._replay else "gantry/trajectory"  # bag_play's name for it
+        self._hear(JointTrajectory, way, qos.COMMAND, self._trajectory_seen)
         self._hear(String, "gantry/state", qos.LATCHED, self._state_taker("controller"))
         self._hear(String, "gantry/driver_state", qos.LATCHED, self._state_taker("driver"))
         self._hear(String, "calibration/state", qos.LATCHED, self._state_taker("calibration"))
