@@ -11,6 +11,7 @@ from typing import Any
 
 import axe_playwright_python
 import pytest
+from graph_texts import german_phrases
 from system.conftest import PATIENT
 from system.operator_browser import Operator
 from system.test_operator_page import Instrument
@@ -84,6 +85,7 @@ def test_the_page_speaks_german(operator: Operator) -> None:
     assert "Drehknopf" in str(page.get_attribute("[data-control=CH1_SCALE]", "aria-label"))
     operator.selects("MENU", "Menu")
     operator.shoots("german")
+    speaks_german_for_the_graph(operator)
     wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
     assert wide <= 0
     page.reload()
@@ -93,6 +95,36 @@ def test_the_page_speaks_german(operator: Operator) -> None:
     operator.until(lambda: not page.is_hidden("#lease-take"), 5.0, lambda: page.inner_text("#lease-text"))
     page.click("#lease-take")
     operator.sees("#lease-text", "You are in control")
+
+
+# What the controller, the driver and the others say, as they put it together.
+REASONS = {
+    "the driver is 'stopped: stop requested', 'idle' is needed": (
+        "der Treiber ist 'gestoppt: Stop verlangt', er muss ruhen"
+    ),
+    "lost the operator: no heartbeat for 0.6 s; the machine was told to stop": (
+        "Bediener verloren: seit 0.6 s kein Herzschlag; die Maschine soll anhalten"
+    ),
+    "step 2 of 3, press:M: not seen in time: lamp:RUN_STOP=red (lamp green), effect (none seen)": (
+        "Schritt 2 von 3, press:M: nicht rechtzeitig zu sehen: lamp:RUN_STOP=red (Lampe grün), effect (keine gesehen)"
+    ),
+    "error:9 (locked by an alarm) at line 12 'G1X3', after: 'something new (right)'": (
+        "Fehler 9 (durch einen Alarm gesperrt) in Zeile 12 'G1X3', davor: 'something new (right)'"
+    ),
+    "step 1: turn needs an angle in degrees, not zero and at most 360 either way, found '0'": (
+        "Schritt 1: turn braucht einen Winkel in Grad, nicht null, höchstens 360 in jede Richtung, gefunden: '0'"
+    ),
+    "a text of a program that nobody knows: 3 of 4 (left)": "a text of a program that nobody knows: 3 of 4 (left)",
+}
+
+
+def speaks_german_for_the_graph(operator: Operator) -> None:
+    say = "async (texts) => { const { said } = await import('/page/said.js'); return texts.map(said); }"
+    wanted = dict(REASONS)
+    for english, german in german_phrases().items():
+        values = [f"<{number}>" for number in range(english.count("{}"))]
+        wanted[english.format(*values)] = german.format(*values)
+    assert dict(zip(wanted, operator.page.evaluate(say, list(wanted)))) == wanted
 
 
 def test_zoom_pan_and_a_click_in_the_zoomed_picture(operator: Operator) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from graph_texts import german_phrases, templates
+
 from scope_ui_bridge.adapters.front_door import PAGE
 from scope_ui_bridge.core.wire import LEASE_STEPS, SERVICES
 
@@ -38,3 +40,59 @@ def test_every_key_that_is_used_exists() -> None:
         used |= set(re.findall(r'Refusal\("(\w+)"', source.read_text()))
         used |= set(re.findall(r'"(stopped_\w+)"', source.read_text()))
     assert used - english.keys() == set()
+
+
+# Collected with the sentences, but seen by nobody at the page, or the same in both languages.
+UNSAID = {
+    "names of things and goals": (
+        *("gantry controller", "{}: board", "facts {}", "message {}"),
+        *(
+            "sequence {}",
+            "teach {}",
+            "move {}",
+            "jog ({}, {}) mm",
+            "({}, {}) mm",
+            "{} mm",
+            "{} id={}.{}",
+            "Operator {}",
+        ),
+        *("the operator's page", "{} +- {} mm", "calibrating {}/{}{}", "{} to {}"),
+    ),
+    "parts of a sentence that is in the table as a whole": ("to {}", "; drift: {}"),
+    "compared with what the board says": ("reset to continue",),
+    "status lines and plain pages of the web server; terminals": (
+        *("not signed in", "engineers only", "no picture is held", "sign in first"),
+        *("too many viewers", "the desk knows which picture is held", "Operator page: {}?token={}"),
+        "{}: rms {} px, residuals x{}, red: above three times the rms",
+        *("bring_up --scope {} --set recognition.template={} --set recognition.template_px_per_mm={}",),
+    ),
+    "the log": (
+        *(
+            "serial_driver: {}; under load a stop may take longer, see README, Hardware",
+            "{}: 4 finite values are needed",
+        ),
+        *("encoding {} is none of bgr8, mono8, {}", "OpenCV could not encode the picture"),
+        *("encoding {} is none of mono8, mono16, {}",),
+    ),
+}
+STATES = ("stopped: ", "waiting: ", "disconnected: ", "calibrated: ", "failed: ", "uncalibrated: ")
+
+
+def test_all_that_the_graph_can_say_is_known_in_german() -> None:
+    german = german_phrases()
+    unsaid = {text for texts in UNSAID.values() for text in texts}
+
+    def is_known(text: str) -> bool:
+        for state in STATES:
+            text = text.removeprefix(state)
+        return text in ("", "{}") or text in german or f"{text} {{}}" in german or text in unsaid
+
+    missing = [f"{text!r} in {file}" for text, file in templates().items() if not is_known(text)]
+    assert missing == [], "give them a line in page/phrases_de.js"
+
+
+def test_german_phrases_keep_every_value() -> None:
+    for english, sentence in german_phrases().items():
+        holes = re.findall(r"\{(\d*)\}", sentence)
+        numbers = [int(hole) if hole else place for place, hole in enumerate(holes)]
+        assert sorted(numbers) == list(range(english.count("{}"))), english

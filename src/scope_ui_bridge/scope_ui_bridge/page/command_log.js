@@ -1,6 +1,7 @@
 // The command log: newest first, each command one row that is updated until its result is known.
 
 import { fileTime, put, save } from "./dom.js";
+import { said, saidName } from "./said.js";
 import { has, t } from "./strings.js";
 
 export const ICONS = {
@@ -87,11 +88,11 @@ export class CommandLog {
     icon.textContent = ICONS[entry.status] ?? "";
     const text = document.createElement("strong");
     text.textContent = t(`status_${entry.status}`);
-    result.replaceChildren(icon, text, entry.reason ? ` ${entry.reason}` : "");
+    result.replaceChildren(icon, text, entry.reason ? ` ${said(entry.reason)}` : "");
     error.className = "number";
     error.textContent = entry.error_mm === null ? "" : t("mm", { value: entry.error_mm.toFixed(2) });
     who.className = "who";
-    who.textContent = entry.who;
+    who.textContent = saidName(entry.who);
     this.#filter(row);
     this.#tell();
   }
@@ -106,7 +107,7 @@ export class CommandLog {
 
 export function actionText(entry) {
   const [name, argument] = entry.action.split(" ");
-  if (!has(`action_${name}`)) return entry.action;
+  if (!has(`action_${name}`)) return said(entry.action);
   const value = Number(argument);
   const details =
     {
@@ -127,5 +128,5 @@ export function targetText(entry) {
 export function spoken(entry) {
   const values = { action: actionText(entry), target: targetText(entry), status: t(`status_${entry.status}`) };
   if (entry.error_mm !== null) return t("said_error", { ...values, error: entry.error_mm.toFixed(2) });
-  return t("said", { ...values, reason: entry.reason });
+  return t("said", { ...values, reason: said(entry.reason) });
 }

@@ -2,6 +2,7 @@
 
 import { say } from "./dom.js";
 import { Link } from "./link.js";
+import { said } from "./said.js";
 import { has, t } from "./strings.js";
 import { Video } from "./video.js";
 
@@ -67,8 +68,8 @@ function explained(values = {}) {
   const name = values.state && has(`state_${values.state}`) ? t(`state_${values.state}`, values) : values.state;
   const role = values.role ? t(`role_name_${values.role}`) : "";
   const field = values.field ? t(`field_${values.field}`) : "";
-  const reason = values.reason && values.reason !== REQUESTED ? `– ${values.reason}` : "";
-  return { ...values, role, field, state: name, reason };
+  const reason = values.reason && values.reason !== REQUESTED ? `– ${said(values.reason)}` : "";
+  return { ...values, role, field, state: name, reason, what: said(values.what) };
 }
 
 export const desk = new Desk();

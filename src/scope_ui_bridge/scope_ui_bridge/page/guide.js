@@ -2,6 +2,7 @@
 
 import { desk } from "./desk.js";
 import { find, put } from "./dom.js";
+import { said } from "./said.js";
 import { t } from "./strings.js";
 
 const NS = "http://www.w3.org/2000/svg";
@@ -15,8 +16,9 @@ export function setFacts(next) {
   facts = next;
   const text = Object.entries(facts.driver ?? {}).map(([name, value]) => `${name} ${value}`);
   put(find("driver-facts"), text.join(" · "));
-  const { progress: boards = "", x, y, size, skew } = facts.cameras ?? {};
-  put(find("camera-coverage"), boards && `${boards} · x ${x} · y ${y} · size ${size} · skew ${skew}`);
+  const { progress: boards = "", ...covered } = facts.cameras ?? {};
+  const reach = Object.fromEntries(Object.entries(covered).map(([name, value]) => [name, value.replace(" to ", "–")]));
+  put(find("camera-coverage"), boards && t("guide_boards", { boards: said(boards), ...reach }));
 }
 
 function progress() {
@@ -63,8 +65,8 @@ export function renderGuide() {
   step("guide-result", calibrated && Number(held ?? 0) <= GOOD_MM);
   put(find("guide-run-text"), all ? t("guide_run", { done, all }) : t("guide_run_idle"));
   put(find("calibration-text"), calibration.reason
-    ? `${t("chip_calibration")}: ${t(`state_${calibration.state}`, calibration)}${
-        calibration.state === "calibrating" ? "" : ` – ${calibration.reason}`
+    ? `${t("chip_calibration")}: ${t(`state_${calibration.state}`, { reason: said(calibration.reason) })}${
+        calibration.state === "calibrating" ? "" : ` – ${said(calibration.reason)}`
       }`
     : "");
   put(find("guide-numbers"), calibrated && rms

@@ -13,6 +13,7 @@ import { Overlay } from "./overlay.js";
 import { renderPanel, seenText, setPanel } from "./panel_seen.js";
 import { addError, renderPlots, sample } from "./plots.js";
 import { renderSequence, setSequence, setSequences, wireSequence } from "./sequence.js";
+import { said, saidName } from "./said.js";
 import { banner, chip, stateChip } from "./status.js";
 import { stopBanner } from "./stop_cause.js";
 import { keepLanguage, language, startLanguage, t } from "./strings.js";
@@ -170,7 +171,7 @@ function render() {
   );
   find("stage").classList.toggle("unsure", unsure || !seen);
   find("stage").classList.toggle("moving", state.moving);
-  put(find("you"), t("you", { name: me.name, count: state.viewers }));
+  put(find("you"), t("you", { name: saidName(me.name), count: state.viewers }));
   ["x", "y", "stylus"].forEach((axis, index) => {
     const value = state.position_mm?.[index];
     put(find(`position-${axis}`), Number.isFinite(value) ? t("mm", { value: value.toFixed(1) }) : "–");
@@ -191,9 +192,9 @@ function renderLease() {
   const { holder, holder_name: name, requester, requester_name: asking } = desk.state.lease;
   const asked = mine && requester;
   const may = me.role !== "viewer" && !desk.replay;
-  let text = mine ? t("lease_mine") : holder ? t("lease_other", { name }) : t("lease_free");
-  if (asked) text = t("lease_asked", { name: asking });
-  if (requester === me.id && me.id) text = t("lease_waiting", { name });
+  let text = mine ? t("lease_mine") : holder ? t("lease_other", { name: saidName(name) }) : t("lease_free");
+  if (asked) text = t("lease_asked", { name: saidName(asking) });
+  if (requester === me.id && me.id) text = t("lease_waiting", { name: saidName(name) });
   put(find("lease-text"), text);
   find("lease-card").dataset.look = mine ? "mine" : "";
   find("lease-take").hidden = Boolean(holder) || !may;
@@ -253,7 +254,7 @@ function renderAge() {
   banner(find("banner"), [
     { when: silent, look: "bad", text: t("banner_link") },
     { when: desk.replay, look: "waiting", text: t("banner_replay") },
-    { when: driver === "alarm", look: "bad", text: t("banner_alarm", { reason }) },
+    { when: driver === "alarm", look: "bad", text: t("banner_alarm", { reason: said(reason) }) },
     { when: driver === "stopped", look: "bad", text: state && stopBanner(state) },
     { when: age > limits.max_age_ms, look: "waiting", text: t("banner_stale") },
     { when: restarted, look: "waiting", text: t("banner_restarted") },

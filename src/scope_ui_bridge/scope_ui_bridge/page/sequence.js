@@ -2,6 +2,7 @@
 
 import { desk } from "./desk.js";
 import { find, put, say } from "./dom.js";
+import { said } from "./said.js";
 import { t } from "./strings.js";
 
 const ARMED_MS = 4000;
@@ -37,7 +38,7 @@ function wanted() {
 const running = () => run.status === "sent" || run.status === "accepted";
 
 function verdict() {
-  const values = { name: run.name || t("sequence"), number: run.number, all: run.steps.length, reason: run.reason };
+  const values = { name: run.name || t("sequence"), number: run.number, all: run.steps.length, reason: said(run.reason) };
   return t(`sequence_${run.status}`, values);
 }
 
@@ -134,7 +135,7 @@ function item(step, state) {
   if (state === "failed" && run.reason) {
     const why = document.createElement("span");
     why.className = "why";
-    why.textContent = run.reason.replace(/^step \d+ of \d+, [^ ]+: /, "");
+    why.textContent = said(run.reason.replace(/^step \d+ of \d+, [^ ]+: /, ""));
     line.append(why);
   }
   return line;

@@ -1,5 +1,6 @@
 // Header and banner: states by text and icon as well as by colour.
 
+import { said } from "./said.js";
 import { t } from "./strings.js";
 
 const LOOKS = {
@@ -26,7 +27,8 @@ export function chip(id, look, text, title = "") {
   element.querySelector("dd").replaceChildren(icon, text);
 }
 
-export function stateChip(id, { state, reason }) {
+export function stateChip(id, { state, reason: told }) {
+  const reason = said(told);
   const text = state ? t(`state_${state}`, { reason }) : t("unknown");
   const full = reason && state !== "calibrating" ? `${text}: ${reason}` : text;
   chip(id, LOOK_OF[state] ?? "none", text, full);

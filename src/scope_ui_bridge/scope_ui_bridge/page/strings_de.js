@@ -254,6 +254,7 @@ export const DE = {
   guide_result: "Das Ergebnis ist gut genug",
   guide_coverage: "Wo die Spitze angesehen wurde",
   guide_numbers: "gemessen {rms} mm rms, geprüft {held} mm, vorhergesagt {predicted} mm",
+  guide_boards: "{boards} · x {x} · y {y} · Größe {size} · Neigung {skew}",
   guide_by_hand: "Von Hand",
   yes: "erledigt",
   no: "noch nicht",

@@ -254,6 +254,7 @@ export const EN = {
   guide_result: "The result is good enough",
   guide_coverage: "Where the tip was looked at",
   guide_numbers: "measured {rms} mm rms, checked {held} mm, predicted {predicted} mm",
+  guide_boards: "{boards} · x {x} · y {y} · size {size} · tilt {skew}",
   guide_by_hand: "By hand",
   yes: "done",
   no: "not yet",

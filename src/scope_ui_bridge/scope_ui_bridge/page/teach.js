@@ -2,6 +2,7 @@
 
 import { desk } from "./desk.js";
 import { find, put, say } from "./dom.js";
+import { said } from "./said.js";
 import { t } from "./strings.js";
 import { wasDragged } from "./tools.js";
 
@@ -59,7 +60,7 @@ export function show() {
 }
 
 export function taught(message) {
-  answer = message.ok ? t("teach_done", message) : t("teach_refused", message);
+  answer = message.ok ? t("teach_done", message) : t("teach_refused", { ...message, reason: said(message.reason) });
   command = message.ok ? message.start : "";
   say(answer, !message.ok);
 }
