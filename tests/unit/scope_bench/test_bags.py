@@ -241,6 +241,33 @@ def test_every_cut_of_an_mcap_file_leaves_the_whole_records(tmp_path: Path) -> N
     assert last == 60
 
 
+@both
+@pytest.mark.parametrize("harm", ["cut off", "damaged"])
+def test_a_compressed_bag_is_repaired_as_far_as_it_unpacks(tmp_path: Path, storage: str, harm: str) -> None:
+    noise = np.random.default_rng(3).integers(0, 256, (400, 1000), np.uint8)
+    with BagWriter(tmp_path / "bag", storage, keep_free=0, zstd=True) as bag:
+        bag.add_topic(BagTopic(name="/a", type=STRING))
+        for i, row in enumerate(noise):
+            bag.write("/a", i + 1, text(f"{i} {row.tobytes().hex()}"))
+            if i % 10 == 9:
+                bag.checkpoint()
+    (file,) = (p for p in (tmp_path / "bag").iterdir() if p.suffix == ".zstd")
+    data = bytearray(file.read_bytes())
+    place = int(len(data) * 0.7)
+    data[place:] = b"" if harm == "cut off" else bytes(9999) + data[place + 9999 :]
+    file.write_bytes(data)
+    with pytest.raises(BagError, match=r"broken.*--repair"), BagReader(tmp_path / "bag") as bag:
+        list(bag.messages())
+    for given, new in ((tmp_path / "bag", "new"), (file, "again")):
+        count, end = repair(given, tmp_path / new)
+        assert file.name in end and ("unpacked" in end if harm == "damaged" else "cut off" in end), end
+        assert 200 < count < 300
+        with BagReader(tmp_path / new) as bag:
+            said = [bag.decode(d, STRING).data.partition(" ")[0] for _, _, d in bag.messages()]
+        assert said == [f"{i}" for i in range(count)]
+    assert not list(tmp_path.glob("*.unpacked*")), "nothing is left beside the new bag"
+
+
 def test_damage_in_the_middle_is_named_and_the_rest_is_saved(tmp_path: Path) -> None:
     rows = write(tmp_path / "bag", "sqlite3", 3000)
     file = storage_file(tmp_path / "bag")

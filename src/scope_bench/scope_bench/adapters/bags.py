@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import shutil
 import sqlite3
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -32,7 +35,14 @@ from scope_bench.core.mcap_records import whole_messages
 STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 _CHECKPOINT_S = 1.0
 _BETWEEN_DISK_CHECKS = 1 << 20
-_READ_ERRORS = (ReaderError, apsw.Error, OSError, ValueError, KeyError, TypeError, AssertionError, EOFError)
+_ZSTD: Any = importlib.import_module(
+    "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
+)  # as rosbags
+_READ_ERRORS = (
+    *(ReaderError, apsw.Error, OSError, ValueError, KeyError, TypeError, AssertionError, EOFError),
+    _ZSTD.ZstdError,
+)
+_ZIPPED, _PIECE = ".zstd", 1 << 16
 T = TypeVar("T")
 
 
@@ -297,23 +307,67 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
     BagError
         If there is nothing to read, or ``out`` cannot be written.
     """
-    files = [path] if path.is_file() else sorted(p for p in path.glob("*") if p.suffix in (".db3", ".mcap"))
+    found = (
+        [path] if path.is_file() else sorted(p for p in path.glob("*") if _plain_name(p).endswith((".db3", ".mcap")))
+    )
+    # A writer that died while it compressed leaves both; the plain one is whole.
+    files = [p for p in found if p.suffix != _ZIPPED or p.with_suffix("") not in found]
     if not files:
-        raise BagError(f"{path} has no .db3 or .mcap file")
-    end = ""
-    with BagWriter(out, "sqlite3" if files[0].suffix == ".db3" else "mcap", types=_types_in(files)) as writer:
-        known: set[str] = set()
-        for file in files:
-            try:
-                for topic, stamp_ns, data in _salvaged(file):
-                    if topic.name not in known:
-                        writer.add_topic(topic)
-                        known.add(topic.name)
-                    writer.write(topic.name, stamp_ns, data)
-            except (*_READ_ERRORS, sqlite3.Error) as error:
-                end = f"{file.name}: {error}"
-        count = writer.messages
-    return count, end
+        raise BagError(f"{path} has no .db3 or .mcap file, compressed (.zstd) or not")
+    ends: list[str] = []
+    place = next(folder for folder in out.absolute().parents if folder.is_dir())
+    with tempfile.TemporaryDirectory(prefix=f"{out.name}.unpacked", dir=place) as folder:
+        plain = {_unpacked(file, Path(folder), ends): file.name for file in files}
+        types = _types_in(list(plain))
+        with BagWriter(out, "sqlite3" if next(iter(plain)).suffix == ".db3" else "mcap", types=types) as writer:
+            known: set[str] = set()
+            for file, name in plain.items():
+                try:
+                    for topic, stamp_ns, data in _salvaged(file):
+                        if topic.name not in known:
+                            writer.add_topic(topic)
+                            known.add(topic.name)
+                        writer.write(topic.name, stamp_ns, data)
+                except (*_READ_ERRORS, sqlite3.Error) as error:
+                    ends.append(f"{name}: {error}")
+            count = writer.messages
+    return count, "; ".join(ends)
+
+
+def _plain_name(file: Path) -> str:
+    return file.name.removesuffix(_ZIPPED)
+
+
+def _unpacked(file: Path, folder: Path, ends: list[str]) -> Path:
+    """Return the file, or what can be unpacked of a compressed one; ``ends`` gets why that is not all."""
+    if file.suffix != _ZIPPED:
+        return file
+    plain = folder / _plain_name(file)
+    unzip = _ZSTD.ZstdDecompressor()
+    with file.open("rb") as source, plain.open("wb") as target:
+        try:
+            # In small pieces: of the one with the damage nothing comes out.
+            while not unzip.eof and (piece := source.read(_PIECE)):
+                target.write(unzip.decompress(piece))
+        except (_ZSTD.ZstdError, OSError) as error:
+            ends.append(f"{file.name} could not be unpacked further than {target.tell()} bytes: {error}")
+        else:
+            if not unzip.eof:
+                ends.append(f"{file.name} was cut off")
+    if not unzip.eof:
+        _fill_up(plain)
+    return plain
+
+
+def _fill_up(plain: Path) -> None:
+    """Give a sqlite file that is too short the size in its header: the pages that are there can then be read."""
+    with plain.open("r+b") as file:
+        head = file.read(32)
+        if head.startswith(b"SQLite format 3\0") and len(head) == 32:
+            page = int.from_bytes(head[16:18], "big")
+            file.truncate(
+                max(plain.stat().st_size, (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big"))
+            )
 
 
 def _salvaged(file: Path) -> Iterator[tuple[BagTopic, int, bytes]]:
