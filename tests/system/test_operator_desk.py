@@ -235,9 +235,10 @@ def test_outlines_edges_and_the_way_are_seen_on_any_picture(operator: Operator, 
     import numpy as np
 
     page = operator.page
-    page.click("[data-layer=edges]")
+    for layer in ("edges", "corners"):
+        page.click(f"[data-layer={layer}]")
     operator.selects("RUN_STOP", "Run / Stop")
-    for layer in ("edges", "path"):
+    for layer in ("edges", "corners", "path"):
         page.wait_for_selector(f".layer-{layer} .over", state="attached")
     box = page.locator("#stage").bounding_box()
     path = tmp_path / "stage.png"
@@ -246,12 +247,15 @@ def test_outlines_edges_and_the_way_are_seen_on_any_picture(operator: Operator, 
     picture = cv2.imread(str(path)).astype(float)[:, :, ::-1] / 255
     linear = np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4)
     light = linear @ [0.2126, 0.7152, 0.0722]
-    # Every fifth of each line, in pixels of the stage, with its colour.
+    # Places along each line, in pixels of the stage, with its colour; corners are dots, lines without length.
     lines = page.evaluate(
         """() => { const stage = document.getElementById('stage').getBoundingClientRect();
             return [...document.querySelectorAll('#overlay .over')].filter((p) => getComputedStyle(p.parentElement)
               .display !== 'none').map((path) => { const length = path.getTotalLength(), m = path.getScreenCTM();
-                const at = [0.1, 0.3, 0.5, 0.7, 0.9].map((part) => path.getPointAtLength(part * length))
+                const parts = path.parentElement.classList.contains('layer-edges') ? 60 : 5;
+                const dots = [...path.getAttribute('d').matchAll(/M(\\S+) (\\S+)h0/g)].slice(0, 200);
+                const at = (dots.length ? dots.map(([, x, y]) => new DOMPoint(x, y))
+                  : Array.from({ length: parts }, (_, i) => path.getPointAtLength(((i + 0.5) / parts) * length)))
                   .map((p) => p.matrixTransform(m)).map((p) => [p.x - stage.x, p.y - stage.y]);
                 return [path.parentElement.classList[0], at, getComputedStyle(path).stroke.match(/\\d+/g)
                   .map((v) => v / 255)]; }); }"""
@@ -267,10 +271,10 @@ def test_outlines_edges_and_the_way_are_seen_on_any_picture(operator: Operator, 
             bright = light[part].ravel()[off.argmin()]
             if off.min() < 0.25:  # between the dashes, or under a line that lies above it, there is none
                 seen.setdefault(layer, []).append((bright + 0.05) / (light[part].min() + 0.05))
-    assert seen.keys() >= {"layer-edges", "layer-path", "layer-outline", "layer-controls", "layer-tip"}
+    assert seen.keys() >= {"layer-edges", "layer-corners", "layer-path", "layer-outline", "layer-controls", "layer-tip"}
     print({layer: (len(found), round(min(found), 1)) for layer, found in seen.items()})
     assert {layer: min(found) for layer, found in seen.items() if min(found) < 3} == {}
-    assert len(seen["layer-controls"]) > 20 and len(seen["layer-path"]) >= 2
+    assert len(seen["layer-controls"]) > 20 and len(seen["layer-path"]) >= 2 and len(seen["layer-corners"]) > 50
     # A picture that was under way when the layer was switched off does not bring it again.
     page.evaluate(
         """() => { const counts = window.counts = { edges: 0, tip: 0 };
@@ -280,7 +284,8 @@ def test_outlines_edges_and_the_way_are_seen_on_any_picture(operator: Operator, 
             const button = document.querySelector('[data-layer=edges]');
             button.addEventListener('click', () => { watch('edges'); watch('tip'); }); }"""
     )
-    page.click("[data-layer=edges]")
+    for layer in ("edges", "corners"):
+        page.click(f"[data-layer={layer}]")
     page.click("[data-layer=path]")
     operator.until(lambda: page.evaluate("counts.tip") >= 20, 10.0, lambda: "ten more pictures with the stylus's tip")
     assert page.evaluate("counts.edges") == page.locator(".layer-edges .over").count() == 0
