@@ -11,6 +11,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String
+from system.operator_browser import Operator as PageOperator
 from system.terminal_operator import Operator
 
 from icu_common.core.panel_layout import load_layout
@@ -73,6 +74,27 @@ def test_press_of_a_named_control_stops_the_scope(running_graph: Any, operator: 
     operator.go(0.01, 0.01)
     changed = np.abs(screen_pixels(operator) - seen_before).mean()
     assert changed > 5.0, f"the picture of the screen's RUN/STOP sign changed by {changed:.1f} of 255"
+
+
+@pytest.mark.browser
+def test_press_on_the_page_changes_the_scope(browser: Any, running_graph: Any) -> None:
+    """Nobody else is there: the heartbeat that lets the machine move is the page's."""
+    bench = running_graph.bench()
+    before = bench.ask(do="truth")["instrument"]["running"]
+    truth_start = len(running_graph.truth_log())
+    person = PageOperator(browser, running_graph.new_page_address())
+    person.takes_control()
+    person.sees("#chip-controller", "Ready", within_s=20.0)
+    person.selects("RUN_STOP", "Run")
+    person.confirms()
+    row = person.logs("Press Run.*(done|aborted|refused|no answer)", 40.0)
+    assert "done" in row, row
+    assert 0 <= float(re.findall(r"([\d.]+) mm", row)[-1]) < 0.5, row
+    events = running_graph.truth_log()[truth_start:]
+    assert [e["control"] for e in events if e["event"] == "press"] == ["RUN_STOP"]
+    assert bench.ask(do="truth")["instrument"]["running"] is (not before)
+    person.until(lambda: person.lit() is (not before), 5.0, lambda: "the lamp in the live picture")
+    person.leaves()
 
 
 def clear_of_tall_controls(x: float, y: float) -> bool:
