@@ -55,6 +55,8 @@ class RunningGraph:
         self.folder = folder
         self.prepared = False
         self.run_dir = folder / "run"
+        self.scopes = folder / "scopes"
+        """Where layouts go that are taught on the page."""
         self.port = free_port()
         self.environment = {
             **os.environ,
@@ -72,7 +74,7 @@ class RunningGraph:
             str(ROOT / "config"),
         ]
         command += ["--state", str(folder / "state"), "--run-dir", str(self.run_dir)]
-        command += ["--set", f"ui_bridge.port={self.port}", *extra]
+        command += ["--set", f"ui_bridge.port={self.port}", "--set", f"recognition.teach_folder={self.scopes}", *extra]
         with self._log_path.open("wb") as log:
             self.process = subprocess.Popen(command, env=self.environment, stdout=log, stderr=subprocess.STDOUT)
 

@@ -69,7 +69,7 @@ function explained(values = {}) {
   const role = values.role ? t(`role_name_${values.role}`) : "";
   const field = values.field ? t(`field_${values.field}`) : "";
   const reason = values.reason && values.reason !== REQUESTED ? `– ${said(values.reason)}` : "";
-  return { ...values, role, field, state: name, reason, what: said(values.what) };
+  return { ...values, role, field, state: name, reason, what: said(values.what), step: said(values.step) };
 }
 
 export const desk = new Desk();

@@ -13,7 +13,7 @@ const known = new Map();
 /** Return it in the page's language. */
 export function said(text) {
   const language = document.documentElement.lang;
-  if (!text || !(language in PHRASES) || text.length > LONGEST) return text ?? "";
+  if (typeof text !== "string" || !(language in PHRASES) || text.length > LONGEST) return text ?? "";
   const key = `${language} ${text}`;
   if (!known.has(key)) {
     if (known.size > MANY) known.clear();

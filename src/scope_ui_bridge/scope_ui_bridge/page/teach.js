@@ -162,6 +162,7 @@ function added(event) {
   find("teach-name").value = "";
   active = 3 + controls.length;
   renderPlaces();
+  find("stage").scrollIntoView({ block: "nearest" }); // on a tablet the form stands below the picture
 }
 
 async function write(event) {
