@@ -125,6 +125,9 @@ def speaks_german_for_the_graph(operator: Operator) -> None:
         values = [f"<{number}>" for number in range(english.count("{}"))]
         wanted[english.format(*values)] = german.format(*values)
     assert dict(zip(wanted, operator.page.evaluate(say, list(wanted)))) == wanted
+    others = "async (action) => (await import('/page/command_log.js')).actionText({ action })"
+    said = operator.page.evaluate(others, "move to (0.1, 0.2, 0) m in base_link")
+    assert said == "fahren nach (0.1, 0.2, 0) m in base_link", "where somebody else's goal goes"
 
 
 def test_zoom_pan_and_a_click_in_the_zoomed_picture(operator: Operator) -> None:

@@ -107,7 +107,6 @@ export class CommandLog {
 
 export function actionText(entry) {
   const [name, argument] = entry.action.split(" ");
-  if (!has(`action_${name}`)) return said(entry.action);
   const value = Number(argument);
   const details =
     {
@@ -117,6 +116,8 @@ export function actionText(entry) {
       click: ` ${value > 0 ? "↻" : "↺"} ${Math.abs(value)}`,
       set: ` ${Number.isFinite(value) ? `${value}°` : argument}`,
     }[name] ?? "";
+  // A goal of somebody else comes as it was published, such as "move to (0.1, 0.2, 0) m in base_link".
+  if (!has(`action_${name}`) || (argument && !details)) return said(entry.action);
   return t(`action_${name}`) + details;
 }
 
