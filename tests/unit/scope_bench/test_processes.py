@@ -66,6 +66,34 @@ def test_a_program_that_ran_for_long_waits_half_a_second_too() -> None:
     watch.group.stop()
 
 
+# Ends once, then hangs once before it is ready, deaf to signals, then works.
+HANGS_ONCE = """
+import os, pathlib, signal, sys
+count = pathlib.Path(sys.argv[1])
+number = len(count.read_text()) if count.exists() else 0
+count.write_text("x" * (number + 1))
+if number == 1:
+    [signal.signal(s, signal.SIG_IGN) for s in (2, 15)]
+    signal.pause()
+os.write(int(os.environ["ICU_READY_FD"]), b"1")
+print("ready")
+sys.exit(3) if number == 0 else signal.pause()
+"""
+
+
+def test_a_restarted_program_that_does_not_get_ready_is_killed_and_started_again(tmp_path: Path) -> None:
+    watch = Watch(ready_s=2.0)
+    watch.group.start("a", [*PYTHON, HANGS_ONCE, str(tmp_path / "count")], tells_ready=True)
+    watch.until(lambda: watch.output.count(("a", "ready")) == 2)
+    assert [text for _, text in watch.events] == [
+        "ended with exit code 3, restarted in 0.5 s",
+        "is not ready 2 s after its restart: killed",
+        "ended with signal SIGKILL, restarted in 1 s",
+    ]
+    watch.until(lambda: watch.group._programs[0].ready_pipe is None, 1.0)  # heard, and not waited for any more
+    watch.group.stop()
+
+
 def test_a_wrong_configuration_is_not_restarted() -> None:
     watch = Watch()
     watch.group.start("a", [*PYTHON, "import sys; sys.exit(2)"])

@@ -25,6 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from icu_common.core.config import ConfigError
 from icu_common.nodes import in_step
 
+_READY_VARIABLE = "ICU_READY_FD"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
@@ -132,6 +133,14 @@ def run_together(programs: Sequence[tuple[Callable[[], int], Sequence[str]]]) ->
     return _run(makers, [])
 
 
+def _tell_ready() -> None:
+    """Say so to bring-up, which kills a restarted program that never gets here."""
+    with contextlib.suppress(OSError, ValueError):
+        pipe = int(os.environ.pop(_READY_VARIABLE, ""))
+        os.write(pipe, b"1")
+        os.close(pipe)
+
+
 def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None) -> int:
     with ros_session(arguments) as session:
         nodes: list[Node] = []
@@ -139,6 +148,7 @@ def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None)
             for make in makers:
                 nodes.append(make())
                 session.executor.add_node(nodes[-1])
+            _tell_ready()
             while session.goes_on:
                 session.spin()
         except ConfigError as error:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+READY_VARIABLE = "ICU_READY_FD"
 _PR_SET_PDEATHSIG = 1
 
 
@@ -29,6 +30,8 @@ class Watched:
     misconfigured: bool = False
     once: bool = False
     ends_last: bool = False
+    tells_ready: bool = False
+    ready_pipe: int | None = None
 
 
 def _die_with_parent() -> None:
@@ -49,6 +52,9 @@ class ProcessGroup:
         Called with (program, text) when a program ends, is restarted or given up.
     restarts
         How often a program may be restarted within ``window_s``; the delay doubles from half a second.
+    ready_s
+        A restarted program that could say that it is ready, and does not within this time, is killed: shared memory
+        that its predecessor held when it was killed can hang it. A first start may take as long as it needs.
     """
 
     def __init__(
@@ -59,25 +65,29 @@ class ProcessGroup:
         *,
         restarts: int = 4,
         window_s: float = 60.0,
+        ready_s: float = 90.0,
     ) -> None:
         self._environment = dict(environment)
         self._on_output = on_output
         self._on_event = on_event
         self._restarts = restarts
         self._window_s = window_s
+        self._ready_s = ready_s
         self._programs: list[Watched] = []
         self._selector = selectors.DefaultSelector()
         self._partial: dict[int, bytes] = {}
 
-    def start(self, name: str, command: list[str], *, ends_last: bool = False) -> None:
+    def start(self, name: str, command: list[str], *, ends_last: bool = False, tells_ready: bool = False) -> None:
         """Start a program; one that ``ends_last`` is ended when all others are gone.
+
+        One that ``tells_ready`` writes a byte to the file descriptor ``ICU_READY_FD`` when it is.
 
         Raises
         ------
         OSError
             If the executable cannot be started.
         """
-        self._start(Watched(name=name, command=command, ends_last=ends_last))
+        self._start(Watched(name=name, command=command, ends_last=ends_last, tells_ready=tells_ready))
 
     def start_once(self, name: str, command: list[str]) -> None:
         """Start a program that ends by itself and is not restarted."""
@@ -88,15 +98,21 @@ class ProcessGroup:
         self._programs.append(watched)
 
     def _launch(self, watched: Watched) -> None:
+        ready = os.pipe() if watched.tells_ready else ()
         watched.process = subprocess.Popen(
             watched.command,
-            env=self._environment,
+            env=self._environment | ({READY_VARIABLE: str(ready[1])} if ready else {}),
+            pass_fds=ready[1:],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             start_new_session=True,  # the terminal's Ctrl-C reaches bring-up alone, which ends the others in order
             preexec_fn=_die_with_parent,
         )
+        if ready:
+            os.close(ready[1])
+            os.set_blocking(ready[0], False)
+            watched.ready_pipe = ready[0]
         watched.starts.append(time.monotonic())
         watched.restart_at = None
         assert watched.process.stdout is not None
@@ -112,6 +128,8 @@ class ProcessGroup:
             process = watched.process
             if process is not None and process.poll() is not None:
                 self._ended(watched, process.returncode, now)
+            elif process is not None and watched.ready_pipe is not None:
+                self._look_whether_ready(watched, process, now)
             if watched.restart_at is not None and now >= watched.restart_at:
                 self._launch(watched)
 
@@ -129,8 +147,26 @@ class ProcessGroup:
         """Names of programs that are not restarted any more."""
         return [w.name for w in self._programs if w.gave_up]
 
+    def _look_whether_ready(self, watched: Watched, process: subprocess.Popen[bytes], now: float) -> None:
+        assert watched.ready_pipe is not None
+        with contextlib.suppress(BlockingIOError):
+            os.read(watched.ready_pipe, 1)  # nothing: it has closed the pipe, or ended
+            self._close_pipe(watched)
+            return
+        if len(watched.starts) > 1 and now - watched.starts[-1] > self._ready_s:
+            self._on_event(watched.name, f"is not ready {self._ready_s:g} s after its restart: killed")
+            self._close_pipe(watched)
+            process.kill()
+
+    @staticmethod
+    def _close_pipe(watched: Watched) -> None:
+        if watched.ready_pipe is not None:
+            os.close(watched.ready_pipe)
+            watched.ready_pipe = None
+
     def _ended(self, watched: Watched, code: int, now: float) -> None:
         watched.process = None
+        self._close_pipe(watched)
         recent = [t for t in watched.starts if now - t < self._window_s]
         why = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         if watched.once:
@@ -174,6 +210,7 @@ class ProcessGroup:
         """
         for watched in self._programs:
             watched.restart_at = None
+            self._close_pipe(watched)
         killed: list[str] = []
         for last in (False, True):
             killed += self._end([w for w in self._programs if w.process is not None and w.ends_last is last], within_s)

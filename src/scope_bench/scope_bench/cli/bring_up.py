@@ -135,11 +135,17 @@ class BringUp:
                     waiting.remove(program)
                     path = find_executable(program.package, program.executable, here)
                     arguments = self._arguments(program, temporary)
-                    group.start(program.name, [str(path), *arguments], ends_last=program.ends_last)
+                    group.start(
+                        program.name,
+                        [str(path), *arguments],
+                        ends_last=program.ends_last,
+                        tells_ready=program.is_node,
+                    )
                 if together and (late or all(p.waits_for is None or p.waits_for.exists() for p in together)):
                     table = temporary / "composed.json"
                     table.write_text(json.dumps([[p.executable, self._arguments(p, temporary)] for p in together]))
-                    group.start("composed", [str(find_executable("scope_bench", "composed", here)), str(table)])
+                    composed = [str(find_executable("scope_bench", "composed", here)), str(table)]
+                    group.start("composed", composed, tells_ready=True)
                     together = []
                 if not waiting and not together and not self.complete:
                     self.complete = True
