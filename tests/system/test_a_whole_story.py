@@ -332,8 +332,8 @@ def replays(browser: Any, folder: Path, graph: RunningGraph, tmp_path: Path, tau
         viewer = Operator(browser, address)
         viewer.page.wait_for_selector("[data-control=CH1]", timeout=60_000)
         assert viewer.page.locator("#controls button").count() == 4, "the controls that were taught"
-        percent = viewer.sees("#chip-recognition", r"\d+ ?%", within_s=20.0)
-        print(f"the taught panel is recognised with {percent}")
+        percent = re.findall(r"\d+ ?%", viewer.sees("#chip-recognition", r"\d+ ?%", within_s=20.0))
+        print(f"the taught panel is recognised with {percent[0]}")
         viewer.shoots("18_taught_panel_recognised", SHOTS)
         viewer.leaves()
 

@@ -171,6 +171,14 @@ def test_the_picture_before_is_compared_and_nothing_moves_meanwhile(operator: Op
     operator.sees("#refusal", "lies over the live one")
     page.click("#compare")
     operator.until(lambda: page.is_enabled("[data-act=press]"), 5.0, lambda: page.inner_text("#refusal"))
+    page.click("#freeze")
+    operator.until(lambda: not page.is_enabled("[data-act=press]"), 5.0, lambda: "nothing moves from a held picture")
+    held = "() => document.getElementById('before').toDataURL()"
+    still, live = page.evaluate(held), operator.picture_sum()
+    operator.until(lambda: operator.picture_sum() != live, 5.0, lambda: "the live picture goes on below")
+    assert page.is_visible("#before") and page.evaluate(held) == still
+    page.click("#freeze")
+    operator.until(lambda: page.is_enabled("[data-act=press]"), 5.0, lambda: page.inner_text("#refusal"))
     with page.expect_download() as saved:
         page.click("#snapshot")
     assert re.fullmatch(r"picture_[\d_-]+\.png", saved.value.suggested_filename)

@@ -48,6 +48,9 @@ def test_a_button_is_pressed_twice_and_long(person: Operator) -> None:
     for gesture, words in (("double", "Double press"), ("long", "Long press")):
         person.confirms(gesture)
         person.logs(f"{words} Menu.*done", 10.0)
+    person.page.select_option("#hold-seconds", "1")
+    person.confirms("hold")
+    person.logs("Hold 1 s Menu.*done", 10.0)
     person.selects("RUN_STOP", "Run / Stop")
     person.sees("#selection-detail", "lamp green")
     person.confirms()

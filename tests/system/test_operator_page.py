@@ -290,6 +290,10 @@ def test_words_can_be_read_and_buttons_can_be_hit(browser: Any, instrument: Inst
         operator.selects("CH1_SCALE", "Channel 1 scale")
         operator.page.click("#stop")
         operator.sees("#banner", "STOPPED")
+        operator.page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+        for part in ("#stop", "#banner", "#reset"):
+            box = operator.page.locator(part).bounding_box()
+            assert 0 <= box["y"] <= size[1] - box["height"], f"{part} is seen wherever one has scrolled to"
         operator.page.click("[data-call=reset]")
         operator.sees("#chip-driver", "Idle")
         operator.shoots(f"page_{scheme}_{size[0]}")

@@ -129,5 +129,6 @@ export function targetText(entry) {
 export function spoken(entry) {
   const values = { action: actionText(entry), target: targetText(entry), status: t(`status_${entry.status}`) };
   if (entry.error_mm !== null) return t("said_error", { ...values, error: entry.error_mm.toFixed(2) });
-  return t("said", { ...values, reason: said(entry.reason) });
+  const reason = said(entry.reason);
+  return t("said", { ...values, reason: reason.charAt(0).toUpperCase() + reason.slice(1) });
 }
