@@ -149,7 +149,7 @@ def test_zoom_pan_and_a_click_in_the_zoomed_picture(operator: Operator) -> None:
     operator.sees("#zoom-fit", "100 %")
 
 
-def test_the_picture_before_is_compared_and_nothing_moves_meanwhile(operator: Operator) -> None:
+def test_the_picture_before_is_compared_and_nothing_moves_meanwhile(operator: Operator, instrument: Instrument) -> None:
     page = operator.page
     assert not page.is_enabled("#compare")
     operator.selects("RUN_STOP", "Run / Stop")
@@ -173,10 +173,12 @@ def test_the_picture_before_is_compared_and_nothing_moves_meanwhile(operator: Op
     operator.until(lambda: page.is_enabled("[data-act=press]"), 5.0, lambda: page.inner_text("#refusal"))
     page.click("#freeze")
     operator.until(lambda: not page.is_enabled("[data-act=press]"), 5.0, lambda: "nothing moves from a held picture")
+    assert page.is_visible("#before") and page.get_attribute("#freeze", "aria-pressed") == "true"
+    instrument.tell("running 1")
     held = "() => document.getElementById('before').toDataURL()"
     still, live = page.evaluate(held), operator.picture_sum()
     operator.until(lambda: operator.picture_sum() != live, 5.0, lambda: "the live picture goes on below")
-    assert page.is_visible("#before") and page.evaluate(held) == still
+    assert page.evaluate(held) == still
     page.click("#freeze")
     operator.until(lambda: page.is_enabled("[data-act=press]"), 5.0, lambda: page.inner_text("#refusal"))
     with page.expect_download() as saved:
