@@ -415,6 +415,49 @@ def test_missing_numba_is_told_plainly() -> None:
     assert ended.returncode == 1 and "harris_perception needs numba" in ended.stderr
 
 
+WARMED = """
+import numpy as np
+from numba.core.registry import CPUDispatcher
+from harris_perception.core import deriche, edge_kernels, edge_tracing, harris_kernels, structure
+from harris_perception.core.edges import CombinedDetector, EdgeDetector
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+
+def compiled():
+    modules = (deriche, edge_kernels, edge_tracing, harris_kernels, structure)
+    return {
+        f"{module.__name__}.{name}": len(value.signatures)
+        for module in modules for name, value in vars(module).items() if isinstance(value, CPUDispatcher)
+    }
+
+rng = np.random.default_rng(1)
+for config in (HarrisConfig(), HarrisConfig(gradient="gaussian", window="gaussian"), HarrisConfig(even_spread=True)):
+    for detector in (HarrisDetector(config), CombinedDetector(config), EdgeDetector()):
+        detector.warm()
+        before = compiled()
+        for shape in ((90, 121), (8, 9), (2, 3)):
+            noise = rng.integers(0, 256, shape)
+            for dtype in (np.uint8, np.uint16, np.float32):
+                for picture in (noise.astype(dtype), noise.astype(dtype)[:, ::-1], np.zeros(shape, dtype)):
+                    detector.detect(picture)
+            if isinstance(detector, EdgeDetector):
+                detector.detect(np.dstack([noise] * 3).astype(np.uint8))
+        late = {name: count for name, count in compiled().items() if count != before[name]}
+        assert not late, (type(detector).__name__, config, late)
+"""
+
+
+def test_after_warming_no_picture_waits_for_the_compiler() -> None:
+    search = os.pathsep.join(p for p in sys.path if p)
+    ended = subprocess.run(
+        [sys.executable, "-c", WARMED],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": search},
+        timeout=120,
+    )
+    assert ended.returncode == 0, ended.stderr[-2000:]
+
+
 DATA = Path(os.environ.get("ICU_TEST_DATA", ""))
 needs_data = pytest.mark.skipif(not os.environ.get("ICU_TEST_DATA"), reason="ICU_TEST_DATA names no folder of pictures")
 

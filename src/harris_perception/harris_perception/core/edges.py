@@ -140,7 +140,7 @@ class EdgeDetector:
 
     def warm(self) -> None:
         """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
-        checks = np.indices((64, 64)).sum(axis=0) // 16 % 2 * 100
+        checks = (np.indices((64, 64)) // 16).sum(axis=0) % 2 * 100
         for dtype in (np.uint8, np.float32):
             self.detect(checks.astype(dtype), [(20.0, 20.0)])
 
@@ -252,7 +252,7 @@ class CombinedDetector:
 
     def warm(self) -> None:
         """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
-        checks = np.indices((64, 64)).sum(axis=0) // 16 % 2 * 100
+        checks = (np.indices((64, 64)) // 16).sum(axis=0) % 2 * 100
         for dtype in (np.uint8, np.uint16, np.float32):
             self.detect(checks.astype(dtype))
 

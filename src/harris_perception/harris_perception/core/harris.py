@@ -167,7 +167,7 @@ class HarrisDetector:
     def warm(self) -> None:
         """Compile, or load from the cache, everything that this configuration runs, so that no picture waits for it."""
         edge = 4 * self.margin_px + 8
-        checks = np.indices((edge, edge)).sum(axis=0) // 4 % 2
+        checks = (np.indices((edge, edge)) // 4).sum(axis=0) % 2
         for dtype in (np.uint8, np.uint16, np.float32):
             self.detect((checks * 100).astype(dtype))
 
