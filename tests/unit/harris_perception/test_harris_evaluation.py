@@ -114,10 +114,10 @@ def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.Capture
     assert linked - {(20, 20), (69, 20), (20, 59), (69, 59)} == {(int(x), int(y)) for y, x in np.argwhere(seen == 128)}
     assert main(["detect", str(source), "--labels", str(labels)]) == 2
     assert "--edges" in capsys.readouterr().err
-    assert main(["detect", str(source), "--octaves", "2", "--table", str(table), "--edges"]) == 0
-    assert {row["scale"] for row in csv.DictReader(table.open())} <= {"1.0", "2.0"}
-    assert main(["detect", str(source), "--octaves", "2", "--edges", "combined"]) == 2
-    assert main(["detect", str(source), "--octaves", "-1"]) == 2
+    assert main(["detect", str(source), "--scales", "2", "--table", str(table), "--edges"]) == 0
+    assert {row["scale"] for row in csv.DictReader(table.open())} <= {"1.0", "1.41"}
+    assert main(["detect", str(source), "--scales", "2", "--edges", "combined"]) == 2
+    assert main(["detect", str(source), "--scales", "-1"]) == 2
 
 
 def test_match_finds_a_shifted_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

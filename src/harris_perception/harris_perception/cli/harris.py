@@ -93,10 +93,10 @@ def detect(options: argparse.Namespace) -> int:
     edges: Edges | None = None
     corners: Corners | ScaledCorners
     scales = None
-    if options.octaves:
+    if options.scales:
         if any(not pair.startswith("max_corners=") for pair in options.set):
-            raise ValueError(f"--octaves is one setting: of --set only max_corners goes with it, not {options.set}")
-        corners = HarrisLaplaceDetector(repeatable(config.max_corners, options.octaves)).detect(gray)
+            raise ValueError(f"--scales is one setting: of --set only max_corners goes with it, not {options.set}")
+        corners = HarrisLaplaceDetector(repeatable(config.max_corners, options.scales)).detect(gray)
         scales = corners.scale
     elif options.edges == "combined":
         corners, edges = CombinedDetector(config, _settings(TracingConfig, options.set_edges)).detect(gray)
@@ -250,10 +250,10 @@ def _parser() -> argparse.ArgumentParser:
         help="edges too: outlines, by color and two scales (as without a word), or combined, in the corners' own pass",
     )
     one.add_argument(
-        "--octaves",
+        "--scales",
         type=int,
         default=0,
-        help="corners of so many octaves, at other places in each, by the setting that repeats best with 3",
+        help="corners of so many scales, each 1.41 times coarser, by the setting that repeats best with 3",
     )
     one.add_argument("--labels", type=Path, help="picture of labels: 0 flat, 128 edge, 255 corner; needs --edges")
     one.add_argument("--chains", type=Path, help="linked pixels of the edges as .csv or .json; needs --edges")
@@ -289,8 +289,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if options.run is detect and options.edges is None and (options.labels or options.chains):
             raise ValueError("--labels and --chains need --edges")
-        if options.run is detect and options.octaves and options.edges == "combined":
-            raise ValueError("--octaves: edges of the corners' own pass have one scale; take --edges outlines")
+        if options.run is detect and options.scales and options.edges == "combined":
+            raise ValueError("--scales: edges of the corners' own pass have one scale; take --edges outlines")
         return int(options.run(options))
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -40,16 +40,16 @@ class HarrisLaplaceConfig(Config):
     laplacian_px: float = setting(1.5, "Scale of the Laplacian on each level", minimum=0.5, maximum=10.0, unit="px")
 
 
-def repeatable(max_corners: int, octaves: int = 3) -> HarrisLaplaceConfig:
-    """Return the setting that repeats best over all kinds of changes: Gaussians 1 / 1.5 px on a few octaves.
+def repeatable(max_corners: int, scales: int = 3) -> HarrisLaplaceConfig:
+    """Return the setting that repeats best over all kinds of changes: Gaussians 1 / 1 px on a few scales.
 
-    Each octave gives half as many corners as the finer one, at other places. One setting for all pictures; chosen by
-    the average over rotation, scale, light, viewpoint and noise.
+    Each scale is 1.41 times coarser than the one before and gives corners in proportion to its resolution, none within
+    2 px of a finer one. One setting for all pictures; docs/decisions/one-setting.md tells how it was chosen.
     """
     detector = HarrisConfig(
-        gradient="gaussian", window="gaussian", sigma_i_px=1.5, k=0.06, relative_threshold=0.0, max_corners=max_corners
+        gradient="gaussian", window="gaussian", sigma_i_px=1.0, relative_threshold=0.0, max_corners=max_corners
     )
-    return HarrisLaplaceConfig(detector=detector, levels=octaves, factor=2.0, select=False, share=1.0, apart_px=1.0)
+    return HarrisLaplaceConfig(detector=detector, levels=scales, factor=1.41, select=False, share=1.0, apart_px=2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

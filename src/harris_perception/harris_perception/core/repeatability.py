@@ -188,10 +188,10 @@ def our_detectors() -> dict[str, Detect]:
         detector = HarrisConfig(max_corners=count, relative_threshold=0.0, **variants["impharris 1 / 2"])
         return HarrisLaplaceDetector(HarrisLaplaceConfig(detector=detector)).detect(gray).xy[:count]
 
-    def over_octaves(gray: Gray, count: int) -> Points:
+    def default(gray: Gray, count: int) -> Points:
         return HarrisLaplaceDetector(repeatable(count)).detect(gray).xy[:count]
 
-    several = {"harris-laplace 1 / 2": over_scales, "three octaves 1 / 1.5": over_octaves}
+    several = {"harris-laplace 1 / 2": over_scales, "three scales 1 / 1": default}
     return {name: make(settings) for name, settings in variants.items()} | several
 
 
