@@ -20,7 +20,7 @@ from stereo_scenes import drawn_scene
 from harris_perception.adapters.stereo_folders import scenes
 from harris_perception.core.dense_stereo import DELTA_PX, DenseConfig, DenseStereo, SemiGlobalConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.stereo_evaluation import dense_methods, evaluate
+from harris_perception.core.stereo_evaluation import ALL_CORNERS, dense_methods, evaluate
 from harris_perception.core.stereo_matching import MatchConfig, Rectifier, disparity_range, match_corners
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.nodes.conversions import disparity_message, header, organised_cloud_message
@@ -49,12 +49,12 @@ def errors() -> list[Row]:
             rows.append(row(f"{result.scene.name}: bad-2 [%]", ours.bad_2, score.bad_2, name, 1.0))
             what = f"{result.scene.name}: bad-2 without the strip that peers leave empty [%]"
             rows.append(row(what, ours.bad_2_strip_apart, score.bad_2_strip_apart, name))
-        for name, peer in list(result.sparse.items())[1:] if result.scene in taken else ():
-            mine = result.sparse["ours"]
-            for figure in ("precision", "recall"):
-                values = getattr(mine, figure), getattr(peer, figure)
-                what = f"{result.scene.name}: sparse {figure} at 1 px [%]"
-                rows.append(row(what, *values, name, 1.0, higher_is_better=True))
+        for name, peer in result.sparse.items() if result.scene in taken else ():
+            for mine in ("ours", ALL_CORNERS) if name not in ("ours", ALL_CORNERS) else ():
+                for figure in ("precision", "recall"):
+                    values = getattr(result.sparse[mine], figure), getattr(peer, figure)
+                    what = f"{result.scene.name}: {mine.replace('ours', 'sparse')}: {figure} at 1 px [%]"
+                    rows.append(row(what, *values, name, 1.0, higher_is_better=True))
     for count in (len(taken), len(results)):
         mean = float(np.mean([result.dense["ours"].bad_2 for result in results[:count]]))
         rows.append(bound(f"mean bad-2 of {count} pairs [%]", mean, MEAN_BAD_2))

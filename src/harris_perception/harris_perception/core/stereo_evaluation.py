@@ -21,6 +21,7 @@ from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.stereo_matching import MatchConfig, match_corners
 
 MAX_POINTS = 1500
+ALL_CORNERS = "ours, small windows too"
 _HALF = 5
 ROWS_PX = 1.5
 """Matches of the peers whose rows differ by more are dropped, as ours are: the pair is rectified."""
@@ -194,9 +195,9 @@ def sparse_methods(disparities: int) -> dict[str, Callable[[U8, U8], SparseResul
     """Return our matcher and its peers; each takes at most MAX_POINTS points of each picture."""
     detector = HarrisDetector(HarrisConfig(max_corners=MAX_POINTS))
 
-    def ours(left: U8, right: U8) -> SparseResult:
+    def corners(left: U8, right: U8, config: MatchConfig) -> SparseResult:
         a, b = (detector.detect(picture).xy for picture in (left, right))
-        found = match_corners(left, right, a, b, (1.0, float(disparities)), MatchConfig())
+        found = match_corners(left, right, a, b, (1.0, float(disparities)), config)
         return SparseResult(a, found.left_px, found.disparity_px)
 
     def orb(left: U8, right: U8) -> SparseResult:
@@ -222,7 +223,8 @@ def sparse_methods(disparities: int) -> dict[str, Callable[[U8, U8], SparseResul
         return _whole_rows(left, right, detector.detect(left).xy, disparities)
 
     return {
-        "ours": ours,
+        "ours": lambda left, right: corners(left, right, MatchConfig()),
+        ALL_CORNERS: lambda left, right: corners(left, right, MatchConfig(small_windows=True, min_agreeing=3)),
         "ORB, cross check": orb,
         "SIFT, ratio 0.75": sift,
         "Harris, ZNCC, mutual best": mutual,

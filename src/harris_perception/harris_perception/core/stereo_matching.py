@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.compiled import compiled
+from harris_perception.core.compiled import called, compiled
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import Config, ConfigError, setting
 from icu_common.core.geometry import Array
@@ -57,6 +57,10 @@ class MatchConfig(Config):
     )
     guided: bool = setting(
         True, "Look also for corners that the detector found in the left picture only, where their neighbours lead."
+    )
+    small_windows: bool = setting(
+        False,
+        "Look for the rest by windows of 7 px too: many more matches at edges of depth, of which a few more are wrong.",
     )
 
     def __post_init__(self) -> None:
@@ -177,13 +181,20 @@ def match_corners(
     steady = (np.abs(disparity - rough) < 1.5) & (disparity >= low) & (disparity <= high)
     chosen = chosen[steady]
     partner = np.where(best[chosen] < 0, -1, right_place[best[chosen]]) if len(right_place) else best[chosen]
-    return Matches(
+    matches = Matches(
         left_px=left_at[chosen].astype(np.float64),
         disparity_px=disparity[steady],
         sigma_px=np.hypot(sigma[steady], _FLOOR_PX),
         correlation=score[chosen].astype(np.float64),
         index=np.column_stack([left_place[chosen], partner]),
     )
+    corners = np.asarray(left_px, np.float32).reshape(-1, 2)
+    undecided = left_place[~distinct & (score >= config.min_correlation)]
+    for reach_px, agreeing, least in _SMALL_PASSES if config.small_windows else ():
+        matches = _with_small_windows(
+            matches, left_fine, right_fine, corners, undecided, (low, high), reach_px, agreeing, least
+        )
+    return matches
 
 
 def triangulated(stereo: StereoModel, matches: Matches) -> Array:
@@ -365,6 +376,121 @@ def _slid(windows: F32, strips: F32, half: int) -> F32:
             spread = squares - total * total / (side * side)
             score[i, p] = product / np.sqrt(spread) if spread > least else np.float32(-1.0)
     return score
+
+
+_SMALL_PASSES = ((3.0, 1, 0.7), (np.inf, 2, 0.75))
+"""How far beyond its neighbours' disparities a corner is looked for, how many of them have to agree, and the least
+correlation: first where the neighbours are, then along the whole row (found on drawn pairs)."""
+_SMALL_HALF = 3
+_SMALL_SLOPE = 0.05
+"""As ``max_slope``: what has been looked for among so many places must fit better."""
+
+
+def _with_small_windows(
+    matches: Matches,
+    left: F32,
+    right: F32,
+    corners: F32,
+    undecided: npt.NDArray[np.intp],
+    limits_px: tuple[float, float],
+    reach_px: float,
+    agreeing: int,
+    least: float,
+) -> Matches:
+    """Look for the corners without a match by small windows along the row, there and back.
+
+    Small windows are less often torn by an edge of depth, and reach nearer to the picture's edge; that they are also
+    more often alike is made up for by the neighbours' disparities.
+    """
+    rest = np.setdiff1d(np.arange(len(corners)), np.r_[matches.index[:, 0], undecided])
+    matched, disparity = matches.left_px.astype(np.float32), matches.disparity_px.astype(np.float32)
+    if len(matched) < 8 or not len(rest):
+        return matches
+    at = corners[rest]
+    near = disparity[_nearest(at, matched)]
+    low = np.floor(np.maximum(near.min(axis=1) - reach_px, limits_px[0])).astype(np.int64)
+    high = np.ceil(np.minimum(near.max(axis=1) + reach_px, limits_px[1])).astype(np.int64)
+    rough, score = _along_rows(left, right, at, low, high, _SMALL_HALF, least)
+    found = np.flatnonzero(np.isfinite(rough))
+    rest, at, rough, score = rest[found], at[found], rough[found], score[found]
+    fits = _agreeing(at, rough, np.r_[matched, at], np.r_[disparity, rough], _SMALL_SLOPE) >= agreeing
+    rest, at, rough, score = rest[fits], at[fits], rough[fits], score[fits]
+    better, sigma = _refined(left, right, at, rough.astype(np.float64), _SMALL_HALF)
+    steady = (np.abs(better - rough) < 1.0) & (better >= limits_px[0]) & (better <= limits_px[1])
+    index = np.column_stack([rest, np.full(len(rest), -1)])[steady]
+    return Matches(
+        left_px=np.r_[matches.left_px, at[steady].astype(np.float64)],
+        disparity_px=np.r_[matches.disparity_px, better[steady]],
+        sigma_px=np.r_[matches.sigma_px, np.hypot(sigma[steady], _FLOOR_PX)],
+        correlation=np.r_[matches.correlation, score[steady].astype(np.float64)],
+        index=np.r_[matches.index, index],
+    )
+
+
+@compiled
+def _along_rows(
+    left: F32,
+    right: F32,
+    at: F32,
+    low: npt.NDArray[np.int64],
+    high: npt.NDArray[np.int64],
+    half: int,
+    least: float,
+) -> tuple[F32, F32]:
+    """Return each corner's disparity where its window fits best, there and back, else NaN, and the correlation."""
+    height, width = left.shape
+    disparity = np.full(len(at), np.nan, np.float32)
+    score = np.full(len(at), -1.0, np.float32)
+    row = np.empty(max(np.max(high - low) + 1, 1), np.float32)
+    for i in range(len(at)):
+        x, y = int(np.round(at[i, 0])), int(np.round(at[i, 1]))
+        if x < half or y < half or x >= width - half or y >= height - half or high[i] - low[i] < 2:
+            continue
+        best = _best_in_row(left, right, x, y, -1, low[i], high[i], half, row)
+        if best <= low[i] or best >= high[i]:
+            continue
+        before, top, after = row[best - 1 - low[i]], row[best - low[i]], row[best + 1 - low[i]]
+        if top < least or abs(_best_in_row(right, left, x - best, y, 1, low[i], high[i], half, row) - best) > 1:
+            continue
+        bend = before - np.float32(2) * top + after
+        part = np.float32(0.5) * (before - after) / bend if bend < np.float32(-1e-6) else np.float32(0)
+        disparity[i] = np.float32(best) + min(max(part, np.float32(-0.5)), np.float32(0.5))
+        score[i] = top
+    return disparity, score
+
+
+@called
+def _best_in_row(picture: F32, other: F32, x: int, y: int, sign: int, low: int, high: int, half: int, row: F32) -> int:
+    """Return by how much the window at (x, y) is moved in the other picture, low - 1 for nowhere; ``row`` gets all."""
+    width = picture.shape[1]
+    area = np.float32((2 * half + 1) ** 2)
+    total = square = np.float32(0)
+    for r in range(y - half, y + half + 1):
+        for c in range(x - half, x + half + 1):
+            total += picture[r, c]
+            square += picture[r, c] * picture[r, c]
+    mean = total / area
+    spread = square - total * mean
+    best, top = low - 1, np.float32(-1)
+    for k in range(low, high + 1):
+        row[k - low] = np.float32(-1)
+        there = x + sign * k
+        if spread < 4 * area or there < half or there >= width - half:
+            continue
+        total = square = product = np.float32(0)
+        for r in range(-half, half + 1):
+            for c in range(-half, half + 1):
+                value = other[y + r, there + c]
+                total += value
+                square += value * value
+                product += value * picture[y + r, x + c]
+        texture = square - total * total / area
+        if texture < 4 * area:
+            continue
+        row[k - low] = (product - mean * total) / np.sqrt(texture * spread)
+        if row[k - low] > top:
+            best, top = k, row[k - low]
+    return best
 
 
 _SEARCH = 8
