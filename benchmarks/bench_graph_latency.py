@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 import rclpy
 from bench_harris import picture
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rows import Row, bound, row, write
@@ -56,6 +57,10 @@ class Camera(Node):
         self._publisher.publish(image_message(self._pictures[self.left % len(self._pictures)], "bgr8", head))
         self.left -= 1
 
+    def wait_until_received(self) -> None:
+        """Wait for the readers, or the last picture would go with the publisher."""
+        self._publisher.wait_for_all_acked(Duration(seconds=2))
+
 
 class GoodFeatures:
     """cv2.goodFeaturesToTrack in the shape of HarrisDetector."""
@@ -83,6 +88,7 @@ def publish(count: int) -> int:
     executor.add_node(camera)
     while camera.left:
         executor.spin_once(timeout_sec=0.1)
+    camera.wait_until_received()
     camera.destroy_node()
     rclpy.shutdown()
     return 0
