@@ -175,7 +175,7 @@ def rows(outcomes: list[Outcome], mounting: str) -> list[Row]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fixed", type=int, default=50, metavar="N", help="machines with fixed cameras (%(default)s)")
-    parser.add_argument("--carriage", type=int, default=15, metavar="N", help="with cameras that ride (%(default)s)")
+    parser.add_argument("--carriage", type=int, default=10, metavar="N", help="with cameras that ride (%(default)s)")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first machine's seed (%(default)s)")
     options = parser.parse_args()
     wanted = [(name, getattr(options, name)) for name in ("fixed", "carriage") if getattr(options, name)]

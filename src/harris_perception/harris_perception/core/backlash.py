@@ -47,5 +47,8 @@ def measure_backlash(calibration: HandEye, axis: int, pairs: Sequence[tuple[Samp
         weight = np.linalg.solve(below.covariance + above.covariance, rail)
         information += float(weight @ rail)
         play += float(weight @ ahead)
+    # All pairs of an axis stand at the same place along it, so that cameras on the carriage see each line of the panel
+    # in the same row or column of pixels: their number does not reduce that error.
+    variance = (len(pairs) if calibration.on_carriage else 1) / information
     scale = float(np.linalg.norm(calibration.base_from_reading[:, axis]))
-    return Backlash(play_m=play / information * scale, sigma_m=scale / float(np.sqrt(information)), places=len(pairs))
+    return Backlash(play_m=play / information * scale, sigma_m=scale * float(np.sqrt(variance)), places=len(pairs))
