@@ -380,14 +380,20 @@ class Controller:
     def _begin(self, job: Job) -> None:
         knob = job.knob
         if knob is not None and job.kind == "set" and math.isnan(knob.seen_deg):
-            self._move_aside()
+            self._move_aside(job, knob)
         elif knob is not None and job.kind == "set" and abs(knob.off_deg) <= self.config.set_tolerance_deg:
             self._finish(job, Outcome.REACHED)
         else:
             self._try(job, Phase.MOVE if job.touch is None else Phase.APPROACH, lambda: self._way_to(job))
 
-    def _move_aside(self) -> None:
-        self._go(Phase.ASIDE, motion_plan.aside(self._world.here, self.config.aside_m, self.config.motion))
+    def _move_aside(self, job: Job, knob: Knob) -> None:
+        """Let the cameras see the whole knob, wherever on it the stylus has been."""
+        assert job.scene is not None
+        control, config = job.scene.control(knob.name), self.config
+        top = job.scene.base_from_panel.apply(np.array([[*control.centre, control.height]]))
+        by_m = config.aside_m + float(control.size[0]) / 2
+        middle_x = float(job.readings_at(top)[0, 0])
+        self._go(Phase.ASIDE, motion_plan.aside(self._world.here, middle_x, by_m, config.motion))
 
     def _read(self, job: Job, within_s: float) -> None:
         self.phase, self._phase_ns = Phase.READ, self._now_ns
@@ -609,7 +615,7 @@ class Controller:
         if not self._measure_contact(job):
             self._finish(job, Outcome.ABORTED, f"{job.complaint}; the stylus is up")
         elif job.knob is not None and not math.isnan(job.knob.goal_deg):
-            self._move_aside()
+            self._move_aside(job, job.knob)
         elif job.knob is None and job.before is not None and self._may_have_effect(job):
             self._read(job, self.config.effect_wait_s)
         else:

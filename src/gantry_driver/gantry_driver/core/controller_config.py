@@ -62,7 +62,11 @@ class ControllerConfig(Config):
         1.0, "Age of what is seen of the controls before a gesture", minimum=0.1, maximum=10.0, unit="s"
     )
     aside_m: float = setting(
-        0.03, "Way aside after which the stylus hides no knob any more", minimum=0.0, maximum=0.2, unit="m"
+        0.025,
+        "Way beyond a knob's edge from which on the stylus hides nothing of it",
+        minimum=0.0,
+        maximum=0.2,
+        unit="m",
     )
     set_tolerance_deg: float = setting(2.0, "A set knob may stand so far off", minimum=0.1, maximum=45.0, unit="deg")
     set_tries: int = setting(5, "Turns that a set may take", minimum=1, maximum=20)

@@ -124,9 +124,9 @@ def plunge_twice(start: Array, extension_m: float, between_m: float, config: Mot
     return Path(points=np.vstack([first.points, second.points]), times_s=times)
 
 
-def aside(start: Array, by_m: float, config: MotionConfig) -> Path:
-    """Move the retracted stylus out of the way, to the side where there is room."""
-    x = start[0] - by_m if start[0] - by_m >= config.x_min_m else start[0] + by_m
+def aside(start: Array, middle_x: float, by_m: float, config: MotionConfig) -> Path:
+    """Move the retracted stylus out of the way, ``by_m`` to that side of ``middle_x`` where there is room."""
+    x = middle_x - by_m if middle_x - by_m >= config.x_min_m else middle_x + by_m
     steps = _Steps(start)
     steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
     steps.to([x, start[1], 0.0], config.travel_speed_m_s)
