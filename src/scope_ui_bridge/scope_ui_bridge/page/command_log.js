@@ -1,7 +1,7 @@
 // The command log: newest first, each command one row that is updated until its result is known.
 
 import { fileTime, put, save } from "./dom.js";
-import { said, saidName } from "./said.js";
+import { said } from "./said.js";
 import { has, t } from "./strings.js";
 
 export const ICONS = {
@@ -92,7 +92,7 @@ export class CommandLog {
     error.className = "number";
     error.textContent = entry.error_mm === null ? "" : t("mm", { value: entry.error_mm.toFixed(2) });
     who.className = "who";
-    who.textContent = saidName(entry.who);
+    who.textContent = entry.who;
     this.#filter(row);
     this.#tell();
   }

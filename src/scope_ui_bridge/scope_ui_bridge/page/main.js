@@ -13,7 +13,7 @@ import { Overlay } from "./overlay.js";
 import { renderPanel, seenText, setPanel } from "./panel_seen.js";
 import { addError, renderPlots, sample } from "./plots.js";
 import { renderSequence, setSequence, setSequences, wireSequence } from "./sequence.js";
-import { said, saidName } from "./said.js";
+import { said } from "./said.js";
 import { banner, chip, stateChip } from "./status.js";
 import { stopBanner } from "./stop_cause.js";
 import { keepLanguage, language, startLanguage, t } from "./strings.js";
@@ -171,7 +171,7 @@ function render() {
   );
   find("stage").classList.toggle("unsure", unsure || !seen);
   find("stage").classList.toggle("moving", state.moving);
-  put(find("you"), t("you", { name: saidName(me.name), count: state.viewers }));
+  put(find("you"), t("you", { name: me.name, count: state.viewers }));
   ["x", "y", "stylus"].forEach((axis, index) => {
     const value = state.position_mm?.[index];
     put(find(`position-${axis}`), Number.isFinite(value) ? t("mm", { value: value.toFixed(1) }) : "–");
@@ -192,9 +192,9 @@ function renderLease() {
   const { holder, holder_name: name, requester, requester_name: asking } = desk.state.lease;
   const asked = mine && requester;
   const may = me.role !== "viewer" && !desk.replay;
-  let text = mine ? t("lease_mine") : holder ? t("lease_other", { name: saidName(name) }) : t("lease_free");
-  if (asked) text = t("lease_asked", { name: saidName(asking) });
-  if (requester === me.id && me.id) text = t("lease_waiting", { name: saidName(name) });
+  let text = mine ? t("lease_mine") : holder ? t("lease_other", { name }) : t("lease_free");
+  if (asked) text = t("lease_asked", { name: asking });
+  if (requester === me.id && me.id) text = t("lease_waiting", { name });
   put(find("lease-text"), text);
   find("lease-card").dataset.look = mine ? "mine" : "";
   find("lease-take").hidden = Boolean(holder) || !may;

@@ -3,7 +3,6 @@
 import { PHRASES_DE } from "./phrases_de.js";
 
 const PHRASES = { de: phrases(PHRASES_DE) };
-const WHO = { de: { Operator: "Bediener", Watchdog: "Wächter" } };
 const GLUE = ["; ", ": "];
 const DEEPEST = 6;
 const LONGEST = 1000;
@@ -20,13 +19,6 @@ export function said(text) {
     known.set(key, translated(text, PHRASES[language], 0));
   }
   return known.get(key);
-}
-
-/** Return a name that the bridge gave; those that people chose for themselves stay. */
-export function saidName(name) {
-  const [, role, number] = /^([A-Z][a-z]+)( \d+)?$/.exec(name ?? "") ?? [];
-  const word = WHO[document.documentElement.lang]?.[role];
-  return word ? `${word}${number ?? ""}` : name;
 }
 
 /** Templates without values by their text; the others as pieces between the values, those that say most first. */

@@ -1,6 +1,6 @@
 // Why the machine was stopped, in the page's language.
 
-import { said, saidName } from "./said.js";
+import { said } from "./said.js";
 import { t } from "./strings.js";
 
 // What the driver says when it stopped by itself, as far as an operator's page is part of it; the rest is shown as it is.
@@ -15,7 +15,7 @@ export function stopBanner(state) {
 function causeText({ stop_cause: cause, driver: { reason } }) {
   if (cause) {
     const after = cause.silence_s ? t("stopped_after", { seconds: cause.silence_s.toFixed(1) }) : "";
-    return `${t(cause.code, { who: said(saidName(cause.who)) })} ${after}`.trim();
+    return `${t(cause.code, { who: said(cause.who) })} ${after}`.trim();
   }
   const known = DRIVER.find(([pattern]) => pattern.test(reason));
   return known ? t(known[1]) : said(reason);
