@@ -17,13 +17,13 @@ T = TypeVar("T", bound=Node)
 Describe = Callable[[], Any]
 
 
-def domain_of_worker(base: int = 100) -> int:
-    """Return a ROS domain that no other worker of this test run uses (up to 232 are valid)."""
+def domain_of_worker(base: int = 100, count: int = 100) -> int:
+    """Return one of ``count`` ROS domains that no other worker of this test run uses (up to 232 are valid)."""
     name = os.environ.get("PYTEST_XDIST_WORKER")
     if name is None:
-        return base + os.getpid() % 100
+        return base + os.getpid() % count
     # The workers of one run have one parent; two of them must not meet on a domain.
-    return base + (os.getppid() * 16 + int(name[2:])) % 100
+    return base + (os.getppid() * 16 + int(name[2:])) % count
 
 
 class Ros:

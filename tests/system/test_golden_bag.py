@@ -7,7 +7,6 @@ artifacts/golden.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from golden import replay
 from golden.replay import ReplayGraph, Results
+from ros_rig import domain_of_worker
 
 EXPECTED = json.loads(replay.EXPECTED.read_text(encoding="utf-8"))
 BEGINNING_S = 3.0
@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
 
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ReplayGraph]:
-    graph = ReplayGraph(tmp_path_factory.mktemp("replay"), domain=100 + os.getpid() % 40)
+    graph = ReplayGraph(tmp_path_factory.mktemp("replay"), domain=domain_of_worker())
     try:
         yield graph
     finally:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ros_rig import domain_of_worker
 from system.conftest import PATIENT, executable
 from system.operator_browser import Operator, wait_for
 
@@ -31,7 +32,7 @@ class Instrument:
         self.limits = limits
         environment = {
             **os.environ,
-            "ROS_DOMAIN_ID": str(10 + os.getpid() % 35),
+            "ROS_DOMAIN_ID": str(domain_of_worker(10, 35)),
             "ROS_LOG_DIR": str(folder / "ros_log"),
             "PYTHONPATH": os.pathsep.join(str(path) for path in sorted((ROOT / "src").iterdir())),
             "PYTHONUNBUFFERED": "1",
