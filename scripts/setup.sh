@@ -96,15 +96,17 @@ fi
 for package in src/*/; do printf '%s\n' "$root/ros2_ws/build/$(basename "$package")"; done \
   > "$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/icu_workspace.pth"
 
-# The detector's machine code is cached beside its source, so that the first picture is not late.
+# The machine code of detector and dense stereo is cached beside its source, so that the first picture is not late.
 kernels=$(cat src/harris_perception/harris_perception/core/*.py | sha256sum)
 if [ ! -f ros2_ws/install/.warm ] || [ "$(cat ros2_ws/install/.warm)" != "$kernels" ]; then
-  echo "[4/4] compile the corner detector"
-  "$venv/bin/python" -c "from harris_perception.core.edges import CombinedDetector, EdgeDetector
+  echo "[4/4] compile the corner detector and dense stereo"
+  "$venv/bin/python" -c "from harris_perception.core import dense_stereo
+from harris_perception.core.edges import CombinedDetector, EdgeDetector
 from harris_perception.core.harris import HarrisConfig
 for config in (HarrisConfig(), HarrisConfig(gradient='gaussian', window='gaussian')):
     CombinedDetector(config).warm()
-EdgeDetector().warm()" \
-    || fail "the corner detector could not be compiled; see the lines above"
+EdgeDetector().warm()
+dense_stereo.warm()" \
+    || fail "the corner detector or dense stereo could not be compiled; see the lines above"
   echo "$kernels" > ros2_ws/install/.warm
 fi

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -199,3 +203,31 @@ def test_the_black_borders_of_turned_pictures_stay_unknown() -> None:
     assert 30 * 400 < black.sum() < 60 * 400
     disparity = dense.disparity(*pictures)
     assert np.isnan(disparity[black]).all() and np.isfinite(disparity[~black]).mean() > 0.3
+
+
+WARMED = """
+import numpy as np
+from harris_perception.core import dense_stereo as core
+from unit.harris_perception.rendered_stylus import stereo_model
+kernels = {name: kernel for name, kernel in vars(core).items() if hasattr(kernel, "signatures")}
+known = lambda: {name: len(kernel.signatures) for name, kernel in kernels.items()}
+core.warm()
+warmed = known()
+stereo = stereo_model()
+dense = core.DenseStereo(stereo, core.DenseConfig(), core.SemiGlobalConfig())
+picture = np.random.default_rng(0).integers(0, 256, (stereo.left.height, stereo.left.width), np.uint8)
+dense.points(dense.disparity(picture, picture))
+assert known() == warmed, (known(), warmed)
+assert all(warmed[name] == 1 for name in ("_accept", "_refine", "_keep_covered", "_spread_out")), warmed
+"""
+
+
+def test_after_warming_no_pair_waits_for_the_compiler() -> None:
+    tests = str(Path(__file__).resolve().parents[2])
+    ran = subprocess.run(
+        [sys.executable, "-c", WARMED],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([tests, *sys.path])},
+        capture_output=True,
+        text=True,
+    )
+    assert ran.returncode == 0, ran.stderr

@@ -364,3 +364,13 @@ def _spread_out(disparity: F32, product: np.float32, across: F32, down: F32, xyz
             xyz[y, x, 0] = z * across[x]
             xyz[y, x, 1] = z * down[y]
             xyz[y, x, 2] = z
+
+
+def warm() -> None:
+    """Compile what a pair needs, or load it from the cache, so that the first one is not late."""
+    noise = np.random.default_rng(0).integers(0, 256, (48, 96), np.uint8)
+    disparity = SemiGlobalMatcher(1.0, 32.0, SemiGlobalConfig())(noise, noise)
+    everywhere = np.ones(disparity.shape, np.bool_)
+    _keep_covered(disparity, everywhere, everywhere)
+    down, across = (np.zeros(length, np.float32) for length in disparity.shape)
+    _spread_out(disparity, np.float32(1.0), across, down, np.empty((*disparity.shape, 3), np.float32))

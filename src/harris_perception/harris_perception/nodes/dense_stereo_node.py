@@ -13,7 +13,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
-from harris_perception.core.dense_stereo import DELTA_PX, F32, DenseConfig, DenseStereo, SemiGlobalConfig
+from harris_perception.core.dense_stereo import DELTA_PX, F32, DenseConfig, DenseStereo, SemiGlobalConfig, warm
 from harris_perception.core.gray import bgr_of, gray_of
 from harris_perception.core.pairing import Pairing
 from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
@@ -63,6 +63,7 @@ class DenseStereoNode(Node):
         self._last_ns = self._matched = 0
         self._values: list[tuple[str, Any]] = []
         self._complaint = ""
+        warm()
         self._configure()
         self._disparity = self.create_publisher(DisparityImage, "disparity", qos.IMAGES)
         self._points = self.create_publisher(PointCloud2, "dense_points", qos.IMAGES)
