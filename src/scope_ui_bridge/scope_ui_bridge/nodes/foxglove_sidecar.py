@@ -16,13 +16,13 @@ from typing import Any
 
 import rclpy
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import run
 
 PORT = 8765
-_LATCHED = ("/pose", "/controls", "state", "/target", "camera_from_base", "/axes")
 
 
 class FoxgloveSidecar(Node):
@@ -35,6 +35,7 @@ class FoxgloveSidecar(Node):
         self._foxglove = foxglove
         self._types = get_typestore(Stores.ROS2_JAZZY)
         self._channels: dict[str, Any] = {}
+        self._kept: dict[str, bytes] = {}
         self._server = foxglove.start_server(name="icu_gantry", host="127.0.0.1", port=port, capabilities=[])
         self.port = int(self._server.port)
         print(f"Foxglove: open ws://127.0.0.1:{self.port} with config/foxglove_layout.json", flush=True)
@@ -46,8 +47,11 @@ class FoxgloveSidecar(Node):
 
     def _look_for_topics(self) -> None:
         for topic, kinds in self.get_topic_names_and_types():
-            if topic not in self._channels and kinds:
+            if topic not in self._channels and kinds and self.count_publishers(topic):
                 self._channels[topic] = self._open(topic, kinds[0])
+        # The server keeps nothing, so who connects later is told again what was said once.
+        for topic, data in self._kept.items():
+            self._pass_on(topic, data)
 
     def _open(self, topic: str, kind: str) -> Any:
         """Return the channel of a topic, or None for a type that is not known."""
@@ -60,12 +64,20 @@ class FoxgloveSidecar(Node):
             return None
         schema = self._foxglove.Schema(name=kind, encoding="ros2msg", data=text.encode())
         channel = self._foxglove.Channel(topic, schema=schema, message_encoding="cdr")
-        profile = qos.LATCHED if topic.endswith(_LATCHED) else qos.SENSOR
-        self.create_subscription(message_type, topic, partial(self._pass_on, channel), profile, raw=True)
+        # A reader that asks for the last message gets nothing from a publisher that keeps none.
+        offered = [publisher.qos_profile.durability for publisher in self.get_publishers_info_by_topic(topic)]
+        latched = all(durability == DurabilityPolicy.TRANSIENT_LOCAL for durability in offered)
+        profile = qos.LATCHED if latched else qos.SENSOR
+        heard = self._keep if latched else self._pass_on
+        self.create_subscription(message_type, topic, partial(heard, topic), profile, raw=True)
         return channel
 
-    def _pass_on(self, channel: Any, data: bytes) -> None:
-        channel.log(bytes(data), log_time=int(self.get_clock().now().nanoseconds))
+    def _keep(self, topic: str, data: bytes) -> None:
+        self._kept[topic] = data
+        self._pass_on(topic, data)
+
+    def _pass_on(self, topic: str, data: bytes) -> None:
+        self._channels[topic].log(bytes(data), log_time=int(self.get_clock().now().nanoseconds))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
