@@ -42,6 +42,15 @@ if [ ! -x "$venv/bin/pip" ]; then
   "$python" -m venv "${options[@]}" "$venv" || fail "$python -m venv failed; install it (Debian and Ubuntu: apt install python3-venv)"
 fi
 
+# On Jazzy, Ubuntu's OpenCV must find the numpy that it was compiled for, whatever else pip installs.
+constraints=()
+if [ $jazzy = yes ]; then
+  "$python" -c 'import cv2, numpy, serial, yaml, aiohttp' 2>/dev/null \
+    || fail "libraries are missing; install them with: rosdep install --from-paths src --ignore-src -y --skip-keys python3-numba"
+  "$python" -c 'import numpy; print("numpy==" + numpy.__version__)' > "$venv/constraints.txt"
+  constraints=(--constraint "$venv/constraints.txt")
+fi
+
 install() { # file of requirements, what it is
   local mark
   mark=$venv/.installed-$(basename "$1" .txt)
@@ -52,7 +61,7 @@ install() { # file of requirements, what it is
   # On a terminal one line shows what pip is at; elsewhere only the end is printed.
   local show=0
   [ -t 1 ] && show=1
-  PIP_DISABLE_PIP_VERSION_CHECK=1 "$venv/bin/pip" install -r "$1" | awk -v show=$show '
+  PIP_DISABLE_PIP_VERSION_CHECK=1 "$venv/bin/pip" install "${constraints[@]}" -r "$1" | awk -v show=$show '
       /^(Collecting|Installing|Building)/ && show { printf "\r\033[K      %s", substr($0, 1, 90); fflush() }
       /^Successfully/ { if (show) printf "\r\033[K"; print "      installed" }' \
     || fail "pip could not install $1; see the lines above (a proxy or an offline machine?), then run this again"
@@ -61,11 +70,9 @@ install() { # file of requirements, what it is
 if [ $jazzy = no ]; then
   install requirements.txt "rclpy, Fast DDS and libraries (about 400 MB, a minute or so)"
 else
-  "$python" -c 'import cv2, numpy, serial, yaml, aiohttp' 2>/dev/null \
-    || fail "libraries are missing; install them with: rosdep install --from-paths src --ignore-src -y --skip-keys python3-numba"
   # Ubuntu 24.04 has no package of numba and rosbags.
   "$venv/bin/python" -c 'import numba, rosbags' 2>/dev/null \
-    || { echo "[2/4] numba, rosbags"; "$venv/bin/pip" install --quiet numba "$(grep rosbags requirements-python.txt)" "numpy==$("$python" -c 'import numpy; print(numpy.__version__)')"; } \
+    || { echo "[2/4] numba, rosbags"; "$venv/bin/pip" install --quiet "${constraints[@]}" numba "$(grep rosbags requirements-python.txt)"; } \
     || fail "pip could not install numba and rosbags into .venv; see the lines above"
 fi
 if [ "$want" = dev ]; then install requirements-dev.txt "tools for tests and checks"; fi

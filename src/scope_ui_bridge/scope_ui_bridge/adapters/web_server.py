@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy.typing as npt
-from aiohttp import WSMessage, WSMsgType, web
+from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
 from icu_common.core.config import ConfigError
 from scope_ui_bridge.adapters.front_door import FrontDoor
@@ -184,7 +184,7 @@ class WebServer:
                     await asyncio.wait_for(self._closing.wait(), _TICK_S)
             for socket in list(self._sockets):
                 with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
-                    await asyncio.wait_for(socket.close(code=1001, message=b"server ends"), 0.5)
+                    await asyncio.wait_for(_close(socket), 0.5)
         finally:
             for task in self._tasks:
                 task.cancel()
@@ -285,7 +285,7 @@ class WebServer:
                 self._carry_out(self._desk.leave(viewer, self._now()))
             if sender is not None:
                 sender.cancel()
-        return socket
+        return await self._ended(socket)
 
     def _note_suspects(self, name: str, effects: list[Effect]) -> None:
         for effect in effects:
@@ -315,6 +315,12 @@ class WebServer:
             self._sockets.discard(socket)
             self.video.remove(viewer)
             sender.cancel()
+        return await self._ended(socket)
+
+    async def _ended(self, socket: web.WebSocketResponse) -> web.WebSocketResponse:
+        """Close with the server's reason: aiohttp 3.9 takes the end of a handler for a normal closure."""
+        if self._closing.is_set():
+            await _close(socket)
         return socket
 
     def _video_message(self, viewer: VideoViewer, text: str) -> None:
@@ -420,6 +426,10 @@ class WebServer:
         task = self._loop.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+
+
+async def _close(socket: web.WebSocketResponse) -> None:
+    await socket.close(code=WSCloseCode.GOING_AWAY, message=b"server ends")
 
 
 async def _send_all(socket: web.WebSocketResponse, outbox: asyncio.Queue[str]) -> None:
