@@ -36,7 +36,7 @@ bench: ## measure every speed claim against a peer; results in benchmarks/out/
 CAMPAIGN_SEEDS ?= 1000
 campaign: ## seeded faults against the mock board; CAMPAIGN_SEEDS=5000, or FIRST:LAST to repeat some
 	@scripts/setup.sh dev
-	@PYTHONPATH=$$(echo src/*/ tests | tr ' ' ':') $(VENV)/python -m campaign.run --seeds $(CAMPAIGN_SEEDS)
+	@PYTHONPATH=tests:$$PYTHONPATH $(VENV)/python -m campaign.run --seeds $(CAMPAIGN_SEEDS)
 
 SOAK_MINUTES ?= 30
 soak: ## the whole graph at full rate for SOAK_MINUTES=30: memory, files, threads and delay must stay flat
@@ -45,7 +45,7 @@ soak: ## the whole graph at full rate for SOAK_MINUTES=30: memory, files, thread
 
 golden: ## make the golden bag (simulated bench, fixed seed) and the results that tests compare with it
 	@scripts/setup.sh dev
-	@PYTHONPATH=tests $(VENV)/python -m golden.make_bag
+	@PYTHONPATH=tests:$$PYTHONPATH $(VENV)/python -m golden.make_bag
 
 docs: ## API documentation in artifacts/api; a warning is an error
 	@scripts/setup.sh dev

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import socket
 import subprocess
 import sys
@@ -21,14 +20,6 @@ from gantry_driver.core.trajectory_gcode import Waypoint
 from icu_common.core.frames import JOINTS
 from icu_common.core.results import GoalResult
 
-SOURCES = Path(__file__).resolve().parents[2] / "src"
-
-
-def python_environment() -> dict[str, str]:
-    """Return an environment in which a child finds the packages of this tree."""
-    path = os.pathsep.join(str(package) for package in sorted(SOURCES.iterdir()))
-    return {**os.environ, "PYTHONPATH": path + os.pathsep + os.environ.get("PYTHONPATH", "")}
-
 
 class GrblBoard:
     """One mock_grbl process; ``port`` is its link, :meth:`ask` its control socket."""
@@ -38,7 +29,7 @@ class GrblBoard:
         control = folder / "board"
         command = [sys.executable, "-m", "gantry_driver.mock.main", "--link", str(self.port)]
         command += ["--control-socket", str(control), "--time-scale", f"{time_scale:g}", *arguments]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, env=python_environment())
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE)
         assert self.process.stdout is not None
         assert self.process.stdout.readline(), "mock_grbl did not start"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -33,9 +33,8 @@ class Command:
     """One of the bag programs as a process on the rig's domain."""
 
     def __init__(self, ros: Ros, folder: Path, name: str, *arguments: str) -> None:
-        path = os.pathsep.join(str(p) for p in (ROOT / "src").iterdir() if p.is_dir())
         environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.context.get_domain_id()))
-        environment |= {"PYTHONPATH": path, "ROS_LOG_DIR": str(folder / "log"), "PYTHONUNBUFFERED": "1"}
+        environment |= {"ROS_LOG_DIR": str(folder / "log"), "PYTHONUNBUFFERED": "1"}
         self.process = subprocess.Popen(
             [sys.executable, "-m", f"scope_bench.cli.{name}", *arguments],
             env=environment,
@@ -170,7 +169,6 @@ def test_the_recorder_as_a_program_keeps_the_bag_whole_when_it_is_killed(ros: Ro
     program.process.communicate()
     saved = subprocess.run(
         [sys.executable, "-m", "scope_bench.cli.bag_info", str(tmp_path / "bag"), "--repair", str(tmp_path / "new")],
-        env=dict(os.environ, PYTHONPATH=str(ROOT / "src" / "scope_bench")),
         capture_output=True,
         text=True,
         timeout=30,

@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,16 +18,13 @@ from std_srvs.srv import SetBool, Trigger
 from gantry_driver.cli import gantry_goal
 from icu_common.nodes import qos
 
-SOURCES = os.pathsep.join(str(p) for p in (Path(__file__).parents[2] / "src").iterdir() if p.is_dir())
-
 
 class Program:
     """A command line program beside the test's own nodes, in the same ROS domain."""
 
     def __init__(self, ros: Any, module: str, *arguments: str) -> None:
         self.ros = ros
-        path = os.pathsep.join(filter(None, [SOURCES, os.environ.get("PYTHONPATH", "")]))
-        environment = {**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id()), "PYTHONPATH": path}
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id())}
         self.process = subprocess.Popen(
             [sys.executable, "-m", f"gantry_driver.cli.{module}", *arguments],
             env=environment,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from builtin_interfaces.msg import Duration as DurationMessage
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from nodes.grbl_board import GrblBoard, python_environment
+from nodes.grbl_board import GrblBoard
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -292,7 +293,7 @@ def test_sigterm_holds_lifts_and_ends(ros: Any, tmp_path: Path) -> None:
     board = GrblBoard(tmp_path)
     command = [sys.executable, "-m", "gantry_driver.nodes.serial_driver_node", "--ros-args"]
     command += ["-p", f"port:={board.port}"]
-    environment = {**python_environment(), "ROS_DOMAIN_ID": str(ros.context.get_domain_id())}
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id())}
     driver = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         op = Operator(ros, board).ready()
@@ -389,7 +390,7 @@ def test_a_flood_of_goals_moves_what_the_first_one_says(operator: Callable[..., 
 
 def test_the_program_has_real_time_scheduling_or_says_why_not() -> None:
     code = "from gantry_driver.adapters.real_time import *; print([ask_for_real_time(), is_real_time()])"
-    done = subprocess.run([sys.executable, "-c", code], env=python_environment(), capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     allowed = done.stdout.strip() == "['', True]"
     assert allowed or done.stdout.startswith("['real-time scheduling is not allowed ("), done
     assert allowed or done.stdout.strip().endswith("False]"), done

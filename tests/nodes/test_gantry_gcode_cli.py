@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from nodes.grbl_board import GrblBoard, python_environment
+from nodes.grbl_board import GrblBoard
 
 from gantry_driver.cli.gantry_gcode import main
 
@@ -45,7 +45,7 @@ class Terminal:
         command = [sys.executable, "-m", "gantry_driver.cli.gantry_gcode", *arguments]
         # As a script's background job: it starts with SIGINT ignored.
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-        self.process = subprocess.Popen(command, env=python_environment(), stdin=slave, stdout=slave, stderr=slave)
+        self.process = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave)
         signal.signal(signal.SIGINT, before)
         os.close(slave)
         self.seen = ""
@@ -75,7 +75,6 @@ class Terminal:
 def run(*arguments: str, what: str = "run") -> tuple[int, str]:
     done = subprocess.run(
         [sys.executable, "-m", "gantry_driver.cli.gantry_gcode", what, *arguments],
-        env=python_environment(),
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from nodes.grbl_board import GrblBoard, python_environment
+from nodes.grbl_board import GrblBoard
 
 from gantry_driver.nodes.serial_driver_node import SerialDriverNode
 
@@ -22,7 +22,7 @@ def test_state_and_counts_are_shown(ros: Any, tmp_path: Path) -> None:
         ros.node(SerialDriverNode, {"port": str(board.port)})
         process = subprocess.Popen(
             [sys.executable, "-m", "gantry_driver.cli.gantry_monitor", "--seconds", "6", *renamed],
-            env={**python_environment(), "ROS_DOMAIN_ID": str(ros.context.get_domain_id())},
+            env={**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id())},
             text=True,
             stdout=subprocess.PIPE,
         )

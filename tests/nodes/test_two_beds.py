@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 from geometry_msgs.msg import PointStamped
-from nodes.grbl_board import python_environment
 from nodes.mock_socket import BoardSocket
 from ros_rig import Ros
 from std_msgs.msg import Header, String
@@ -38,7 +37,7 @@ class Bed:
         parts = [text for part in ("mock_grbl", "serial_driver", "gantry_controller") for text in ("--only", part)]
         places = ["--config", ROOT / "config", "--state", folder / "state", "--run-dir", folder / "run"]
         environment = {
-            **python_environment(),
+            **os.environ,
             "ROS_DOMAIN_ID": str(ros.context.get_domain_id()),
             "ROS_LOG_DIR": str(folder / "ros_log"),
         }

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from nodes.grbl_board import python_environment
 from nodes.mock_socket import BoardSocket
 from ros_rig import domain_of_worker
 
@@ -174,7 +173,7 @@ def hosts(tmp_path: Path) -> Iterator[TwoHosts]:
 
 def environments(found_by: str, folder: Path) -> tuple[dict[str, str], dict[str, str]]:
     """Return the robot's and the desk's environment."""
-    shared = {**python_environment(), "ROS_DOMAIN_ID": str(domain_of_worker()), "ROS_LOG_DIR": str(folder / "log")}
+    shared = {**os.environ, "ROS_DOMAIN_ID": str(domain_of_worker()), "ROS_LOG_DIR": str(folder / "log")}
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_STATIC_PEERS"):
         shared.pop(name, None)
     if found_by == "server":

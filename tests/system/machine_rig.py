@@ -5,7 +5,6 @@ Between the browser and the bridge lies a link that can be slowed or cut.
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import subprocess
@@ -32,8 +31,7 @@ class MachineRig:
         self.graph = RunningGraph(folder, domain, *extra)
         self.folder = folder
         self._processes: list[subprocess.Popen[bytes]] = []
-        sources = os.pathsep.join(str(path) for path in sorted((ROOT / "src").iterdir()))
-        self._environment = {**self.graph.environment, "PYTHONPATH": sources}
+        self._environment = self.graph.environment
         shown = ["--picture", str(picture)] if picture else []
         self.camera = self._start(
             "system/barcode_camera.py", "--rate", f"{rate:g}", *shown, "--ros-args", "-r", "__ns:=/stereo"

@@ -50,9 +50,6 @@ def lost(rows: list[dict[str, Any]]) -> int:
 def test_none_of_300_pictures_is_lost(tmp_path: Path, two_cores: None) -> None:
     write_pictures(tmp_path)
     environment = dict(os.environ, ROS_DOMAIN_ID=str(101 + os.getpid() % 100), ROS_LOG_DIR=str(tmp_path / "log"))
-    environment["PYTHONPATH"] = os.pathsep.join(
-        [*(str(path) for path in (ROOT / "src").iterdir() if path.is_dir()), environment.get("PYTHONPATH", "")]
-    )
     reader = str(Path(__file__).with_name("picture_reader.py"))
     readers = [
         subprocess.Popen(

@@ -34,7 +34,6 @@ class Instrument:
             **os.environ,
             "ROS_DOMAIN_ID": str(domain_of_worker(10, 35)),
             "ROS_LOG_DIR": str(folder / "ros_log"),
-            "PYTHONPATH": os.pathsep.join(str(path) for path in sorted((ROOT / "src").iterdir())),
             "PYTHONUNBUFFERED": "1",
         }
         self.environment = environment

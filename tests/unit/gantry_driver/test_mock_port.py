@@ -27,7 +27,6 @@ from gantry_driver.mock.service import Service
 from gantry_driver.mock.settings import make_eeprom
 
 DEADLINE_S = 20.0
-SOURCES = [str(Path(__file__).parents[3] / "src" / name) for name in ("gantry_driver", "icu_common")]
 
 
 class Lines:
@@ -241,8 +240,7 @@ def program(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     command = [sys.executable, "-m", "gantry_driver.mock.main", "--set", "20=0", "--set", "22=0", "--log"]
     command += [str(tmp_path / "log.jsonl"), "--link", str(tmp_path / "port"), "--truth-socket", str(tmp_path / "t")]
     command += ["--control-socket", str(tmp_path / "c"), "--ros-args", "-r", "__node:=x", "--", "--seed", "3"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(SOURCES)}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         yield process, tmp_path
     finally:
