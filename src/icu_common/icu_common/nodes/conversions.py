@@ -171,10 +171,10 @@ def disparity_message(
     be found, ``delta_px`` their step; columns left of ``first_column`` are never known.
     """
     height, width = disparity_px.shape
-    least, largest = searched_px
+    least, largest = np.float32(searched_px[0]), np.float32(searched_px[1])  # what the message's fields can hold
     message = DisparityImage(header=head, f=float(focal_px), t=float(baseline_m))
     message.min_disparity, message.max_disparity, message.delta_d = float(least), float(largest), float(delta_px)
-    known = np.where(np.isnan(disparity_px), np.float32(least - 1), disparity_px)
+    known = np.where(np.isnan(disparity_px), least - np.float32(1), disparity_px)
     message.image = image_message(known.astype(np.float32, copy=False), "32FC1", head)
     message.valid_window = RegionOfInterest(x_offset=first_column, width=width - first_column, height=height)
     return message
