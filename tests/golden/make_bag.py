@@ -57,11 +57,6 @@ CORNERS_M = ((0.06, 0.05), (0.06, 0.17), (0.30, 0.17), (0.30, 0.05))
 LOWER_M = -0.012
 PRESSES = ("RUN_STOP", "CURSORS", "SINGLE")
 SIDES = (("left", CAMERA_LEFT), ("right", CAMERA_RIGHT))
-JPEG = [
-    *(cv2.IMWRITE_JPEG_QUALITY, 93),
-    *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
-    *(cv2.IMWRITE_JPEG_RST_INTERVAL, 10),
-]
 TOPICS = {
     **{f"/stereo/{side}/image_raw/compressed": (CompressedImage, qos.IMAGES) for side, _ in SIDES},
     **{f"/stereo/{side}/camera_info": (CameraInfo, qos.IMAGES) for side, _ in SIDES},
@@ -76,6 +71,15 @@ TOPICS = {
     "/bag/cue": (String, qos.RESULTS),
 }
 INFO_S, UNSEEN_S, JOINTS_S = 0.4, 0.6, 0.09
+
+
+def jpeg_options() -> list[int]:
+    """Say how pictures are packed; OpenCV 4.6 cannot, it only replays the bag."""
+    return [
+        *(cv2.IMWRITE_JPEG_QUALITY, 93),
+        *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
+        *(cv2.IMWRITE_JPEG_RST_INTERVAL, 10),
+    ]
 
 
 class RecordedRobot(VirtualRobot):
@@ -185,7 +189,7 @@ class RecordedRobot(VirtualRobot):
         self._drawn_s = self.now
         seen = []
         for picture, (side, frame) in zip(super()._pictures(time_s), SIDES[: None if self._both else 1]):
-            done, packed = cv2.imencode(".jpg", picture, JPEG)
+            done, packed = cv2.imencode(".jpg", picture, jpeg_options())
             assert done
             text = "bgr8; jpeg compressed bgr8"
             message = CompressedImage(header=header(self._stamp, frame), format=text, data=packed.tobytes())
