@@ -1,8 +1,9 @@
 """From the pixels of thinned edges to chains: hysteresis, a skeleton, spurs, corners, links; compiled by numba.
 
 Everything here touches edge pixels only, in lists, on a picture framed by one empty pixel, where neighbours are
-constant distances and need no test for the border. Each pixel's state is a byte of that picture, so that its eight
-neighbours are one lookup in a table of 256 patterns.
+constant distances and need no test for the border. Which of the eight neighbours belong to edges is gathered once for
+each pixel, as the bits of a byte, and kept up to date; ends, branches, needless pixels and the way ahead are then one
+look at a table of 256 patterns, without a look at the neighbours.
 """
 
 from __future__ import annotations
@@ -21,143 +22,150 @@ Array = npt.NDArray[Any]
 _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1], np.int32)
 _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1], np.int32)
 
-# States: a candidate; a pixel of an edge (bit 7) with the number of its neighbours in the lower half; the mark of what
-# is done with; a corner in the result.
+# States: a candidate; a pixel of an edge; the mark of what is done with; a corner in the result.
 _WEAK, _KEPT, _USED, _CORNER = 1, 128, 32, 255
-_DEGREE = 15
+
+# Of eight bytes their lowest bits, and the factor that gathers these in the uppermost byte.
+_LOWEST_BITS, _GATHER = np.uint64(0x0101010101010101), np.uint64(0x0102040810204080)
 
 
-def _tables() -> tuple[npt.NDArray[np.int8], npt.NDArray[np.bool_]]:
-    """Return for each pattern of neighbours their number, and whether the pixel between them is needless.
+def _tables() -> tuple[npt.NDArray[Any], ...]:
+    """Return for each pattern of neighbours (bit i is the i-th) their number, the first, and two properties.
 
-    It is when at least two neighbours are set and they stay in one piece without it (Yokoi's number, 8-connected), so
-    that no end or connection is lost.
+    A pixel is needless when at least two neighbours are set and they stay in one piece without it (Yokoi's number,
+    8-connected), so that no end or connection is lost; it is crowded when it is needless, or may become so. The last
+    table tells the next direction of a line from the one before, straight on first, by (direction, pattern).
     """
-    empty = 1 - np.array([[pattern >> i & 1 for i in range(8)] for pattern in range(256)])
+    full = np.array([[pattern >> i & 1 for i in range(8)] for pattern in range(256)])
+    empty = 1 - full
     sides, after, beyond = empty[:, 0::2], empty[:, 1::2], np.roll(empty, -2, axis=1)[:, 0::2]
     pieces = (sides - sides * after * beyond).sum(axis=1)
-    count = 8 - empty.sum(axis=1)
-    return count.astype(np.int8), np.asarray((count >= 2) & (pieces == 1))
+    count = full.sum(axis=1)
+    needless = (count >= 2) & (pieces == 1)
+    ahead = np.zeros((8, 256), np.uint8)
+    for way in range(8):
+        for turn in (-3, 3, -2, 2, -1, 1, 0):  # the later the better
+            to = (way + turn) % 8
+            ahead[way, full[:, to] == 1] = to
+    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, needless | (count > 2), ahead
 
 
-_COUNT, _NEEDLESS = _tables()
+_COUNT, _FIRST, _NEEDLESS, _CROWDED, _AHEAD = _tables()
 
 
 @called
-def _pattern(state: Array, here: int, stride: int) -> int:
-    """Return which of the eight neighbours belong to edges, as bits."""
-    pattern: int = state[here + 1] >> 7
-    pattern |= (state[here + stride + 1] >> 7) << 1
-    pattern |= (state[here + stride] >> 7) << 2
-    pattern |= (state[here + stride - 1] >> 7) << 3
-    pattern |= (state[here - 1] >> 7) << 4
-    pattern |= (state[here - stride - 1] >> 7) << 5
-    pattern |= (state[here - stride] >> 7) << 6
-    pattern |= (state[here - stride + 1] >> 7) << 7
-    return pattern
+def _pattern(quads: Array, here: int, stride: int, bit: int) -> np.uint8:
+    """Return as bits in circular order which of the eight neighbours have a bit of their state."""
+    # Unsigned, an index is not looked at whether it counts from the end.
+    north, south, west = np.uint64(here - stride - 1), np.uint64(here + stride - 2), np.uint64(here - 1)
+    above, below, beside = np.uint64(quads[north]), np.uint64(quads[south]), np.uint64(quads[west])
+    word = (above << np.uint64(40)) | ((below >> np.uint64(16)) & np.uint64(0xFF00))  # NE N NW . . . SE .
+    word |= (below & np.uint64(0xFF0000)) | ((below & np.uint64(0xFF00)) << np.uint64(16))  # . . . . SW S . .
+    word |= ((beside & np.uint64(0xFF)) << np.uint64(32)) | ((beside >> np.uint64(16)) & np.uint64(0xFF))  # W and E
+    return np.uint8((((word >> np.uint64(bit)) & _LOWEST_BITS) * _GATHER) >> np.uint64(56))
 
 
 @called
 def _connected(
-    state: Array, seeds: Array, strength: Array, stride: int, steps: Array, least: int, weight: float
+    state: Array, quads: Array, around: Array, seeds: Array, strength: Array, steps: Array, least: int, weight: float
 ) -> tuple[Array, Array]:
-    """Set the pixels of connected pieces with a seed to kept and clear all others.
+    """Set the pixels of connected pieces with a seed to kept and clear all others; fill in the patterns ``around``.
 
-    Returns their places, and of these the ones that may be needless: one look at the neighbours serves both.
+    Returns their places, and of these the ones that may be needless.
     """
-    kept, crowded = np.empty(len(seeds) + 8192, np.int32), np.empty(len(seeds) + 8192, np.int32)
+    stride = steps[2]
+    first_steps = steps[_FIRST]
+    most = 1
+    for i in range(len(state)):
+        most += state[i]
+    kept, crowded = np.empty(most, np.int32), np.empty(most, np.int32)  # growing lists would make the flood slower
     count = full = 0
+    around[:] = 0
     for i in range(len(seeds)):
-        if state[seeds[i]] != _WEAK:
+        if around[seeds[i]] != 0:
             continue
         first, done, first_full = count, count, full
         kept[count] = seeds[i]
-        state[seeds[i]] = _KEPT
+        around[seeds[i]] = 255
         count += 1
         while done < count:
-            if count + 8 >= len(kept):
-                kept = np.concatenate((kept, np.empty_like(kept)))
-                crowded = np.concatenate((crowded, np.empty_like(crowded)))
             here = kept[done]
             done += 1
-            pattern = 0
-            for j in range(8):
-                beside = here + steps[j]
-                value = state[beside]
-                pattern |= (value != 0) << j
-                kept[count] = beside
-                if value == _WEAK:
-                    state[beside] = _KEPT
-                    count += 1
-            state[here] = _KEPT | _COUNT[pattern]
+            pattern = _pattern(quads, here, stride, 0)
+            around[here] = pattern
             crowded[full] = here
-            full += _COUNT[pattern] > 2 or _NEEDLESS[pattern]
+            full += _CROWDED[pattern]
+            while pattern:
+                beside = here + first_steps[pattern]
+                pattern &= pattern - 1
+                if around[beside] == 0:
+                    around[beside] = 255
+                    kept[count] = beside
+                    count += 1
         total = 0.0
         if weight > 0.0:
             for j in range(first, count):
                 total += strength[kept[j] // stride - 1, kept[j] % stride - 1]
         if count - first < least or total < weight:
-            for j in range(first, count):
-                state[kept[j]] = 0
             count, full = first, first_full
-    for i in range(len(state)):  # all at once, without a branch
-        state[i] = state[i] if state[i] >= _KEPT else 0
+    state[:] = 0
+    for i in range(count):
+        state[kept[i]] = _KEPT
     return kept[:count], crowded[:full]
 
 
 @called
-def _drop(state: Array, here: int, steps: Array) -> None:
-    """Clear a pixel and count it no longer among its neighbours'."""
+def _drop(state: Array, around: Array, here: int, steps: Array) -> None:
+    """Clear a pixel, and its bit in its neighbours' patterns."""
     state[here] = 0
-    for j in range(8):
-        if state[here + steps[j]] != 0:
-            state[here + steps[j]] -= 1
+    pattern = around[here]
+    while pattern:
+        way = _FIRST[pattern]
+        pattern &= pattern - 1
+        around[here + steps[way]] &= ~(1 << (way ^ 4))
 
 
 @called
-def _thin_out(state: Array, crowded: Array, count: int, stride: int, steps: Array) -> None:
+def _thin_out(state: Array, around: Array, crowded: Array, count: int, steps: Array) -> None:
     """Remove needless pixels among the first ``count`` places of ``crowded``, until there are none."""
     removed = True
     while removed:
         removed = False
         for i in range(count):
             here = crowded[i]
-            if state[here] != 0 and _NEEDLESS[_pattern(state, here, stride)]:
-                _drop(state, here, steps)
+            if state[here] != 0 and _NEEDLESS[around[here]]:
+                _drop(state, around, here, steps)
                 removed = True
 
 
 @called
-def _branch(state: Array, end: int, steps: Array, path: Array) -> tuple[int, int]:
+def _branch(around: Array, end: int, steps: Array, path: Array) -> tuple[int, int]:
     """Follow a line from its free end into ``path``; return its length and where it branches, or 0, -1."""
-    here, came, length = end, -1, 0
+    here, length, back = end, 0, 0
     while length < len(path):
-        ahead, number = -1, 0
-        for j in range(8):
-            to = here + steps[j]
-            if state[to] != 0 and to != came:
-                ahead = to
-                number += 1
-        if number == 0:
+        pattern = around[here] & ~back
+        if pattern == 0:
             break  # a line of its own
-        if number > 1:
+        way = _FIRST[pattern]
+        if pattern & (pattern - 1):
             return length, here
         path[length] = here
         length += 1
-        came, here = here, ahead
+        here += steps[way]
+        back = 1 << (way ^ 4)
     return 0, -1
 
 
 @called
-def _prune(state: Array, kept: Array, stride: int, steps: Array, longest: int) -> None:
+def _prune(state: Array, around: Array, kept: Array, steps: Array, longest: int) -> None:
     """Remove branches of up to ``longest`` pixels that end freely, shortest first, and what becomes needless then."""
     path = np.empty(longest + 1, np.int32)
     beside = np.empty(9, np.int32)
     ends, lengths = np.empty(len(kept) + 1, np.int32), np.empty(len(kept) + 1, np.int32)
     count = 0
     for i in range(len(kept)):
-        if state[kept[i]] == _KEPT | 1:
-            length, _ = _branch(state, kept[i], steps, path)
+        if state[kept[i]] != 0 and _COUNT[around[kept[i]]] == 1:
+            length, _ = _branch(around, kept[i], steps, path)
             ends[count], lengths[count] = kept[i], length
             count += 0 < length <= longest
     # Short branches first: of two at the end of a line the longer one continues it.
@@ -166,32 +174,37 @@ def _prune(state: Array, kept: Array, stride: int, steps: Array, longest: int) -
         while i < count:
             end = ends[i]
             i += 1
-            if lengths[i - 1] > shortest or state[end] != _KEPT | 1:
+            if lengths[i - 1] > shortest or state[end] == 0 or _COUNT[around[end]] != 1:
                 continue
-            length, branch = _branch(state, end, steps, path)
+            length, branch = _branch(around, end, steps, path)
             if length == 0 or length > shortest:
                 lengths[i - 1] = length if length > 0 else longest + 1
                 continue
             for j in range(length):
-                _drop(state, path[j], steps)
+                _drop(state, around, path[j], steps)
             near = 0
-            for j in range(8):
-                beside[near] = branch + steps[j]
-                near += state[branch + steps[j]] != 0
+            pattern = around[branch]
+            while pattern:
+                beside[near] = branch + steps[_FIRST[pattern]]
+                pattern &= pattern - 1
+                near += 1
             beside[near] = branch
-            _thin_out(state, beside, near + 1, stride, steps)
+            _thin_out(state, around, beside, near + 1, steps)
             for j in range(near + 1):
-                if count < len(ends) and state[beside[j]] == _KEPT | 1:
+                if count < len(ends) and state[beside[j]] != 0 and _COUNT[around[beside[j]]] == 1:
                     ends[count], lengths[count] = beside[j], 0
                     count += 1
 
 
 @called
-def _lead(state: Array, kept: Array, corners: Array, stride: int, steps: Array, farthest: float) -> Array:
+def _lead(
+    state: Array, quads: Array, around: Array, kept: Array, corners: Array, steps: Array, farthest: float
+) -> Array:
     """Draw lines from free ends to the nearest corner (N, 2) px within reach; return ``kept`` and what was drawn.
 
     Edges round corners off on the outside, so what passes within three quarters of the reach is cut first.
     """
+    stride = steps[2]
     height, width = len(state) // stride - 2, stride - 2
     reach, cut = int(farthest), 0.75 * farthest
     dx, dy = np.empty((2 * reach + 1) ** 2, np.int32), np.empty((2 * reach + 1) ** 2, np.int32)
@@ -206,26 +219,37 @@ def _lead(state: Array, kept: Array, corners: Array, stride: int, steps: Array, 
         near = within if ring == 0 else near
     offsets = dy[:within] * stride + dx[:within]
     whole = np.empty(len(corners), np.bool_)  # the discs that need no look at the picture's border
+    busy = np.empty(len(corners), np.int32)  # the corners with a pixel of an edge in the square around the disc
+    many = 0
     for i in range(len(corners)):
         x, y = corners[i, 0], corners[i, 1]
         whole[i] = x >= reach and y >= reach and x < width - reach and y < height - reach
         centre = (y + 1) * stride + x + 1
+        if whole[i]:
+            any_of = np.uint32(0)
+            for down in range(-reach, reach + 1):
+                for across in range(-reach, reach + 1, 4):
+                    any_of |= quads[centre + down * stride + across]
+            if any_of == 0:
+                continue
+        busy[many] = i
+        many += 1
         for j in range(near):
             inside = whole[i] or (0 <= x + dx[j] < width and 0 <= y + dy[j] < height)
             if inside and state[centre + offsets[j]] != 0:
-                _drop(state, centre + offsets[j], steps)
+                _drop(state, around, centre + offsets[j], steps)
     # Each end is led to its nearest corner: all pairs are seen from the corners, which are fewer than pixels.
     number = np.empty(len(state), np.int32)  # of an end in the lists, where marked as used
     squares, chosen = np.empty(4096, np.int32), np.empty(4096, np.int32)
     count = 0
-    for i in range(len(corners)):
+    for i in busy[:many]:
         x, y = corners[i, 0], corners[i, 1]
         centre = (y + 1) * stride + x + 1
         for j in range(near, within):
             if not (whole[i] or (0 <= x + dx[j] < width and 0 <= y + dy[j] < height)):
                 continue
             here = centre + offsets[j]
-            if state[here] == 0 or state[here] & _DEGREE > 1:
+            if state[here] == 0 or _COUNT[around[here]] > 1:
                 continue
             square = dx[j] * dx[j] + dy[j] * dy[j]
             if state[here] & _USED == 0:
@@ -253,90 +277,94 @@ def _lead(state: Array, kept: Array, corners: Array, stride: int, steps: Array, 
             x, y = x0 + int(np.rint(across * j / length)), y0 + int(np.rint(down * j / length))
             here = (y + 1) * stride + x + 1
             if state[here] == 0:
-                for k in range(8):
-                    if state[here + steps[k]] != 0:
-                        state[here + steps[k]] += 1
-                state[here] = _KEPT | _COUNT[_pattern(state, here, stride)]
+                state[here] = _KEPT
+                pattern = _pattern(quads, here, stride, 7)
+                around[here] = pattern
+                while pattern:
+                    way = _FIRST[pattern]
+                    pattern &= pattern - 1
+                    around[here + steps[way]] |= 1 << (way ^ 4)
                 drawn[total] = here
                 total += 1
     return drawn[:total]
 
 
 @called
-def _follow(state: Array, chain: Array, filled: int, steps: Array, way: int) -> int:
-    """Append to ``chain`` (x, y), whose last pixel is the first of ``filled``, up to a node or a used pixel.
+def _follow(around: Array, chain: Array, filled: int, steps: Array, way: int) -> int:
+    """Append to ``chain`` (x, y), whose last pixel is the first of ``filled``, up to a node or what is linked already.
 
-    ``way`` is the direction of the first step. Returns the new ``filled``.
+    ``way`` is the direction of the first step. Patterns of what is linked become 0. Returns the new ``filled``.
     """
     stride = steps[2]
     x, y = chain[filled - 1, 0], chain[filled - 1, 1]
     here = (y + 1) * stride + x + 1
     while True:
-        came = here
         here += steps[way]
         x, y = x + _DX[way], y + _DY[way]
         chain[filled, 0], chain[filled, 1] = x, y
         filled += 1
-        if state[here] & _USED or state[here] & _DEGREE != 2:
+        pattern = around[here]
+        if _COUNT[pattern] != 2:
             return filled
-        state[here] |= _USED
-        back = way
-        for turn in range(8):  # straight ahead first, then 1, -1, 2, -2, ...
-            way = (back + ((turn + 1) // 2 if turn % 2 else -(turn // 2))) & 7
-            if state[here + steps[way]] != 0 and here + steps[way] != came:
-                break
+        around[here] = 0
+        way = _AHEAD[way, pattern]
 
 
 @called
-def _link(state: Array, kept: Array, stride: int, steps: Array) -> tuple[Array, Array]:
+def _link(state: Array, around: Array, kept: Array, steps: Array) -> tuple[Array, Array]:
     """Return chains of neighbouring pixels between ends and branch points: points (N, 2) x, y and starts (M + 1,)."""
-    count = total = 0
+    stride = steps[2]
+    count = total = nodes = 0
+    node_places = np.empty(len(kept) + 1, np.int32)
     for i in range(len(kept)):
-        value = state[kept[i]]
-        count += value != 0
-        if value != 0 and value & _DEGREE != 2:
-            total += max(value & _DEGREE, 1)
+        alive = state[kept[i]] != 0
+        degree = _COUNT[around[kept[i]]]
+        count += alive
+        total += max(degree, 1) * (alive & (degree != 2))
+        node_places[nodes] = kept[i]
+        nodes += alive & (degree != 2)
     chain = np.empty((2 * count + 2 * total + 2, 2), np.int32)
     starts = np.zeros(total + count + 2, np.int64)
     filled = chains = 0
-    for i in range(len(kept)):
-        node = kept[i]
-        if state[node] == 0 or state[node] & _DEGREE == 2 or state[node] & _USED:
-            continue
+    for i in range(nodes):
+        node = node_places[i]
         x, y = node % stride - 1, node // stride - 1
-        degree = state[node] & _DEGREE
-        for way in range(8):
-            here = node + steps[way]
-            if state[here] == 0 or state[here] & _USED:  # from a node that was here before, it is linked already
-                continue
-            chain[filled, 0], chain[filled, 1] = x, y
-            filled = _follow(state, chain, filled + 1, steps, way)
-            chains += 1
-            starts[chains] = filled
-        state[node] |= _USED
-        if degree == 0:
+        pattern = around[node]
+        if pattern == 0 and state[node] == _KEPT:  # what was cut and drawn again is listed twice
             chain[filled, 0], chain[filled, 1] = x, y
             filled += 1
             chains += 1
             starts[chains] = filled
+        while pattern:
+            way = _FIRST[pattern]
+            pattern &= pattern - 1
+            if around[node + steps[way]] == 0:  # linked already, from its other end
+                continue
+            chain[filled, 0], chain[filled, 1] = x, y
+            filled = _follow(around, chain, filled + 1, steps, way)
+            chains += 1
+            starts[chains] = filled
+        around[node] = 0
+        state[node] = _USED
     for i in range(len(kept)):  # what is left are closed lines without branches
         start = kept[i]
-        if state[start] == 0 or state[start] & _USED:
+        pattern = around[start]
+        if state[start] == 0 or pattern == 0:
             continue
-        way = 0
-        while state[start + steps[way]] == 0:
-            way += 1
-        state[start] |= _USED
+        around[start] = 0
         chain[filled, 0], chain[filled, 1] = start % stride - 1, start // stride - 1
-        filled = _follow(state, chain, filled + 1, steps, way)
+        filled = _follow(around, chain, filled + 1, steps, _FIRST[pattern])
         chains += 1
         starts[chains] = filled
+    for i in range(nodes):
+        state[node_places[i]] = _KEPT
     return chain[:filled], starts[: chains + 1]
 
 
 @compiled
 def trace(
     marks: Array,
+    quads: Array,
     seeds: Array,
     strength: Array,
     least: int,
@@ -352,6 +380,8 @@ def trace(
     marks
         (H + 2, W + 2) uint8, framed by a pixel of zeros: 1 where an edge may be; it is changed to 128 on edges, 255 on
         corners.
+    quads
+        (N - 3,) uint32: the same memory, any four bytes as a number, the first the lowest.
     seeds
         (N,) int32 places in ``marks``, taken as one row: what is connected with one of them is kept.
     strength
@@ -374,16 +404,14 @@ def trace(
     stride = marks.shape[1]
     state = marks.reshape(marks.size)
     steps = _DY * stride + _DX
-    kept, crowded = _connected(state, seeds, strength, stride, steps, least, weight)
-    _thin_out(state, crowded, len(crowded), stride, steps)
+    around = np.empty(marks.size, np.uint8)
+    kept, crowded = _connected(state, quads, around, seeds, strength, steps, least, weight)
+    _thin_out(state, around, crowded, len(crowded), steps)
     if longest > 0:
-        _prune(state, kept, stride, steps, longest)
+        _prune(state, around, kept, steps, longest)
     if farthest > 0.0 and len(corners) > 0:
-        kept = _lead(state, kept, corners, stride, steps, farthest)
-    points, starts = _link(state, kept, stride, steps)
-    for i in range(len(kept)):
-        if state[kept[i]] != 0:
-            state[kept[i]] = _KEPT
+        kept = _lead(state, quads, around, kept, corners, steps, farthest)
+    points, starts = _link(state, around, kept, steps)
     for i in range(len(corners)):
         state[(corners[i, 1] + 1) * stride + corners[i, 0] + 1] = _CORNER
     return points, starts

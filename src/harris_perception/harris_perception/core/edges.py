@@ -282,8 +282,9 @@ def traced(
     corners = np.rint(np.asarray(corners_xy, np.float64).reshape(-1, 2)).astype(np.int32)
     if ((corners < 0) | (corners >= (width, height))).any():
         raise ValueError(f"a corner lies outside the picture of {width} x {height} px")
+    quads = np.ndarray(marks.size - 3, np.uint32, marks, strides=(1,))
     points, starts = tracing.trace(
-        marks, seeds, strength, config.min_length_px, weight, config.max_spur_px, corners, config.max_gap_px
+        marks, quads, seeds, strength, config.min_length_px, weight, config.max_spur_px, corners, config.max_gap_px
     )
     return Edges(marks[1:-1, 1:-1], points, starts)
 

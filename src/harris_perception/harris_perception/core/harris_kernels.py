@@ -105,6 +105,13 @@ def _mark_all(
         marks[2 * _MARKS + x] = least & (r < strong)
 
 
+@inlined
+def _copy(source: Any, target: Any, n: int) -> None:
+    """Copy ``n`` elements: numba's assignment to a slice moves them one by one, this loop is vectorised."""
+    for x in range(n):
+        target[x] = source[x]
+
+
 @called
 def collect_marked(words: Any, n: int, place: int, places: Any, count: int) -> tuple[Any, int]:
     """Append ``place`` + x of the columns of ``n`` that are marked; returns the list, longer where full, and count.
@@ -334,7 +341,7 @@ def fused_peaks(
                 one, middle, other = (above, here, below) if i == 0 else (here, below, beyond)
                 if edges.size > 0:
                     _mark_all(one, middle, other, before, 2 * i * _ROW, marks, n, floor, low, high)
-                    edges[row + 1, x0 + 2 : x0 + n] = marks[_MARKS + 1 : _MARKS + n - 1]
+                    _copy(marks[_MARKS + 1 : _MARKS + n - 1], edges[row + 1, x0 + 2 : x0 + n], n - 2)
                     place = (row + 1) * (width + 2) + x0 + 1
                     seeds, seed_count = collect_marked(strong_words, n, place, seeds, seed_count)
                 else:
