@@ -7,6 +7,8 @@ import json
 import os
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -87,6 +89,18 @@ def test_each_detector_repeats_far_above_chance_under_rotation(name: str) -> Non
     assert 20 < len(a) <= 100 and a.shape[1] == 2
     rate = repeatability(turned, a, b, (3.0,))
     assert rate.rates[0] > 0.3 > rate.chance[0]
+
+
+def test_peers_are_found_where_opencv_moved_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    def moved(threshold: float) -> Any:
+        assert threshold > 0.0
+        return cv2.SIFT_create(100)  # type: ignore[attr-defined]
+
+    monkeypatch.delattr(cv2, "AKAZE_create", raising=False)
+    monkeypatch.setattr(cv2, "xfeatures2d", SimpleNamespace(AKAZE_create=moved), raising=False)
+    found = peer_detectors()["cv2 AKAZE"](photograph(), 100)
+    assert len(found) > 20
+    assert np.array_equal(found, peer_detectors()["cv2 SIFT"](photograph(), 100))
 
 
 def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -31,6 +31,15 @@ _EDGE_PX = (
 _SHIFT_PX = np.array([23.0, 17.0])
 
 
+# Not in every OpenCV: version 5 moved them to its contributed modules. Thresholds low enough for as many as are wanted.
+_FURTHER_PEERS: dict[str, dict[str, Any]] = {
+    "AKAZE": {"threshold": 1e-4},
+    "KAZE": {"threshold": 1e-4},
+    "BRISK": {"thresh": 10},
+    "HarrisLaplaceFeatureDetector": {"corn_thresh": 1e-4, "maxCorners": 20000},
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Rate:
     """Repeatability for each epsilon asked for, what chance gives, and the smaller count in the common part."""
@@ -196,7 +205,7 @@ def our_detectors() -> dict[str, Detect]:
 
 
 def peer_detectors() -> dict[str, Detect]:
-    """Return OpenCV's detectors, and scikit-image's where it is installed."""
+    """Return OpenCV's detectors as far as the installed version has them, and scikit-image's where it is installed."""
 
     def good_features(harris: bool) -> Detect:
         def detect(gray: Gray, count: int) -> Points:
@@ -213,6 +222,9 @@ def peer_detectors() -> dict[str, Detect]:
 
         return detect
 
+    def further(create: Callable[..., Any], settings: dict[str, Any]) -> Detect:
+        return keypoints(lambda count: create(**settings))
+
     api: Any = cv2
     peers: dict[str, Detect] = {
         "cv2 Harris": good_features(True),
@@ -221,8 +233,11 @@ def peer_detectors() -> dict[str, Detect]:
         "cv2 ORB": keypoints(lambda count: api.ORB_create(count)),
         "cv2 SIFT": keypoints(lambda count: api.SIFT_create(count)),
     }
-    if hasattr(api, "AKAZE_create"):
-        peers["cv2 AKAZE"] = keypoints(lambda count: api.AKAZE_create(threshold=1e-4))
+    contrib = getattr(api, "xfeatures2d", None)
+    for name, settings in _FURTHER_PEERS.items():
+        create = getattr(api, f"{name}_create", getattr(contrib, f"{name}_create", None))
+        if create is not None:
+            peers[f"cv2 {name.removesuffix('FeatureDetector')}"] = further(create, settings)
     try:
         from skimage.feature import corner_harris, corner_peaks
     except ImportError:
