@@ -19,9 +19,9 @@ from harris_perception.core.carriage_camera import (
     PanelSample,
     calibrate_on_carriage,
     held_out_on_carriage,
-    origin_sample,
+    origin_place,
 )
-from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate, tip_sample
+from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Place, Sample, calibrate, tip_place
 from harris_perception.core.planar_pose import FacePoints
 from icu_common.core.camera_model import StereoModel
 from icu_common.core.config import Config, ConfigError, setting
@@ -424,10 +424,10 @@ class CalibrationRun:
         pairs = [(a, b) for a in below for b in above if np.abs(a.reading - b.reading).max() < near]
         return measure_backlash(calibration, axis, pairs) if pairs else None
 
-    def _seen(self, calibration: HandEye, purpose: Purpose) -> list[Sample]:
+    def _seen(self, calibration: HandEye, purpose: Purpose) -> list[Place]:
         if not self._see_panel:
-            return [tip_sample(calibration, sample, self._cameras) for sample in self._samples[purpose]]
-        return [origin_sample(calibration, panel, self._cameras.left) for panel in self._panels[purpose]]
+            return [tip_place(calibration, sample, self._cameras) for sample in self._samples[purpose]]
+        return [origin_place(calibration, panel, self._cameras.left) for panel in self._panels[purpose]]
 
     def _fail(self, reason: str) -> list[Action]:
         self.over = True

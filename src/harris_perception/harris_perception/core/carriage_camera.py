@@ -20,6 +20,7 @@ from harris_perception.core.hand_eye import (
     Fit,
     HandEye,
     HandEyeConfig,
+    Place,
     Sample,
     checked,
     extension_design,
@@ -137,12 +138,11 @@ def calibrate_on_carriage(
     points = np.array([_origin(p, rotation).tip for p in panels])
     fit = robust_fit(design, points, shape, config)
     views = [p.points for p, used in zip(panels, fit.used) if used]
-    rotation, regression, spread, sigma = refine_panel(views, design[fit.used], rotation, fit.regression, cameras.left)
+    rotation, regression, spread = refine_panel(views, design[fit.used], rotation, fit.regression, cameras.left)
     fit = dataclasses.replace(
         fit,
         regression=regression,
         spread=spread,
-        sigma_px=sigma,
         # What is seen of the panel is in the middle of the picture, wherever its origin is.
         common=RayError(eye=None, across_m=config.panel_sigma_m, along_m=config.panel_depth_sigma_m),
     )
@@ -167,22 +167,19 @@ def calibrate_on_carriage(
     )
 
 
-def origin_sample(calibration: HandEye, panel: PanelSample, camera: CameraModel) -> Sample:
-    """Return the panel's origin as a sample of it shows it, with the rotation that the calibration found.
-
-    Its covariance is what the calibration's views were off by, each for itself.
-    """
+def origin_place(calibration: HandEye, panel: PanelSample, camera: CameraModel) -> Place:
+    """Return where a sample of the panel saw its origin, with the rotation that the calibration found."""
     rotation = calibration.panel_rotation
     assert rotation is not None
-    start = _origin(panel, rotation)
-    origin, per_pixel = panel_origin(panel.points, rotation, start.tip, camera)
-    return dataclasses.replace(start, tip=origin, covariance=calibration.fit.sigma_px**2 * per_pixel)
+    start = _origin(panel, rotation).tip
+    origin, per_pixel, covariance = panel_origin(panel.points, rotation, start, camera)
+    return Place(reading=panel.reading, point=origin, per_pixel=per_pixel, covariance=covariance)
 
 
 def held_out_on_carriage(calibration: HandEye, checks: Sequence[PanelSample], camera: CameraModel) -> Array:
     """Return (N,) m: how far the panel was seen from where the calibration expects it, at other places."""
     design = np.array([(*p.reading[:2], 1.0) for p in checks])
-    seen = np.array([origin_sample(calibration, p, camera).tip for p in checks])
+    seen = np.array([origin_place(calibration, p, camera).point for p in checks])
     return np.asarray(np.linalg.norm(seen - design @ calibration.fit.regression, axis=1))
 
 

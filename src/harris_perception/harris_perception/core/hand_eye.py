@@ -98,6 +98,28 @@ class Sample:
     covariance: Array
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Place:
+    """Where a point was seen: the tip or, with cameras on the carriage, the panel's origin.
+
+    Attributes
+    ----------
+    reading
+        (3,) m: x, y, stylus extension.
+    point
+        (3,) m in the camera's rectified frame.
+    per_pixel
+        (3, 3) m^2: the covariance of ``point`` if whatever was measured in the pictures were 1 px off, each for itself.
+    covariance
+        (3, 3) m^2 of ``point``, as its neighbours do not share it.
+    """
+
+    reading: Array
+    point: Array
+    per_pixel: Array
+    covariance: Array
+
+
 class DegenerateError(ValueError):
     """The samples do not determine the calibration; the message says what to add."""
 
@@ -113,8 +135,7 @@ class Fit:
     spread
         (3 P, 3 P) m^2, covariance of ``regression``, row by row.
     sigma_px
-        What the residuals show that one sample is off by: the tip in each picture; a view of the panel, as the error of
-        each of its points that would move the whole as far.
+        What the residuals show that the tip is off by in each picture; NaN where it was not fitted by pixels.
     common
         What all samples share.
     variance_factor
@@ -301,11 +322,16 @@ def fit_tip(design: Array, samples: Sequence[Sample], places: int, cameras: Ster
     )
 
 
-def tip_sample(calibration: HandEye, sample: Sample, cameras: StereoModel) -> Sample:
-    """Return a sample of the tip with the covariance that the calibration's residuals show, where it was seen."""
+def tip_place(calibration: HandEye, sample: Sample, cameras: StereoModel) -> Place:
+    """Return where a sample saw the tip, with the covariance that the calibration's residuals show."""
     by_point = pair_pixels(sample.tip[np.newaxis], cameras)[1][0]
-    covariance = calibration.fit.sigma_px**2 * np.linalg.inv(by_point.T @ by_point)
-    return dataclasses.replace(sample, covariance=np.asarray(covariance))
+    per_pixel = np.asarray(np.linalg.inv(by_point.T @ by_point))
+    return Place(
+        reading=sample.reading,
+        point=sample.tip,
+        per_pixel=per_pixel,
+        covariance=calibration.fit.sigma_px**2 * per_pixel,
+    )
 
 
 def checked(samples: Sequence[Sample], what: str, config: HandEyeConfig) -> tuple[Array, Array]:

@@ -21,6 +21,10 @@ from icu_common.core.geometry import Array, nearest_rotation
 
 _ROUNDS = 30
 _STEP = 1e-10
+_LEAST_PX = 0.01
+"""No point is believed to be seen better, by whatever it misses."""
+_BLUR_PX, _CELL_PX = 2.0, 0.1
+"""An edge goes from dark to bright within so many pixels; in steps of so many its neighbours are looked for."""
 _FLOOR_PX = 0.1
 """Residuals of the panel's points below a few times this are never outliers."""
 
@@ -96,7 +100,7 @@ def refine_points(design: Array, points: Array, start: Array, cameras: StereoMod
 
 def refine_panel(
     views: Sequence[FacePoints], design: Array, rotation: Array, start: Array, camera: CameraModel
-) -> tuple[Array, Array, Array, float]:
+) -> tuple[Array, Array, Array]:
     """Refine the panel's rotation, which all views share, and the regression of its origin, by all measured points.
 
     Robust by Tukey's weights. What the points of one view have in common (the same print, the same light) makes the
@@ -115,8 +119,8 @@ def refine_panel(
 
     Returns
     -------
-    rotation, regression, covariance, sigma_px
-        (3, 3); (P, 3) m; (3 P, 3 P) m^2; and the error of each point that would make views as far off as they are.
+    rotation, regression, covariance
+        (3, 3); (P, 3) m; (3 P, 3 P) m^2.
     """
     everything = FacePoints.joined(views)
     counts = [len(view.pixels) for view in views]
@@ -143,13 +147,29 @@ def refine_panel(
         pull = part.T @ (of[:, 0] * off)
         squares += float(pull @ np.linalg.solve(part.T @ (of * part), pull))
     factor = squares / max(6 * len(views) - unknown, 1)
-    return rotation, regression, np.asarray(factor * np.linalg.inv(normal)[3:, 3:]), float(np.sqrt(factor))
+    return rotation, regression, np.asarray(factor * np.linalg.inv(normal)[3:, 3:])
 
 
-def panel_origin(view: FacePoints, rotation: Array, start: Array, camera: CameraModel) -> tuple[Array, Array]:
-    """Return where one view's points see the panel's origin when it is turned by ``rotation``, (3,) m; robust.
+def panel_origin(view: FacePoints, rotation: Array, start: Array, camera: CameraModel) -> tuple[Array, Array, Array]:
+    """Find where one view's points see the panel's origin; robust.
 
-    And its covariance (3, 3) m^2 for points with an error of 1 px, each its own.
+    A line of print that runs along the pixels' rows or columns falls within them alike everywhere, and its points err
+    together; so does what shares pixels with it. The covariance is a "sandwich" of what the points miss by, with such
+    products of two points' misses as have a part of their blur in common.
+
+    Parameters
+    ----------
+    view
+        What was measured.
+    rotation, start
+        (3, 3) camera_from_panel, which is not changed, and (3,) m.
+    camera
+        The camera that saw it.
+
+    Returns
+    -------
+    origin, per_pixel, covariance
+        (3,) m; its covariance (3, 3) m^2 if each point were 1 px off for itself; and as the points miss, (3, 3) m^2.
     """
     turned, origin = view.in_space @ rotation.T, start
     for _ in range(_ROUNDS):
@@ -160,4 +180,24 @@ def panel_origin(view: FacePoints, rotation: Array, start: Array, camera: Camera
         origin = origin + step
         if np.abs(step).max() < _STEP:
             break
-    return np.asarray(origin), np.asarray(np.linalg.inv(rows.T @ rows))
+    per_pixel = np.linalg.inv(rows.T @ rows)
+    pull = rows * (error * weight)[:, None]
+    flat = np.abs(view.across[:, 1]) > np.abs(view.across[:, 0])
+    spread = _together(pull[flat], view.pixels[flat, 1]) + _together(pull[~flat], view.pixels[~flat, 0])
+    # By how much the robust equations turn with the origin: the derivative of Tukey's function, not its weight.
+    turn = weight * (5.0 * weight - 4.0)
+    inverse = np.linalg.inv(by_point.T @ (turn[:, None] * by_point))
+    covariance = inverse @ spread @ inverse + _LEAST_PX**2 * per_pixel
+    return np.asarray(origin), np.asarray(per_pixel), np.asarray(covariance)
+
+
+def _together(pull: Array, at_px: Array) -> Array:
+    """Return the covariance (3, 3) of the sum of ``pull`` (N, 3), which go together as far as their pixels overlap."""
+    if not len(pull):
+        return np.zeros((3, 3))
+    cell = np.rint((at_px - at_px.min()) / _CELL_PX).astype(np.intp)
+    reach = round(_BLUR_PX / _CELL_PX)
+    sums = np.zeros((int(cell.max()) + 1 + reach, 3))
+    np.add.at(sums, cell, pull)
+    near = sum((1.0 - lag / reach) * sums[lag:].T @ sums[: len(sums) - lag] for lag in range(1, reach))
+    return np.asarray(sums.T @ sums + near + np.transpose(near))
