@@ -53,8 +53,13 @@ def errors() -> list[Row]:
             for mine in ("ours", ALL_CORNERS) if name not in ("ours", ALL_CORNERS) else ():
                 for figure in ("precision", "recall"):
                     values = getattr(result.sparse[mine], figure), getattr(peer, figure)
-                    what = f"{result.scene.name}: {mine.replace('ours', 'sparse')}: {figure} at 1 px [%]"
+                    what = f"{result.scene.name}: {mine.replace('ours', 'sparse', 1)}: {figure} at 1 px [%]"
                     rows.append(row(what, *values, name, 1.0, higher_is_better=True))
+    for name in results[0].sparse:
+        for figure in ("precision", "recall") if name not in ("ours", ALL_CORNERS) else ():
+            mine, theirs = (float(np.mean([getattr(r.sparse[n], figure) for r in results])) for n in ("ours", name))
+            what = f"mean of {len(results)} pairs: sparse: {figure} at 1 px [%]"
+            rows.append(row(what, mine, theirs, name, 1.0, higher_is_better=True))
     for count in (len(taken), len(results)):
         mean = float(np.mean([result.dense["ours"].bad_2 for result in results[:count]]))
         rows.append(bound(f"mean bad-2 of {count} pairs [%]", mean, MEAN_BAD_2))

@@ -103,17 +103,18 @@ fi
 for package in src/*/; do printf '%s\n' "$root/ros2_ws/build/$(basename "$package")"; done \
   > "$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/icu_workspace.pth"
 
-# The machine code of detector and dense stereo is cached beside its source, so that the first picture is not late.
+# The machine code of detector and stereo is cached beside its source, so that the first picture is not late.
 kernels=$(cat src/harris_perception/harris_perception/core/*.py | sha256sum)
 if [ ! -f ros2_ws/install/.warm ] || [ "$(cat ros2_ws/install/.warm)" != "$kernels" ]; then
-  echo "[4/4] compile the corner detector and dense stereo"
-  "$venv/bin/python" -c "from harris_perception.core import dense_stereo
+  echo "[4/4] compile the corner detector and stereo"
+  "$venv/bin/python" -c "from harris_perception.core import dense_stereo, stereo_matching
 from harris_perception.core.edges import CombinedDetector, EdgeDetector
 from harris_perception.core.harris import HarrisConfig
 for config in (HarrisConfig(), HarrisConfig(gradient='gaussian', window='gaussian')):
     CombinedDetector(config).warm()
 EdgeDetector().warm()
-dense_stereo.warm()" \
-    || fail "the corner detector or dense stereo could not be compiled; see the lines above"
+dense_stereo.warm()
+stereo_matching.warm()" \
+    || fail "the corner detector or stereo could not be compiled; see the lines above"
   echo "$kernels" > ros2_ws/install/.warm
 fi

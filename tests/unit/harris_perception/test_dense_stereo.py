@@ -207,18 +207,26 @@ def test_the_black_borders_of_turned_pictures_stay_unknown() -> None:
 
 WARMED = """
 import numpy as np
-from harris_perception.core import dense_stereo as core
+from harris_perception.core import dense_stereo as dense, stereo_matching as sparse
 from unit.harris_perception.rendered_stylus import stereo_model
-kernels = {name: kernel for name, kernel in vars(core).items() if hasattr(kernel, "signatures")}
+kernels = {n: kernel for core in (dense, sparse) for n, kernel in vars(core).items() if hasattr(kernel, "signatures")}
 known = lambda: {name: len(kernel.signatures) for name, kernel in kernels.items()}
-core.warm()
+dense.warm()
+sparse.warm()
 warmed = known()
 stereo = stereo_model()
-dense = core.DenseStereo(stereo, core.DenseConfig(), core.SemiGlobalConfig())
 picture = np.random.default_rng(0).integers(0, 256, (stereo.left.height, stereo.left.width), np.uint8)
-dense.points(dense.disparity(picture, picture))
+matcher = dense.DenseStereo(stereo, dense.DenseConfig(), dense.SemiGlobalConfig())
+matcher.points(matcher.disparity(picture, picture))
+at = np.random.default_rng(1).uniform(60, 400, (300, 2))
+moved = np.roll(picture, -30, axis=1)
+found = sparse.match_corners(picture, moved, at, at[::2] - (30, 0), (2.0, 80.0), sparse.MatchConfig())
+assert len(found) > 250, len(found)
 assert known() == warmed, (known(), warmed)
-assert all(warmed[name] == 1 for name in ("_accept", "_refine", "_keep_covered", "_spread_out")), warmed
+for name in ("_accept", "_refine", "_keep_covered", "_spread_out"):
+    assert warmed[name] == 1, warmed
+for name in ("_best_partners", "_nearest", "_slid", "_along_rows", "_gauss_newton"):
+    assert warmed[name] == 1, warmed
 """
 
 

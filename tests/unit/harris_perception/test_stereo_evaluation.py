@@ -144,16 +144,17 @@ def test_goals_on_photographs_with_known_disparity(tmp_path: Path, capsys: Any) 
     for bad in dense.values():
         assert bad["ours"] < min(value for name, value in bad.items() if name != "ours")
     assert np.mean([bad["ours"] for bad in dense.values()]) <= 3.6
+    sparse = {scene: {r["method"]: r for r in rows if r["scene"] == scene and r["kind"] == "sparse"} for scene in dense}
     means = {
         method: [np.mean([r[key] for r in rows if r["method"] == method and r["kind"] == "sparse"]) for key in keys]
         for keys in [("precision", "recall")]
-        for method in ("ours", "ORB, cross check", "SIFT, ratio 0.75")
+        for method in next(iter(sparse.values()))
     }
-    for method in ("ORB, cross check", "SIFT, ratio 0.75"):
-        assert means["ours"][0] > means[method][0] and means["ours"][1] > means[method][1]
-    # With small windows each peer is beaten in both at once on each pair.
-    for name in dense:
-        scores = {r["method"]: r for r in rows if r["scene"] == name and r["kind"] == "sparse"}
+    for method in set(means) - {"ours", ALL_CORNERS}:
+        assert means["ours"][0] > means[method][0] and means["ours"][1] > means[method][1], method
+    assert min(scores["ours"]["precision"] for scores in sparse.values()) >= 93.0
+    # When a few more wrong matches are accepted, each peer is beaten in both at once on each pair.
+    for name, scores in sparse.items():
         mine = scores.pop(ALL_CORNERS)
         del scores["ours"]
         for method, peer in scores.items():

@@ -21,7 +21,7 @@ from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.stereo_matching import MatchConfig, match_corners
 
 MAX_POINTS = 1500
-ALL_CORNERS = "ours, small windows too"
+ALL_CORNERS = "ours, min_probability 0.45"
 _HALF = 5
 ROWS_PX = 1.5
 """Matches of the peers whose rows differ by more are dropped, as ours are: the pair is rectified."""
@@ -224,7 +224,7 @@ def sparse_methods(disparities: int) -> dict[str, Callable[[U8, U8], SparseResul
 
     return {
         "ours": lambda left, right: corners(left, right, MatchConfig()),
-        ALL_CORNERS: lambda left, right: corners(left, right, MatchConfig(small_windows=True, min_agreeing=3)),
+        ALL_CORNERS: lambda left, right: corners(left, right, MatchConfig(min_probability=0.45)),
         "ORB, cross check": orb,
         "SIFT, ratio 0.75": sift,
         "Harris, ZNCC, mutual best": mutual,

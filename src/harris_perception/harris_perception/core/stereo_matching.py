@@ -3,7 +3,9 @@
 A corner of the left picture is compared with the corners near its row in the right one by zero-mean normalised
 cross-correlation; the best of both directions stays when it is clearly better than the next other place and agrees with
 its neighbours. The disparity is then refined by Gauss-Newton along the row (B. Lucas, T. Kanade, IJCAI 1981), with the
-window's slant as unknowns, since an instrument's panel is seldom parallel to the cameras.
+window's slant as unknowns, since an instrument's panel is seldom parallel to the cameras. What was left over is looked
+for by small windows, and all that was found is judged once more: by the middle of its window, by its census (which of
+the pixels are brighter than the middle one; R. Zabih, J. Woodfill, ECCV 1994), by its uncertainty and its neighbours.
 """
 
 from __future__ import annotations
@@ -39,15 +41,15 @@ class MatchConfig(Config):
         1.5, "Rectified rows of a match differ by at most this.", minimum=0.1, maximum=10.0, unit="px"
     )
     window_px: int = setting(11, "Side of the compared windows, odd.", minimum=5, maximum=31, unit="px")
-    min_correlation: float = setting(0.75, "Least correlation of a match.", minimum=0.0, maximum=1.0)
+    min_correlation: float = setting(0.7, "Least correlation of a match.", minimum=0.0, maximum=1.0)
     max_ratio: float = setting(
-        0.7,
+        0.8,
         "Largest (1 - best) / (1 - next) of the correlations; the next is at another place. 1 accepts all.",
         minimum=0.05,
         maximum=1.0,
     )
     min_agreeing: int = setting(
-        4, "So many of the eight nearest matches must have a disparity that fits.", minimum=0, maximum=8
+        3, "So many of the eight nearest matches must have a disparity that fits.", minimum=0, maximum=8
     )
     max_slope: float = setting(
         0.2,
@@ -56,11 +58,14 @@ class MatchConfig(Config):
         maximum=5.0,
     )
     guided: bool = setting(
-        True, "Look also for corners that the detector found in the left picture only, where their neighbours lead."
+        True,
+        "Look also for corners without a partner in the right picture: where neighbours lead, then along the row.",
     )
-    small_windows: bool = setting(
-        False,
-        "Look for the rest by windows of 7 px too: many more matches at edges of depth, of which a few more are wrong.",
+    min_probability: float = setting(
+        0.6,
+        "A match is right with at least this probability; more of it: fewer matches, fewer wrong ones.",
+        minimum=0.0,
+        maximum=1.0,
     )
 
     def __post_init__(self) -> None:
@@ -190,11 +195,19 @@ def match_corners(
     )
     corners = np.asarray(left_px, np.float32).reshape(-1, 2)
     undecided = left_place[~distinct & (score >= config.min_correlation)]
-    for reach_px, agreeing, least in _SMALL_PASSES if config.small_windows else ():
-        matches = _with_small_windows(
-            matches, left_fine, right_fine, corners, undecided, (low, high), reach_px, agreeing, least
-        )
-    return matches
+    for reach_px, least in _SMALL_PASSES if config.guided else ():
+        matches = _with_small_windows(matches, left_fine, right_fine, corners, undecided, (low, high), reach_px, least)
+    return _chosen(matches, _probability(left_fine, right_fine, matches) >= config.min_probability)
+
+
+def warm() -> None:
+    """Compile what a pair needs, or load it from the cache, so that the first one is not late."""
+    rng = np.random.default_rng(0)
+    picture = np.asarray(cv2.GaussianBlur(rng.integers(0, 256, (96, 200), np.uint8), (0, 0), 1.0), np.uint8)
+    left, right = picture[:, :160], picture[:, 20:180].copy()
+    right[:, 100:] = right[::-1, 100:]  # where nothing fits, everything is looked for
+    at = rng.uniform((45, 15), (145, 80), (120, 2)).astype(np.float32)
+    match_corners(left, right, at, at[::2] - (20, 0), (1.0, 32.0), MatchConfig())
 
 
 def triangulated(stereo: StereoModel, matches: Matches) -> Array:
@@ -378,12 +391,10 @@ def _slid(windows: F32, strips: F32, half: int) -> F32:
     return score
 
 
-_SMALL_PASSES = ((3.0, 1, 0.7), (np.inf, 2, 0.75))
-"""How far beyond its neighbours' disparities a corner is looked for, how many of them have to agree, and the least
-correlation: first where the neighbours are, then along the whole row (found on drawn pairs)."""
-_SMALL_HALF = 3
-_SMALL_SLOPE = 0.05
-"""As ``max_slope``: what has been looked for among so many places must fit better."""
+_SMALL_PASSES = ((3.0, 0.4), (np.inf, 0.5))
+"""How far beyond its neighbours' disparities a corner is looked for, and the least correlation: first where the
+neighbours are, then along the whole row. Whether it is believed is decided for all matches alike."""
+_SMALL_HALF = 2
 
 
 def _with_small_windows(
@@ -394,13 +405,11 @@ def _with_small_windows(
     undecided: npt.NDArray[np.intp],
     limits_px: tuple[float, float],
     reach_px: float,
-    agreeing: int,
     least: float,
 ) -> Matches:
     """Look for the corners without a match by small windows along the row, there and back.
 
-    Small windows are less often torn by an edge of depth, and reach nearer to the picture's edge; that they are also
-    more often alike is made up for by the neighbours' disparities.
+    Small windows are less often torn by an edge of depth, and reach nearer to the picture's edge.
     """
     rest = np.setdiff1d(np.arange(len(corners)), np.r_[matches.index[:, 0], undecided])
     matched, disparity = matches.left_px.astype(np.float32), matches.disparity_px.astype(np.float32)
@@ -413,8 +422,6 @@ def _with_small_windows(
     rough, score = _along_rows(left, right, at, low, high, _SMALL_HALF, least)
     found = np.flatnonzero(np.isfinite(rough))
     rest, at, rough, score = rest[found], at[found], rough[found], score[found]
-    fits = _agreeing(at, rough, np.r_[matched, at], np.r_[disparity, rough], _SMALL_SLOPE) >= agreeing
-    rest, at, rough, score = rest[fits], at[fits], rough[fits], score[fits]
     better, sigma = _refined(left, right, at, rough.astype(np.float64), _SMALL_HALF)
     steady = (np.abs(better - rough) < 1.0) & (better >= limits_px[0]) & (better <= limits_px[1])
     index = np.column_stack([rest, np.full(len(rest), -1)])[steady]
@@ -424,6 +431,39 @@ def _with_small_windows(
         sigma_px=np.r_[matches.sigma_px, np.hypot(sigma[steady], _FLOOR_PX)],
         correlation=np.r_[matches.correlation, score[steady].astype(np.float64)],
         index=np.r_[matches.index, index],
+    )
+
+
+_JUDGED_HALF, _CENSUS_HALF, _CENSUS_NOISE = 2, 3, 4.0
+_NEAR_SLOPE = 0.02
+_WEIGHTS = np.array([3.62, 12.17, -0.74, 4.44, -16.42])
+"""Of correlation, census, log of the uncertainty in px, part of the neighbours that agree, and 1: a logistic regression
+over the matches of eight pairs that were drawn from photographs other than those with which it was compared."""
+
+
+def _probability(left: F32, right: F32, matches: Matches) -> Array:
+    """Return how probable (N,) it is that a match is within a pixel."""
+    at, disparity = matches.left_px.astype(np.float32), matches.disparity_px.astype(np.float32)
+    there = at - np.column_stack([disparity, np.zeros_like(disparity)])
+    alike = np.einsum("nk,nk->n", *(_normalised(_windows(p, q, _JUDGED_HALF)) for p, q in ((left, at), (right, there))))
+    here, other = (_windows(p, q, _CENSUS_HALF) for p, q in ((left, at), (right, there)))
+    middle = here.shape[1] // 2
+    brighter = here - here[:, middle : middle + 1]
+    clear = np.abs(brighter) > _CENSUS_NOISE
+    same = (brighter > 0) == (other > other[:, middle : middle + 1])
+    census = (same & clear).sum(axis=1) / np.maximum(clear.sum(axis=1), 1)
+    near = _agreeing(at, disparity, at, disparity, _NEAR_SLOPE) / 8
+    told = np.column_stack([alike, census, np.log(matches.sigma_px), near, np.ones(len(at))])
+    return np.asarray(1.0 / (1.0 + np.exp(-told @ _WEIGHTS)))
+
+
+def _chosen(matches: Matches, which: npt.NDArray[np.bool_]) -> Matches:
+    return Matches(
+        left_px=matches.left_px[which],
+        disparity_px=matches.disparity_px[which],
+        sigma_px=matches.sigma_px[which],
+        correlation=matches.correlation[which],
+        index=matches.index[which],
     )
 
 

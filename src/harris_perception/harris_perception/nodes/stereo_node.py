@@ -21,6 +21,7 @@ from harris_perception.core.stereo_matching import (
     disparity_range,
     match_corners,
     triangulated,
+    warm,
 )
 from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
 from icu_common.core import frames
@@ -88,6 +89,7 @@ class StereoNode(Node):
         self._calibration = StereoCalibration(self, self._configure)
         self._sets = Pairing(4, depth=6)
         self._matcher: Matcher | None = None
+        warm()
         self._configure()
         self._last_ns = self._matched = self._reported_ns = 0
         self._values: list[tuple[str, Any]] = []
