@@ -22,7 +22,7 @@ setup(
         "console_scripts": [
             "camera = harris_perception.nodes.camera_node:main",
             "corners = harris_perception.nodes.corners_node:main",
-            "stereo = harris_perception.nodes.stereo_node:main",
+            "stereo = harris_perception.cli.stereo:stereo",
             "dense_stereo = harris_perception.nodes.dense_stereo_node:main",
             "stylus_tracker = harris_perception.nodes.stylus_node:main",
             "panel_teach = harris_perception.cli.panel_teach:main",
@@ -31,7 +31,6 @@ setup(
             "harris = harris_perception.cli.harris:main",
             "camera_calibration = harris_perception.cli.calibrate:main",
             "hand_eye_solve = harris_perception.cli.hand_eye:main",
-            "stereo_evaluate = harris_perception.cli.stereo:main",
         ],
     },
 )

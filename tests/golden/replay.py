@@ -251,7 +251,11 @@ def compare(expected: dict[str, Any], found: Results) -> list[Row]:
     for part, key in (("plane", "plane"), ("panel", "panel"), ("calibration", "camera_from_base")):
         old, new = np.array(expected[key]), np.array(now[key])
         shift = {"plane": "plane, depth [mm]", "panel": "panel, place [mm]"}.get(part, f"{part}, camera_from_base [mm]")
-        off = 1000 * (abs(old[2] - new[2]) if part == "plane" else float(np.linalg.norm(old[:3] - new[:3])))
+        # Where within the plane its points lie is not what it says of the panel.
+        apart = (
+            abs(float(_normal(old[3:]) @ (new[:3] - old[:3]))) if part == "plane" else np.linalg.norm(old[:3] - new[:3])
+        )
+        off = 1000 * float(apart)
         distance(shift, "", off, _text(old[:3]), _text(new[:3]))
         turn = f"{part}, {'normal' if part == 'plane' else 'rotation'} [deg]"
         distance(turn, "", _angle_deg(old[3:], new[3:], axis_only=part == "plane"))
@@ -301,11 +305,14 @@ def _gaps(places: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(places[:, None] - corners[None, :, :2], axis=2).min(axis=1))
 
 
+def _normal(turn: np.ndarray) -> np.ndarray:
+    x, y, z, w = turn
+    return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+
+
 def _angle_deg(old: np.ndarray, new: np.ndarray, *, axis_only: bool) -> float:
     if axis_only:  # a plane's pose may turn about its normal
-        a, b = (
-            np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]) for x, y, z, w in (old, new)
-        )
+        a, b = _normal(old), _normal(new)
         return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
     return float(np.degrees(2 * np.arccos(min(1.0, abs(float(old @ new))))))
 

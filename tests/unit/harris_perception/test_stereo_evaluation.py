@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from harris_perception.adapters.stereo_folders import scenes
-from harris_perception.cli.stereo import main
+from harris_perception.cli.stereo import main, stereo
 from harris_perception.core.stereo_evaluation import ALL_CORNERS, SparseResult, StereoScene, score_dense, score_sparse
 
 NAN = np.float32(np.nan)
@@ -94,9 +94,10 @@ def test_folders_give_the_pair_with_its_truth(tmp_path: Path, form: str) -> None
     assert half.left.shape == (60, 120) and np.nanmax(half.truth) == 7.5
 
 
-def test_the_command_prints_and_writes_what_it_found(tmp_path: Path, capsys: Any) -> None:
+def test_the_command_prints_and_writes_what_it_found(tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
     write_scene(tmp_path / "one", "npz", scene())
-    assert main([str(tmp_path / "one"), "-o", str(tmp_path / "out")]) == 0
+    monkeypatch.setattr("sys.argv", ["stereo", "evaluate", str(tmp_path / "one"), "-o", str(tmp_path / "out")])
+    assert stereo() == 0
     text = capsys.readouterr().out
     rows = json.loads((tmp_path / "out" / "stereo.json").read_text())
     assert [(r["kind"], r["method"].split(",")[0]) for r in rows] == [

@@ -71,7 +71,7 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; errors in what the user gave end with code 2 and one line."""
-    parser = argparse.ArgumentParser(prog="stereo_evaluate", description=__doc__)
+    parser = argparse.ArgumentParser(prog="stereo evaluate", description=__doc__)
     parser.add_argument("folder", type=Path, help="folder with rectified pairs and their disparity, at any depth")
     parser.add_argument("-o", "--output", type=Path, default=Path("stereo_evaluation"), help="folder for the results")
     parser.add_argument("--scale", type=float, default=1.0, help="make pictures and disparities smaller first")
@@ -81,6 +81,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+
+
+def stereo() -> int:
+    """Run ``stereo evaluate FOLDER``; without that word the node."""
+    if sys.argv[1:2] == ["evaluate"]:
+        return main(sys.argv[2:])
+    from harris_perception.nodes.stereo_node import main as node  # needs ROS, which evaluating does not
+
+    return node()
 
 
 if __name__ == "__main__":
