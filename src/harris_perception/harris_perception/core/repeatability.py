@@ -33,8 +33,8 @@ _SHIFT_PX = np.array([23.0, 17.0])
 
 # Not in every OpenCV: version 5 moved them to its contributed modules. Thresholds low enough for as many as are wanted.
 _FURTHER_PEERS: dict[str, dict[str, Any]] = {
-    "AKAZE": {"threshold": 1e-4},
-    "KAZE": {"threshold": 1e-4},
+    "AKAZE": {"threshold": 1e-6},
+    "KAZE": {"threshold": 1e-6},
     "BRISK": {"thresh": 10},
     "HarrisLaplaceFeatureDetector": {"corn_thresh": 1e-4, "maxCorners": 20000},
 }
