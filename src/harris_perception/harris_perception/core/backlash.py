@@ -56,10 +56,7 @@ def measure_backlash(calibration: HandEye, axis: int, pairs: Sequence[tuple[Plac
     weight = weight / (weight @ rail)
     play = float(np.mean([weight @ a for a in ahead]))
     spreads = [below.covariance + above.covariance for below, above in pairs]
-    # All pairs of an axis stand at the same place along it, so that cameras on the carriage see each line of the panel
-    # in the same row or column of pixels: their number does not reduce that error.
-    variance = float(np.mean([weight @ spread @ weight for spread in spreads]))
-    variance /= 1 if calibration.on_carriage else len(pairs)
+    variance = float(sum(weight @ spread @ weight for spread in spreads)) / len(pairs) ** 2
     # Across the rail nothing moves, so what the pairs miss by there tells how well these very places were seen.
     missed = [a - play * rail for a in ahead]
     square = float(sum(off @ np.linalg.solve(spread, off) for off, spread in zip(missed, spreads)))

@@ -23,8 +23,8 @@ _ROUNDS = 30
 _STEP = 1e-10
 _LEAST_PX = 0.01
 """No point is believed to be seen better, by whatever it misses."""
-_CELLS = 10
-"""Into so many parts a pixel is divided to see which edges share it, and how much of it."""
+_ALIKE_PX, _CELLS = 0.5, 10
+"""An edge's error repeats with the pixels, and half a pixel on it is the opposite; that way is counted in cells."""
 _FLOOR_PX = 0.1
 """Residuals of the panel's points below a few times this are never outliers."""
 
@@ -154,8 +154,8 @@ def panel_origin(view: FacePoints, rotation: Array, start: Array, camera: Camera
     """Find where one view's points see the panel's origin; robust.
 
     A line of print that runs along the pixels' rows or columns falls within them alike everywhere, and its points err
-    together; so does what shares pixels with it. The covariance is a "sandwich" of what the points miss by, with the
-    products of two points' misses as far as they share a pixel.
+    together. The covariance is a "sandwich" of what the points miss by, with the products of any two, the less the
+    farther they are apart across such a line.
 
     Parameters
     ----------
@@ -192,10 +192,10 @@ def panel_origin(view: FacePoints, rotation: Array, start: Array, camera: Camera
 
 
 def _together(pull: Array, at_px: Array) -> Array:
-    """Return the covariance (3, 3) of the sum of ``pull`` (N, 3), which go together as far as they share a pixel."""
+    """Return the covariance (3, 3) of the sum of ``pull`` (N, 3), which go together the more the nearer they are."""
     if not len(pull):
         return np.zeros((3, 3))
-    cell = np.rint((at_px - at_px.min()) * _CELLS).astype(np.intp)
+    cell = np.rint((at_px - at_px.min()) * _CELLS / _ALIKE_PX).astype(np.intp)
     sums = np.zeros((int(cell.max()) + 1 + _CELLS, 3))
     np.add.at(sums, cell, pull)
     near = sum((1.0 - lag / _CELLS) * sums[lag:].T @ sums[: len(sums) - lag] for lag in range(1, _CELLS))
