@@ -60,6 +60,16 @@ def test_the_centre_is_measured(look: Look, lateral_mm: float, depth_mm: float, 
     assert np.sqrt((depth**2).mean()) < depth_mm
 
 
+@pytest.mark.parametrize("seed", [28, 55])
+def test_a_stem_before_the_ball_is_no_reason_for_doubt(seed: int) -> None:
+    """It hides little of the outline, but pixels beside its end within the ball, which counted as the ball's."""
+    rng = np.random.default_rng(seed)
+    tip = np.array([rng.uniform(0.01, 0.1), rng.uniform(-0.05, 0.05), rng.uniform(0.76, 0.82)])
+    found = tracker().find(*render(STEREO, tip, rng, Look(shaft_from=0.001, shaft_radius=0.0008)))
+    assert found.tip is not None, found.reason
+    assert np.abs(found.tip - tip).max() < 0.0002
+
+
 def test_the_ball_is_found_again_after_a_jump_out_of_the_search_window() -> None:
     track = tracker(search_margin_px=20)
     for tip in (TIP, TIP + [0.0005, 0.0, 0.0], TIP + [0.05, 0.04, -0.05]):

@@ -269,7 +269,7 @@ class StylusTracker:
     ) -> Outline:
         frame = _touching_frame(centre)
         at = _in_plane(view.rays, frame, self.stereo.focal_px)
-        offset, grown, error = _fit_shaded(at, view.chroma, view.inner, radius, seen)
+        offset, grown, error = _fit_shaded(at, view, radius, seen)
         if error > self.config.max_fit_error:
             raise _Doubt(f"brightness is {error:.2f} of the ball's off a shaded disc")
         if abs(grown / radius - 1) > self.config.max_size_error:
@@ -309,6 +309,8 @@ class _View:
     outer: Array
     rays: Array
     chroma: Array
+    above: npt.NDArray[np.bool_]
+    """Pixels within the outline."""
     inner: npt.NDArray[np.bool_]
     """Pixels that show nothing but the ball."""
 
@@ -343,7 +345,7 @@ def _view(chroma: Picture, box: Window, window: Window, model: CameraModel, min_
     rays = model.rays(np.vstack([at, at + normal, pixels]) + corner)
     n = len(at)
     inner = cv2.erode(above.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0).ravel() > 0
-    return _View(rays[:n], rays[n : 2 * n], rays[2 * n :], patch.ravel().astype(np.float64), inner)
+    return _View(rays[:n], rays[n : 2 * n], rays[2 * n :], patch.ravel().astype(np.float64), above.ravel(), inner)
 
 
 def _sample(values: npt.NDArray[Any], at: Array) -> Array:
@@ -415,9 +417,7 @@ def _fit_circle(at: Array, outward: Array, radius: float) -> tuple[Array, Array]
     return xyr, weight
 
 
-def _fit_shaded(
-    at: Array, chroma: Array, inner: npt.NDArray[np.bool_], radius: float, seen: npt.NDArray[np.bool_]
-) -> tuple[Array, float, float]:
+def _fit_shaded(at: Array, view: _View, radius: float, seen: npt.NDArray[np.bool_]) -> tuple[Array, float, float]:
     """Fit a shaded, blurred disc to the pixels around the visible part of the outline.
 
     A half-level outline moves inwards where the ball is dark. Here the chroma of a pixel is the ball's, which varies
@@ -427,10 +427,10 @@ def _fit_shaded(
 
     Parameters
     ----------
-    at, chroma
-        (N, 2) pixels in the plane touching at the first centre, and their (N,) chroma.
-    inner
-        (N,) pixels that show nothing but the ball.
+    at
+        (N, 2) the view's pixels in the plane touching at the first centre.
+    view
+        What they show.
     radius
         The expected radius in pixels.
     seen
@@ -444,13 +444,16 @@ def _fit_shaded(
     distance = np.hypot(*at.T)
     # The ends of the visible part are blurred with what hides the rest.
     clear = seen & np.roll(seen, 1) & np.roll(seen, -1)
-    use = (distance < radius + 3.0) & (clear[_bins(at)] & (distance > radius - 2.5) | inner)
-    at, chroma = at[use], chroma[use]
+    use = (distance < radius + 3.0) & (clear[_bins(at)] & (distance > radius - 2.5) | view.inner)
+    # A thin stem hides few directions of the outline and many of the ball within it, with a pixel of blur around.
+    hidden = at[~view.above & (distance < radius - 1.0)]
+    use &= (np.linalg.norm(at[:, None] - hidden, axis=2) > 1.5).all(axis=1)
+    at, chroma, inner = at[use], view.chroma[use], view.inner[use]
     state = np.array([0.0, 0.0, radius, 0.8])  # x, y, radius, blur
     expected = state.copy()
     trust = np.array([0.0, 0.0, 1 / (0.01 * radius), 1 / 0.3])  # how well radius and blur are known beforehand
     # Shading is at most as strong as the ball's chroma itself.
-    level = max(float(np.median(chroma[inner[use]])), 1.0) if inner.any() else 1.0
+    level = max(float(np.median(chroma[inner])), 1.0) if inner.any() else 1.0
     still = np.array([1e-3, 1.0, 1.0, 1.0, 1e-3]) / level
     diagonal = np.diag_indices(9)
     brightness: Array = np.zeros(5)
