@@ -36,6 +36,8 @@ SPLIT = {
     "look": (Phase.LOOK, Phase.MEASURE),
     "touch": (Phase.TOUCH, Phase.CONTACT),
 }
+KNOBS = {"knobs": "dso_bench_4", "dimple": "ventilator_v1"}
+"""Layouts whose knobs are set: by friction on their face, and by the ball in a dimple."""
 assert {Phase.LOOK, Phase.CONTACT, Phase.MEASURE} <= set(LOOKING)
 
 
@@ -99,16 +101,19 @@ def touches(seed: int, count: int) -> list[dict[str, Any]]:
 
 def machine(seed: int, touch_count: int, knob_count: int) -> dict[str, list[dict[str, Any]]]:
     """Return what one machine did."""
-    return {"touches": touches(seed, touch_count), "knobs": knobs(seed, knob_count) if knob_count else []}
+    done = {"touches": touches(seed, touch_count)}
+    for part, layout in KNOBS.items():
+        done[part] = knobs(seed, knob_count, layout) if knob_count else []
+    return done
 
 
 def _record(seed: int) -> Path:
     return OUT / f"operating_machine_{seed}.json"
 
 
-def knobs(seed: int, count: int) -> list[dict[str, Any]]:
+def knobs(seed: int, count: int, layout: str) -> list[dict[str, Any]]:
     """Set knobs of one robot to random angles and return what happened to each."""
-    robot = VirtualRobot(seed)
+    robot = VirtualRobot(seed, layout=layout)
     robot.prepare()
     rng = np.random.default_rng(2000 + seed)
     names = [c.name for c in robot.layout.controls if c.kind == "knob"]
@@ -127,18 +132,17 @@ def knobs(seed: int, count: int) -> list[dict[str, Any]]:
     return done
 
 
-def knob_rows(all_knobs: list[list[dict[str, Any]]]) -> list[Row]:
-    """Return the rows about knobs."""
-    flat = [k for of_seed in all_knobs for k in of_seed]
+def knob_rows(flat: list[dict[str, Any]], how: str) -> list[Row]:
+    """Return the rows about knobs that were turned in one way."""
     off, times = [k["off_deg"] for k in flat], [k["time_s"] for k in flat]
     reached = 100 * sum(k["outcome"] == "reached" for k in flat) / len(flat)
     return [
-        bound(f"knobs set, of {len(flat)} [%]", reached, 100, at_least=True),
-        bound("knob's true angle off, greatest [deg]", float(max(off)), 3.0),
-        row("knob's true angle off, mean [deg]", float(np.mean(off)), None, ""),
-        row("setting a knob, p50 [s]", float(np.percentile(times, 50)), None, ""),
-        row("setting a knob, p95 [s]", float(np.percentile(times, 95)), None, ""),
-        bound("knobs: another control touched", float(sum(bool(k["wrong"]) for k in flat)), 0),
+        bound(f"knobs{how} set, of {len(flat)} [%]", reached, 100, at_least=True),
+        bound(f"knobs{how}: true angle off, greatest [deg]", float(max(off)), 3.0),
+        row(f"knobs{how}: true angle off, mean [deg]", float(np.mean(off)), None, ""),
+        row(f"knobs{how}: setting one, p50 [s]", float(np.percentile(times, 50)), None, ""),
+        row(f"knobs{how}: setting one, p95 [s]", float(np.percentile(times, 95)), None, ""),
+        bound(f"knobs{how}: another control touched", float(sum(bool(k["wrong"]) for k in flat)), 0),
     ]
 
 
@@ -182,8 +186,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for seed, record in zip(wanted, pool.map(machine, wanted, [options.touches] * 99, [options.knobs] * 99)):
             _record(seed).write_text(json.dumps(record, indent=1))
     records = [json.loads(_record(seed).read_text()) for seed in options.seeds]
-    results, turned = [r["touches"] for r in records], [r["knobs"] for r in records]
-    for entry in (k for of_seed in turned for k in of_seed):
+    results = [r["touches"] for r in records]
+    turned = {part: [k for r in records for k in r[part]] for part in KNOBS}
+    for entry in (k for part in turned.values() for k in part):
         if entry["outcome"] != "reached" or entry["off_deg"] > 3 or entry["wrong"]:
             print(entry)
     for seed, entries in zip(options.seeds, results):
@@ -191,7 +196,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if entry["outcome"] != "reached" or entry["wrong"] or entry["collisions"] or entry.get("error_mm", 0) > 0.5:
                 print(seed, entry)
     title = f"{options.touches} touches on each of {len(options.seeds)} simulated machines"
-    rows = summary(options.seeds, results) + (knob_rows(turned) if any(turned) else [])
+    rows = summary(options.seeds, results)
+    for part, entries in turned.items():
+        rows += knob_rows(entries, "" if part == "knobs" else " with a dimple") if entries else []
     return 0 if write("operating", rows, title=title) else 1
 
 

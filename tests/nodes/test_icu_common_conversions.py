@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -10,6 +11,7 @@ from sensor_msgs.msg import CameraInfo
 
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Transform
+from icu_common.core.panel_layout import Control, Dimple, PanelLayout
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import conversions as cv
 
@@ -159,3 +161,18 @@ def test_another_frame_than_expected_is_refused_by_name() -> None:
     cv.check_frame(HEAD, "camera_left_optical_frame")
     with pytest.raises(ValueError, match="frame 'camera_left_optical_frame', 'panel_link' is needed"):
         cv.check_frame(HEAD, "panel_link")
+
+
+def test_a_dimple_travels_with_its_knob() -> None:
+    dimple = Dimple(place_mm=(1.0, -8.5), diameter_mm=5.5, depth_mm=1.5)
+    plain = Control(name="A", kind="knob", position_mm=(30, 20), size_mm=(20, 20), shape="circle", height_mm=15)
+    knobs = (plain, dataclasses.replace(plain, name="B", position_mm=(60, 20), dimple=dimple))
+    layout = PanelLayout(model="m", title="", size_mm=(100, 50), colour="#000000", controls=knobs, artwork=())
+    message = cv.controls_message(layout, HEAD)
+    found = cv.controls_of_message(message)[0]
+    assert found[0].dimple is None and found[1].dimple is not None
+    got = found[1].dimple
+    assert (*got.place_mm, got.diameter_mm, got.depth_mm) == pytest.approx((1.0, -8.5, 5.5, 1.5))
+    message.markers[1].points.pop()
+    with pytest.raises(ValueError, match="marker 'B' has 1 points"):
+        cv.controls_of_message(message)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
-from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, MS, Bench, config
+from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, MS, PANEL, Bench, config
 
+from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.goal_job import Phase
+from icu_common.core.panel_layout import Dimple
 from icu_common.core.results import GoalResult, Outcome
 
 
@@ -115,6 +118,26 @@ def test_a_knob_under_the_stylus_is_looked_at_from_aside_first() -> None:
     bench.run(0.5)
     assert bench.do("set:CH1_SCALE:-40").outcome is Outcome.REACHED
     assert bench.knob_deg == pytest.approx(-40, abs=2)
+
+
+def test_a_dimple_is_not_touched_before_the_marker_has_been_seen() -> None:
+    bench = seeing()
+    dimple = Dimple(place_mm=(0.0, -5.0), diameter_mm=4.6, depth_mm=1.0)
+    knobs = [dataclasses.replace(c, dimple=dimple) if c.name == "CH1_SCALE" else c for c in PANEL.controls]
+    bench.tell(msg.PanelControls(panel=dataclasses.replace(PANEL, controls=tuple(knobs))))
+    assert bench.do("press:CH1_SCALE").outcome is Outcome.REACHED  # the stylus hides the knob now
+    bench.run(0.5)
+    sent = len(bench.paths)
+    result = bench.do("turn:CH1_SCALE:30")
+    assert result.outcome is Outcome.REACHED, result.reason
+    assert bench.paths[sent][:, 2].max() == 0.0, "first it goes aside"
+    assert bench.knob_deg == pytest.approx(50, abs=2)
+    bench.knob_deg = math.nan
+    bench.run(0.5)
+    sent = len(bench.paths)
+    unseen = bench.do("turn:CH1_SCALE:30")
+    assert unseen.outcome is Outcome.ABORTED and "the marker of CH1_SCALE was not seen" in unseen.reason
+    assert all(points[:, 2].max() == 0.0 for points in bench.paths[sent:])
 
 
 def test_a_knob_that_does_not_follow_is_given_up_with_what_is_seen() -> None:

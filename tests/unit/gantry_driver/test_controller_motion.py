@@ -9,7 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gantry_driver.core.motion_plan import MotionConfig, OutOfReach, check_reach, follow, lift, plunge, shift, travel
+from gantry_driver.core.motion_plan import (
+    MotionConfig,
+    OutOfReach,
+    aside,
+    check_reach,
+    follow,
+    lift,
+    plunge,
+    shift,
+    travel,
+)
 
 CONFIG = MotionConfig(travel_speed_m_s=0.1, stylus_speed_m_s=0.02, touch_speed_m_s=0.01, turn_speed_m_s=0.005)
 
@@ -34,6 +44,20 @@ def test_steps_that_do_not_move_are_left_out() -> None:
 def test_shift_keeps_the_height() -> None:
     path = shift(np.array([0.1, 0.1, 0.02]), np.array([0.1004, 0.0999]), CONFIG)
     np.testing.assert_allclose(path.points, [[0.0994, 0.0989, 0.02], [0.1004, 0.0999, 0.02]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("middle", "place"),
+    [
+        ((0.2, 0.1), (0.2, 0.14)),  # beyond, where the arm comes from
+        ((0.2, 0.2), (0.24, 0.2)),  # no room there: to the outer side, away from the cameras over the middle
+        ((0.1, 0.2), (0.06, 0.2)),
+        ((0.34, 0.2), (0.3, 0.2)),  # no room there either
+    ],
+)
+def test_aside_goes_where_the_stylus_hides_least(middle: tuple[float, float], place: tuple[float, float]) -> None:
+    path = aside(np.array([*middle, 0.02]), np.array(middle), 0.04, CONFIG)
+    np.testing.assert_allclose(path.points, [[*middle, 0.0], [*place, 0.0]], atol=1e-12)
 
 
 def test_plunge_follow_and_lift() -> None:

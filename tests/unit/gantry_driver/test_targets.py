@@ -20,7 +20,7 @@ from unit.gantry_driver.controller_bench import (
 from gantry_driver.core.targets import PanelMap, Refused, Scene, TouchConfig, highest_near, resolve, turn_points
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.gesture import parse_gesture
-from icu_common.core.panel_layout import Control
+from icu_common.core.panel_layout import Control, Dimple
 
 CONFIG = TouchConfig()
 SCENE = Scene(
@@ -153,6 +153,37 @@ def test_turn_touches_at_the_arcs_start_and_keeps_its_depth() -> None:
     np.testing.assert_allclose(touch.in_base, points[0] + shift, atol=1e-12)
     np.testing.assert_allclose(touch.arc, points[1:] + shift + [0, 0, 0.001], atol=1e-12)
     assert touch.touch_z == pytest.approx(-0.035 + 0.015 + 0.001, abs=1e-12)
+
+
+def with_dimple(diameter_mm: float, depth_mm: float) -> Scene:
+    dimple = Dimple(place_mm=(0.0, -5.0), diameter_mm=diameter_mm, depth_mm=depth_mm)
+    knobs = [replace(c, dimple=dimple) if c.name == "CH1_SCALE" else c for c in PANEL.controls]
+    return replace(FLAT, panel=replace(PANEL, controls=tuple(knobs)))
+
+
+@pytest.mark.parametrize("way", [40.0, -40.0])
+def test_a_dimple_is_entered_where_the_marker_says(way: float) -> None:
+    """The dimple is opposite to the marker: at 30 degrees of the knob it is 30 degrees beyond straight down."""
+    gesture = parse_gesture(f"turn:CH1_SCALE:{way}")
+    touch = resolve(gesture, with_dimple(4.0, 1.0), CONFIG, wander_m=0.002, knob_deg=30.0)
+    centre = np.array([0.231, 0.117, -0.035 + 0.015 - 0.001])
+    start = centre + 0.005 * np.array([0.5, -math.sqrt(3) / 2, 0])
+    np.testing.assert_allclose(touch.in_base, start, atol=1e-12)
+    angles = np.unwrap([math.atan2(p[1] - centre[1], p[0] - centre[0]) for p in (touch.in_base, *touch.arc)])
+    assert math.degrees(angles[-1] - angles[0]) == pytest.approx(way, abs=1e-9)
+    assert np.abs(np.degrees(np.diff(angles))).max() <= 2.0 + 1e-9
+    assert np.ptp(touch.arc[:, 2]) < 1e-12
+
+
+def test_a_dimple_needs_a_known_marker_and_room_for_the_ball() -> None:
+    gesture = parse_gesture("turn:CH1_SCALE:40")
+    with pytest.raises(Refused, match="found by its marker: turn it by its name"):
+        resolve(gesture, with_dimple(4.0, 1.0), CONFIG, wander_m=0.002)
+    with pytest.raises(Refused, match=r"is 3 mm wide, the stylus needs more than 3\.5 mm to reach its bottom"):
+        resolve(gesture, with_dimple(3.0, 1.0), CONFIG, wander_m=0.002, knob_deg=0.0)
+    # A ball of 2 mm radius is sqrt(3) mm to either side where it stands 1 mm deep.
+    with pytest.raises(Refused, match=r"has 14\.6 degrees of play in the dimple of CH1_SCALE, at most 10"):
+        resolve(gesture, with_dimple(6.0, 1.0), CONFIG, wander_m=0.002, knob_deg=0.0)
 
 
 def test_highest_near() -> None:

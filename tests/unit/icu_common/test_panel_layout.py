@@ -61,6 +61,22 @@ def test_good_layout() -> None:
             "shape: circle\n    marks_deg:\n      LOW: 0\n      HIGH: 190\n",
             r"f\.yaml:14: mark HIGH = 190 is not within -180 to 180 degrees",
         ),
+        (
+            "height_mm: 3\n",
+            "height_mm: 3\n    dimple: {}\n",
+            r"f\.yaml:4: 'RUN' is a button; only a knob has .*dimple",
+        ),
+        ("shape: circle\n", "shape: circle\n    dimple: 3\n", r"f\.yaml:10: dimple = 3: a mapping of place_mm"),
+        (
+            "shape: circle\n",
+            "shape: circle\n    dimple:\n      {place_mm: [0, 8], diameter_mm: 5, depth_mm: 1}\n",
+            r"f\.yaml:14: the dimple lies 5\.5 to 10\.5 mm from the knob's middle, 0 to 10 mm are possible",
+        ),
+        (
+            "shape: circle\n",
+            "shape: circle\n    dimple: {place_mm: [0, 6], diameter_mm: 5, depth_mm: 0}\n",
+            r"f\.yaml:13: depth_mm = \[0\]",
+        ),
         ("kind: knob", "kind: [knob", r"f\.yaml:\d+: "),
     ],
 )

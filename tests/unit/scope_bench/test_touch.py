@@ -17,6 +17,8 @@ size_mm: [200, 100]
 controls:
 - {name: B, kind: button, position_mm: [30, 50], size_mm: [16, 8], height_mm: 3}
 - {name: K, kind: knob, shape: circle, position_mm: [80, 50], size_mm: [18, 18], height_mm: 15}
+- {name: D, kind: knob, shape: circle, position_mm: [100, 20], size_mm: [20, 20], height_mm: 15,
+   dimple: {place_mm: [0, -6], diameter_mm: 5, depth_mm: 1.2}}
 - {name: C, kind: connector, shape: circle, position_mm: [120, 50], size_mm: [14, 14], height_mm: 12}
 - {name: S, kind: touch_area, position_mm: [165, 50], size_mm: [60, 80]}
 """
@@ -26,9 +28,14 @@ controls:
 class Rig:
     def __init__(self) -> None:
         self.events: list[TouchEvent] = []
-        self.touch = Touch(LAYOUT, 2.0, self.events.append)
+        self.knob_deg = 0.0
+        self.touch = Touch(LAYOUT, 2.0, self._on_event, lambda name: self.knob_deg)
         self.time = 0.0
         self.touch.place(np.array([5.0, 5.0, 40.0]), 0.0)
+
+    def _on_event(self, event: TouchEvent) -> None:
+        self.events.append(event)
+        self.knob_deg += event.degrees if event.kind == "turn" else 0.0
 
     def go(self, x: float, y: float, z: float) -> tuple[float, float, float]:
         self.touch.move(np.array([x, y, z]), self.time + 0.1, self.time)
@@ -136,6 +143,49 @@ def test_clockwise_is_negative_and_without_pressure_nothing_turns() -> None:
     light.down(86, 50, 16.98)
     light.go(80, 56, 16.98)
     assert light.kinds() == [("contact", "K")]
+
+
+PLAY_MM = 2.5 - math.sqrt(2.0**2 - 0.8**2)
+"""The ball, 2 mm in radius, in the dimple of knob D: 1.2 mm deep, so 0.8 mm of it are above the rim."""
+
+
+def around(turned_deg: float, radius_mm: float = 6.0) -> tuple[float, float]:
+    """The place over knob D that its dimple has when it is turned so far."""
+    angle = math.radians(turned_deg - 90)
+    return 100 + radius_mm * math.cos(angle), 20 + radius_mm * math.sin(angle)
+
+
+@pytest.mark.parametrize("way", [50, -50])
+def test_in_a_dimple_the_ball_takes_the_knob_along_once_it_has_met_the_wall(way: int) -> None:
+    rig = Rig()
+    rig.knob_deg = 30.0
+    assert rig.down(*around(30), 15 - 1.2 + 2 - 0.5)[2] == pytest.approx(15 - 1.2 + 2), "it stands on the bottom"
+    step = 1 if way > 0 else -1
+    for turned in range(30 + step, 30 + way + step, step):
+        tip = rig.go(*around(turned), 15 - 1.2 + 2 - 0.5)
+        assert tip[2] == pytest.approx(15 - 1.2 + 2, abs=0.02)
+    play_deg = math.degrees(2 * math.asin(PLAY_MM / 12))
+    assert rig.knob_deg == pytest.approx(30 + way - step * play_deg, abs=0.05)
+    rig.go(*around(30 + way), 40)
+    assert rig.events[-1].degrees == pytest.approx(way - step * play_deg, abs=0.05)
+    assert {event.control for event in rig.events} == {"D"}
+
+
+def test_outwards_the_ball_climbs_over_the_rim_of_a_dimple() -> None:
+    rig = Rig()
+    rig.down(*around(0), 15 - 1.2 + 2 - 0.5)
+    heights = [rig.go(*around(0, 6 + 0.1 * k), 15 - 1.2 + 2 - 0.5)[2] for k in range(1, 27)]
+    assert (np.diff(heights) >= -1e-9).all()
+    assert heights[-1] == pytest.approx(17.0), "on the knob's top"
+    assert rig.knob_deg == 0.0
+
+
+def test_beside_its_dimple_a_knob_goes_along_by_friction() -> None:
+    rig = Rig()
+    rig.down(*around(180), 16.5)
+    for turned in range(181, 201):
+        rig.go(*around(turned), 16.5)
+    assert rig.knob_deg == pytest.approx(20, abs=0.1)
 
 
 def test_through_the_middle_a_knob_does_not_turn() -> None:

@@ -355,7 +355,10 @@ class Controller:
         if gesture.kind in TURNING and not abs(way) > 0:
             way = 1.0  # not known before the knob has been looked at: any turn tells whether it can be reached
         wander = config.max_correction_m + config.motion.approach_m * math.sqrt(2)
-        touch = targets.resolve(gesture, scene, config.touch, wander_m=wander, turn_deg=way)
+        stands = math.nan if job.knob is None else job.knob.seen_deg
+        if job.knob is not None and math.isnan(stands):
+            stands = 0.0  # as little known; a dimple is not touched before its marker has been seen
+        touch = targets.resolve(gesture, scene, config.touch, wander_m=wander, turn_deg=way, knob_deg=stands)
         if config.motion.stylus_two_positions:
             touch = targets.with_two_positions(touch, config.motion.stylus_max_m)
         job.touch, job.goal_base = touch, touch.in_base
@@ -379,12 +382,16 @@ class Controller:
 
     def _begin(self, job: Job) -> None:
         knob = job.knob
-        if knob is not None and job.kind == "set" and math.isnan(knob.seen_deg):
+        if knob is not None and math.isnan(knob.seen_deg) and (job.kind == "set" or self._has_dimple(job, knob)):
             self._move_aside(job, knob)
         elif knob is not None and job.kind == "set" and abs(knob.off_deg) <= self.config.set_tolerance_deg:
             self._finish(job, Outcome.REACHED)
         else:
             self._try(job, Phase.MOVE if job.touch is None else Phase.APPROACH, lambda: self._way_to(job))
+
+    def _has_dimple(self, job: Job, knob: Knob) -> bool:
+        assert job.scene is not None
+        return job.scene.control(knob.name).dimple is not None
 
     def _move_aside(self, job: Job, knob: Knob) -> None:
         """Let the cameras see the whole knob, wherever on it the stylus has been."""
@@ -392,8 +399,8 @@ class Controller:
         control, config = job.scene.control(knob.name), self.config
         top = job.scene.base_from_panel.apply(np.array([[*control.centre, control.height]]))
         by_m = config.aside_m + float(control.size[0]) / 2
-        middle_x = float(job.readings_at(top)[0, 0])
-        self._go(Phase.ASIDE, motion_plan.aside(self._world.here, middle_x, by_m, config.motion))
+        middle = job.readings_at(top)[0, :2]
+        self._try(job, Phase.ASIDE, lambda: motion_plan.aside(self._world.here, middle, by_m, config.motion))
 
     def _read(self, job: Job, within_s: float) -> None:
         self.phase, self._phase_ns = Phase.READ, self._now_ns
@@ -644,7 +651,7 @@ class Controller:
             return
         knob.look(angle)
         allowed = self.config.set_tolerance_deg
-        if abs(knob.off_deg) <= allowed:
+        if abs(knob.off_deg) <= allowed and (knob.turns or job.kind == "set"):
             job.effect = f"{knob.name} at {angle:+.1f} degrees"
             self._finish(job, Outcome.REACHED)
         elif knob.turns >= self.config.set_tries:

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gantry_driver.core.targets import Refused
+from gantry_driver.core.targets import MOST_BIAS_DEG, Refused
 from icu_common.core.gesture import Gesture
 from icu_common.core.panel_state import ControlSeen, PanelSeen, angle_between
-
-MOST_BIAS_DEG = 10.0
-"""Lost motion beyond this is no play of the mechanics but a knob that does not follow."""
 
 
 def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int) -> str:
@@ -43,7 +40,9 @@ class Knob:
         return angle_between(self.seen_deg, self.goal_deg)
 
     def look(self, angle_deg: float) -> None:
-        """Take its marker's angle after a turn and decide on the next one."""
+        """Take its marker's angle, after a turn or as the first that is seen of it, and decide on the next one."""
+        if math.isnan(self.goal_deg):
+            self.goal_deg = angle_deg + self.way_deg
         before, self.seen_deg = self.seen_deg, angle_deg
         off = self.off_deg
         bias = 0.0

@@ -124,12 +124,22 @@ def plunge_twice(start: Array, extension_m: float, between_m: float, config: Mot
     return Path(points=np.vstack([first.points, second.points]), times_s=times)
 
 
-def aside(start: Array, middle_x: float, by_m: float, config: MotionConfig) -> Path:
-    """Move the retracted stylus out of the way, ``by_m`` to that side of ``middle_x`` where there is room."""
-    x = middle_x - by_m if middle_x - by_m >= config.x_min_m else middle_x + by_m
+def aside(start: Array, middle: Array, by_m: float, config: MotionConfig) -> Path:
+    """Move the retracted stylus ``by_m`` from ``middle`` (2,): beyond it where there is room, else to the outer side.
+
+    The arm comes from +y, so the stylus hides what lies in -y of it least; to the cameras over the middle of the travel
+    it leans outwards.
+    """
+    x, y = (float(v) for v in middle)
+    if y + by_m <= config.y_max_m:
+        place = x, y + by_m
+    else:
+        outward = 1.0 if 2 * x > config.x_min_m + config.x_max_m else -1.0
+        side = outward if config.x_min_m <= x + outward * by_m <= config.x_max_m else -outward
+        place = x + side * by_m, y
     steps = _Steps(start)
     steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
-    steps.to([x, start[1], 0.0], config.travel_speed_m_s)
+    steps.to([*place, 0.0], config.travel_speed_m_s)
     return steps.path(config)
 
 

@@ -20,12 +20,14 @@ from icu_common.core.config import Config, setting
 from icu_common.core.frames import BASE, CAMERA_LEFT, PANEL
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.gesture import TURNING, Gesture, Point
-from icu_common.core.panel_layout import Control
+from icu_common.core.panel_layout import Control, Dimple
 
 TURNABLE = ("knob",)
 DRAGGABLE = ("touch_area",)
 UNTOUCHABLE = ("connector",)
 DRAG_STEP_M = 0.005
+MOST_BIAS_DEG = 10.0
+"""Lost motion beyond this is no play of the mechanics but a knob that does not follow."""
 FRAMES = (BASE, PANEL, CAMERA_LEFT)
 _PROUD_M = 5e-4
 
@@ -65,7 +67,10 @@ class Refused(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PanelControl:
-    """One control as recognition reports it: centre (2,) and size (2,) in panel_link, height above the face, metres."""
+    """One control as recognition reports it: centre (2,) and size (2,) in panel_link, height above the face, metres.
+
+    A knob's dimple is in mm, as in its layout.
+    """
 
     name: str
     kind: str
@@ -73,6 +78,7 @@ class PanelControl:
     size: Array
     height: float
     round: bool = False
+    dimple: Dimple | None = None
 
     def gap(self, xy: Array) -> float:
         """Return the distance in metres from (2,) to the control's outline in the face's plane, 0 inside."""
@@ -131,6 +137,7 @@ class PanelMap:
                 size=np.array(c.size_mm) / 1000,
                 height=c.height_mm / 1000,
                 round=c.shape == "circle",
+                dimple=c.dimple,
             )
             for c in controls
         )
@@ -221,7 +228,13 @@ class Touch:
 
 
 def resolve(
-    gesture: Gesture, scene: Scene, config: TouchConfig, *, wander_m: float, turn_deg: float = math.nan
+    gesture: Gesture,
+    scene: Scene,
+    config: TouchConfig,
+    *,
+    wander_m: float,
+    turn_deg: float = math.nan,
+    knob_deg: float = math.nan,
 ) -> Touch:
     """Find where a gesture touches.
 
@@ -237,6 +250,8 @@ def resolve(
         How far beside the target the tip may be while it hovers, before it has been corrected.
     turn_deg
         By how much a knob is to be turned, counter-clockwise positive; NaN for what the gesture says.
+    knob_deg
+        Where its marker stands, counter-clockwise from up; NaN when that is not known.
 
     Raises
     ------
@@ -256,7 +271,13 @@ def resolve(
             raise Refused("only a knob can be turned, and there is no control at this point")
         if control.kind not in TURNABLE:
             raise Refused(f"{control.name} is a {control.kind}; only a knob can be turned")
-        contacts = turn_points(control, gesture.argument if math.isnan(turn_deg) else turn_deg, config)
+        way = gesture.argument if math.isnan(turn_deg) else turn_deg
+        if control.dimple is None:
+            contacts = turn_points(control, way, config)
+        elif math.isnan(knob_deg):
+            raise Refused(f"{control.name} is turned in its dimple, which is found by its marker: turn it by its name")
+        else:
+            contacts = dimple_points(control, control.dimple, knob_deg, way, config)
     elif gesture.to is not None:
         contacts = _drag_points(point, control, gesture.to, scene)
     else:
@@ -310,6 +331,47 @@ def turn_points(control: PanelControl, angle_deg: float, config: TouchConfig) ->
             control.centre[0] + radius * np.cos(angles),
             control.centre[1] + radius * np.sin(angles),
             np.full(steps + 1, control.height),
+        ]
+    )
+
+
+def dimple_points(
+    control: PanelControl, dimple: Dimple, knob_deg: float, angle_deg: float, config: TouchConfig
+) -> Array:
+    """Return (N, 3) points of a dimple's bottom along the arc that turns its knob, counter-clockwise positive.
+
+    The ball goes down in the dimple's middle. How much of the way to the wall it slides, and how much it takes the knob
+    along by friction, only the marker tells afterwards.
+
+    Raises
+    ------
+    Refused
+        If the ball does not reach the bottom, or has so much play there that looking would not make up for it.
+    """
+    ball, depth = config.ball_radius_m, dimple.depth_mm / 1000
+    # At the rim the ball is this wide when it stands on the bottom.
+    wide = ball if depth >= ball else math.sqrt(ball**2 - (ball - depth) ** 2)
+    play = dimple.diameter_mm / 2000 - wide
+    if play <= 0:
+        raise Refused(
+            f"the dimple of {control.name} is {dimple.diameter_mm:g} mm wide, the stylus needs more than "
+            f"{2000 * wide:.1f} mm to reach its bottom"
+        )
+    x, y = (value / 1000 for value in dimple.place_mm)
+    radius = math.hypot(x, y)
+    play_deg = math.degrees(2 * math.asin(min(play / (2 * radius), 1.0)))
+    if play_deg > MOST_BIAS_DEG:
+        raise Refused(
+            f"the stylus has {play_deg:.1f} degrees of play in the dimple of {control.name}, at most {MOST_BIAS_DEG:g} "
+            "can be made up for"
+        )
+    steps = max(1, math.ceil(abs(angle_deg) / config.turn_step_deg - 1e-9))
+    angles = math.atan2(y, x) + np.radians(knob_deg + angle_deg * np.arange(steps + 1) / steps)
+    return np.column_stack(
+        [
+            control.centre[0] + radius * np.cos(angles),
+            control.centre[1] + radius * np.sin(angles),
+            np.full(steps + 1, control.height - depth),
         ]
     )
 

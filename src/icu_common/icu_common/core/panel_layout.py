@@ -6,6 +6,7 @@ Read from ``config/scopes/<model>.yaml``; errors name the file and the line.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,12 +24,24 @@ class LayoutError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Dimple:
+    """A round recess with a flat bottom in a knob's top, in which a finger turns it.
+
+    ``place_mm`` is its middle as seen from the knob's while the marker points up, x right and y up.
+    """
+
+    place_mm: tuple[float, float]
+    diameter_mm: float
+    depth_mm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Control:
     """One thing on the panel that can be touched, or that must be avoided.
 
     ``position_mm`` is the centre, ``size_mm`` (width, height) or twice the diameter for a circle. ``lit_colour`` is the
     colour of its lamp when lit, empty without a lamp. A knob's clicks are ``detent_deg`` apart (0: it has none), and
-    ``marks`` are its marked positions, name and degrees, counter-clockwise from up.
+    ``marks`` are its marked positions, name and degrees, counter-clockwise from up. It may have a ``dimple``.
     """
 
     name: str
@@ -42,6 +55,7 @@ class Control:
     lit_colour: str = ""
     detent_deg: float = 0.0
     marks: tuple[tuple[str, float], ...] = ()
+    dimple: Dimple | None = None
 
     def contains_mm(self, x: float, y: float) -> bool:
         """Tell whether the point (x, y) in mm lies on the control's face."""
@@ -235,7 +249,7 @@ class _Reader:
 
     def one_control(self, entry: dict[str, Any]) -> Control:
         fields = {"name", "kind", "position_mm", "size_mm", "shape", "height_mm", "label", "colour", "lit_colour"}
-        self.known(entry, fields | {"detent_deg", "marks_deg"})
+        self.known(entry, fields | {"detent_deg", "marks_deg", "dimple"})
         name = self.text(entry, "name")
         if not name.replace("_", "").isalnum() or not name[0].isalpha():
             raise self.error(entry, f"name {name!r}: a letter, then letters, digits and '_' are needed")
@@ -252,8 +266,8 @@ class _Reader:
             raise self.error(entry, f"knob {name!r} is a {shape}; a knob is a circle")
         if shape == "circle" and width != height:
             raise self.error(entry, f"size_mm = [{width:g}, {height:g}]: a circle is as wide as high")
-        if kind != "knob" and (detent or "marks_deg" in entry):
-            raise self.error(entry, f"{name!r} is a {kind}; only a knob has detent_deg or marks_deg")
+        if kind != "knob" and (detent or "marks_deg" in entry or "dimple" in entry):
+            raise self.error(entry, f"{name!r} is a {kind}; only a knob has detent_deg, marks_deg or a dimple")
         return Control(
             name=name,
             kind=kind,
@@ -263,6 +277,7 @@ class _Reader:
             height_mm=proud,
             detent_deg=detent,
             marks=self.marks(entry),
+            dimple=self.dimple(entry, width, proud) if "dimple" in entry else None,
             label=self.text(entry, "label", ""),
             colour=self.colour(entry, "colour", "#404448"),
             lit_colour=self.colour(entry, "lit_colour", ""),
@@ -312,6 +327,27 @@ class _Reader:
                 raise self.error(given, f"mark {name} = {degrees:g} is not within -180 to 180 degrees")
             found.append((name, degrees))
         return tuple(found)
+
+    def dimple(self, entry: dict[str, Any], knob_mm: float, proud_mm: float) -> Dimple:
+        given = entry["dimple"]
+        if not isinstance(given, dict):
+            raise self.error(entry, f"dimple = {given!r}: a mapping of place_mm, diameter_mm and depth_mm is needed")
+        self.known(given, {"place_mm", "diameter_mm", "depth_mm"})
+        x, y = self.numbers(given, "place_mm", 2)
+        diameter, depth = (
+            self.numbers({**given, key: [given.get(key)]}, key, 1, positive=True)[0]
+            for key in ("diameter_mm", "depth_mm")
+        )
+        reach = math.hypot(x, y) + diameter / 2
+        if reach > knob_mm / 2 or math.hypot(x, y) < diameter / 2:
+            raise self.error(
+                given,
+                f"the dimple lies {math.hypot(x, y) - diameter / 2:g} to {reach:g} mm from the knob's middle, "
+                f"0 to {knob_mm / 2:g} mm are possible",
+            )
+        if depth >= proud_mm:
+            raise self.error(given, f"depth_mm = {depth:g} is not below the knob's height_mm = {proud_mm:g}")
+        return Dimple(place_mm=(x, y), diameter_mm=diameter, depth_mm=depth)
 
     def error(self, entry: dict[str, Any], what: str) -> LayoutError:
         return LayoutError(f"{self.file_name}:{entry.get('__line__', 1)}: {what}")

@@ -29,7 +29,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
-from icu_common.core.panel_layout import Control, PanelLayout, rgb
+from icu_common.core.panel_layout import Control, Dimple, PanelLayout, rgb
 from icu_common.core.panel_state import HIDDEN_BY, ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
 
@@ -455,7 +455,9 @@ def controls_message(layout: PanelLayout, head: Header) -> MarkerArray:
     """Pack a panel's controls and its outline; ``head`` names the panel's frame.
 
     One marker per control: ``ns`` its kind, ``text`` its name, ``id`` its number, position the centre of its top face
-    and scale (width, height, how far it stands proud), all in metres. Last comes the outline as a line strip.
+    and scale (width, height, how far it stands proud), all in metres. ``points`` of a knob with a dimple: the middle of
+    its bottom and a point of its rim, from the middle of the knob's top while the marker points up. Last comes the
+    outline as a line strip.
     """
     markers = []
     for number, control in enumerate(layout.controls):
@@ -463,6 +465,9 @@ def controls_message(layout: PanelLayout, head: Header) -> MarkerArray:
         x, y, z = (v * 1e-3 for v in (*control.position_mm, control.height_mm))
         marker.pose = pose(Transform(np.eye(3), np.array([x, y, z])))
         marker.scale = Vector3(x=control.size_mm[0] * 1e-3, y=control.size_mm[1] * 1e-3, z=z)
+        if control.dimple is not None:
+            x, y, rim = (v * 1e-3 for v in (*control.dimple.place_mm, control.dimple.diameter_mm / 2))
+            marker.points = [Point(x=x, y=y, z=-control.dimple.depth_mm * 1e-3), Point(x=x + rim, y=y, z=0.0)]
         red, green, blue = (v / 255 for v in rgb(control.colour))
         marker.color = ColorRGBA(r=red, g=green, b=blue, a=0.8)
         markers.append(marker)
@@ -474,6 +479,19 @@ def controls_message(layout: PanelLayout, head: Header) -> MarkerArray:
     corners = ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height), (0.0, 0.0))
     outline.points = [Point(x=x, y=y, z=0.0) for x, y in corners]
     return MarkerArray(markers=[*markers, outline])
+
+
+def _dimple(marker: Marker) -> Dimple | None:
+    if not marker.points:
+        return None
+    if len(marker.points) != 2:
+        raise ValueError(f"marker {marker.text!r} has {len(marker.points)} points, none or a dimple's two are known")
+    bottom, rim = marker.points
+    return Dimple(
+        place_mm=(bottom.x * 1e3, bottom.y * 1e3),
+        diameter_mm=2e3 * float(np.hypot(rim.x - bottom.x, rim.y - bottom.y)),
+        depth_mm=(rim.z - bottom.z) * 1e3,
+    )
 
 
 def controls_of_message(message: MarkerArray) -> tuple[tuple[Control, ...], Array]:
@@ -502,6 +520,7 @@ def controls_of_message(message: MarkerArray) -> tuple[tuple[Control, ...], Arra
                 size_mm=(scale.x * 1e3, scale.y * 1e3),
                 shape=shapes.get(marker.type, "rectangle"),
                 height_mm=top.z * 1e3,
+                dimple=_dimple(marker),
             )
         )
     if len(outline) < 4:

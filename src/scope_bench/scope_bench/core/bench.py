@@ -45,7 +45,7 @@ class Bench:
         self.moved: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self.panel_from: Transform = base_from_panel(config.panel)
         self.state = InstrumentState()
-        self.touch = Touch(layout, config.stylus.ball_diameter_mm / 2, self._react)
+        self.touch = Touch(layout, config.stylus.ball_diameter_mm / 2, self._react, self._knob_deg)
         self._records: list[dict[str, Any]] = []
         self._history: deque[tuple[float, Array, Array]] = deque(maxlen=_HISTORY)
         self._commanded: Array | None = None
@@ -74,6 +74,9 @@ class Bench:
         self._last_s = time_s
         self._history.append((time_s, self.tip_base(), self._mechanism.carriage))
         self.advance(time_s)
+
+    def _knob_deg(self, name: str) -> float:
+        return self.state.knob_deg(name)
 
     def advance(self, time_s: float) -> None:
         """Let the instrument's own time pass."""

@@ -125,12 +125,16 @@ def _knob(control: Control, state: ControlState, hit: Hit, light: Array) -> tupl
     top_gain = np.where(rim, (1.45 + 0.5 * facing) * (1 + 0.12 * np.sin(28 * turned)), 1.15 + 0.2 * facing)
     top_gain = np.where(np.abs(r - 0.84) < 0.03, 0.6, top_gain)
     wall_gain = (0.62 + 0.45 * light) * knurl * (0.75 + 0.25 * hit.height / control.height_mm)
-    gain = np.where(hit.top, top_gain, wall_gain)
-    reflected = gain[..., None] * bgr(control.colour)
-    # The pointer: a white line from the middle towards the rim, up when the knob stands at 0.
     angle = np.radians(state.angle_deg)
     along = -hit.x * np.sin(angle) + hit.y * np.cos(angle)
     across = hit.x * np.cos(angle) + hit.y * np.sin(angle)
+    if control.dimple is not None:
+        # Its bottom lies in its own shade, which a light from one side does not fill.
+        inside = np.hypot(across - control.dimple.place_mm[0], along - control.dimple.place_mm[1])
+        top_gain = np.where(inside < control.dimple.diameter_mm / 2, 0.9 * top_gain, top_gain)
+    gain = np.where(hit.top, top_gain, wall_gain)
+    reflected = gain[..., None] * bgr(control.colour)
+    # The pointer: a white line from the middle towards the rim, up when the knob stands at 0.
     pointer = hit.top & (np.abs(across) < 0.085 * radius + 0.25) & (along > 0.3 * radius) & (along < 0.8 * radius)
     reflected = np.where(pointer[..., None], np.array([236.0, 238.0, 236.0]), reflected)
     return reflected, np.zeros_like(reflected)

@@ -2,6 +2,9 @@
 
 Everything is in panel millimetres; z is the height of the ball's centre above the face. The stylus is sprung: where a
 surface stops the ball, the drive goes on and the difference is the overtravel, a measure of the force.
+
+A ball in a knob's dimple slides on the bottom until it meets the wall, and takes the knob along from there; where the
+wall goes another way than the ball, the ball climbs over the rim.
 """
 
 from __future__ import annotations
@@ -81,6 +84,7 @@ class Touch:
     layout: PanelLayout
     radius_mm: float
     on_event: Callable[[TouchEvent], None]
+    knob_deg: Callable[[str], float]
     tip_mm: tuple[float, float, float] = (0.0, 0.0, 1000.0)
     _commanded: Array | None = None
     _surfaces: list[_Surface] = field(default_factory=list)
@@ -127,6 +131,7 @@ class Touch:
     def _settle(self, commanded: Array, time_s: float, placed: bool = False) -> None:
         x, y, z = (float(v) for v in commanded)
         radius = self.radius_mm
+        self._push_walls(x, y, z, time_s)
         width, height = self.layout.size_mm
         on_panel = -radius <= x <= width + radius and -radius <= y <= height + radius
         # What stops the ball (rigid) and what it feels first (free), as heights of its centre.
@@ -139,7 +144,7 @@ class Touch:
             surface_sunk = 0.0
             if distance < radius:
                 # The ball's underside lies this high above its lowest point at the control's edge.
-                free = control.height_mm + math.sqrt(radius**2 - distance**2)
+                free = control.height_mm + math.sqrt(radius**2 - distance**2) - self._recess_mm(control, x, y)
                 if entered and not placed and control.height_mm > 0 and z < control.height_mm:
                     surface.collided = True
                     self._tell("collision", control.name, time_s, (x, y, z))
@@ -183,7 +188,7 @@ class Touch:
         contact.overtravel_mm = max(contact.overtravel_mm, overtravel)
         if surface is None:
             return
-        if surface.control.kind == "knob" and overtravel >= GRIP_MM:
+        if surface.control.kind == "knob" and overtravel >= GRIP_MM and not self._recess_mm(surface.control, *tip[:2]):
             degrees = _turned(surface.control, before, tip)
             if degrees:
                 contact.turned_deg += degrees
@@ -191,6 +196,51 @@ class Touch:
         elif surface.control.kind == "touch_area" and math.dist(contact.reported_xy, tip[:2]) >= DRAG_MM:
             contact.reported_xy = tip[:2]
             self._tell("drag", name, time_s, tip, overtravel)
+
+    def _dimple_at(self, knob: Control) -> tuple[float, float]:
+        """Return where a knob's dimple is now."""
+        assert knob.dimple is not None
+        angle = math.radians(self.knob_deg(knob.name))
+        x, y = knob.dimple.place_mm
+        return (
+            knob.position_mm[0] + x * math.cos(angle) - y * math.sin(angle),
+            knob.position_mm[1] + x * math.sin(angle) + y * math.cos(angle),
+        )
+
+    def _recess_mm(self, control: Control, x: float, y: float) -> float:
+        """Return how much deeper than on the control's top the ball can go at (x, y)."""
+        if control.dimple is None:
+            return 0.0
+        to_rim = control.dimple.diameter_mm / 2 - math.dist((x, y), self._dimple_at(control))
+        if to_rim <= 0:
+            return 0.0
+        over_rim = math.sqrt(self.radius_mm**2 - to_rim**2) if to_rim < self.radius_mm else -math.inf
+        return self.radius_mm - max(over_rim, self.radius_mm - control.dimple.depth_mm)
+
+    def _push_walls(self, x: float, y: float, z: float, time_s: float) -> None:
+        """Turn the knob in whose dimple the ball is pressed, so far that its wall is where the ball goes."""
+        contact = self._contact
+        if contact is None or contact.surface is None or contact.surface.control.dimple is None:
+            return
+        knob = contact.surface.control
+        sunk = knob.height_mm + self.radius_mm - self.tip_mm[2]
+        if sunk < GRIP_MM or self.tip_mm[2] - z < GRIP_MM or not self._recess_mm(knob, *self.tip_mm[:2]):
+            return
+        # So deep the ball is so wide at the rim.
+        wide = math.sqrt(self.radius_mm**2 - max(self.radius_mm - sunk, 0.0) ** 2)
+        play = max(contact.surface.control.dimple.diameter_mm / 2 - wide, 0.0)
+        cx, cy = knob.position_mm
+        place = self._dimple_at(knob)
+        arm, reach = math.dist(place, (cx, cy)), math.dist((x, y), (cx, cy))
+        if not arm * reach:
+            return
+        behind = math.atan2(y - cy, x - cx) - math.atan2(place[1] - cy, place[0] - cx)
+        behind = math.remainder(behind, 2 * math.pi)
+        free = math.acos(min(max((arm**2 + reach**2 - play**2) / (2 * arm * reach), -1.0), 1.0))
+        if abs(behind) > free:
+            degrees = math.degrees(math.copysign(abs(behind) - free, behind))
+            contact.turned_deg += degrees
+            self._tell("turn", knob.name, time_s, self.tip_mm, self.tip_mm[2] - z, degrees)
 
     def _update_buttons(self, tip: tuple[float, float, float], overtravel: float, time_s: float) -> None:
         for surface in self._surfaces:
