@@ -447,8 +447,8 @@ def _fit_shaded(at: Array, view: _View, radius: float, seen: npt.NDArray[np.bool
     use = (distance < radius + 3.0) & (clear[_bins(at)] & (distance > radius - 2.5) | view.inner)
     # A thin stem hides few directions of the outline and many of the ball within it, with a pixel of blur around.
     hidden = at[~view.above & (distance < radius - 1.0)]
-    use &= (np.linalg.norm(at[:, None] - hidden, axis=2) > 1.5).all(axis=1)
     at, chroma, inner = at[use], view.chroma[use], view.inner[use]
+    shown = (np.linalg.norm(at[:, None] - hidden, axis=2) > 1.5).all(axis=1)
     state = np.array([0.0, 0.0, radius, 0.8])  # x, y, radius, blur
     expected = state.copy()
     trust = np.array([0.0, 0.0, 1 / (0.01 * radius), 1 / 0.3])  # how well radius and blur are known beforehand
@@ -491,8 +491,8 @@ def _fit_shaded(at: Array, view: _View, radius: float, seen: npt.NDArray[np.bool
             break
     if np.hypot(*state[:2]) > 1.5:
         raise _Doubt("outline and brightness disagree about the centre")
-    # Not weighted: what the fit left out counts against the ball.
-    spread = float(np.sqrt(np.mean(error**2)))
+    # Not weighted: what the fit left out counts against the ball, but not what the stem hides.
+    spread = float(np.sqrt(np.mean(error[shown] ** 2))) if shown.any() else np.inf
     return state[:2], float(state[2]), spread / level
 
 
