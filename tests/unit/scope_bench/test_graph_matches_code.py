@@ -25,11 +25,14 @@ def programs(profile: str) -> list[Program]:
 
 
 def entry_points(package: str) -> dict[str, str]:
-    """Return executable -> module, read from the package's setup.py."""
+    """Return executable -> module, read from the package's setup.py; of a program that is a node too, the node's."""
     tree = ast.parse((ROOT / "src" / package / "setup.py").read_text())
     texts = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
-    pairs = (t.split("=", 1) for t in texts if ":main" in t)
-    return {name.strip(): place.partition(":")[0].strip() for name, place in pairs}
+    pairs = [t.split("=", 1) for t in texts if ":main" in t]
+    found = {name.strip(): place.partition(":")[0].strip() for name, place in pairs}
+    if f"stereo = {package}.cli.stereo:stereo" in texts:
+        found["stereo"] = f"{package}.nodes.stereo_node"  # 'stereo evaluate' is a program, 'stereo' the node
+    return found
 
 
 def config_class(program: Program) -> Any:
