@@ -108,13 +108,14 @@ kernels=$(cat src/harris_perception/harris_perception/core/*.py | sha256sum)
 if [ ! -f ros2_ws/install/.warm ] || [ "$(cat ros2_ws/install/.warm)" != "$kernels" ]; then
   echo "[4/4] compile the corner detector and stereo"
   "$venv/bin/python" -c "from harris_perception.core import dense_stereo, stereo_matching
-from harris_perception.core.edges import CombinedDetector, EdgeDetector
+dense_stereo.warm()
+stereo_matching.warm()" &
+  stereo=$!
+  "$venv/bin/python" -c "from harris_perception.core.edges import CombinedDetector, EdgeDetector
 from harris_perception.core.harris import HarrisConfig
 for config in (HarrisConfig(), HarrisConfig(gradient='gaussian', window='gaussian')):
     CombinedDetector(config).warm()
-EdgeDetector().warm()
-dense_stereo.warm()
-stereo_matching.warm()" \
+EdgeDetector().warm()" && wait $stereo \
     || fail "the corner detector or stereo could not be compiled; see the lines above"
   echo "$kernels" > ros2_ws/install/.warm
 fi

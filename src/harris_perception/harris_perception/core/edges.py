@@ -279,6 +279,8 @@ def traced(
 ) -> Edges:
     """Return the edges of a picture from its thinned pixels, given as to ``tracing.trace``; ``marks`` become labels."""
     height, width = marks.shape[0] - 2, marks.shape[1] - 2
+    if 0 in (height, width):
+        return Edges(marks[1:-1, 1:-1], np.empty((0, 2), np.int32), np.zeros(1, np.int64))
     corners = np.rint(np.asarray(corners_xy, np.float64).reshape(-1, 2)).astype(np.int32)
     if ((corners < 0) | (corners >= (width, height))).any():
         raise ValueError(f"a corner lies outside the picture of {width} x {height} px")
