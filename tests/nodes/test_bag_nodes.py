@@ -24,6 +24,7 @@ from icu_common.nodes.conversions import header, image_array, image_message
 from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagReader, BagWriter
+from scope_bench.nodes.bag_qos import playing_qos, recorded_qos
 from scope_bench.nodes.bag_recorder import BagRecorder
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,7 +64,7 @@ def test_what_is_recorded_is_played_again(ros: Ros, tmp_path: Path, storage: str
     ros.spin_until(lambda: words.get_subscription_count() and state.get_subscription_count(), 10.0)
     for i in range(50):
         words.publish(String(data=f"word {i}"))
-        # The publisher keeps ten; the player below keeps what it offered before, ten as well.
+        # The publisher keeps ten, more than that could be lost before the recorder has read them.
         ros.spin_until(lambda i=i: sink.messages > i, 10.0, lambda: (sink.messages, sink.failure))
     ros.spin_until(lambda: sink.messages == 51, 10.0, lambda: (sink.messages, sink.failure))
     assert recorder.missing == ["/silent"]
@@ -91,6 +92,16 @@ def test_what_is_recorded_is_played_again(ros: Ros, tmp_path: Path, storage: str
     assert [m.data for m in heard] == spoken and latched[-1].data == "ready"
     stamps = [m.clock.sec * 10**9 + m.clock.nanosec for m in times]
     assert stamps == sorted(stamps) and stamps[-1] - stamps[0] <= recorded + 1e9
+
+
+def test_a_player_keeps_what_is_recorded_for_latecomers_and_never_less_than_fifty_for_the_others() -> None:
+    for recorded, depth in ((qos.RESULTS, 50), (qos.LATCHED, qos.LATCHED.depth), (QoSProfile(depth=80), 80)):
+        offered = playing_qos([recorded_qos(recorded)])
+        assert (offered.depth, offered.reliability, offered.durability) == (
+            depth,
+            recorded.reliability,
+            recorded.durability,
+        )
 
 
 def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:

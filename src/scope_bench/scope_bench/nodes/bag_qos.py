@@ -65,7 +65,8 @@ def listening_qos(offers: Sequence[QoSProfile]) -> QoSProfile:
 def playing_qos(offers: Sequence[Qos]) -> QoSProfile:
     """Return what a player offers: what all of the recorded publishers offered, else reliable and volatile.
 
-    Bags of Jazzy do not know the publishers' history; a depth of 50 takes its place.
+    Bags of Jazzy do not know the publishers' history; a depth of 50 takes its place. Volatile topics have no less:
+    nobody can tell the difference, but what is played faster than it was recorded arrives whole.
     """
     same = offers[0] if len(set(offers)) == 1 else None
     if same is None:
@@ -75,6 +76,8 @@ def playing_qos(offers: Sequence[Qos]) -> QoSProfile:
         profile.reliability = ReliabilityPolicy(same.reliability.value)
     if same.durability in (QosDurability.TRANSIENT_LOCAL, QosDurability.VOLATILE):
         profile.durability = DurabilityPolicy(same.durability.value)
+    if profile.durability is not DurabilityPolicy.TRANSIENT_LOCAL:
+        profile.depth = max(profile.depth, _DEPTH)
     if same.liveliness in (QosLiveliness.AUTOMATIC, QosLiveliness.MANUAL_BY_TOPIC):
         profile.liveliness = LivelinessPolicy(same.liveliness.value)
     return profile
