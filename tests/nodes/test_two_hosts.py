@@ -146,10 +146,11 @@ class Desk:
         return str(self.until(lambda line: "sent" in line, 5.0)["sent"])
 
     def goes(self, x_m: float, y_m: float, within_s: float = 20.0) -> None:
-        """Go there; the controller finds the heartbeat by itself, later than the driver perhaps."""
+        """Go there; the controller hears of the heartbeat and of the end of homing later than the desk perhaps."""
         deadline = time.monotonic() + within_s
+        early = ("rejected no operator heartbeat", "rejected the driver is 'homing', 'idle' is needed")
         while (end := self.ends(self.go(x_m, y_m))) != "reached":
-            assert end.startswith("rejected no operator heartbeat") and time.monotonic() < deadline, end
+            assert end.startswith(early) and time.monotonic() < deadline, end
             time.sleep(0.1)  # a pause between questions, not a wait for a time
 
     def ends(self, goal: str) -> str:
