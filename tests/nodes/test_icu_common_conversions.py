@@ -38,6 +38,8 @@ def test_picture_that_does_not_fit_is_refused() -> None:
     message.height = 5
     with pytest.raises(ValueError, match="does not fit 16 bytes"):
         cv.image_array(message)
+    empty = cv.image_array(cv.image_message(np.zeros((3, 0, 3), np.uint8), "bgr8", HEAD))
+    assert empty.shape == (3, 0, 3)
     message.encoding = "yuv422"
     with pytest.raises(ValueError, match="'yuv422' is none of"):
         cv.image_array(message)

@@ -31,23 +31,24 @@ def gray_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[Any]:
     picture
         (H, W) or (H, W, C) as ``icu_common.nodes.conversions.image_array`` gives it.
     encoding
-        mono8, mono16, bgr8, rgb8, bgra8, rgba8 or bayer_*8.
+        mono8, bgr8, rgb8, bgra8, rgba8 or bayer_*8, or one of these with 16 bits.
 
     Raises
     ------
     ValueError
         For another encoding.
     """
+    native = picture.astype(picture.dtype.newbyteorder("="), copy=False)
     if encoding in ("mono8", "mono16"):
-        return picture.astype(picture.dtype.newbyteorder("="), copy=False)
-    code = (_COLOR_TO_GRAY | _BAYER_TO_GRAY).get(encoding)
+        return native
+    name = encoding.removesuffix("16") + "8" if encoding.endswith("16") else encoding
+    code = (_COLOR_TO_GRAY | _BAYER_TO_GRAY).get(name)
     if code is None:
-        raise ValueError(
-            f"encoding {encoding!r} is none of mono8, mono16, {', '.join(_COLOR_TO_GRAY | _BAYER_TO_GRAY)}"
-        )
-    if picture.size == 0 or (encoding in _BAYER_TO_GRAY and min(picture.shape) < 3):
-        return np.zeros(picture.shape[:2], np.uint8)
-    gray: npt.NDArray[Any] = cv2.cvtColor(np.ascontiguousarray(picture), code)
+        known = ", ".join(("mono8", *_COLOR_TO_GRAY, *_BAYER_TO_GRAY))
+        raise ValueError(f"encoding {encoding!r} is none of {known}, nor one of these with 16 bits")
+    if picture.size == 0 or (name in _BAYER_TO_GRAY and min(picture.shape) < 3):
+        return np.zeros(picture.shape[:2], native.dtype)
+    gray: npt.NDArray[Any] = cv2.cvtColor(np.ascontiguousarray(native), code)
     return gray
 
 
@@ -63,7 +64,7 @@ _TO_BGR = {
 
 
 def bgr_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[np.uint8]:
-    """Return the picture in colour, (H, W, 3) uint8; takes what :func:`gray_of` takes, grey pictures become grey.
+    """Return the picture in colour, (H, W, 3) uint8, of what :func:`gray_of` takes; 16-bit ones become grey.
 
     Raises
     ------

@@ -151,7 +151,7 @@ class StylusTracker:
         """
         pictures = (left, right)
         for picture, model in zip(pictures, (self.stereo.left, self.stereo.right)):
-            if picture.shape != (model.height, model.width, 3):
+            if picture.shape != (model.height, model.width, 3) or picture.dtype != np.uint8:
                 raise ValueError(f"picture {picture.shape}: {(model.height, model.width, 3)} is calibrated")
         result = Search(tip=None, reason="not seen")
         for windows in self._windows():

@@ -81,7 +81,7 @@ class CornersNode(Node):
     def _on_image(self, message: Image) -> None:
         start = time.perf_counter()
         try:
-            gray = gray_of(image_array(message), message.encoding)
+            gray = _gray(message)
         except ValueError as error:
             self._refused += 1
             self.get_logger().warning(f"picture refused: {error}", throttle_duration_sec=5.0)
@@ -134,6 +134,13 @@ class CornersNode(Node):
         status = diagnostic_status(self.get_fully_qualified_name(), "ok" if new else "warn", text, values)
         head = header(self.get_clock().now().nanoseconds, "")
         self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))
+
+
+def _gray(message: Image) -> npt.NDArray[Any]:
+    picture = image_array(message)
+    if message.encoding == "32FC1":
+        return picture.astype(np.float32, copy=False)
+    return gray_of(picture, message.encoding)
 
 
 def main() -> int:

@@ -35,13 +35,13 @@ from icu_common.core.results import GoalResult, Outcome
 
 _CHANNELS: dict[str, tuple[Any, int]] = {
     "mono8": (np.uint8, 1),
-    "mono16": (np.uint16, 1),
     "bgr8": (np.uint8, 3),
     "rgb8": (np.uint8, 3),
 }
 _CHANNELS |= {"bgra8": (np.uint8, 4), "rgba8": (np.uint8, 4)}
-_CHANNELS |= {"32FC1": (np.float32, 1)}
 _CHANNELS |= {f"bayer_{p}8": (np.uint8, 1) for p in ("rggb", "bggr", "gbrg", "grbg")}
+_CHANNELS |= {f"{name[:-1]}16": (np.uint16, count) for name, (_, count) in _CHANNELS.items() if name[-1] == "8"}
+_CHANNELS |= {"32FC1": (np.float32, 1)}
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
@@ -73,7 +73,7 @@ def image_message(picture: npt.NDArray[Any], encoding: str, head: Header) -> Ima
     message = Image(header=head, height=contiguous.shape[0], width=contiguous.shape[1], encoding=encoding)
     message.step = contiguous.strides[0]
     data = array.array("B")
-    data.frombytes(contiguous.data.cast("B"))
+    data.frombytes(contiguous.data.cast("B") if contiguous.size else b"")
     message.data = data
     return message
 
