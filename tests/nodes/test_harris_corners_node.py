@@ -198,7 +198,7 @@ def test_only_the_newest_picture_is_worked_on_and_the_others_are_counted(ros: An
 
 @pytest.mark.parametrize(
     "parameters",
-    [{"combined.max_gap_px": 8.0}, {"edge_method": "outlines", "edges.max_gap_px": 8.0, "edges.high": 10.0}],
+    [{}, {"edge_method": "outlines", "edges.max_gap_px": 8.0, "edges.high": 10.0}],
 )
 def test_edges_are_labelled_only_while_somebody_looks(ros: Any, parameters: dict[str, Any]) -> None:
     rig = Rig(ros, parameters)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edges as edges_module
-from harris_perception.core.edges import CORNER, EDGE, FLAT, CombinedDetector, EdgeConfig, EdgeDetector, TracingConfig
+from harris_perception.core.edges import CORNER, EDGE, FLAT, CombinedDetector, EdgeConfig, EdgeDetector
 from harris_perception.core.harris import HarrisConfig, HarrisDetector, gaussian_taps
 
 
@@ -156,8 +156,7 @@ def test_spur_is_removed_and_the_branch_of_a_t_stays() -> None:
     found = EdgeDetector(EdgeConfig(max_spur_px=5)).edges_of(mask)
     assert not found.labels[22:24, 15].any() and found.labels[22:45, 40].all()
     assert found.labels[20:22, 5:55].any(axis=0).all()  # the line, which may dip by a pixel where branches leave it
-    long = sorted(len(c) for c in found.chains if len(c) > 3)
-    assert len(long) == 3 and sum(long) >= 49 + 23
+    assert len(found.chains) == 3 and sum(len(c) for c in found.chains) >= 49 + 23
 
 
 def test_closed_line_is_one_chain_that_ends_where_it_starts() -> None:
@@ -275,7 +274,7 @@ def test_wide_pictures_have_the_same_edge_pixels_as_their_transposes() -> None:
 @pytest.mark.parametrize("config", [HarrisConfig(), HarrisConfig(gradient="gaussian", window="gaussian")])
 def test_combined_detector_finds_the_square_with_either_kernels(config: HarrisConfig) -> None:
     picture = square()
-    corners, edges = CombinedDetector(config, TracingConfig(max_gap_px=8.0)).detect(picture)
+    corners, edges = CombinedDetector(config).detect(picture)
     np.testing.assert_array_equal(corners.xy, HarrisDetector(config).detect(picture).xy)
     assert len(corners) == 4 and (edges.labels == CORNER).sum() == 4
     sides = np.zeros(picture.shape, np.uint8)
@@ -284,7 +283,29 @@ def test_combined_detector_finds_the_square_with_either_kernels(config: HarrisCo
     assert max(far[y, x] for chain in edges.chains for x, y in chain) <= 2.0
     reached = cv2.distanceTransform(np.where(edges.labels == FLAT, 1, 0).astype(np.uint8), cv2.DIST_L2, 5)
     assert (reached[sides > 0] <= 2.5).mean() > 0.97
-    assert sum(len(chain) > 20 for chain in edges.chains) == 4, "each side is one chain between its corners"
+    at = {tuple(place) for place in np.rint(corners.xy).astype(int).tolist()}
+    assert [{tuple(c[0].tolist()), tuple(c[-1].tolist())} <= at for c in edges.chains] == [True] * 4, "four sides"
+
+
+@pytest.mark.parametrize(("kind", "lines"), [("T", 3), ("Y", 3), ("X", 4)])
+@pytest.mark.parametrize("angle_deg", [0.0, 17.0, 40.0])
+def test_lines_meet_in_the_corner_of_a_junction(kind: str, lines: int, angle_deg: float) -> None:
+    y, x = np.indices((640, 640)) - 323.0
+    around = np.rad2deg(np.arctan2(y, x)) - angle_deg
+    limits, greys = {
+        "T": ((90, 180), (40, 120, 200)),
+        "Y": ((120, 240), (40, 120, 220)),
+        "X": ((90, 180, 270), (40, 200, 40, 200)),
+    }[kind]
+    big = np.array(greys, np.uint8)[np.digitize(around % 360.0, limits)]
+    detector = CombinedDetector(HarrisConfig(suppression_radius_px=3.0))
+    corners, edges = detector.detect(cv2.resize(big, (80, 80), interpolation=cv2.INTER_AREA))
+    assert len(corners) == 1
+    centre = np.rint(corners.xy[0])
+    long = [chain for chain in edges.chains if len(chain) > 4]
+    assert len(long) == lines
+    ends = np.array([min(np.abs(chain[i] - centre).max() for i in (0, -1)) for chain in long])
+    assert (ends == 0).sum() >= 2 and ends.max() <= 2, "lines may meet just before the corner"
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (2, 40), (6, 7), (30, 30)])

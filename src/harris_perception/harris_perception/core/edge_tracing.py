@@ -47,10 +47,14 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
         for turn in (-3, 3, -2, 2, -1, 1, 0):  # the later the better
             to = (way + turn) % 8
             ahead[way, full[:, to] == 1] = to
-    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, needless | (count > 2), ahead
+    # What a pixel with a common side leads to as well needs no diagonal step.
+    direct = full.copy()
+    direct[:, 1::2] &= empty[:, 0::2] & np.roll(empty, -2, axis=1)[:, 0::2]
+    steps = (direct << np.arange(8)).sum(axis=1).astype(np.uint8)
+    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, needless | (count > 2), ahead, steps
 
 
-_COUNT, _FIRST, _NEEDLESS, _CROWDED, _AHEAD = _tables()
+_COUNT, _FIRST, _NEEDLESS, _CROWDED, _AHEAD, _DIRECT = _tables()
 
 
 @called
@@ -311,11 +315,22 @@ def _follow(around: Array, chain: Array, filled: int, steps: Array, way: int) ->
 
 
 @called
-def _link(state: Array, around: Array, kept: Array, steps: Array) -> tuple[Array, Array]:
-    """Return chains of neighbouring pixels between ends and branch points: points (N, 2) x, y and starts (M + 1,)."""
+def _link(state: Array, around: Array, kept: Array, corners: Array, steps: Array) -> tuple[Array, Array]:
+    """Return chains of neighbouring pixels between ends, branches and corners: points (N, 2) x, y, starts (M + 1,)."""
     stride = steps[2]
     count = total = nodes = 0
-    node_places = np.empty(len(kept) + 1, np.int32)
+    node_places = np.empty(len(kept) + len(corners), np.int32)
+    for i in range(len(kept)):
+        around[kept[i]] = _DIRECT[around[kept[i]]]
+    passed = np.empty(len(corners), np.uint8)  # the patterns of corners that a line goes through
+    for i in range(len(corners)):
+        here = (corners[i, 1] + 1) * stride + corners[i, 0] + 1
+        if state[here] != 0 and _COUNT[around[here]] == 2:
+            node_places[nodes], passed[nodes] = here, around[here]
+            around[here] = 0
+            nodes += 1
+    through = nodes
+    total = 2 * through
     for i in range(len(kept)):
         alive = state[kept[i]] != 0
         degree = _COUNT[around[kept[i]]]
@@ -329,7 +344,7 @@ def _link(state: Array, around: Array, kept: Array, steps: Array) -> tuple[Array
     for i in range(nodes):
         node = node_places[i]
         x, y = node % stride - 1, node // stride - 1
-        pattern = around[node]
+        pattern = passed[i] if i < through else around[node]
         if pattern == 0 and state[node] == _KEPT:  # what was cut and drawn again is listed twice
             chain[filled, 0], chain[filled, 1] = x, y
             filled += 1
@@ -411,7 +426,7 @@ def trace(
         _prune(state, around, kept, steps, longest)
     if farthest > 0.0 and len(corners) > 0:
         kept = _lead(state, quads, around, kept, corners, steps, farthest)
-    points, starts = _link(state, around, kept, steps)
+    points, starts = _link(state, around, kept, corners, steps)
     for i in range(len(corners)):
         state[(corners[i, 1] + 1) * stride + corners[i, 0] + 1] = _CORNER
     return points, starts

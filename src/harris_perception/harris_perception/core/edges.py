@@ -52,7 +52,7 @@ class TracingConfig(Config):
     min_length_px: int = setting(10, "Smaller connected pieces are removed", minimum=1, maximum=10_000, unit="px")
     max_spur_px: int = setting(3, "Branches up to this length are removed", minimum=0, maximum=100, unit="px")
     max_gap_px: float = setting(
-        3.0, "Free ends this near to a corner are led to it", minimum=0.0, maximum=50.0, unit="px"
+        5.0, "Free ends this near to a corner are led to it", minimum=0.0, maximum=50.0, unit="px"
     )
 
 
@@ -116,7 +116,7 @@ class Edges:
 
     @property
     def chains(self) -> list[npt.NDArray[np.int32]]:
-        """Each (N, 2) int32 px x, y of neighbouring pixels; a closed one ends where it starts."""
+        """Each (N, 2) int32 px x, y, from an end, branch or corner to the next; a closed one ends where it starts."""
         return np.split(self.points, self.starts[1:-1].tolist()) if len(self.starts) > 1 else []
 
 
@@ -241,7 +241,7 @@ class CombinedDetector:
     >>> picture[20:, 30:] = 200
     >>> corners, edges = CombinedDetector().detect(picture)
     >>> corners.xy.round().astype(int).tolist(), [len(chain) for chain in edges.chains]
-    ([[30, 20]], [24, 34])
+    ([[30, 20]], [27, 37])
     >>> sorted({int(value) for value in np.unique(edges.labels)}) == [FLAT, EDGE, CORNER]
     True
     """
