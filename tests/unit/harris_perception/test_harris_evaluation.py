@@ -128,6 +128,10 @@ def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.Capture
     assert linked - {(20, 20), (69, 20), (20, 59), (69, 59)} == {(int(x), int(y)) for y, x in np.argwhere(seen == 128)}
     assert main(["detect", str(source), "--labels", str(labels)]) == 2
     assert "--edges" in capsys.readouterr().err
+    for deep, count in ((picture.astype(np.uint16), 4), (np.full((80, 90), 500, np.uint16), 0)):  # of 65535: all dark
+        cv2.imwrite(str(tmp_path / "deep.png"), deep)
+        assert main(["detect", str(tmp_path / "deep.png"), "--edges", "--table", str(table)]) == 0
+        assert table.read_text().startswith("x_px,y_px,response") and len(table.read_text().splitlines()) == 1 + count
     assert main(["detect", str(source), "--scales", "2", "--table", str(table), "--edges"]) == 0
     assert {row["scale"] for row in csv.DictReader(table.open())} <= {"1.0", "1.41"}
     assert main(["detect", str(source), "--scales", "2", "--edges", "combined"]) == 2
@@ -230,21 +234,32 @@ def test_best_on_average_weighs_every_change_alike() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["detect", "missing.png"], "missing.png is no picture"),
+        (["detect", "missing.png"], "missing.png does not exist"),
+        (["detect", "EMPTY"], "is no picture"),
+        (["detect", "PICTURE", "--set", "k=[1"], "'k=[1'"),
+        (["detect", "PICTURE", "--set-edges", "high=3"], "--set-edges need --edges"),
         (["detect", "PICTURE", "--set", "k=7"], "k = 7"),
         (["detect", "PICTURE", "--set", "kk=0.04"], "kk"),
         (["detect", "PICTURE", "--set", "k"], "KEY=VALUE"),
         (["detect", "PICTURE", "--table", "corners.txt"], ".csv or .json"),
         (["detect", "PICTURE", "-o", "corners.nothing"], "cannot be written"),
         (["evaluate", "EMPTY", "-o", "OUT"], "neither sequences"),
+        (["evaluate", "PICTURE", "-o", "OUT", "--count", "0"], "--count 0"),
+        (["evaluate", "CUT", "-o", "OUT"], "H1to3p is missing"),
+        (["evaluate", "FLAT", "-o", "OUT"], "H1to2p is no homography"),
     ],
 )
 def test_mistakes_end_with_one_line(
     arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cv2.imwrite(str(tmp_path / "p.png"), photograph())
-    (tmp_path / "empty").mkdir()
-    names = {"PICTURE": tmp_path / "p.png", "EMPTY": tmp_path / "empty", "OUT": tmp_path / "out"}
-    assert main([str(names.get(a, a)) for a in arguments]) == 2
+    for folder, pictures, homography in (("EMPTY", 0, ""), ("CUT", 3, "1 0 0 0 1 0 0 0 1"), ("FLAT", 2, "1 0 0 0 1 0")):
+        (tmp_path / folder).mkdir()
+        for number in range(1, pictures + 1):
+            (tmp_path / folder / f"img{number}.png").write_bytes((tmp_path / "p.png").read_bytes())
+        if pictures:
+            (tmp_path / folder / "H1to2p").write_text(homography)
+    names = {"PICTURE": "p.png", "OUT": "out", "EMPTY": "EMPTY", "CUT": "CUT", "FLAT": "FLAT"}
+    assert main([str(tmp_path / names[a]) if a in names else a for a in arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and words in error and error.count("\n") == 1

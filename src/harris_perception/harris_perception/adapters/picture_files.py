@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,46 +16,86 @@ SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff"}
 
 
 def read_gray(path: Path) -> npt.NDArray[np.uint8]:
-    """Read a picture as (H, W) uint8.
+    """Read a picture as (H, W) uint8; one of more than 8 bits is stretched to its largest value.
 
     Raises
     ------
     ValueError
         If the file is missing or no picture.
     """
-    return _read(path, cv2.IMREAD_GRAYSCALE)
+    return _eight_bits(read_deep_gray(path))
+
+
+def read_deep_gray(path: Path) -> npt.NDArray[Any]:
+    """Read a picture as (H, W) uint8, or float32 from 0 to 255 if it has more than 8 bits; raises as above."""
+    return _stretched(_read(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH))
 
 
 def read_bgr(path: Path) -> npt.NDArray[np.uint8]:
-    """Read a picture as (H, W, 3) uint8; raises as :func:`read_gray`."""
-    return _read(path, cv2.IMREAD_COLOR)
+    """Read a picture as (H, W, 3) uint8; stretches and raises as :func:`read_gray`."""
+    return _eight_bits(_stretched(_read(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)))
 
 
-def _read(path: Path, how: int) -> npt.NDArray[np.uint8]:
+def _stretched(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    if picture.dtype == np.uint8:
+        return picture
+    values = np.maximum(picture.astype(np.float32), 0.0)
+    top = float(values.max(initial=0.0, where=np.isfinite(values)))
+    return values * np.float32(255.0 / top if top > 0.0 else 0.0)
+
+
+def _eight_bits(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    if picture.dtype == np.uint8:
+        return picture
+    return np.asarray(np.rint(np.nan_to_num(picture, posinf=255.0)), np.uint8)
+
+
+def _read(path: Path, how: int) -> npt.NDArray[Any]:
+    if not path.exists():
+        raise ValueError(f"{path} does not exist")
     picture = cv2.imread(str(path), how) if path.is_file() else None
     if picture is None:
         raise ValueError(f"{path} is no picture that can be read")
-    return np.asarray(picture, np.uint8)
+    return np.asarray(picture)
 
 
 def sequences(folder: Path) -> Iterator[tuple[str, list[Path], list[npt.NDArray[np.float64]]]]:
-    """Yield name, pictures 1 to n and homographies 1 to 2..n of each sequence below a folder (img1..6, H1to2p)."""
-    for first in sorted(folder.rglob("img1.*")):
-        if first.suffix.lower() not in SUFFIXES:
+    """Yield name, pictures 1 to n and homographies 1 to 2..n of each sequence below a folder (img1..6, H1to2p).
+
+    Raises
+    ------
+    ValueError
+        If of a picture and its homography one is missing, or a homography is none.
+    """
+    for first in sorted(p for p in folder.rglob("img1.*") if p.suffix.lower() in SUFFIXES):
+        known = {int(p.name[4:-1]) for p in first.parent.glob("H1to*p") if p.name[4:-1].isdecimal()}
+        pictures = {
+            int(p.stem[3:]): p
+            for p in sorted(first.parent.glob("img*.*"))
+            if p.suffix.lower() in SUFFIXES and p.stem[3:].isdecimal()
+        }
+        if not known:
             continue
-        pictures, homographies = [first], []
-        for number in range(2, 100):
-            following, truth = first.with_name(f"img{number}{first.suffix}"), first.with_name(f"H1to{number}p")
-            if not (following.is_file() and truth.is_file()):
-                break
-            pictures.append(following)
-            homographies.append(np.loadtxt(truth).reshape(3, 3))
-        if homographies:
-            yield first.parent.name, pictures, homographies
+        for number in sorted(known ^ (set(pictures) - {1})):
+            missing = f"H1to{number}p" if number in pictures else f"img{number}.*"
+            raise ValueError(f"{first.parent / missing} is missing")
+        numbers = sorted(known)
+        homographies = [_homography(first.with_name(f"H1to{number}p")) for number in numbers]
+        yield first.resolve().parent.name, [first, *(pictures[n] for n in numbers)], homographies
+
+
+def _homography(path: Path) -> npt.NDArray[np.float64]:
+    try:
+        values = np.array(path.read_text().split(), np.float64)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if values.shape != (9,) or not np.isfinite(values).all() or np.linalg.matrix_rank(values.reshape(3, 3)) < 3:
+        raise ValueError(f"{path} is no homography: 3 x 3 finite numbers are needed, and an inverse")
+    return values.reshape(3, 3)
 
 
 def pairs_of_sequence(name: str, pictures: list[Path], homographies: list[npt.NDArray[np.float64]]) -> Iterator[Pair]:
     """Yield the pairs 1-2 to 1-n; what changed is the sequence's name, the amount is the picture's number."""
     first = read_gray(pictures[0])
-    for number, (path, homography) in enumerate(zip(pictures[1:], homographies), start=2):
-        yield Pair(name, float(number), first, read_gray(path), homography)
+    for path, homography in zip(pictures[1:], homographies):
+        yield Pair(name, float(path.stem[3:]), first, read_gray(path), homography)

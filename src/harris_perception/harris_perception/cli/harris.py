@@ -6,6 +6,7 @@ import argparse
 import csv
 import json
 import sys
+import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,7 +15,14 @@ import cv2
 import numpy as np
 import yaml
 
-from harris_perception.adapters.picture_files import SUFFIXES, pairs_of_sequence, read_bgr, read_gray, sequences
+from harris_perception.adapters.picture_files import (
+    SUFFIXES,
+    pairs_of_sequence,
+    read_bgr,
+    read_deep_gray,
+    read_gray,
+    sequences,
+)
 from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
 from harris_perception.core.gray import bgr_of_gray
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
@@ -37,6 +45,14 @@ from icu_common.core.config import from_mapping, settings_of
 
 T = TypeVar("T")
 EDGE_COLOR = (255, 160, 0)
+AMOUNTS = {
+    "rotation": "angle [deg]",
+    "scale": "how many times smaller",
+    "light": "gain (0: from 0.4 at the left to 1.3 at the right)",
+    "viewpoint": "tilt [deg]",
+    "noise": "standard deviation of the noise [grey levels]",
+}
+"""What the amounts of the warps of a photograph mean; for sequences they are the numbers of the pictures."""
 MIN_AGREEING = 10
 """Fewer matches than this agree by chance (measured on pictures that have nothing in common)."""
 
@@ -48,7 +64,10 @@ def _settings(config_class: type[T], pairs: Sequence[str]) -> T:
         name, equals, value = pair.partition("=")
         if not equals:
             raise ValueError(f"{pair!r}: KEY=VALUE is needed")
-        values[name] = yaml.safe_load(value)
+        try:
+            values[name] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ValueError(f"{pair!r}: the value cannot be read") from error
     return from_mapping(config_class, values)
 
 
@@ -64,15 +83,13 @@ def _progress(items: Sequence[T], what: str) -> Iterator[T]:
         print(f"\r{what} [{'#' * 30}] {len(items)}/{len(items)}", file=sys.stderr)
 
 
-def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def _write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     """Write rows as JSON or CSV, as the name's ending says."""
     if path.suffix == ".json":
-        path.write_text(json.dumps(rows, indent=1) + "\n")
+        path.write_text(json.dumps([dict(zip(columns, row)) for row in rows], indent=1) + "\n")
     elif path.suffix == ".csv":
         with path.open("w", newline="") as stream:
-            writer = csv.DictWriter(stream, fieldnames=list(rows[0]) if rows else ["empty"])
-            writer.writeheader()
-            writer.writerows(rows)
+            csv.writer(stream).writerows([columns, *rows])
     else:
         raise ValueError(f"{path}: the name must end in .csv or .json")
 
@@ -87,7 +104,7 @@ def _write_picture(path: Path, picture: Any) -> None:
 
 
 def detect(options: argparse.Namespace) -> int:
-    gray = read_gray(options.picture)
+    gray = read_deep_gray(options.picture)
     config = _settings(HarrisConfig, options.set)
     drawn = bgr_of_gray(gray)
     edges: Edges | None = None
@@ -115,11 +132,10 @@ def detect(options: argparse.Namespace) -> int:
     if options.table:
         columns = ("x_px", "y_px", "response", "scale")[: 3 if scales is None else 4]
         parts = (corners.xy, corners.response) if scales is None else (corners.xy, corners.response, scales)
-        values = np.column_stack(parts).tolist()
-        _write_table(options.table, [dict(zip(columns, row)) for row in values])
+        _write_table(options.table, columns, np.column_stack(parts).tolist())
     if options.chains and edges is not None:
-        rows = [{"chain": i, "x_px": x, "y_px": y} for i, chain in enumerate(edges.chains) for x, y in chain.tolist()]
-        _write_table(options.chains, rows)
+        rows = [(i, x, y) for i, chain in enumerate(edges.chains) for x, y in chain.tolist()]
+        _write_table(options.chains, ("chain", "x_px", "y_px"), rows)
     print(f"{len(corners)} corners" + (f", {len(edges.chains)} chains of edges" if edges is not None else ""))
     return 0
 
@@ -135,8 +151,10 @@ def match_pictures(options: argparse.Namespace) -> int:
         _write_picture(options.output, matches_picture(first, second, a[pairs[:, 0]], b[pairs[:, 1]]))
     if options.table:
         ends = np.hstack((a[pairs[:, 0]], b[pairs[:, 1]])).tolist()
-        _write_table(options.table, [dict(zip(("x1_px", "y1_px", "x2_px", "y2_px"), row)) for row in ends])
+        _write_table(options.table, ("x1_px", "y1_px", "x2_px", "y2_px"), ends)
     print(f"{len(a)} and {len(b)} corners, {found.tentative} tentative matches, {len(pairs)} agree ({config.geometry})")
+    if 0 < len(pairs) < MIN_AGREEING and config.geometry != "none":
+        print(f"so few may agree by chance: from {MIN_AGREEING} on they hardly do")
     if config.geometry == "homography" and found.model is not None and len(pairs) >= MIN_AGREEING:
         height, width = first.shape
         outline = mapped(np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)]), found.model)
@@ -161,6 +179,8 @@ def _pairs(sources: Iterable[Path], seed: int) -> Iterator[list[Pair]]:
 
 
 def evaluate(options: argparse.Namespace) -> int:
+    if options.count < 1:
+        raise ValueError(f"--count {options.count}: at least 1 is needed")
     ours, peers = our_detectors(), peer_detectors()
     detectors: dict[str, Detect] = ours | peers
     options.output.mkdir(parents=True, exist_ok=True)
@@ -176,9 +196,10 @@ def evaluate(options: argparse.Namespace) -> int:
                     {"half": half, "change": pair.change, "amount": pair.amount, "detector": name}
                     | {"epsilon_px": epsilon, "repeatability": value, "chance": chance, "points": rate.count}
                 )
-    _write_table(options.output / "repeatability.csv", rows)
-    _write_table(options.output / "repeatability.json", rows)
-    _plot(rows, list(detectors), options.output)
+    for ending in ("csv", "json"):
+        table = options.output / f"repeatability.{ending}"
+        _write_table(table, list(rows[0]), [list(row.values()) for row in rows])
+    _plot(rows, list(ours), list(peers), options.output)
     _report(rows, list(ours), list(peers), options)
     return 0
 
@@ -206,8 +227,8 @@ def _report(rows: Sequence[dict[str, Any]], ours: list[str], peers: list[str], o
             print(f"not first on {change}: {first} is {behind:.1f} points ahead of {chosen}")
 
 
-def _plot(rows: Sequence[dict[str, Any]], names: Sequence[str], folder: Path) -> None:
-    """Draw, for each change, the rate over its amount at 1.5 px and over epsilon."""
+def _plot(rows: Sequence[dict[str, Any]], ours: Sequence[str], peers: Sequence[str], folder: Path) -> None:
+    """Draw, for each change, the rate over its amount at 1.5 px and over epsilon, peers dashed, chance as an area."""
     try:
         import matplotlib
     except ImportError as error:
@@ -218,28 +239,65 @@ def _plot(rows: Sequence[dict[str, Any]], names: Sequence[str], folder: Path) ->
     from matplotlib import pyplot
 
     for change in dict.fromkeys(r["change"] for r in rows):
-        figure, axes = pyplot.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
-        for name in names:
-            mine = [r for r in rows if r["change"] == change and r["detector"] == name]
-            for axis, key in zip(axes, ("amount", "epsilon_px")):
-                kept = [r for r in mine if key != "amount" or r["epsilon_px"] == 1.5]
-                xs = sorted({r[key] for r in kept})
-                ys = [np.mean([r["repeatability"] for r in kept if r[key] == x]) for x in xs]
-                axis.plot(xs, ys, marker="o", markersize=3, label=name)
-        axes[0].set(title=f"{change}, 1.5 px", xlabel="amount", ylabel="repeatability", ylim=(0, 1))
-        axes[1].set(title=f"{change}, all amounts", xlabel="epsilon [px]", ylim=(0, 1))
-        axes[1].legend(fontsize=7)
+        figure, axes = pyplot.subplots(1, 2, figsize=(12, 5), layout="constrained")
+        for axis, key in zip(axes, ("amount", "epsilon_px")):
+            kept = [r for r in rows if r["change"] == change and (key != "amount" or r["epsilon_px"] == 1.5)]
+            xs = sorted({r[key] for r in kept})
+            curves = {
+                (name, what): [np.mean([r[what] for r in kept if r["detector"] == name and r[key] == x]) for x in xs]
+                for name in (*ours, *peers)
+                for what in ("repeatability", "chance")
+            }
+            for names, line, marker in ((ours, "-", "o"), (peers, "--", "x")):
+                for number, name in enumerate(names):
+                    style = {"linestyle": line, "marker": marker, "markersize": 4, "color": f"C{number}"}
+                    axis.plot(xs, curves[name, "repeatability"], label=name, **style)
+            chances = [curve for (_, what), curve in curves.items() if what == "chance"]
+            axis.fill_between(
+                xs, np.min(chances, axis=0), np.max(chances, axis=0), color="0.85", label="chance, of all"
+            )
+            axis.grid(color="0.93")
+        axes[0].set(title=f"{change}, epsilon 1.5 px", xlabel=AMOUNTS.get(change, "number of the picture"))
+        axes[0].set(ylabel="repeatability", ylim=(0, 1))
+        if change not in AMOUNTS:
+            axes[0].set_xticks(sorted({r["amount"] for r in rows if r["change"] == change}))
+        axes[1].set(title=f"{change}, mean over all pictures", xlabel="epsilon [px]", ylim=(0, 1))
+        axes[1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0))
         figure.savefig(folder / f"{change}.png", dpi=100)
         pyplot.close(figure)
+
+
+def _told(option: str, config_class: type[Any]) -> str:
+    """Return what can be set, with default, range, unit and meaning, for ``--help``."""
+    lines = [f"{option} KEY=VALUE:"]
+    for item in settings_of(config_class):
+        info = item.setting
+        bounds = (
+            "" if info.minimum is None else f"{info.minimum:g} to {info.maximum:g}" if info.maximum else "0 or more"
+        )
+        allowed = " ".join(part for part in (" | ".join(info.choices) or bounds, info.unit) if part)
+        told = f"{item.name}={item.default}" + (f" ({allowed})" if allowed else "") + f": {info.description}"
+        lines += textwrap.wrap(told, 100, initial_indent="  ", subsequent_indent="      ")
+    return "\n".join(lines)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="harris", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    known = ", ".join(item.name for item in settings_of(HarrisConfig))
 
-    one = commands.add_parser("detect", help="corners, and edges, of a picture")
-    one.add_argument("picture", type=Path)
+    one = commands.add_parser(
+        "detect",
+        help="corners, and edges, of a picture",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="\n\n".join(
+            (
+                _told("--set", HarrisConfig),
+                _told("--set-edges (outlines)", EdgeConfig),
+                _told("--set-edges (combined)", TracingConfig),
+            )
+        ),
+    )
+    one.add_argument("picture", type=Path, help="of more than 8 bits is stretched to its largest value")
     one.add_argument("-o", "--output", type=Path, help="picture with the corners drawn")
     one.add_argument("--table", type=Path, help="corners as .csv or .json")
     one.add_argument(
@@ -257,17 +315,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--labels", type=Path, help="picture of labels: 0 flat, 128 edge, 255 corner; needs --edges")
     one.add_argument("--chains", type=Path, help="linked pixels of the edges as .csv or .json; needs --edges")
-    one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one of {known}")
-    one.add_argument("--set-edges", action="append", default=[], metavar="KEY=VALUE", help="settings of the edges")
+    one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="see below")
+    one.add_argument("--set-edges", action="append", default=[], metavar="KEY=VALUE", help="see below; needs --edges")
     one.set_defaults(run=detect)
 
-    two = commands.add_parser("match", help="matching corners of two pictures")
+    two = commands.add_parser(
+        "match",
+        help="matching corners of two pictures",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=_told("--set", HarrisConfig) + "\n\n" + _told("--set-match", MatchConfig),
+    )
     two.add_argument("first", type=Path)
     two.add_argument("second", type=Path)
     two.add_argument("-o", "--output", type=Path, help="both pictures with the matches drawn")
     two.add_argument("--table", type=Path, help="matches as .csv or .json")
-    two.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="settings of the detector")
-    two.add_argument("--set-match", action="append", default=[], metavar="KEY=VALUE", help="settings of the matching")
+    two.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="see below")
+    two.add_argument("--set-match", action="append", default=[], metavar="KEY=VALUE", help="see below")
     two.add_argument(
         "--scales", type=int, default=8, help="levels of the pyramid, each 1.26 times coarser; 1 = one scale"
     )
@@ -287,8 +350,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; errors in what the user gave end with code 2 and one line."""
     options = _parser().parse_args(arguments)
     try:
-        if options.run is detect and options.edges is None and (options.labels or options.chains):
-            raise ValueError("--labels and --chains need --edges")
+        if options.run is detect and options.edges is None and (options.labels or options.chains or options.set_edges):
+            raise ValueError("--labels, --chains and --set-edges need --edges")
         if options.run is detect and options.scales and options.edges == "combined":
             raise ValueError("--scales: edges of the corners' own pass have one scale; take --edges outlines")
         return int(options.run(options))
