@@ -19,6 +19,7 @@ from icu_common.core.config import Config, ConfigError, setting
 F32 = npt.NDArray[np.float32]
 
 _EMPTY_PAIRS = np.empty((0, 2), np.int64)
+_ROWS = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,16 +160,25 @@ def match(first: Described, second: Described, config: MatchConfig, *, seed: int
     """Return the matches that pass the checks; ``seed`` is for the random samples of the geometric one."""
     if len(first.xy) == 0 or len(second.xy) == 0:
         return Matches(_EMPTY_PAIRS, None, 0)
-    distance = _distances(first.vectors, second.vectors)
-    best = distance.argmin(axis=1)
-    rows = np.arange(len(best))
-    good = np.ones(len(best), bool)
+    count = len(first.xy)
+    best, nearest, other = np.empty(count, np.int64), np.empty(count, np.float32), np.empty(count, np.float32)
+    back, least = np.zeros(len(second.xy), np.int64), np.full(len(second.xy), np.inf, np.float32)
+    for start in range(0, count, _ROWS):  # all distances at once need 12 bytes for each pair: gigabytes
+        part = slice(start, start + _ROWS)
+        distance = _distances(first.vectors[part], second.vectors)
+        best[part], nearest[part] = distance.argmin(axis=1), distance.min(axis=1)
+        closer = distance.min(axis=0) < least
+        back[closer] = start + distance.argmin(axis=0)[closer]
+        least = np.minimum(least, distance.min(axis=0))
+        x, y = (second.xy[best[part], i, None] - second.xy[None, :, i] for i in range(2))
+        elsewhere = x * x + y * y > config.elsewhere_px**2
+        other[part] = distance.min(axis=1, where=elsewhere, initial=np.inf)
+    rows = np.arange(count)
+    good = np.ones(count, bool)
     if config.mutual:
-        good &= distance.argmin(axis=0)[best] == rows
+        good &= back[best] == rows
     if config.ratio < 1.0:
-        elsewhere = np.linalg.norm(second.xy[best][:, None] - second.xy[None], axis=2) > config.elsewhere_px
-        other = np.where(elsewhere, distance, np.inf).min(axis=1)
-        good &= distance[rows, best] < config.ratio * other
+        good &= nearest < config.ratio * other
     pairs = np.column_stack((rows, best))[good]
     inliers, model = _agreeing(first.xy[pairs[:, 0]], second.xy[pairs[:, 1]], config, seed)
     kept = pairs[inliers]
