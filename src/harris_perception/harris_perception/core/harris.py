@@ -55,7 +55,7 @@ class HarrisConfig(Config):
         "Shape of the window that sums the products; deriche is a Gaussian by recursion",
         choices=("box", "gaussian", "deriche"),
     )
-    window_px: int = setting(3, "Side of the box window, odd", minimum=3, maximum=31, unit="px")
+    window_px: int = setting(3, "Side of the box window, odd", minimum=3, maximum=255, unit="px")
     sigma_i_px: float = setting(2.0, "Standard deviation of the gaussian window", minimum=0.5, maximum=20.0, unit="px")
     response: str = setting(
         "harris",
