@@ -57,6 +57,18 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
 _COUNT, _FIRST, _NEEDLESS, _CROWDED, _AHEAD, _DIRECT = _tables()
 
 
+# Of eight bytes their highest bits; a number whose products with the powers of two differ in their upper six bits, and
+# which power it was (C. Leiserson, H. Prokop, K. Randall, "Using de Bruijn Sequences to Index a 1 in a Computer Word").
+_HIGHEST_BITS, _DE_BRUIJN = np.uint64(0x8080808080808080), np.uint64(0x022FDD63CC95386D)
+_POWERS = np.argsort([int(_DE_BRUIJN) * 2**i % 2**64 >> 58 for i in range(64)])
+
+
+@called
+def _lowest(bits: np.uint64) -> int:
+    """Return the place of the lowest bit that is set."""
+    return int(_POWERS[((bits & (~bits + np.uint64(1))) * _DE_BRUIJN) >> np.uint64(58)])
+
+
 @called
 def _pattern(quads: Array, here: int, stride: int, bit: int) -> np.uint8:
     """Return as bits in circular order which of the eight neighbours have a bit of their state."""
@@ -79,10 +91,8 @@ def _connected(
     """
     stride = steps[2]
     first_steps = steps[_FIRST]
-    most = 1
-    for i in range(len(state)):
-        most += state[i]
-    kept, crowded = np.empty(most, np.int32), np.empty(most, np.int32)  # growing lists would make the flood slower
+    # Growing lists would make the flood slower, counting the candidates first, too; what is not written costs nothing.
+    kept, crowded = np.empty(len(state) + 1, np.int32), np.empty(len(state) + 1, np.int32)
     count = full = 0
     around[:] = 0
     for i in range(len(seeds)):
@@ -121,8 +131,8 @@ def _connected(
 @called
 def _drop(state: Array, around: Array, here: int, steps: Array) -> None:
     """Clear a pixel, and its bit in its neighbours' patterns."""
-    state[here] = 0
     pattern = around[here]
+    state[here] = around[here] = 0
     while pattern:
         way = _FIRST[pattern]
         pattern &= pattern - 1
@@ -137,7 +147,7 @@ def _thin_out(state: Array, around: Array, crowded: Array, count: int, steps: Ar
         removed = False
         for i in range(count):
             here = crowded[i]
-            if state[here] != 0 and _NEEDLESS[around[here]]:
+            if _NEEDLESS[around[here]]:
                 _drop(state, around, here, steps)
                 removed = True
 
@@ -168,7 +178,7 @@ def _prune(state: Array, around: Array, kept: Array, steps: Array, longest: int)
     ends, lengths = np.empty(len(kept) + 1, np.int32), np.empty(len(kept) + 1, np.int32)
     count = 0
     for i in range(len(kept)):
-        if state[kept[i]] != 0 and _COUNT[around[kept[i]]] == 1:
+        if _COUNT[around[kept[i]]] == 1:
             length, _ = _branch(around, kept[i], steps, path)
             ends[count], lengths[count] = kept[i], length
             count += 0 < length <= longest
@@ -178,7 +188,7 @@ def _prune(state: Array, around: Array, kept: Array, steps: Array, longest: int)
         while i < count:
             end = ends[i]
             i += 1
-            if lengths[i - 1] > shortest or state[end] == 0 or _COUNT[around[end]] != 1:
+            if lengths[i - 1] > shortest or _COUNT[around[end]] != 1:
                 continue
             length, branch = _branch(around, end, steps, path)
             if length == 0 or length > shortest:
@@ -195,9 +205,122 @@ def _prune(state: Array, around: Array, kept: Array, steps: Array, longest: int)
             beside[near] = branch
             _thin_out(state, around, beside, near + 1, steps)
             for j in range(near + 1):
-                if count < len(ends) and state[beside[j]] != 0 and _COUNT[around[beside[j]]] == 1:
+                if count < len(ends) and _COUNT[around[beside[j]]] == 1:
                     ends[count], lengths[count] = beside[j], 0
                     count += 1
+
+
+@called
+def _disc(radius: float, reach: int, left: int, top: int) -> np.uint64:
+    """Return which of 8 x 8 pixels, from ``left``, ``top`` of a square on, lie within a radius around its middle."""
+    result = np.uint64(0)
+    for bit in range(64):
+        x, y = left + bit // 8 - reach, top + bit % 8 - reach
+        if max(abs(x), abs(y)) <= reach and x * x + y * y <= radius * radius:
+            result |= np.uint64(1) << np.uint64(bit)
+    return result
+
+
+@called
+def _block(state: Array, quads: Array, left: int, top: int, rows: int, width: int, height: int) -> np.uint64:
+    """Return which of 8 x 8 pixels of the picture, or of only so many rows, belong to edges.
+
+    As bits, column by column; pixels outside the picture do not.
+    """
+    stride = width + 2
+    result = np.uint64(0)
+    if left >= 0 and top >= 0 and left + 8 <= width and top + rows <= height:
+        place = np.uint64((top + 1) * stride + left + 1)
+        for y in range(rows):
+            eight = np.uint64(quads[place]) | (np.uint64(quads[place + np.uint64(4)]) << np.uint64(32))
+            result |= (eight & _HIGHEST_BITS) >> np.uint64(7 - y)
+            place += np.uint64(stride)
+        return result
+    for x in range(max(-left, 0), min(width - left, 8)):
+        for y in range(max(-top, 0), min(height - top, rows)):
+            edge = state[(top + y + 1) * stride + left + x + 1] >> 7
+            result |= np.uint64(edge) << np.uint64(8 * x + y)
+    return result
+
+
+@called
+def _cut(
+    state: Array, quads: Array, around: Array, corners: Array, stride: int, radius: float, reach: int
+) -> tuple[Array, Array]:
+    """Clear what lies within a radius of a corner (N, 2) px; patterns of what is beside it are left as they were.
+
+    Returns what else lies within a square of ``reach`` around the corners, as bits of blocks of 8 x 8 pixels, and of
+    each block its corner and where it begins, x, y.
+    """
+    width, height, side = stride - 2, len(state) // stride - 2, 2 * reach + 1
+    across = (side + 7) // 8
+    square, inner = np.empty((across, across), np.uint64), np.empty((across, across), np.uint64)
+    for row in range(across):
+        for column in range(across):
+            square[row, column] = _disc(2.0 * side, reach, 8 * column, 8 * row)
+            inner[row, column] = _disc(radius, reach, 8 * column, 8 * row)
+    offsets = np.arange(64) // 8 + np.arange(64) % 8 * stride
+    begins, remains = np.empty((len(corners), 3), np.int32), np.empty(len(corners), np.uint64)
+    count = 0
+    for i in range(len(corners)):
+        for row in range(across):
+            for column in range(across):
+                left, top = corners[i, 0] - reach + 8 * column, corners[i, 1] - reach + 8 * row
+                block = _block(state, quads, left, top, min(8, side - 8 * row), width, height) & square[row, column]
+                if count == len(remains):
+                    begins, remains = np.concatenate((begins, begins)), np.concatenate((remains, remains))
+                begins[count, 0], begins[count, 1], begins[count, 2] = i, left, top
+                remains[count] = block & ~inner[row, column]
+                count += remains[count] != 0
+                block &= inner[row, column]
+                while block:
+                    here = (top + 1) * stride + left + 1 + offsets[_lowest(block)]
+                    block &= block - np.uint64(1)
+                    state[here] = around[here] = 0
+    return remains[:count], begins[:count]
+
+
+@called
+def _ends_near(
+    state: Array, quads: Array, around: Array, remains: Array, begins: Array, corners: Array, stride: int, radius: float
+) -> Array:
+    """Return pairs (N, 2) of a free end within a radius of a corner, and that corner, the nearest pairs first.
+
+    Ends get marked as used. ``remains`` and ``begins`` are from ``_cut``; the patterns of these pixels are renewed.
+    """
+    most = int(radius * radius)
+    found = np.empty((4096, 3), np.int32)
+    starts = np.zeros(most + 2, np.int32)
+    count = 0
+    for number in range(len(remains)):
+        i, left, top = begins[number]
+        block = remains[number]
+        while block:
+            bit = _lowest(block)
+            block &= block - np.uint64(1)
+            x, y = left + bit // 8, top + bit % 8
+            here = (y + 1) * stride + x + 1
+            if state[here] == 0:  # cut at another corner
+                continue
+            pattern = _pattern(quads, here, stride, 7)
+            around[here] = pattern
+            square = (x - corners[i, 0]) ** 2 + (y - corners[i, 1]) ** 2
+            if _COUNT[pattern] > 1 or square > most:
+                continue
+            if count == len(found):
+                found = np.concatenate((found, found))
+            found[count, 0], found[count, 1], found[count, 2] = here, i, square
+            count += 1
+            starts[square + 1] += 1
+            state[here] |= _USED
+    for square in range(most):
+        starts[square + 1] += starts[square]
+    pairs = np.empty((count, 2), np.int32)
+    for i in range(count):
+        square = found[i, 2]
+        pairs[starts[square]] = found[i, :2]
+        starts[square] += 1
+    return pairs
 
 
 @called
@@ -206,79 +329,27 @@ def _lead(
 ) -> Array:
     """Draw lines from free ends to the nearest corner (N, 2) px within reach; return ``kept`` and what was drawn.
 
-    Edges round corners off on the outside, so what passes within three quarters of the reach is cut first.
+    Edges round corners off on the outside, so what passes within three quarters of the reach is cut first. All pairs
+    are seen from the corners, which are fewer than pixels.
     """
     stride = steps[2]
-    height, width = len(state) // stride - 2, stride - 2
-    reach, cut = int(farthest), 0.75 * farthest
-    dx, dy = np.empty((2 * reach + 1) ** 2, np.int32), np.empty((2 * reach + 1) ** 2, np.int32)
-    near = within = 0
-    for ring in range(2):  # the pixels to cut come first, then those where ends are looked for
-        for y in range(-reach, reach + 1):
-            for x in range(-reach, reach + 1):
-                square = x * x + y * y
-                if (square <= cut * cut) == (ring == 0) and square <= farthest * farthest:
-                    dx[within], dy[within] = x, y
-                    within += 1
-        near = within if ring == 0 else near
-    offsets = dy[:within] * stride + dx[:within]
-    whole = np.empty(len(corners), np.bool_)  # the discs that need no look at the picture's border
-    busy = np.empty(len(corners), np.int32)  # the corners with a pixel of an edge in the square around the disc
-    many = 0
-    for i in range(len(corners)):
-        x, y = corners[i, 0], corners[i, 1]
-        whole[i] = x >= reach and y >= reach and x < width - reach and y < height - reach
-        centre = (y + 1) * stride + x + 1
-        if whole[i]:
-            any_of = np.uint32(0)
-            for down in range(-reach, reach + 1):
-                for across in range(-reach, reach + 1, 4):
-                    any_of |= quads[centre + down * stride + across]
-            if any_of == 0:
-                continue
-        busy[many] = i
-        many += 1
-        for j in range(near):
-            inside = whole[i] or (0 <= x + dx[j] < width and 0 <= y + dy[j] < height)
-            if inside and state[centre + offsets[j]] != 0:
-                _drop(state, around, centre + offsets[j], steps)
-    # Each end is led to its nearest corner: all pairs are seen from the corners, which are fewer than pixels.
-    number = np.empty(len(state), np.int32)  # of an end in the lists, where marked as used
-    squares, chosen = np.empty(4096, np.int32), np.empty(4096, np.int32)
-    count = 0
-    for i in busy[:many]:
-        x, y = corners[i, 0], corners[i, 1]
-        centre = (y + 1) * stride + x + 1
-        for j in range(near, within):
-            if not (whole[i] or (0 <= x + dx[j] < width and 0 <= y + dy[j] < height)):
-                continue
-            here = centre + offsets[j]
-            if state[here] == 0 or _COUNT[around[here]] > 1:
-                continue
-            square = dx[j] * dx[j] + dy[j] * dy[j]
-            if state[here] & _USED == 0:
-                if count == len(chosen):
-                    squares, chosen = np.concatenate((squares, squares)), np.concatenate((chosen, chosen))
-                state[here] |= _USED
-                number[here] = count
-                squares[count], chosen[count] = square, i
-                count += 1
-            elif square < squares[number[here]]:
-                squares[number[here]], chosen[number[here]] = square, i
-    drawn = np.empty(len(kept) + count * (reach + 1), np.int32)
+    cut = 0.75 * farthest
+    reach = max(int(farthest), int(cut) + 1)  # what was cut had neighbours in this square at most
+    remains, begins = _cut(state, quads, around, corners, stride, cut, reach)
+    pairs = _ends_near(state, quads, around, remains, begins, corners, stride, farthest)
+    drawn = np.empty(len(kept) + len(pairs) * (reach + 1), np.int32)
     drawn[: len(kept)] = kept
     total = len(kept)
-    for i in range(len(kept)):
-        start = kept[i]
-        if state[start] & _USED == 0:
+    for i in range(len(pairs)):
+        start, corner = pairs[i, 0], corners[pairs[i, 1]]
+        if state[start] & _USED == 0:  # led to a nearer one
             continue
         state[start] &= 255 - _USED
-        corner = corners[chosen[number[start]]]
         x0, y0 = start % stride - 1, start // stride - 1
-        across, down = corner[0] - x0, corner[1] - y0
-        length = max(abs(across), abs(down))
+        dx, dy = corner[0] - x0, corner[1] - y0
+        length = max(abs(dx), abs(dy))
         for j in range(1, length + 1):
-            x, y = x0 + int(np.rint(across * j / length)), y0 + int(np.rint(down * j / length))
+            x, y = x0 + int(np.rint(dx * j / length)), y0 + int(np.rint(dy * j / length))
             here = (y + 1) * stride + x + 1
             if state[here] == 0:
                 state[here] = _KEPT
@@ -332,12 +403,14 @@ def _link(state: Array, around: Array, kept: Array, corners: Array, steps: Array
     through = nodes
     total = 2 * through
     for i in range(len(kept)):
-        alive = state[kept[i]] != 0
         degree = _COUNT[around[kept[i]]]
-        count += alive
-        total += max(degree, 1) * (alive & (degree != 2))
-        node_places[nodes] = kept[i]
-        nodes += alive & (degree != 2)
+        if degree == 2:
+            count += 1
+        elif degree > 0 or state[kept[i]] != 0:
+            count += 1
+            total += max(degree, 1)
+            node_places[nodes] = kept[i]
+            nodes += 1
     chain = np.empty((2 * count + 2 * total + 2, 2), np.int32)
     starts = np.zeros(total + count + 2, np.int64)
     filled = chains = 0
@@ -364,7 +437,7 @@ def _link(state: Array, around: Array, kept: Array, corners: Array, steps: Array
     for i in range(len(kept)):  # what is left are closed lines without branches
         start = kept[i]
         pattern = around[start]
-        if state[start] == 0 or pattern == 0:
+        if pattern == 0:
             continue
         around[start] = 0
         chain[filled, 0], chain[filled, 1] = start % stride - 1, start // stride - 1
