@@ -232,6 +232,11 @@ def naive_edge_pixels(picture: np.ndarray, least: float, k: float = 0.04) -> dic
     return found
 
 
+def touched_before(place: tuple[int, int], others: set[tuple[int, int]]) -> bool:
+    x, y = place
+    return not others.isdisjoint({(x - 1, y), (x - 1, y - 1), (x, y - 1), (x + 1, y - 1)})
+
+
 @settings(max_examples=30, deadline=None)
 @given(
     seed=st.integers(0, 100_000),
@@ -250,13 +255,17 @@ def test_edge_pixels_of_the_corners_pass_are_those_of_the_definition(
     corners, pixels = detector.detect_with_edges(picture, least, high)
     assert pixels.marks.shape == (height + 2, width + 2) and set(np.unique(pixels.marks)) <= {0, 1}
     weak = {(int(x) - 1, int(y) - 1) for y, x in np.argwhere(pixels.marks)}
-    strong = {(place % (width + 2) - 1, place // (width + 2) - 1) for place in pixels.seeds.tolist()}
-    assert strong <= weak and len(strong) == len(pixels.seeds)
+    seeds = {(place % (width + 2) - 1, place // (width + 2) - 1) for place in pixels.seeds.tolist()}
+    assert seeds <= weak and len(seeds) == len(pixels.seeds)
     expected = naive_edge_pixels(picture, 0.99 * least)
-    for found, bound in ((weak, least), (strong, high)):
-        # Float32 may fall on the other side of the threshold.
-        assert found >= {place for place, value in expected.items() if value > 1.001 * bound}
-        assert found <= {place for place, value in expected.items() if value > 0.999 * bound}
+    # Float32 may fall on the other side of a threshold.
+    assert weak >= {place for place, value in expected.items() if value > 1.001 * least}
+    assert weak <= {place for place, value in expected.items() if value > 0.999 * least}
+    surely, maybe = ({place for place, value in expected.items() if value > f * high} for f in (1.001, 0.999))
+    assert seeds <= maybe
+    assert {place for place in surely if not touched_before(place, maybe)} <= seeds
+    if bands == 1:  # the first row of a band starts anew
+        assert not {place for place in seeds if touched_before(place, surely)}
     np.testing.assert_array_equal(corners.xy, detector.detect(picture).xy)
 
 

@@ -119,7 +119,8 @@ class EdgePixels:
     marks
         (H + 2, W + 2) uint8, framed by a pixel: 1 where an edge may be, else 0.
     seeds
-        (N,) int32 places in ``marks``, taken as one row, of the strong ones, ``(y + 1) * (W + 2) + x + 1``.
+        (N,) int32 places in ``marks``, taken as one row, ``(y + 1) * (W + 2) + x + 1``, of strong ones: of those that
+        touch at least the first.
     """
 
     marks: npt.NDArray[np.uint8]

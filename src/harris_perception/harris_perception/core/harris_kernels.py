@@ -87,29 +87,47 @@ def _mark_peaks(above: Any, here: Any, below: Any, marks: Any, n: int, floor: An
 
 @inlined
 def _mark_all(
-    above: Any, here: Any, below: Any, g: Any, row: int, marks: Any, n: int, floor: Any, weak: Any, strong: Any
+    above: Any,
+    here: Any,
+    below: Any,
+    g: Any,
+    row: int,
+    marks: Any,
+    out: Any,
+    n: int,
+    floor: Any,
+    weak: Any,
+    strong: Any,
 ) -> None:
-    """Mark peaks as ``_mark_peaks``, then minima below ``weak`` and ``strong`` along the axis nearer to the gradient.
+    """Mark peaks as ``_mark_peaks``, and minima along the axis nearer to the gradient.
 
-    The three rows of marks lie ``_MARKS`` apart. Element x of the responses lies under element x + 1 of the gradients,
-    which begin at ``row`` of ``g``. This is the thinning of the paper of 1988.
+    Those below ``weak`` are marked in ``out``, those below ``strong`` in the second row of marks, ``_MARKS`` behind the
+    first. Element x of the responses lies under element x + 1 of the gradients, which begin at ``row`` of ``g``. This
+    is the thinning of the paper of 1988.
     """
     for x in range(1, n - 1):
         r, west, east, north, south = here[x], here[x - 1], here[x + 1], above[x], below[x]
-        u, v = np.float32(g[row + x + 1]), np.float32(g[row + _ROW + x + 1])
-        along_x = u * u >= v * v
+        along_x = abs(g[row + x + 1]) >= abs(g[row + _ROW + x + 1])
         before, after = west if along_x else north, east if along_x else south
         least = (r < before) & (r <= after)
         marks[x] = (r > floor) & (r > west) & (r >= east) & (r > north) & (r >= south)
-        marks[_MARKS + x] = least & (r < weak)
-        marks[2 * _MARKS + x] = least & (r < strong)
+        out[x] = least & (r < weak)
+        marks[_MARKS + x] = least & (r < strong)
 
 
 @inlined
-def _copy(source: Any, target: Any, n: int) -> None:
-    """Copy ``n`` elements: numba's assignment to a slice moves them one by one, this loop is vectorised."""
-    for x in range(n):
-        target[x] = source[x]
+def _mark_first(marks: Any, n: int) -> None:
+    """Mark in the third row what is marked in the second, but neither to its left nor above, in the fourth.
+
+    The fourth is the second of the row before, and becomes that for the next. Of all marked pixels that touch the first
+    is among these: enough for a flood to start from.
+    """
+    for x in range(1, n - 1):
+        before = marks[_MARKS + x - 1] | marks[3 * _MARKS + x - 1]
+        before |= marks[3 * _MARKS + x] | marks[3 * _MARKS + x + 1]
+        marks[2 * _MARKS + x] = marks[_MARKS + x] & ~before
+    for x in range(1, n - 1):  # a loop is vectorised, an assignment to a slice moves them one by one
+        marks[3 * _MARKS + x] = marks[_MARKS + x]
 
 
 @called
@@ -288,7 +306,7 @@ def fused_peaks(
     -------
     tuple
         (N, 3) float32 x, y, response, and the threshold reached, which the first of them may not exceed; the places
-        (M,) int32 in ``edges``, taken as one row, of the strong ones.
+        (M,) int32 in ``edges``, taken as one row, of strong ones, at least the first of all that touch.
     """
     width = gray.shape[1]
     centre = weight[0]
@@ -298,8 +316,8 @@ def fused_peaks(
     rows = np.empty(16 * _ROW, np.float32)
     r0, r1 = rows[12 * _ROW : 13 * _ROW], rows[13 * _ROW : 14 * _ROW]
     r2, r3 = rows[14 * _ROW : 15 * _ROW], rows[15 * _ROW :]
-    words = np.zeros(3 * _MARKS // 8, np.uint64)  # peaks, edges, strong edges
-    strong_words = words[2 * _MARKS // 8 :]
+    words = np.zeros(4 * _MARKS // 8, np.uint64)  # peaks, strong edges, seeds, strong edges of the row above
+    seed_words = words[2 * _MARKS // 8 :]
     marks = words.view(np.uint8)
     columns = np.empty(_ROW + 8, np.int32)
     weight_k, fraction, floor = np.float32(k), np.float32(relative), np.float32(absolute)
@@ -340,10 +358,12 @@ def fused_peaks(
                     continue
                 one, middle, other = (above, here, below) if i == 0 else (here, below, beyond)
                 if edges.size > 0:
-                    _mark_all(one, middle, other, before, 2 * i * _ROW, marks, n, floor, low, high)
-                    _copy(marks[_MARKS + 1 : _MARKS + n - 1], edges[row + 1, x0 + 2 : x0 + n], n - 2)
+                    _mark_all(
+                        one, middle, other, before, 2 * i * _ROW, marks, edges[row + 1, x0 + 1 :], n, floor, low, high
+                    )
+                    _mark_first(marks, n)
                     place = (row + 1) * (width + 2) + x0 + 1
-                    seeds, seed_count = collect_marked(strong_words, n, place, seeds, seed_count)
+                    seeds, seed_count = collect_marked(seed_words, n, place, seeds, seed_count)
                 else:
                     _mark_peaks(one, middle, other, marks, n, floor)
                 found, count, floor = _collect(
