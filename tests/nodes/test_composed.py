@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from rcl_interfaces.srv import GetParameters
 from ros_rig import Ros
 from sensor_msgs.msg import Image, PointCloud2
@@ -70,7 +71,8 @@ def test_two_nodes_in_one_process(ros: Ros, tmp_path: Path) -> None:
             process.communicate()
 
 
-def test_a_wrong_value_ends_the_process_with_its_reason(ros: Ros, tmp_path: Path) -> None:
-    process = start(ros, tmp_path, [["corners", ["--ros-args", "-p", "no_such_setting:=1"]]])
+@pytest.mark.parametrize(("setting", "reason"), [("no_such_setting:=1", "no_such_setting"), ("k:=5.0", "Max: 0.24")])
+def test_a_wrong_value_ends_the_process_with_its_reason(ros: Ros, tmp_path: Path, setting: str, reason: str) -> None:
+    process = start(ros, tmp_path, [["corners", ["--ros-args", "-p", setting]]])
     output, _ = process.communicate(timeout=60)
-    assert process.returncode == 2 and "no_such_setting" in output
+    assert process.returncode == 2 and reason in output and "Traceback" not in output

@@ -128,9 +128,11 @@ def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.Capture
     assert linked - {(20, 20), (69, 20), (20, 59), (69, 59)} == {(int(x), int(y)) for y, x in np.argwhere(seen == 128)}
     assert main(["detect", str(source), "--labels", str(labels)]) == 2
     assert "--edges" in capsys.readouterr().err
-    for deep, count in ((picture.astype(np.uint16), 4), (np.full((80, 90), 500, np.uint16), 0)):  # of 65535: all dark
-        cv2.imwrite(str(tmp_path / "deep.png"), deep)
-        assert main(["detect", str(tmp_path / "deep.png"), "--edges", "--table", str(table)]) == 0
+    unlit = picture.astype(np.uint16)  # of 65535
+    for deep, count in ((unlit, 4), (np.full((80, 90), 500, np.uint16), 0), (np.float32(unlit / 1e4), 4)):
+        file = tmp_path / ("deep.tiff" if deep.dtype == np.float32 else "deep.png")
+        cv2.imwrite(str(file), deep)
+        assert main(["detect", str(file), "--edges", "--table", str(table)]) == 0
         assert table.read_text().startswith("x_px,y_px,response") and len(table.read_text().splitlines()) == 1 + count
     assert main(["detect", str(source), "--scales", "2", "--table", str(table), "--edges"]) == 0
     assert {row["scale"] for row in csv.DictReader(table.open())} <= {"1.0", "1.41"}

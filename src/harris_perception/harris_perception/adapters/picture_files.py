@@ -33,7 +33,8 @@ def read_deep_gray(path: Path) -> npt.NDArray[Any]:
 
 def read_bgr(path: Path) -> npt.NDArray[np.uint8]:
     """Read a picture as (H, W, 3) uint8; stretches and raises as :func:`read_gray`."""
-    return _eight_bits(_stretched(_read(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)))
+    picture = _eight_bits(_stretched(_read(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)))
+    return picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2)
 
 
 def _stretched(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Protocol
 
 import rclpy
+from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -151,7 +152,7 @@ def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None)
             _tell_ready()
             while session.goes_on:
                 session.spin()
-        except ConfigError as error:
+        except (ConfigError, ParameterException) as error:
             print(f"error: {error}", file=sys.stderr)
             return 2
         finally:
