@@ -3,6 +3,8 @@
 SHELL := /bin/bash
 PYTHON ?= python3
 export PYTHON
+# Else each worker and each process of the graph compiles all modules anew at its start.
+unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 

@@ -58,24 +58,54 @@ install() { # file of requirements, what it is
   sum=$(cat requirements*.txt | sha256sum)
   [ -f "$mark" ] && [ "$(cat "$mark")" = "$sum" ] && return
   echo "[2/4] $2"
-  # On a terminal one line shows what pip is at; elsewhere only the end is printed.
+  # On a terminal one line shows what pip is at; elsewhere, and in the background, only the end is printed.
   local show=0
-  [ -t 1 ] && show=1
-  PIP_DISABLE_PIP_VERSION_CHECK=1 "$venv/bin/pip" install "${constraints[@]}" -r "$1" | awk -v show=$show '
+  [ -t 1 ] && [ $BASHPID = $$ ] && show=1
+  PIP_DISABLE_PIP_VERSION_CHECK=1 "$venv/bin/pip" install "${constraints[@]}" -r "$1" | awk -v show=$show -v file="$1" '
       /^(Collecting|Installing|Building)/ && show { printf "\r\033[K      %s", substr($0, 1, 90); fflush() }
-      /^Successfully/ { if (show) printf "\r\033[K"; print "      installed" }' \
+      /^Successfully/ { if (show) printf "\r\033[K"; print "      installed " file }' \
     || fail "pip could not install $1; see the lines above (a proxy or an offline machine?), then run this again"
   echo "$sum" > "$mark"
 }
+# What takes long and is not needed at once is done meanwhile, in groups of its own, which end when this ends.
+others=()
+meanwhile() {
+  set -m
+  "$@" &
+  others+=($!)
+  set +m
+}
+trap 'kill -- "${others[@]/#/-}" 2>/dev/null || true' EXIT
+
+# The machine code of detector and stereo is cached beside its source, so that the first picture is not late.
+compile() {
+  echo "[3/4] compile the corner detector and stereo, meanwhile"
+  local path=$root/src/icu_common:$root/src/harris_perception${PYTHONPATH:+:$PYTHONPATH}
+  PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core import dense_stereo, stereo_matching
+dense_stereo.warm()
+stereo_matching.warm()" &
+  local stereo=$!
+  PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core.edges import CombinedDetector, EdgeDetector
+from harris_perception.core.harris import HarrisConfig
+for config in (HarrisConfig(), HarrisConfig(gradient='gaussian', window='gaussian')):
+    CombinedDetector(config).warm()
+EdgeDetector().warm()" && wait $stereo \
+    || fail "the corner detector or stereo could not be compiled; see the lines above"
+  echo "$kernels" > "$venv/.compiled"
+}
+
 if [ $jazzy = no ]; then
-  install requirements.txt "rclpy, Fast DDS and libraries (about 400 MB, a minute or so)"
+  install requirements-python.txt "numpy, OpenCV, numba and other libraries"
 else
   # Ubuntu 24.04 has no package of numba and rosbags.
   "$venv/bin/python" -c 'import numba, rosbags' 2>/dev/null \
     || { echo "[2/4] numba, rosbags"; "$venv/bin/pip" install --quiet "${constraints[@]}" numba "$(grep rosbags requirements-python.txt)"; } \
     || fail "pip could not install numba and rosbags into .venv; see the lines above"
 fi
-if [ "$want" = dev ]; then install requirements-dev.txt "tools for tests and checks"; fi
+kernels=$(cat src/harris_perception/harris_perception/core/*.py | sha256sum)
+if [ ! -f "$venv/.compiled" ] || [ "$(cat "$venv/.compiled")" != "$kernels" ]; then meanwhile compile; fi
+if [ $jazzy = no ]; then install requirements.txt "rclpy and Fast DDS (with the others about 400 MB, a minute or so)"; fi
+if [ "$want" = dev ]; then meanwhile install requirements-dev.txt "tools for tests and checks, meanwhile"; fi
 
 # colcon only sees an environment made by local_setup files; this one lets it find the wheels' messages.
 if [ $jazzy = no ]; then
@@ -88,7 +118,7 @@ fi
 built=ros2_ws/install/.built
 now=$(cat src/*/setup.py src/*/setup.cfg src/*/package.xml | sha256sum; find config src/*/launch -type f 2>/dev/null | sort | sha256sum; echo "$root $jazzy $version")
 if [ ! -f $built ] || [ "$(cat $built)" != "$now" ]; then
-  echo "[3/4] colcon build"
+  echo "[4/4] colcon build"
   log=$(mktemp)
   # The environment's python runs colcon, so that the installed programs start with it.
   # A build directory made under another path or python would keep its old links.
@@ -103,19 +133,5 @@ fi
 for package in src/*/; do printf '%s\n' "$root/ros2_ws/build/$(basename "$package")"; done \
   > "$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/icu_workspace.pth"
 
-# The machine code of detector and stereo is cached beside its source, so that the first picture is not late.
-kernels=$(cat src/harris_perception/harris_perception/core/*.py | sha256sum)
-if [ ! -f ros2_ws/install/.warm ] || [ "$(cat ros2_ws/install/.warm)" != "$kernels" ]; then
-  echo "[4/4] compile the corner detector and stereo"
-  "$venv/bin/python" -c "from harris_perception.core import dense_stereo, stereo_matching
-dense_stereo.warm()
-stereo_matching.warm()" &
-  stereo=$!
-  "$venv/bin/python" -c "from harris_perception.core.edges import CombinedDetector, EdgeDetector
-from harris_perception.core.harris import HarrisConfig
-for config in (HarrisConfig(), HarrisConfig(gradient='gaussian', window='gaussian')):
-    CombinedDetector(config).warm()
-EdgeDetector().warm()" && wait $stereo \
-    || fail "the corner detector or stereo could not be compiled; see the lines above"
-  echo "$kernels" > ros2_ws/install/.warm
-fi
+for other in "${others[@]}"; do wait "$other"; done
+trap - EXIT
