@@ -27,16 +27,16 @@ def prepared() -> VirtualRobot:
 def robot(prepared: VirtualRobot) -> Iterator[VirtualRobot]:
     """The robot at rest, and at rest again afterwards."""
     prepared.watch_panel = True
-    prepared.look_at_panel()
     prepared.take_records()
     yield prepared
     prepared.heart, prepared.camera_on = True, True
     prepared.renderer.hide(None)
     prepared.renderer.relight(prepared.bench.config.light)
-    prepared.run_for(3.0)
     prepared.watch_panel = False
+    prepared.run_for(3.0)
     if prepared.driver.state == "stopped":
         prepared.until(lambda: not prepared.driver.reset(prepared.now), 10.0)
+    prepared.look_at_panel()
     prepared.until(lambda: prepared.state == "ready", 10.0)
 
 
