@@ -6,6 +6,7 @@ Per frame only the screen and the stylus are drawn; the rest comes from :class:`
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 
 import cv2
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import Control, PanelLayout
 from scope_bench.core import screen
-from scope_bench.core.configuration import BenchConfig, LightConfig, PanelConfig, StylusConfig
+from scope_bench.core.configuration import BenchConfig, CameraConfig, LightConfig, PanelConfig, StylusConfig
 from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.optics import StereoRig, stereo_rig, turn
 from scope_bench.core.panel_texture import Picture
@@ -37,6 +38,13 @@ def base_from_panel(config: PanelConfig, moved: tuple[float, float, float] = (0.
     tilt_x, tilt_y = config.tilt_deg
     rotation = turn(2, config.yaw_deg + moved[2]) @ turn(1, tilt_y) @ turn(0, tilt_x)
     return Transform(rotation, np.asarray(config.position_m) + np.array([moved[0], moved[1], 0.0]))
+
+
+@functools.lru_cache(maxsize=1)
+def _cameras(config: CameraConfig) -> tuple[StereoRig, tuple[Rays, Rays]]:
+    """Return the pair and its viewing rays; those of the last pair are kept, they take most of a second."""
+    rig = stereo_rig(config)
+    return rig, (Rays(rig.left), Rays(rig.right))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,10 +78,9 @@ class Renderer:
 
     def __init__(self, layout: PanelLayout, config: BenchConfig, panel_from: Transform) -> None:
         self.layout = layout
-        self.rig: StereoRig = stereo_rig(config.camera)
+        self.rig, self._rays = _cameras(config.camera)
         self._config = config
         self._light = config.light
-        self._rays = Rays(self.rig.left), Rays(self.rig.right)
         self._surfaces = Surfaces.of(layout)
         self._panel_from = panel_from
         self._camera_xy, self._samples = (0.0, 0.0), SAMPLES

@@ -8,7 +8,9 @@ near; when one of them moves, only its surroundings are composed anew.
 from __future__ import annotations
 
 import functools
+from collections import OrderedDict
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -28,6 +30,8 @@ CASE_MM = 30.0
 """Depth of the instrument's case below its face."""
 _STRIP = 90
 Window = tuple[slice, slice]
+_grounds: OrderedDict[Any, npt.NDArray[np.float32]] = OrderedDict()
+"""Of the last two views."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,6 +58,7 @@ class Rays:
         self.camera = camera
         self.eye = camera.position
         self.lean: Array = (direction[:2] / -direction[2]).reshape(2, camera.height, camera.width)
+        self.lean.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -125,7 +130,7 @@ class View:
         self.lean: Array = direction[:2] / direction[2]
         self.xy0: Array = self.eye_mm[:2, None, None] - self.lean * self.eye_mm[2]
         self.base_from_panel = base_from_panel
-        self._ground = self._draw_ground(surfaces)
+        self._ground = self._kept_ground(surfaces)
         self._sprites: dict[str, Sprite] = {}
         self._states: dict[str, ControlState] = {}
         # Far from the camera first.
@@ -188,6 +193,17 @@ class View:
         v, u = np.mgrid[0 : self.camera.height, 0 : self.camera.width].astype(np.float64)
         radius2 = ((u - self.camera.width / 2) ** 2 + (v - self.camera.height / 2) ** 2) / (self.camera.width / 2) ** 2
         return np.asarray(1 - self.light.vignetting * np.clip(radius2 / 1.3, 0, 1.2), dtype=np.float32)
+
+    def _kept_ground(self, surfaces: Surfaces) -> npt.NDArray[np.float32]:
+        """Return the ground, drawn only if it is none of the last two: those of a pair stay for the next pair."""
+        arrays = (self.base_from_panel.rotation, self.base_from_panel.translation, self._camera_xy)
+        key = (self.rays, surfaces, self._samples, *(array.tobytes() for array in arrays))
+        if key not in _grounds:
+            while len(_grounds) > 1:
+                _grounds.popitem(last=False)
+            _grounds[key] = self._draw_ground(surfaces)
+            _grounds[key].flags.writeable = False
+        return _grounds[key]
 
     def _draw_ground(self, surfaces: Surfaces) -> npt.NDArray[np.float32]:
         """Draw the face, the case's sides and the table: (H, W, 3) reflected light under even lighting."""
