@@ -121,7 +121,8 @@ class HarrisLaplaceDetector:
             scales.append(np.full(int(kept.sum()), self.config.factor**level))
             responses.append(corners.response[kept])
         response = np.concatenate(responses)
-        order = np.argsort(-response, kind="stable")
+        # The levels' shares are rounded up, so together they may be a few too many.
+        order = np.argsort(-response, kind="stable")[: self.config.detector.max_corners or None]
         parts = (np.concatenate(xys)[order], np.concatenate(scales)[order], response[order])
         return ScaledCorners(*(np.asarray(p, np.float32) for p in parts))
 
