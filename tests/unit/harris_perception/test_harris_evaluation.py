@@ -136,9 +136,6 @@ def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.Capture
         assert table.read_text().startswith("x_px,y_px,response") and len(table.read_text().splitlines()) == 1 + count
     assert main(["detect", str(source), "--scales", "2", "--table", str(table), "--edges"]) == 0
     assert {row["scale"] for row in csv.DictReader(table.open())} <= {"1.0", "1.41"}
-    capsys.readouterr()
-    assert main(["detect", str(source), "--scales", "3", "--set", "max_corners=2"]) == 0
-    assert capsys.readouterr().out == "2 corners\n"
     assert main(["detect", str(source), "--scales", "2", "--edges", "combined"]) == 2
     assert main(["detect", str(source), "--scales", "-1"]) == 2
 

@@ -72,6 +72,8 @@ def test_count_order_and_dtype() -> None:
 
 def test_scales_give_falling_counts_at_places_of_their_own() -> None:
     corners = HarrisLaplaceDetector(repeatable(350)).detect(scene(3))
+    few = HarrisLaplaceConfig(select=False, detector=HarrisConfig(max_corners=50))
+    assert len(HarrisLaplaceDetector(few).detect(scene(3))) == 50, "all scales together"
     counts = [int(np.isclose(corners.scale, 1.41**level).sum()) for level in range(3)]
     assert counts[0] == 159 and 90 <= counts[1] <= 113 and 30 <= counts[2] <= 80, counts
     distance = np.linalg.norm(corners.xy[:, None] - corners.xy[None], axis=2)
