@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from harris_perception.core import harris_laplace
-from harris_perception.core.harris import HarrisConfig
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, repeatable
-from harris_perception.core.repeatability import Pair, repeatability
+from harris_perception.core.repeatability import Pair, repeatability, warps
 
 GAUSSIAN = HarrisConfig(gradient="gaussian", window="gaussian", relative_threshold=0.001, max_corners=300)
 DETECTOR = HarrisLaplaceDetector(HarrisLaplaceConfig(detector=GAUSSIAN))
@@ -79,6 +79,28 @@ def test_scales_give_falling_counts_at_places_of_their_own() -> None:
     distance = np.linalg.norm(corners.xy[:, None] - corners.xy[None], axis=2)
     other = corners.scale[:, None] != corners.scale[None]
     assert distance[other].min() >= 2.0
+
+
+def rocks(seed: int, size: int = 260) -> np.ndarray:
+    """Return a picture with the spectrum of natural ones, which falls with the frequency."""
+    rng = np.random.default_rng(seed)
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
+    frequency[0, 0] = 1.0
+    field = np.fft.ifft2(np.fft.fft2(rng.normal(size=(size, size))) * frequency**-1.2).real
+    return np.clip(128.0 + 45.0 * field / field.std(), 0, 255).astype(np.uint8)
+
+
+def test_setting_that_repeats_best_does_so_under_every_change() -> None:
+    found: dict[str, list[tuple[float, float]]] = {}
+    best = HarrisLaplaceDetector(repeatable(300))
+    fast = HarrisDetector(HarrisConfig(max_corners=300, relative_threshold=0.0))
+    for pair in warps(rocks(1), np.random.default_rng(1)):
+        rates = [repeatability(pair, d(pair.first).xy, d(pair.second).xy, (1.5,)) for d in (best.detect, fast.detect)]
+        assert min(rates[0].count, rates[1].count) > 20
+        found.setdefault(pair.change, []).append((rates[0].rates[0], rates[1].rates[0]))
+    means = {change: np.mean(rates, axis=0) for change, rates in found.items()}
+    print(means)
+    assert all(ours > plain + 0.05 for ours, plain in means.values())
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (30, 7), (60, 60)])

@@ -185,7 +185,7 @@ class HarrisDetector:
         ValueError
             For another shape or dtype.
         """
-        return self._response(_checked(gray))[0]
+        return self._response(checked(gray))[0]
 
     def _response(self, picture: npt.NDArray[Any]) -> tuple[F32, F32, F32]:
         """Return the response, and the sums of gx^2 and gy^2 without the frame of ``margin_px``."""
@@ -285,7 +285,7 @@ class HarrisDetector:
         x = np.arange(len(self._derivative)) - len(self._derivative) // 2
         gain = float((self._derivative * x).sum() * self._smooth.sum() * self._window.sum())
         weak, strong = (-self.config.k * (gain * max(least, 1e-6)) ** 4 for least in (low, max(low, high)))
-        picture = _checked(gray)
+        picture = checked(gray)
         marks = np.zeros((picture.shape[0] + 2, picture.shape[1] + 2), np.uint8)
         if self._fused:
             found = list(self._run(_call, self._tasks(picture, (weak, strong, marks))))
@@ -297,7 +297,7 @@ class HarrisDetector:
         return self._selected(found), EdgePixels(marks, seeds)
 
     def _detect(self, pictures: Sequence[npt.NDArray[Any]]) -> list[Corners]:
-        tasks = [task for picture in pictures for task in self._tasks(_checked(picture))]
+        tasks = [task for picture in pictures for task in self._tasks(checked(picture))]
         found = list(self._run(_call, tasks))
         each = len(found) // len(pictures) if pictures else 0
         return [self._selected(found[i * each : (i + 1) * each]) for i in range(len(pictures))]
@@ -351,7 +351,8 @@ def _peaks_of(*arguments: Any) -> Band:
     return (*kernels.peaks_of(*arguments), _nothing()[2])
 
 
-def _checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the picture if it is one that the detectors take, else raise ``ValueError``."""
     if gray.ndim != 2:
         raise ValueError(f"a grey picture (H, W) is needed, not shape {gray.shape}")
     if gray.dtype.newbyteorder("=") not in (np.uint8, np.uint16, np.float32):

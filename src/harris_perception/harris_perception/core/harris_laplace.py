@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core import harris_kernels as kernels
-from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.diffusion import diffused
+from harris_perception.core.harris import HarrisConfig, HarrisDetector, checked
 from icu_common.core.config import Config, nested, setting
 
 F32 = npt.NDArray[np.float32]
@@ -37,19 +38,38 @@ class HarrisLaplaceConfig(Config):
     apart_px: float = setting(
         0.0, "Corners this near to one of a finer level are left out", minimum=0.0, maximum=50.0, unit="px"
     )
+    diffusion_steps: int = setting(0, "Steps of diffusion of the picture before all else", minimum=0, maximum=1000)
+    diffusion_quantile: float = setting(
+        0.5, "This quantile of the gradients is the contrast that stops the diffusion", minimum=0.0, maximum=1.0
+    )
     laplacian_px: float = setting(1.5, "Scale of the Laplacian on each level", minimum=0.5, maximum=10.0, unit="px")
 
 
 def repeatable(max_corners: int, scales: int = 3) -> HarrisLaplaceConfig:
-    """Return the setting that repeats best over all kinds of changes: Gaussians 1 / 1 px on a few scales.
+    """Return the setting that repeats best over all kinds of changes: a diffused picture, a few scales, det / trace.
 
-    Each scale is 1.41 times coarser than the one before and gives corners in proportion to its resolution, none within
-    2 px of a finer one. One setting for all pictures; docs/decisions/one-setting.md tells how it was chosen.
+    Gaussians of 1 and 0.7 px; each scale is 1.41 times coarser than the one before and gives corners in proportion to
+    its resolution, none within 2 px of a finer one. One setting for all pictures; docs/decisions/one-setting.md tells
+    how it was chosen.
     """
     detector = HarrisConfig(
-        gradient="gaussian", window="gaussian", sigma_i_px=1.0, relative_threshold=0.0, max_corners=max_corners
+        gradient="gaussian",
+        window="gaussian",
+        sigma_i_px=0.7,
+        response="noble",
+        relative_threshold=0.0,
+        max_corners=max_corners,
     )
-    return HarrisLaplaceConfig(detector=detector, levels=scales, factor=1.41, select=False, share=1.0, apart_px=2.0)
+    return HarrisLaplaceConfig(
+        detector=detector,
+        levels=scales,
+        factor=1.41,
+        select=False,
+        share=1.0,
+        apart_px=2.0,
+        diffusion_steps=10,
+        diffusion_quantile=0.5,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,13 +119,15 @@ class HarrisLaplaceDetector:
         ValueError
             For another shape or dtype.
         """
-        found = [self._detector.detect(gray)]  # checks the picture
+        gray = checked(gray)
+        if self.config.diffusion_steps:
+            gray = diffused(gray, self.config.diffusion_steps, self.config.diffusion_quantile)
         pictures = self._pyramid(gray)
-        found += [self._detector.detect(picture) for picture in pictures[1:]]
+        found = [self._detector.detect(picture) for picture in pictures]
         laplacians = [self._laplacian(picture) for picture in pictures] if self.config.select else []
         xys: list[F32] = []
         scales, responses = [], []
-        for level, corners in enumerate(found[: len(pictures)]):
+        for level, corners in enumerate(found):
             ratio = _ratio(gray, pictures[level])
             xy = np.asarray((corners.xy + 0.5) * ratio - 0.5, np.float32)
             kept = np.ones(len(xy), bool)

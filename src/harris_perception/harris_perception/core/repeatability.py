@@ -200,7 +200,7 @@ def our_detectors() -> dict[str, Detect]:
     def default(gray: Gray, count: int) -> Points:
         return HarrisLaplaceDetector(repeatable(count)).detect(gray).xy[:count]
 
-    several = {"harris-laplace 1 / 2": over_scales, "three scales 1 / 1": default}
+    several = {"harris-laplace 1 / 2": over_scales, "three scales 1 / 0.7": default}
     return {name: make(settings) for name, settings in variants.items()} | several
 
 
