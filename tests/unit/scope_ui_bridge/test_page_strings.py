@@ -72,7 +72,7 @@ UNSAID = {
             "{}: 4 finite values are needed",
         ),
         *("encoding {} is none of bgr8, mono8, {}", "OpenCV could not encode the picture"),
-        *("encoding {} is none of mono8, mono16, {}",),
+        *("encoding {} is none of {}, nor one of these with 16 bits",),
     ),
 }
 STATES = ("stopped: ", "waiting: ", "disconnected: ", "calibrated: ", "failed: ", "uncalibrated: ")
