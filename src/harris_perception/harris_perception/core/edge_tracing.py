@@ -22,8 +22,8 @@ Array = npt.NDArray[Any]
 _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1], np.int32)
 _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1], np.int32)
 
-# States: a candidate; a pixel of an edge; the mark of what is done with; a corner in the result.
-_WEAK, _KEPT, _USED, _CORNER = 1, 128, 32, 255
+# States: a pixel of an edge; marks of what is drawn (before that, of a candidate), used, listed as odd; a corner.
+_KEPT, _DRAWN, _USED, _LISTED, _CORNER = 128, 1, 32, 64, 255
 
 # Of eight bytes their lowest bits, and the factor that gathers these in the uppermost byte.
 _LOWEST_BITS, _GATHER = np.uint64(0x0101010101010101), np.uint64(0x0102040810204080)
@@ -33,8 +33,8 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
     """Return for each pattern of neighbours (bit i is the i-th) their number, the first, and two properties.
 
     A pixel is needless when at least two neighbours are set and they stay in one piece without it (Yokoi's number,
-    8-connected), so that no end or connection is lost; it is crowded when it is needless, or may become so. The last
-    table tells the next direction of a line from the one before, straight on first, by (direction, pattern).
+    8-connected), so that no end or connection is lost; it is odd when it is needless, may become so, or is an end.
+    Then a table tells the next direction of a line from the one before, straight on first, by (direction, pattern).
     """
     full = np.array([[pattern >> i & 1 for i in range(8)] for pattern in range(256)])
     empty = 1 - full
@@ -51,15 +51,15 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
     direct = full.copy()
     direct[:, 1::2] &= empty[:, 0::2] & np.roll(empty, -2, axis=1)[:, 0::2]
     steps = (direct << np.arange(8)).sum(axis=1).astype(np.uint8)
-    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, needless | (count > 2), ahead, steps
+    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, needless | (count != 2), ahead, steps
 
 
-_COUNT, _FIRST, _NEEDLESS, _CROWDED, _AHEAD, _DIRECT = _tables()
+_COUNT, _FIRST, _NEEDLESS, _ODD, _AHEAD, _DIRECT = _tables()
 
 
-# Of eight bytes their highest bits; a number whose products with the powers of two differ in their upper six bits, and
+# A number whose products with the powers of two differ in their upper six bits, and
 # which power it was (C. Leiserson, H. Prokop, K. Randall, "Using de Bruijn Sequences to Index a 1 in a Computer Word").
-_HIGHEST_BITS, _DE_BRUIJN = np.uint64(0x8080808080808080), np.uint64(0x022FDD63CC95386D)
+_DE_BRUIJN = np.uint64(0x022FDD63CC95386D)
 _POWERS = np.argsort([int(_DE_BRUIJN) * 2**i % 2**64 >> 58 for i in range(64)])
 
 
@@ -70,62 +70,86 @@ def _lowest(bits: np.uint64) -> int:
 
 
 @called
-def _pattern(quads: Array, here: int, stride: int, bit: int) -> np.uint8:
-    """Return as bits in circular order which of the eight neighbours have a bit of their state."""
+def _neighbours(quads: Array, here: int, stride: int) -> np.uint64:
+    """Return the states of the eight neighbours as the bytes of a word, in circular order."""
     # Unsigned, an index is not looked at whether it counts from the end.
     north, south, west = np.uint64(here - stride - 1), np.uint64(here + stride - 2), np.uint64(here - 1)
     above, below, beside = np.uint64(quads[north]), np.uint64(quads[south]), np.uint64(quads[west])
     word = (above << np.uint64(40)) | ((below >> np.uint64(16)) & np.uint64(0xFF00))  # NE N NW . . . SE .
     word |= (below & np.uint64(0xFF0000)) | ((below & np.uint64(0xFF00)) << np.uint64(16))  # . . . . SW S . .
     word |= ((beside & np.uint64(0xFF)) << np.uint64(32)) | ((beside >> np.uint64(16)) & np.uint64(0xFF))  # W and E
-    return np.uint8((((word >> np.uint64(bit)) & _LOWEST_BITS) * _GATHER) >> np.uint64(56))
+    return word
+
+
+@called
+def _pattern(neighbours: np.uint64, bit: int) -> np.uint8:
+    """Return as bits in circular order which of the eight neighbours have a bit of their state."""
+    return np.uint8((((neighbours >> np.uint64(bit)) & _LOWEST_BITS) * _GATHER) >> np.uint64(56))
 
 
 @called
 def _connected(
     state: Array, quads: Array, around: Array, seeds: Array, strength: Array, steps: Array, least: int, weight: float
-) -> tuple[Array, Array]:
-    """Set the pixels of connected pieces with a seed to kept and clear all others; fill in the patterns ``around``.
+) -> tuple[Array, Array, int, Array]:
+    """Set the pixels of connected pieces with a seed to kept and clear all others; fill in their patterns ``around``.
 
-    Returns their places, and of these the ones that may be needless.
+    Returns their places; of these, in the same order, the free ends and those that may be needless, a list that can
+    grow, and its length; and a bitmap of all, which is so small that it stays in the cache.
     """
     stride = steps[2]
     first_steps = steps[_FIRST]
+    others = ~(1 << (_FIRST ^ 4)) & 255  # all neighbours but the one that a first step comes from
     # Growing lists would make the flood slower, counting the candidates first, too; what is not written costs nothing.
-    kept, crowded = np.empty(len(state) + 1, np.int32), np.empty(len(state) + 1, np.int32)
-    count = full = 0
-    around[:] = 0
+    kept, odd = np.empty(len(state) + 1, np.int32), np.empty(2 * len(state) + 1, np.int32)
+    ahead = np.empty(len(state) + 1, np.uint8)  # where a line may go on: what is left is mostly one way, well predicted
+    packed = np.zeros(len(state) // 64 + 2, np.uint64)
+    one, last = np.uint64(1), np.uint64(63)
+    around[:] = 0  # in the cache from here on: sooner than line by line later
+    count = odds = 0
+    left_out = len(kept)  # these are listed from the end on
     for i in range(len(seeds)):
-        if around[seeds[i]] != 0:
+        place = np.uint64(seeds[i])
+        if (packed[place >> np.uint64(6)] >> (place & last)) & one:
             continue
-        first, done, first_full = count, count, full
+        first, done, first_odd = count, count, odds
         kept[count] = seeds[i]
-        around[seeds[i]] = 255
+        ahead[count] = 255
+        packed[place >> np.uint64(6)] |= one << (place & last)
         count += 1
         while done < count:
-            here = kept[done]
+            here = kept[np.uint64(done)]
+            pattern = _pattern(_neighbours(quads, here, stride), 0)
+            around[np.uint64(here)] = pattern
+            odd[np.uint64(odds)] = here
+            odds += _ODD[np.uint64(pattern)]
+            ways = np.uint64(pattern) & np.uint64(ahead[np.uint64(done)])
             done += 1
-            pattern = _pattern(quads, here, stride, 0)
-            around[here] = pattern
-            crowded[full] = here
-            full += _CROWDED[pattern]
-            while pattern:
-                beside = here + first_steps[pattern]
-                pattern &= pattern - 1
-                if around[beside] == 0:
-                    around[beside] = 255
-                    kept[count] = beside
+            while ways:
+                place = np.uint64(here + first_steps[ways])
+                word, bit = packed[place >> np.uint64(6)], one << (place & last)
+                if word & bit == 0:
+                    packed[place >> np.uint64(6)] = word | bit
+                    kept[np.uint64(count)], ahead[np.uint64(count)] = place, others[ways]
                     count += 1
+                ways &= ways - one
         total = 0.0
         if weight > 0.0:
             for j in range(first, count):
                 total += strength[kept[j] // stride - 1, kept[j] % stride - 1]
         if count - first < least or total < weight:
-            count, full = first, first_full
+            for j in range(first, count):
+                left_out -= 1
+                kept[left_out] = kept[j]
+            count, odds = first, first_odd
     state[:] = 0
     for i in range(count):
         state[kept[i]] = _KEPT
-    return kept[:count], crowded[:full]
+    for i in range(odds):
+        state[odd[i]] = _KEPT | _LISTED
+    for i in range(left_out, len(kept)):
+        place = np.uint64(kept[i])
+        packed[place >> np.uint64(6)] &= ~(one << (place & last))
+    return kept[:count], odd, odds, packed
 
 
 @called
@@ -140,16 +164,27 @@ def _drop(state: Array, around: Array, here: int, steps: Array) -> None:
 
 
 @called
-def _thin_out(state: Array, around: Array, crowded: Array, count: int, steps: Array) -> None:
-    """Remove needless pixels among the first ``count`` places of ``crowded``, until there are none."""
-    removed = True
-    while removed:
-        removed = False
+def _add(state: Array, odd: Array, odds: int, here: int) -> int:
+    """List a pixel, if it is one of an edge and not listed; return the length of the list."""
+    if state[here] & (_KEPT | _LISTED) == _KEPT:
+        state[here] |= _LISTED
+        odd[odds] = here
+        odds += 1
+    return odds
+
+
+@called
+def _thin_out(state: Array, around: Array, places: Array, count: int, steps: Array) -> int:
+    """Remove needless pixels among the first ``count`` places, until there are none; return how many."""
+    total, before = 0, -1
+    while total > before:
+        before = total
         for i in range(count):
-            here = crowded[i]
+            here = places[i]
             if _NEEDLESS[around[here]]:
                 _drop(state, around, here, steps)
-                removed = True
+                total += 1
+    return total
 
 
 @called
@@ -171,17 +206,38 @@ def _branch(around: Array, end: int, steps: Array, path: Array) -> tuple[int, in
 
 
 @called
-def _prune(state: Array, around: Array, kept: Array, steps: Array, longest: int) -> None:
-    """Remove branches of up to ``longest`` pixels that end freely, shortest first, and what becomes needless then."""
+def _prune(
+    state: Array, around: Array, odd: Array, odds: int, most: int, steps: Array, longest: int
+) -> tuple[int, int]:
+    """Remove branches of up to ``longest`` pixels that end freely, shortest first, and what becomes needless then.
+
+    The ends are among the first ``odds`` of ``odd``; there may be ``most``. Where branches were is added to that list.
+    Returns its length and how many pixels were removed.
+    """
     path = np.empty(longest + 1, np.int32)
     beside = np.empty(9, np.int32)
-    ends, lengths = np.empty(len(kept) + 1, np.int32), np.empty(len(kept) + 1, np.int32)
-    count = 0
-    for i in range(len(kept)):
-        if _COUNT[around[kept[i]]] == 1:
-            length, _ = _branch(around, kept[i], steps, path)
-            ends[count], lengths[count] = kept[i], length
-            count += 0 < length <= longest
+    ends, lengths = np.empty(most, np.int32), np.empty(most, np.int32)
+    count = removed = 0
+    for i in range(odds):  # ends are many, branches few: seen from there, most ends need no look
+        branch = odd[i]
+        pattern = around[branch] if _COUNT[around[branch]] > 2 else np.uint8(0)
+        while pattern:
+            way = _FIRST[pattern]
+            pattern &= pattern - 1
+            here = branch
+            for _ in range(longest):
+                here += steps[way]
+                ahead = around[here] & ~(1 << (way ^ 4))
+                if ahead == 0:
+                    state[here] |= _USED
+                if ahead == 0 or ahead & (ahead - 1):
+                    break
+                way = _FIRST[ahead]
+    for i in range(odds):
+        if state[odd[i]] & _USED:
+            state[odd[i]] &= 255 - _USED
+            ends[count], (lengths[count], _) = odd[i], _branch(around, odd[i], steps, path)
+            count += 1
     # Short branches first: of two at the end of a line the longer one continues it.
     for shortest in range(1, longest + 1):
         i = 0
@@ -196,6 +252,7 @@ def _prune(state: Array, around: Array, kept: Array, steps: Array, longest: int)
                 continue
             for j in range(length):
                 _drop(state, around, path[j], steps)
+            removed += length
             near = 0
             pattern = around[branch]
             while pattern:
@@ -203,107 +260,113 @@ def _prune(state: Array, around: Array, kept: Array, steps: Array, longest: int)
                 pattern &= pattern - 1
                 near += 1
             beside[near] = branch
-            _thin_out(state, around, beside, near + 1, steps)
+            removed += _thin_out(state, around, beside, near + 1, steps)
             for j in range(near + 1):
+                odds = _add(state, odd, odds, beside[j])
                 if count < len(ends) and _COUNT[around[beside[j]]] == 1:
                     ends[count], lengths[count] = beside[j], 0
                     count += 1
-
-
-@called
-def _disc(radius: float, reach: int, left: int, top: int) -> np.uint64:
-    """Return which of 8 x 8 pixels, from ``left``, ``top`` of a square on, lie within a radius around its middle."""
-    result = np.uint64(0)
-    for bit in range(64):
-        x, y = left + bit // 8 - reach, top + bit % 8 - reach
-        if max(abs(x), abs(y)) <= reach and x * x + y * y <= radius * radius:
-            result |= np.uint64(1) << np.uint64(bit)
-    return result
-
-
-@called
-def _block(state: Array, quads: Array, left: int, top: int, rows: int, width: int, height: int) -> np.uint64:
-    """Return which of 8 x 8 pixels of the picture, or of only so many rows, belong to edges.
-
-    As bits, column by column; pixels outside the picture do not.
-    """
-    stride = width + 2
-    result = np.uint64(0)
-    if left >= 0 and top >= 0 and left + 8 <= width and top + rows <= height:
-        place = np.uint64((top + 1) * stride + left + 1)
-        for y in range(rows):
-            eight = np.uint64(quads[place]) | (np.uint64(quads[place + np.uint64(4)]) << np.uint64(32))
-            result |= (eight & _HIGHEST_BITS) >> np.uint64(7 - y)
-            place += np.uint64(stride)
-        return result
-    for x in range(max(-left, 0), min(width - left, 8)):
-        for y in range(max(-top, 0), min(height - top, rows)):
-            edge = state[(top + y + 1) * stride + left + x + 1] >> 7
-            result |= np.uint64(edge) << np.uint64(8 * x + y)
-    return result
+    return odds, removed
 
 
 @called
 def _cut(
-    state: Array, quads: Array, around: Array, corners: Array, stride: int, radius: float, reach: int
-) -> tuple[Array, Array]:
+    state: Array, packed: Array, around: Array, corners: Array, stride: int, radius: float, farthest: float
+) -> tuple[Array, Array, int, int]:
     """Clear what lies within a radius of a corner (N, 2) px; patterns of what is beside it are left as they were.
 
-    Returns what else lies within a square of ``reach`` around the corners, as bits of blocks of 8 x 8 pixels, and of
-    each block its corner and where it begins, x, y.
+    ``packed`` has a bit for each pixel of the frame, set where an edge is or was. Returns what else it has up to the
+    radius ``farthest``, as the bits of some rows around a corner, one after the other, as many as make a word; where
+    each word begins, its corner, x, y; how many columns a row has in it; and how many pixels were cleared.
     """
-    width, height, side = stride - 2, len(state) // stride - 2, 2 * reach + 1
-    across = (side + 7) // 8
-    square, inner = np.empty((across, across), np.uint64), np.empty((across, across), np.uint64)
-    for row in range(across):
-        for column in range(across):
-            square[row, column] = _disc(2.0 * side, reach, 8 * column, 8 * row)
-            inner[row, column] = _disc(radius, reach, 8 * column, 8 * row)
-    offsets = np.arange(64) // 8 + np.arange(64) % 8 * stride
+    width, height = stride - 2, len(state) // stride - 2
+    reach = int(farthest)
+    side = 2 * reach + 1
+    parts = (side + 63) // 64
+    columns = (side + parts - 1) // parts
+    rows = 64 // columns
+    across, down = np.arange(64) % columns, np.arange(64) // columns
+    inner, outer = np.zeros((2, parts, (side + rows - 1) // rows), np.uint64)
+    for part in range(parts):
+        for group in range(inner.shape[1]):
+            for bit in range(rows * columns):
+                x, y = part * columns + across[bit] - reach, group * rows + down[bit] - reach
+                if x * x + y * y <= radius * radius:
+                    inner[part, group] |= np.uint64(1) << np.uint64(bit)
+                elif x * x + y * y <= farthest * farthest:
+                    outer[part, group] |= np.uint64(1) << np.uint64(bit)
     begins, remains = np.empty((len(corners), 3), np.int32), np.empty(len(corners), np.uint64)
-    count = 0
+    count = removed = 0
     for i in range(len(corners)):
-        for row in range(across):
-            for column in range(across):
-                left, top = corners[i, 0] - reach + 8 * column, corners[i, 1] - reach + 8 * row
-                block = _block(state, quads, left, top, min(8, side - 8 * row), width, height) & square[row, column]
+        for part in range(parts):
+            left = corners[i, 0] - reach + part * columns
+            first = max(left, 0)
+            shift = np.uint64(first - left)
+            inside = min(min(left + columns, corners[i, 0] + reach + 1), width) - first
+            if inside <= 0:
+                continue
+            mask = ~np.uint64(0) >> np.uint64(64 - inside)
+            for group in range(inner.shape[1]):
+                top = corners[i, 1] - reach + group * rows
+                word = np.uint64(0)
+                for y in range(max(top, 0), min(min(top + rows, corners[i, 1] + reach + 1), height)):
+                    place = (y + 1) * stride + first + 1
+                    low, high = packed[np.uint64(place >> 6)], packed[np.uint64((place >> 6) + 1)]
+                    row = (low >> np.uint64(place & 63)) | ((high << np.uint64(1)) << np.uint64(63 - (place & 63)))
+                    word |= ((row & mask) << shift) << np.uint64((y - top) * columns)
+                if word == 0:
+                    continue
                 if count == len(remains):
                     begins, remains = np.concatenate((begins, begins)), np.concatenate((remains, remains))
                 begins[count, 0], begins[count, 1], begins[count, 2] = i, left, top
-                remains[count] = block & ~inner[row, column]
+                remains[count] = word & outer[part, group]
                 count += remains[count] != 0
-                block &= inner[row, column]
-                while block:
-                    here = (top + 1) * stride + left + 1 + offsets[_lowest(block)]
-                    block &= block - np.uint64(1)
+                word &= inner[part, group]
+                while word:
+                    bit = _lowest(word)
+                    word &= word - np.uint64(1)
+                    here = (top + down[bit] + 1) * stride + left + across[bit] + 1
+                    removed += state[here] != 0
                     state[here] = around[here] = 0
-    return remains[:count], begins[:count]
+    return remains[:count], begins[:count], columns, removed
 
 
 @called
 def _ends_near(
-    state: Array, quads: Array, around: Array, remains: Array, begins: Array, corners: Array, stride: int, radius: float
-) -> Array:
+    state: Array,
+    quads: Array,
+    around: Array,
+    odd: Array,
+    odds: int,
+    cut: tuple[Array, Array, int, int],
+    corners: Array,
+    stride: int,
+    radius: float,
+) -> tuple[Array, int]:
     """Return pairs (N, 2) of a free end within a radius of a corner, and that corner, the nearest pairs first.
 
-    Ends get marked as used. ``remains`` and ``begins`` are from ``_cut``; the patterns of these pixels are renewed.
+    Ends get marked as used. ``cut`` is from ``_cut``; the patterns of these pixels are renewed, and they are added to
+    the list ``odd``, whose length is returned, too.
     """
+    remains, begins, columns, _ = cut
+    across, down = np.arange(64) % columns, np.arange(64) // columns
     most = int(radius * radius)
     found = np.empty((4096, 3), np.int32)
     starts = np.zeros(most + 2, np.int32)
     count = 0
     for number in range(len(remains)):
         i, left, top = begins[number]
-        block = remains[number]
-        while block:
-            bit = _lowest(block)
-            block &= block - np.uint64(1)
-            x, y = left + bit // 8, top + bit % 8
+        word = remains[number]
+        while word:
+            bit = _lowest(word)
+            word &= word - np.uint64(1)
+            x, y = left + across[bit], top + down[bit]
             here = (y + 1) * stride + x + 1
-            if state[here] == 0:  # cut at another corner
+            if state[here] == 0:  # removed before, or cut at another corner
                 continue
-            pattern = _pattern(quads, here, stride, 7)
+            pattern = _pattern(_neighbours(quads, here, stride), 7)
             around[here] = pattern
+            odds = _add(state, odd, odds, here)
             square = (x - corners[i, 0]) ** 2 + (y - corners[i, 1]) ** 2
             if _COUNT[pattern] > 1 or square > most:
                 continue
@@ -320,26 +383,32 @@ def _ends_near(
         square = found[i, 2]
         pairs[starts[square]] = found[i, :2]
         starts[square] += 1
-    return pairs
+    return pairs, odds
 
 
 @called
 def _lead(
-    state: Array, quads: Array, around: Array, kept: Array, corners: Array, steps: Array, farthest: float
-) -> Array:
-    """Draw lines from free ends to the nearest corner (N, 2) px within reach; return ``kept`` and what was drawn.
+    state: Array,
+    quads: Array,
+    around: Array,
+    packed: Array,
+    odd: Array,
+    odds: int,
+    corners: Array,
+    steps: Array,
+    farthest: float,
+) -> tuple[int, int]:
+    """Draw lines from free ends to the nearest corner (N, 2) px within reach.
 
     Edges round corners off on the outside, so what passes within three quarters of the reach is cut first. All pairs
-    are seen from the corners, which are fewer than pixels.
+    are seen from the corners, which are fewer than pixels. Pixels with new neighbours are added to the list ``odd``.
+    Returns its length, and how many pixels there are more than before.
     """
     stride = steps[2]
-    cut = 0.75 * farthest
-    reach = max(int(farthest), int(cut) + 1)  # what was cut had neighbours in this square at most
-    remains, begins = _cut(state, quads, around, corners, stride, cut, reach)
-    pairs = _ends_near(state, quads, around, remains, begins, corners, stride, farthest)
-    drawn = np.empty(len(kept) + len(pairs) * (reach + 1), np.int32)
-    drawn[: len(kept)] = kept
-    total = len(kept)
+    radius = 0.75 * farthest
+    cut = _cut(state, packed, around, corners, stride, radius, max(farthest, radius + 1.5))  # with all neighbours
+    pairs, odds = _ends_near(state, quads, around, odd, odds, cut, corners, stride, farthest)
+    first = odds
     for i in range(len(pairs)):
         start, corner = pairs[i, 0], corners[pairs[i, 1]]
         if state[start] & _USED == 0:  # led to a nearer one
@@ -352,16 +421,24 @@ def _lead(
             x, y = x0 + int(np.rint(dx * j / length)), y0 + int(np.rint(dy * j / length))
             here = (y + 1) * stride + x + 1
             if state[here] == 0:
-                state[here] = _KEPT
-                pattern = _pattern(quads, here, stride, 7)
-                around[here] = pattern
-                while pattern:
-                    way = _FIRST[pattern]
-                    pattern &= pattern - 1
-                    around[here + steps[way]] |= 1 << (way ^ 4)
-                drawn[total] = here
-                total += 1
-    return drawn[:total]
+                state[here] = _KEPT | _DRAWN | _LISTED
+                odd[odds] = here
+                odds += 1
+    drawn = odds - first
+    for i in range(first, first + drawn):
+        here = odd[i]
+        neighbours = _neighbours(quads, here, stride)
+        pattern = _pattern(neighbours, 7)
+        around[here] = pattern
+        old = np.int64(pattern) & ~np.int64(_pattern(neighbours, 0))
+        while old:
+            way = _FIRST[old]
+            old &= old - 1
+            around[here + steps[way]] |= 1 << (way ^ 4)
+            odds = _add(state, odd, odds, here + steps[way])
+    for i in range(first, first + drawn):
+        state[odd[i]] = _KEPT | _LISTED
+    return odds, drawn - cut[3]
 
 
 @called
@@ -373,52 +450,60 @@ def _follow(around: Array, chain: Array, filled: int, steps: Array, way: int) ->
     stride = steps[2]
     x, y = chain[filled - 1, 0], chain[filled - 1, 1]
     here = (y + 1) * stride + x + 1
+    to = np.uint64(way)
     while True:
-        here += steps[way]
-        x, y = x + _DX[way], y + _DY[way]
-        chain[filled, 0], chain[filled, 1] = x, y
+        here += steps[to]
+        x, y = x + _DX[to], y + _DY[to]
+        chain[np.uint64(filled), 0], chain[np.uint64(filled), 1] = x, y
         filled += 1
-        pattern = around[here]
-        if _COUNT[pattern] != 2:
+        pattern = around[np.uint64(here)]
+        if _COUNT[np.uint64(pattern)] != 2:
             return filled
-        around[here] = 0
-        way = _AHEAD[way, pattern]
+        around[np.uint64(here)] = 0
+        to = np.uint64(_AHEAD[to, np.uint64(pattern)])
 
 
 @called
-def _link(state: Array, around: Array, kept: Array, corners: Array, steps: Array) -> tuple[Array, Array]:
-    """Return chains of neighbouring pixels between ends, branches and corners: points (N, 2) x, y, starts (M + 1,)."""
+def _link(
+    state: Array, around: Array, kept: Array, alive: int, odd: Array, odds: int, corners: Array, steps: Array
+) -> tuple[Array, Array]:
+    """Return chains of neighbouring pixels between ends, branches and corners: points (N, 2) x, y, starts (M + 1,).
+
+    All pixels that may have other than two neighbours are among the first ``odds`` of ``odd``; closed lines without
+    such among ``kept``. Of all there are ``alive`` pixels.
+    """
     stride = steps[2]
-    count = total = nodes = 0
-    node_places = np.empty(len(kept) + len(corners), np.int32)
-    for i in range(len(kept)):
-        around[kept[i]] = _DIRECT[around[kept[i]]]
-    passed = np.empty(len(corners), np.uint8)  # the patterns of corners that a line goes through
-    for i in range(len(corners)):
+    nodes = links = 0
+    node_places, patterns = np.empty(len(corners) + odds, np.int32), np.empty(len(corners) + odds, np.uint8)
+    for i in range(len(corners)):  # a line that goes through a corner is two
         here = (corners[i, 1] + 1) * stride + corners[i, 0] + 1
-        if state[here] != 0 and _COUNT[around[here]] == 2:
-            node_places[nodes], passed[nodes] = here, around[here]
-            around[here] = 0
+        if state[here] == 0:
+            continue
+        pattern = _DIRECT[around[here]]
+        if _COUNT[pattern] == 2:
+            node_places[nodes], patterns[nodes] = here, pattern
+            state[here], around[here] = _KEPT, 0
+            links += 2
             nodes += 1
-    through = nodes
-    total = 2 * through
-    for i in range(len(kept)):
-        degree = _COUNT[around[kept[i]]]
-        if degree == 2:
-            count += 1
-        elif degree > 0 or state[kept[i]] != 0:
-            count += 1
-            total += max(degree, 1)
-            node_places[nodes] = kept[i]
+    for i in range(odds):
+        here = odd[i]
+        if state[here] & _LISTED == 0:  # removed, or a second time
+            continue
+        state[here] = _KEPT
+        pattern = _DIRECT[around[here]]
+        around[here] = pattern
+        if _COUNT[pattern] != 2:
+            node_places[nodes], patterns[nodes] = here, pattern
+            links += max(_COUNT[pattern], 1)
             nodes += 1
-    chain = np.empty((2 * count + 2 * total + 2, 2), np.int32)
-    starts = np.zeros(total + count + 2, np.int64)
+    between = alive - nodes  # these have two neighbours
+    chain = np.empty((2 * between + 2 * links + 2, 2), np.int32)
+    starts = np.zeros(between + links + 2, np.int64)
     filled = chains = 0
     for i in range(nodes):
-        node = node_places[i]
+        node, pattern = node_places[i], patterns[i]
         x, y = node % stride - 1, node // stride - 1
-        pattern = passed[i] if i < through else around[node]
-        if pattern == 0 and state[node] == _KEPT:  # what was cut and drawn again is listed twice
+        if pattern == 0:
             chain[filled, 0], chain[filled, 1] = x, y
             filled += 1
             chains += 1
@@ -431,10 +516,10 @@ def _link(state: Array, around: Array, kept: Array, corners: Array, steps: Array
             chain[filled, 0], chain[filled, 1] = x, y
             filled = _follow(around, chain, filled + 1, steps, way)
             chains += 1
+            between -= filled - starts[chains - 1] - 2
             starts[chains] = filled
         around[node] = 0
-        state[node] = _USED
-    for i in range(len(kept)):  # what is left are closed lines without branches
+    for i in range(len(kept) if between > 0 else 0):  # what is left are closed lines without branches
         start = kept[i]
         pattern = around[start]
         if pattern == 0:
@@ -444,8 +529,6 @@ def _link(state: Array, around: Array, kept: Array, corners: Array, steps: Array
         filled = _follow(around, chain, filled + 1, steps, _FIRST[pattern])
         chains += 1
         starts[chains] = filled
-    for i in range(nodes):
-        state[node_places[i]] = _KEPT
     return chain[:filled], starts[: chains + 1]
 
 
@@ -493,13 +576,15 @@ def trace(
     state = marks.reshape(marks.size)
     steps = _DY * stride + _DX
     around = np.empty(marks.size, np.uint8)
-    kept, crowded = _connected(state, quads, around, seeds, strength, steps, least, weight)
-    _thin_out(state, around, crowded, len(crowded), steps)
+    kept, odd, odds, packed = _connected(state, quads, around, seeds, strength, steps, least, weight)
+    alive = len(kept) - _thin_out(state, around, odd, odds, steps)
     if longest > 0:
-        _prune(state, around, kept, steps, longest)
+        odds, removed = _prune(state, around, odd, odds, len(kept) + 1, steps, longest)
+        alive -= removed
     if farthest > 0.0 and len(corners) > 0:
-        kept = _lead(state, quads, around, kept, corners, steps, farthest)
-    points, starts = _link(state, around, kept, corners, steps)
+        odds, more = _lead(state, quads, around, packed, odd, odds, corners, steps, farthest)
+        alive += more
+    points, starts = _link(state, around, kept, alive, odd, odds, corners, steps)
     for i in range(len(corners)):
         state[(corners[i, 1] + 1) * stride + corners[i, 0] + 1] = _CORNER
     return points, starts
