@@ -55,6 +55,7 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
 
 
 _COUNT, _FIRST, _NEEDLESS, _ODD, _AHEAD, _DIRECT = _tables()
+_AHEAD_FLAT = _AHEAD.reshape(-1)
 
 
 # A number whose products with the powers of two differ in their upper six bits, and
@@ -326,8 +327,8 @@ def _cut(
                     bit = _lowest(word)
                     word &= word - np.uint64(1)
                     here = (top + down[bit] + 1) * stride + left + across[bit] + 1
-                    removed += state[here] != 0
-                    state[here] = around[here] = 0
+                    removed += state[np.uint64(here)] != 0
+                    state[np.uint64(here)] = around[np.uint64(here)] = 0
     return remains[:count], begins[:count], columns, removed
 
 
@@ -362,13 +363,13 @@ def _ends_near(
             word &= word - np.uint64(1)
             x, y = left + across[bit], top + down[bit]
             here = (y + 1) * stride + x + 1
-            if state[here] == 0:  # removed before, or cut at another corner
+            if state[np.uint64(here)] == 0:  # removed before, or cut at another corner
                 continue
             pattern = _pattern(_neighbours(quads, here, stride), 7)
-            around[here] = pattern
+            around[np.uint64(here)] = pattern
             odds = _add(state, odd, odds, here)
             square = (x - corners[i, 0]) ** 2 + (y - corners[i, 1]) ** 2
-            if _COUNT[pattern] > 1 or square > most:
+            if _COUNT[np.uint64(pattern)] > 1 or square > most:
                 continue
             if count == len(found):
                 found = np.concatenate((found, found))
@@ -420,9 +421,9 @@ def _lead(
         for j in range(1, length + 1):
             x, y = x0 + int(np.rint(dx * j / length)), y0 + int(np.rint(dy * j / length))
             here = (y + 1) * stride + x + 1
-            if state[here] == 0:
-                state[here] = _KEPT | _DRAWN | _LISTED
-                odd[odds] = here
+            if state[np.uint64(here)] == 0:
+                state[np.uint64(here)] = _KEPT | _DRAWN | _LISTED
+                odd[np.uint64(odds)] = here
                 odds += 1
     drawn = odds - first
     for i in range(first, first + drawn):
@@ -442,17 +443,17 @@ def _lead(
 
 
 @called
-def _follow(around: Array, chain: Array, filled: int, steps: Array, way: int) -> int:
+def _follow(around: Array, chain: Array, filled: int, stride: int, turns: Array, way: int) -> int:
     """Append to ``chain`` (x, y), whose last pixel is the first of ``filled``, up to a node or what is linked already.
 
-    ``way`` is the direction of the first step. Patterns of what is linked become 0. Returns the new ``filled``.
+    ``way`` is the direction of the first step; ``turns`` tells the next one by direction and pattern, and, times eight,
+    how far away it lies. Patterns of what is linked become 0. Returns the new ``filled``.
     """
-    stride = steps[2]
     x, y = chain[filled - 1, 0], chain[filled - 1, 1]
     here = (y + 1) * stride + x + 1
     to = np.uint64(way)
+    here += _DY[to] * stride + _DX[to]
     while True:
-        here += steps[to]
         x, y = x + _DX[to], y + _DY[to]
         chain[np.uint64(filled), 0], chain[np.uint64(filled), 1] = x, y
         filled += 1
@@ -460,7 +461,9 @@ def _follow(around: Array, chain: Array, filled: int, steps: Array, way: int) ->
         if _COUNT[np.uint64(pattern)] != 2:
             return filled
         around[np.uint64(here)] = 0
-        to = np.uint64(_AHEAD[to, np.uint64(pattern)])
+        turn = turns[to, np.uint64(pattern)]
+        here += turn >> 3
+        to = np.uint64(turn & 7)
 
 
 @called
@@ -497,6 +500,7 @@ def _link(
             links += max(_COUNT[pattern], 1)
             nodes += 1
     between = alive - nodes  # these have two neighbours
+    turns = (steps * 8 + np.arange(8, dtype=np.int32))[_AHEAD_FLAT].reshape(8, 256)
     chain = np.empty((2 * between + 2 * links + 2, 2), np.int32)
     starts = np.zeros(between + links + 2, np.int64)
     filled = chains = 0
@@ -514,7 +518,7 @@ def _link(
             if around[node + steps[way]] == 0:  # linked already, from its other end
                 continue
             chain[filled, 0], chain[filled, 1] = x, y
-            filled = _follow(around, chain, filled + 1, steps, way)
+            filled = _follow(around, chain, filled + 1, stride, turns, way)
             chains += 1
             between -= filled - starts[chains - 1] - 2
             starts[chains] = filled
@@ -526,7 +530,7 @@ def _link(
             continue
         around[start] = 0
         chain[filled, 0], chain[filled, 1] = start % stride - 1, start // stride - 1
-        filled = _follow(around, chain, filled + 1, steps, _FIRST[pattern])
+        filled = _follow(around, chain, filled + 1, stride, turns, _FIRST[pattern])
         chains += 1
         starts[chains] = filled
     return chain[:filled], starts[: chains + 1]
