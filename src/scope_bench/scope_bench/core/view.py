@@ -198,12 +198,14 @@ class View:
         """Return the ground, drawn only if it is none of the last two: those of a pair stay for the next pair."""
         arrays = (self.base_from_panel.rotation, self.base_from_panel.translation, self._camera_xy)
         key = (self.rays, surfaces, self._samples, *(array.tobytes() for array in arrays))
-        if key not in _grounds:
+        ground = _grounds.get(key)
+        if ground is None:
+            ground = self._draw_ground(surfaces)
+            ground.flags.writeable = False
             while len(_grounds) > 1:
                 _grounds.popitem(last=False)
-            _grounds[key] = self._draw_ground(surfaces)
-            _grounds[key].flags.writeable = False
-        return _grounds[key]
+            _grounds[key] = ground
+        return ground  # not looked up again: a bench in another thread may have replaced it meanwhile
 
     def _draw_ground(self, surfaces: Surfaces) -> npt.NDArray[np.float32]:
         """Draw the face, the case's sides and the table: (H, W, 3) reflected light under even lighting."""
