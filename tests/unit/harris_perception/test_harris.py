@@ -57,6 +57,10 @@ def naive(picture: np.ndarray, config: HarrisConfig) -> tuple[np.ndarray, np.nda
         return det - config.k * trace**2, a * b + c * c + config.k * trace**2
     if config.response == "shi_tomasi":
         return np.linalg.eigvalsh(m)[..., 0], trace
+    if config.response == "geometric":
+        det = np.maximum(det, 0.0)
+        gate = np.divide(det, det + config.k * trace**2, out=np.zeros_like(det), where=trace > 0)
+        return np.sqrt(det) * gate, trace
     return np.divide(det, trace, out=np.zeros_like(det), where=trace > 0), trace
 
 
@@ -80,7 +84,7 @@ configs = st.builds(
     window=st.sampled_from(["box", "gaussian"]),
     window_px=st.sampled_from([3, 5, 9]),
     sigma_i_px=st.sampled_from([0.8, 2.0]),
-    response=st.sampled_from(["harris", "shi_tomasi", "noble"]),
+    response=st.sampled_from(["harris", "shi_tomasi", "noble", "geometric"]),
     k=st.floats(0.01, 0.2),
     relative_threshold=st.sampled_from([0.0, 0.01, 0.2]),
     subpixel=st.just(False),
@@ -219,7 +223,7 @@ def test_checkerboard_crossing_is_found_to_a_tenth_of_a_pixel(dx: float, dy: flo
     np.testing.assert_allclose(corners.xy[0], (cx, cy), atol=0.1)
 
 
-@pytest.mark.parametrize("response", ["harris", "shi_tomasi", "noble"])
+@pytest.mark.parametrize("response", ["harris", "shi_tomasi", "noble", "geometric"])
 @pytest.mark.parametrize("gradient", ["harris", "gaussian"])
 def test_ramps_and_straight_edges_have_no_corner(response: str, gradient: str) -> None:
     y, x = np.indices((60, 70)).astype(np.float64)

@@ -135,9 +135,27 @@ def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.Capture
         assert main(["detect", str(file), "--edges", "--table", str(table)]) == 0
         assert table.read_text().startswith("x_px,y_px,response") and len(table.read_text().splitlines()) == 1 + count
     assert main(["detect", str(source), "--scales", "2", "--table", str(table), "--edges"]) == 0
-    assert {round(float(row["scale"]), 2) for row in csv.DictReader(table.open())} <= {1.0, 1.41}
-    assert main(["detect", str(source), "--scales", "2", "--edges", "combined"]) == 2
+    assert {round(float(row["scale"]), 2) for row in csv.DictReader(table.open())} == {1.0, 1.26}
     assert main(["detect", str(source), "--scales", "-1"]) == 2
+    capsys.readouterr()
+    assert main(["detect", str(source), "--repeatable", "--table", str(table), "--set", "least=0.002"]) == 0
+    assert capsys.readouterr().out == "4 corners\n"
+    rows = list(csv.DictReader(table.open()))
+    assert {(round(float(r["x_px"])), round(float(r["y_px"]))) for r in rows} == {
+        (20, 20),
+        (69, 20),
+        (20, 59),
+        (69, 59),
+    }
+    for wrong, told in (
+        (["--scales", "2", "--edges", "combined"], "--edges"),
+        (["--repeatable", "--edges", "combined"], "--edges"),
+        (["--repeatable", "--scales", "2"], "--scales"),
+        (["--repeatable", "--set", "window_px=5"], "window_px"),
+        (["--repeatable", "--set", "least=2"], "least"),
+    ):
+        assert main(["detect", str(source), *wrong]) == 2
+        assert told in capsys.readouterr().err, wrong
 
 
 def test_match_finds_a_shifted_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from harris_perception.core import harris_laplace
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, repeatable
-from harris_perception.core.repeatability import Pair, repeatability, warps
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.repeatability import Pair, repeatability
 
 GAUSSIAN = HarrisConfig(gradient="gaussian", window="gaussian", relative_threshold=0.001, max_corners=300)
 DETECTOR = HarrisLaplaceDetector(HarrisLaplaceConfig(detector=GAUSSIAN))
@@ -70,37 +70,18 @@ def test_count_order_and_dtype() -> None:
     assert (corners.xy > 0).all() and (corners.xy < 500).all()
 
 
-def test_scales_give_falling_counts_at_places_of_their_own() -> None:
-    corners = HarrisLaplaceDetector(repeatable(350)).detect(scene(3))
+def test_all_scales_together_give_as_many_as_asked_for() -> None:
     few = HarrisLaplaceConfig(select=False, detector=HarrisConfig(max_corners=50))
-    assert len(HarrisLaplaceDetector(few).detect(scene(3))) == 50, "all scales together"
-    counts = [int(np.isclose(corners.scale, 1.41**level).sum()) for level in range(3)]
-    assert counts[0] == 159 and 90 <= counts[1] <= 113 and 30 <= counts[2] <= 80, counts
-    distance = np.linalg.norm(corners.xy[:, None] - corners.xy[None], axis=2)
-    other = corners.scale[:, None] != corners.scale[None]
-    assert distance[other].min() >= 2.0
+    corners = HarrisLaplaceDetector(few).detect(scene(3))
+    counts = [int(np.isclose(corners.scale, 1.26**level).sum()) for level in range(3)]
+    assert len(corners) == 50 and counts[0] > counts[1] > counts[2] > 0, counts
 
 
-def rocks(seed: int, size: int = 260) -> np.ndarray:
-    """Return a picture with the spectrum of natural ones, which falls with the frequency."""
-    rng = np.random.default_rng(seed)
-    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
-    frequency[0, 0] = 1.0
-    field = np.fft.ifft2(np.fft.fft2(rng.normal(size=(size, size))) * frequency**-1.2).real
-    return np.clip(128.0 + 45.0 * field / field.std(), 0, 255).astype(np.uint8)
-
-
-def test_setting_that_repeats_best_does_so_under_every_change() -> None:
-    found: dict[str, list[tuple[float, float]]] = {}
-    best = HarrisLaplaceDetector(repeatable(300))
-    fast = HarrisDetector(HarrisConfig(max_corners=300, relative_threshold=0.0))
-    for pair in warps(rocks(1), np.random.default_rng(1)):
-        rates = [repeatability(pair, d(pair.first).xy, d(pair.second).xy, (1.5,)) for d in (best.detect, fast.detect)]
-        assert min(rates[0].count, rates[1].count) > 20
-        found.setdefault(pair.change, []).append((rates[0].rates[0], rates[1].rates[0]))
-    means = {change: np.mean(rates, axis=0) for change, rates in found.items()}
-    print(means)
-    assert all(ours > plain + 0.05 for ours, plain in means.values())
+def test_corners_may_be_more_than_opencv_takes_at_once() -> None:
+    picture = np.random.default_rng(6).integers(0, 256, (700, 800), np.uint8)
+    everything = HarrisLaplaceConfig(levels=2, detector=HarrisConfig(max_corners=0, relative_threshold=0.0))
+    assert len(HarrisDetector(everything.detector).detect(picture)) > 32_768
+    assert len(HarrisLaplaceDetector(everything).detect(picture)) > 1000
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (30, 7), (60, 60)])

@@ -154,3 +154,16 @@ def test_bad_settings_are_refused() -> None:
         MatchConfig(patch_px=8)
     with pytest.raises(ConfigError, match="patch, orb, sift"):
         MatchConfig(descriptor="surf")
+
+
+@pytest.mark.parametrize("descriptor", ["patch", "orb"])
+def test_corners_may_be_more_than_opencv_takes_at_once(descriptor: str) -> None:
+    picture = np.random.default_rng(6).integers(0, 256, (400, 400), np.uint8)
+    y, x = np.mgrid[60:340:1.5, 60:340:1.5]
+    xy = np.column_stack((x.ravel(), y.ravel()))
+    assert len(xy) > 32_768
+    config = MatchConfig(descriptor=descriptor)
+    found = describe(picture, xy, config)
+    few = describe(picture, xy[-1000:], config)
+    assert len(found.vectors) == len(xy)
+    np.testing.assert_array_equal(found.vectors[-1000:], few.vectors)

@@ -26,7 +26,7 @@ from harris_perception.adapters.picture_files import (
 from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
 from harris_perception.core.gray import bgr_of_gray
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
-from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, ScaledCorners, repeatable
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, ScaledCorners
 from harris_perception.core.matching import MatchConfig, describe_over_scales, match
 from harris_perception.core.overlay import draw_corners, matches_picture
 from harris_perception.core.repeatability import (
@@ -41,6 +41,7 @@ from harris_perception.core.repeatability import (
     repeatability,
     warps,
 )
+from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
 from icu_common.core.config import from_mapping, settings_of
 
 T = TypeVar("T")
@@ -105,20 +106,20 @@ def _write_picture(path: Path, picture: Any) -> None:
 
 def detect(options: argparse.Namespace) -> int:
     gray = read_deep_gray(options.picture)
-    config = _settings(HarrisConfig, options.set)
     drawn = bgr_of_gray(gray)
     edges: Edges | None = None
     corners: Corners | ScaledCorners
-    scales = None
+    scales: tuple[Any, ...] = ()
     if options.scales:
-        if any(not pair.startswith("max_corners=") for pair in options.set):
-            raise ValueError(f"--scales is one setting: of --set only max_corners goes with it, not {options.set}")
-        corners = HarrisLaplaceDetector(repeatable(config.max_corners, options.scales)).detect(gray)
-        scales = corners.scale
+        corners = HarrisLaplaceDetector(_over_scales(options)).detect(gray)
+        scales = (corners.scale,)
+    elif options.repeatable:
+        corners = RepeatableDetector(_settings(RepeatableConfig, options.set)).detect(gray)
     elif options.edges == "combined":
-        corners, edges = CombinedDetector(config, _settings(TracingConfig, options.set_edges)).detect(gray)
+        traced = _settings(TracingConfig, options.set_edges)
+        corners, edges = CombinedDetector(_settings(HarrisConfig, options.set), traced).detect(gray)
     else:
-        corners = HarrisDetector(config).detect(gray)
+        corners = HarrisDetector(_settings(HarrisConfig, options.set)).detect(gray)
     if options.edges == "outlines":
         detector = EdgeDetector(_settings(EdgeConfig, options.set_edges))
         edges = detector.detect(read_bgr(options.picture), corners.xy)
@@ -130,9 +131,8 @@ def detect(options: argparse.Namespace) -> int:
     if options.labels and edges is not None:
         _write_picture(options.labels, np.ascontiguousarray(edges.labels))
     if options.table:
-        columns = ("x_px", "y_px", "response", "scale")[: 3 if scales is None else 4]
-        parts = (corners.xy, corners.response) if scales is None else (corners.xy, corners.response, scales)
-        _write_table(options.table, columns, np.column_stack(parts).tolist())
+        columns = ("x_px", "y_px", "response", "scale")[: 3 + len(scales)]
+        _write_table(options.table, columns, np.column_stack((corners.xy, corners.response, *scales)).tolist())
     if options.chains and edges is not None:
         rows = [(i, x, y) for i, chain in enumerate(edges.chains) for x, y in chain.tolist()]
         _write_table(options.chains, ("chain", "x_px", "y_px"), rows)
@@ -140,10 +140,13 @@ def detect(options: argparse.Namespace) -> int:
     return 0
 
 
+def _over_scales(options: argparse.Namespace) -> HarrisLaplaceConfig:
+    return HarrisLaplaceConfig(detector=_settings(HarrisConfig, options.set), levels=options.scales, select=False)
+
+
 def match_pictures(options: argparse.Namespace) -> int:
     first, second = read_gray(options.first), read_gray(options.second)
-    scales = HarrisLaplaceConfig(detector=_settings(HarrisConfig, options.set), levels=options.scales, select=False)
-    detector, config = HarrisLaplaceDetector(scales), _settings(MatchConfig, options.set_match)
+    detector, config = HarrisLaplaceDetector(_over_scales(options)), _settings(MatchConfig, options.set_match)
     one, other = detector.detect(first), detector.detect(second)
     found = match(describe_over_scales(first, one, config), describe_over_scales(second, other, config), config)
     pairs, a, b = found.pairs, one.xy, other.xy
@@ -292,6 +295,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="\n\n".join(
             (
                 _told("--set", HarrisConfig),
+                _told("--set (with --repeatable)", RepeatableConfig),
                 _told("--set-edges (outlines)", EdgeConfig),
                 _told("--set-edges (combined)", TracingConfig),
             )
@@ -307,11 +311,11 @@ def _parser() -> argparse.ArgumentParser:
         choices=("outlines", "combined"),
         help="edges too: outlines, by color and two scales (as without a word), or combined, in the corners' own pass",
     )
+    one.add_argument("--scales", type=int, default=0, help="corners of so many scales, each 1.26 times coarser")
     one.add_argument(
-        "--scales",
-        type=int,
-        default=0,
-        help="corners of so many scales, each 1.41 times coarser, by the setting that repeats best with 3",
+        "--repeatable",
+        action="store_true",
+        help="the corners that repeat best when the picture changes: those that stand out from its noise",
     )
     one.add_argument("--labels", type=Path, help="picture of labels: 0 flat, 128 edge, 255 corner; needs --edges")
     one.add_argument("--chains", type=Path, help="linked pixels of the edges as .csv or .json; needs --edges")
@@ -352,8 +356,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if options.run is detect and options.edges is None and (options.labels or options.chains or options.set_edges):
             raise ValueError("--labels, --chains and --set-edges need --edges")
-        if options.run is detect and options.scales and options.edges == "combined":
-            raise ValueError("--scales: edges of the corners' own pass have one scale; take --edges outlines")
+        if options.run is detect and (options.repeatable or options.scales):
+            if options.repeatable and options.scales:
+                raise ValueError("--repeatable has one scale: it does not go with --scales")
+            if options.edges == "combined":
+                raise ValueError("--edges combined needs the corners of its own pass; take --edges outlines")
         return int(options.run(options))
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -2,8 +2,7 @@
 
 Sources: P. Perona, J. Malik, "Scale-Space and Edge Detection Using Anisotropic Diffusion", PAMI 12(7), 1990 (their
 second conductivity); F. Catte, P.-L. Lions, J.-M. Morel, T. Coll, "Image Selective Smoothing and Edge Detection by
-Nonlinear Diffusion", SIAM J. Numer. Anal. 29(1), 1992 (of the gradient of the smoothed picture); P. F. Alcantarilla,
-A. Bartoli, A. J. Davison, "KAZE Features", ECCV 2012 (contrast from a quantile of the picture's own gradients).
+Nonlinear Diffusion", SIAM J. Numer. Anal. 29(1), 1992 (of the gradient of the smoothed picture).
 """
 
 from __future__ import annotations
@@ -22,10 +21,8 @@ _STEP = 0.24
 """Time of a step, px^2: the explicit scheme is stable below 0.25."""
 
 
-def diffused(gray: npt.NDArray[Any], steps: int, quantile: float) -> F32:
+def diffused(gray: npt.NDArray[Any], steps: int, contrast: float) -> F32:
     """Return the picture after some steps of diffusion.
-
-    Twice the picture's grey levels give twice the result: contrast is told by the picture itself.
 
     Parameters
     ----------
@@ -33,26 +30,20 @@ def diffused(gray: npt.NDArray[Any], steps: int, quantile: float) -> F32:
         (H, W) of any type. Pixels that are not finite stay so, and spread by 6 px in each step.
     steps
         Of 0.24 px^2 each.
-    quantile
-        This quantile of the lengths of the gradients is the contrast across which half as much flows.
+    contrast
+        Where the gradient is this steep, grey levels per px, half as much flows; 0 for no diffusion.
 
     Returns
     -------
     (H, W) float32, always a copy.
     """
     picture = np.array(gray, np.float32, order="C")
-    contrast = 0.0
-    for step in range(steps if picture.size else 0):
+    for _ in range(steps if picture.size and contrast > 0.0 else 0):
         soft = cv2.GaussianBlur(picture, (0, 0), 1.0)
         gx, gy = (cv2.Sobel(soft, cv2.CV_32F, *order, scale=0.125) for order in ((1, 0), (0, 1)))
         squared = gx * gx + gy * gy
-        if step == 0:
-            known = squared[np.isfinite(squared)]
-            contrast = float(np.quantile(known, quantile)) if len(known) else 0.0
-        if contrast <= 0.0:  # so much of the picture is flat: there is no noise
-            break
         result = np.empty_like(picture)
-        _diffuse(picture, squared, np.float32(1.0 / contrast), np.float32(0.5 * _STEP), result)
+        _diffuse(picture, squared, np.float32(1.0 / contrast**2), np.float32(0.5 * _STEP), result)
         picture = result
     return picture
 

@@ -29,7 +29,7 @@ F32 = npt.NDArray[Any]
 Band = tuple[F32, float, npt.NDArray[np.int32]]
 BandMap = Callable[[Callable[[Callable[[], Band]], Band], Iterable[Callable[[], Band]]], Iterable[Band]]
 
-_RESPONSES = ("harris", "shi_tomasi", "noble")
+_RESPONSES = ("harris", "shi_tomasi", "noble", "geometric")
 _NO_EDGES = (0.0, 0.0, np.empty((0, 0), np.uint8))
 
 
@@ -37,9 +37,8 @@ _NO_EDGES = (0.0, 0.0, np.empty((0, 0), np.uint8))
 class HarrisConfig(Config):
     """What is detected and how many of it.
 
-    The response is in grey levels to the fourth power (``harris``) or squared (``shi_tomasi``, ``noble``), summed over
-    the kernels as they are written, so ``absolute_threshold`` depends on gradient and window; the relative threshold
-    does not.
+    The response is in grey levels to the fourth power (``harris``) or squared (all others), summed over the kernels as
+    they are written, so ``absolute_threshold`` depends on gradient and window; the relative threshold does not.
     """
 
     gradient: str = setting(
@@ -59,10 +58,10 @@ class HarrisConfig(Config):
     sigma_i_px: float = setting(2.0, "Standard deviation of the gaussian window", minimum=0.5, maximum=20.0, unit="px")
     response: str = setting(
         "harris",
-        "det - k trace^2, the smaller eigenvalue, or det / trace",
+        "det - k trace^2, the smaller eigenvalue, det / trace, or sqrt(det) times det / (det + k trace^2)",
         choices=_RESPONSES,
     )
-    k: float = setting(0.04, "Weight of trace^2 in the harris response", minimum=0.001, maximum=0.24)
+    k: float = setting(0.04, "Weight of trace^2 in the harris and geometric responses", minimum=0.001, maximum=0.24)
     absolute_threshold: float = setting(0.0, "Responses up to this one are no corners", minimum=0.0)
     relative_threshold: float = setting(
         0.01, "Responses up to this fraction of the strongest corner's are no corners", minimum=0.0, maximum=1.0
@@ -186,6 +185,15 @@ class HarrisDetector:
             For another shape or dtype.
         """
         return self._response(checked(gray))[0]
+
+    def corners_of(self, response: F32) -> Corners:
+        """Return the corners of a response as ``response`` returns it, where more than its corners is wanted of it."""
+        border, config = max(self.margin_px + 1, self.config.border_px), self.config
+        if min(response.shape) <= 2 * border:
+            return self._selected([_nothing()])
+        rows = (border, response.shape[0] - border)
+        thresholds = (config.absolute_threshold, config.relative_threshold, config.subpixel)
+        return self._selected([_peaks_of(response, border, *rows, *thresholds)])
 
     def _response(self, picture: npt.NDArray[Any]) -> tuple[F32, F32, F32]:
         """Return the response, and the sums of gx^2 and gy^2 without the frame of ``margin_px``."""

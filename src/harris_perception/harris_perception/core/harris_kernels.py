@@ -429,7 +429,7 @@ def minima_of(
 def response_of(a: Array, b: Array, c: Array, kind: int, k: float, result: Array) -> None:
     """Fill ``result`` with the response of the sums a = gx^2, b = gy^2, c = gx gy, all (H, W) float32.
 
-    ``kind`` 0: det - k trace^2; 1: the smaller eigenvalue; 2: det / trace.
+    ``kind`` 0: det - k trace^2; 1: the smaller eigenvalue; 2: det / trace; 3: sqrt(det) det / (det + k trace^2).
     """
     weight = np.float32(k)
     zero, half = np.float32(0.0), np.float32(0.5)
@@ -447,6 +447,8 @@ def response_of(a: Array, b: Array, c: Array, kind: int, k: float, result: Array
             divisor = trace
             if kind == 1:  # det / larger eigenvalue: the difference of two large numbers would be rounding
                 divisor = half * trace + np.sqrt((half * (ra[x] - rb[x])) ** 2 + rc[x] * rc[x])
+            elif kind == 3 and det > zero:
+                divisor = (det + weight * trace * trace) / np.sqrt(det)
             out[x] = zero if det <= _RANK_ONE * product else det / divisor
 
 

@@ -13,9 +13,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core import harris_kernels as kernels
-from harris_perception.core.diffusion import diffused
 from harris_perception.core.harris import HarrisConfig, HarrisDetector, checked
+from harris_perception.core.sampling import sampled
 from icu_common.core.config import Config, nested, setting
 
 F32 = npt.NDArray[np.float32]
@@ -29,47 +28,7 @@ class HarrisLaplaceConfig(Config):
     levels: int = setting(8, "Levels of the pyramid", minimum=1, maximum=30)
     factor: float = setting(1.26, "Ratio of two neighbouring scales", minimum=1.05, maximum=2.0)
     select: bool = setting(True, "Keep a corner only at the scale at which the Laplacian answers most; else at all")
-    share: float = setting(
-        2.0,
-        "The count of a level falls by this power of its scale; with 2 as the number of places",
-        minimum=0.0,
-        maximum=4.0,
-    )
-    apart_px: float = setting(
-        0.0, "Corners this near to one of a finer level are left out", minimum=0.0, maximum=50.0, unit="px"
-    )
-    diffusion_steps: int = setting(0, "Steps of diffusion of the picture before all else", minimum=0, maximum=1000)
-    diffusion_quantile: float = setting(
-        0.5, "This quantile of the gradients is the contrast that stops the diffusion", minimum=0.0, maximum=1.0
-    )
     laplacian_px: float = setting(1.5, "Scale of the Laplacian on each level", minimum=0.5, maximum=10.0, unit="px")
-
-
-def repeatable(max_corners: int, scales: int = 3) -> HarrisLaplaceConfig:
-    """Return the setting that repeats best over all kinds of changes: a diffused picture, a few scales, det / trace.
-
-    Gaussians of 1 and 0.7 px; each scale is 1.41 times coarser than the one before and gives corners in proportion to
-    its resolution, none within 2 px of a finer one. One setting for all pictures; docs/decisions/one-setting.md tells
-    how it was chosen.
-    """
-    detector = HarrisConfig(
-        gradient="gaussian",
-        window="gaussian",
-        sigma_i_px=0.7,
-        response="noble",
-        relative_threshold=0.0,
-        max_corners=max_corners,
-    )
-    return HarrisLaplaceConfig(
-        detector=detector,
-        levels=scales,
-        factor=1.41,
-        select=False,
-        share=1.0,
-        apart_px=2.0,
-        diffusion_steps=10,
-        diffusion_quantile=0.5,
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,8 +79,6 @@ class HarrisLaplaceDetector:
             For another shape or dtype.
         """
         gray = checked(gray)
-        if self.config.diffusion_steps:
-            gray = diffused(gray, self.config.diffusion_steps, self.config.diffusion_quantile)
         pictures = self._pyramid(gray)
         found = [self._detector.detect(picture) for picture in pictures]
         laplacians = [self._laplacian(picture) for picture in pictures] if self.config.select else []
@@ -134,10 +91,6 @@ class HarrisLaplaceDetector:
             for beside in (level - 1, level + 1):
                 if 0 <= beside < len(laplacians):
                     kept &= _values(laplacians[level], xy, gray) > _values(laplacians[beside], xy, gray)
-            if self.config.apart_px > 0.0 and level > 0 and len(xy) > 0:
-                taken = np.concatenate(xys)
-                free = kernels.apart(np.concatenate((taken, xy)), self.config.apart_px, len(taken) + len(xy))
-                kept &= np.isin(np.arange(len(xy)), free - len(taken))
             kept &= np.cumsum(kept) <= self._quota(level)
             xys.append(xy[kept])
             scales.append(np.full(int(kept.sum()), self.config.factor**level))
@@ -165,9 +118,9 @@ class HarrisLaplaceDetector:
         return np.abs(cv2.Laplacian(soft, cv2.CV_32F, ksize=1))
 
     def _quota(self, level: int) -> float:
-        """Return how many corners a level may give: their number falls with its scale."""
+        """Return how many corners a level may give: their number falls as the number of places."""
         count = self.config.detector.max_corners
-        shares = self.config.factor ** (-self.config.share * np.arange(self.config.levels))
+        shares = self.config.factor ** (-2.0 * np.arange(self.config.levels))
         return float(np.ceil(count * shares[level] / shares.sum())) if count else np.inf
 
 
@@ -180,5 +133,4 @@ def _values(picture: F32, xy: F32, gray: npt.NDArray[Any]) -> F32:
     if len(xy) == 0:
         return np.empty(0, np.float32)
     at = np.asarray((xy + 0.5) / _ratio(gray, picture) - 0.5, np.float32)
-    values = cv2.remap(picture, at[None, :, 0], at[None, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(values[0], np.float32)
+    return sampled(picture, at[None, :, 0], at[None, :, 1]).reshape(-1)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.harris_laplace import ScaledCorners
+from harris_perception.core.sampling import sampled
 from icu_common.core.config import Config, ConfigError, setting
 
 F32 = npt.NDArray[np.float32]
@@ -98,7 +99,7 @@ def orientations_deg(gray: npt.NDArray[np.uint8], xy: npt.ArrayLike, radius_px: 
     if points.size == 0:
         return np.empty(0, np.float32)
     at = points[..., 0], points[..., 1]
-    mx, my = (cv2.remap(m, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0] for m in moments)
+    mx, my = (sampled(m, *at)[0] for m in moments)
     return np.asarray(np.rad2deg(np.arctan2(my, mx)) % 360.0, np.float32)
 
 
@@ -149,7 +150,7 @@ def _patches(gray: npt.NDArray[np.uint8], points: F32, side: int) -> Described:
         return Described(points[:0], index, np.empty((0, side * side), np.float32))
     dy, dx = np.mgrid[-half : half + 1, -half : half + 1].reshape(2, 1, -1).astype(np.float32)
     at = points[index]
-    values = cv2.remap(gray.astype(np.float32), at[:, :1] + dx, at[:, 1:] + dy, cv2.INTER_LINEAR)
+    values = sampled(gray.astype(np.float32), at[:, :1] + dx, at[:, 1:] + dy)
     values = values - values.mean(axis=1, keepdims=True)
     length = np.linalg.norm(values, axis=1)
     good = length > 1e-3

@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, repeatable
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
 
 Gray = npt.NDArray[np.uint8]
 Points = npt.NDArray[Any]
@@ -197,10 +198,10 @@ def our_detectors() -> dict[str, Detect]:
         detector = HarrisConfig(max_corners=count, relative_threshold=0.0, **variants["impharris 1 / 2"])
         return HarrisLaplaceDetector(HarrisLaplaceConfig(detector=detector)).detect(gray).xy[:count]
 
-    def default(gray: Gray, count: int) -> Points:
-        return HarrisLaplaceDetector(repeatable(count)).detect(gray).xy[:count]
+    def above_noise(gray: Gray, count: int) -> Points:
+        return RepeatableDetector(RepeatableConfig(max_corners=count)).detect(gray).xy
 
-    several = {"harris-laplace 1 / 2": over_scales, "three scales 1 / 0.7": default}
+    several = {"harris-laplace 1 / 2": over_scales, "repeatable": above_noise}
     return {name: make(settings) for name, settings in variants.items()} | several
 
 

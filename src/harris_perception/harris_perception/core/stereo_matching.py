@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.compiled import called, compiled
+from harris_perception.core.sampling import sampled
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import Config, ConfigError, setting
 from icu_common.core.geometry import Array
@@ -234,12 +235,7 @@ def _windows(picture: F32, at: npt.NDArray[Any], half: int, wider: int = 0) -> F
     dy, dx = np.mgrid[-half : half + 1, -half - wider : half + wider + 1].reshape(2, -1).astype(np.float32)
     x = (at[:, :1] + dx).astype(np.float32)
     y = (at[:, 1:] + dy).astype(np.float32)
-    return _sample(picture, x, y)
-
-
-def _sample(picture: F32, x: F32, y: F32) -> F32:
-    taken = cv2.remap(picture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(taken, np.float32)
+    return sampled(picture, x, y, cv2.INTER_CUBIC)
 
 
 def _normalised(windows: F32) -> F32:

@@ -1,0 +1,142 @@
+"""The corners that repeat best when the picture changes: the setting for everything but speed.
+
+It differs from the detector of 1988 in knowing the picture's noise and each corner's surroundings: what is as weak as
+the noise is flattened first, and corners that do not stand out from both are left out, for it is these that do not
+come again. docs/decisions/one-setting.md tells how it was chosen and what it gives.
+
+Sources: J. Immerkaer, "Fast Noise Variance Estimation", CVIU 64(2), 1996 (the mask); for the diffusion see
+diffusion.py.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.diffusion import diffused
+from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked
+from icu_common.core.config import Config, setting
+
+_MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+"""Zero on whatever is linear in x or y; of white noise it makes six times its standard deviation."""
+
+_SHRUNK = 8
+"""How many times smaller the picture is on which means are taken."""
+
+_EVEN = 0.2
+"""Corners rank by response / mean around to this power: a lamp on one side does not take all of them there."""
+
+_LOWER_HALF = 0.3246
+"""Mean of the lower half of the absolute values of a standard normal distribution."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RepeatableConfig(Config):
+    """How many corners there may be, and how far they must stand out."""
+
+    max_corners: int = setting(2000, "The strongest so many are kept, 0 = all", minimum=0, maximum=1_000_000)
+    above_noise: float = setting(
+        3.0,
+        "Response that a corner has at least, in variances of the noise; noise alone makes 0.05",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    above_around: float = setting(
+        2.5, "How many times as large as the mean response around it is a corner's", minimum=0.0, maximum=1000.0
+    )
+    around_px: float = setting(
+        30.0, "Standard deviation of the Gaussian that tells how far around", minimum=8.0, maximum=500.0, unit="px"
+    )
+    least: float = setting(0.2, "This part of max_corners is kept however weak", minimum=0.0, maximum=1.0)
+    diffusion_steps: int = setting(3, "Steps of diffusion of the picture before all else", minimum=0, maximum=1000)
+
+
+class RepeatableDetector:
+    """Detector of corners that repeat.
+
+    The picture is diffused where its gradients are as weak as its noise. Derivatives and window are Gaussians of 0.9
+    and 0.85 px, the response is the geometric mean of the eigenvalues, lessened on edges. Corners are those that stand
+    out from the noise and from their surroundings; if these are too few, those that do so the most.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> picture = np.random.default_rng(1).normal(100.0, 4.0, (60, 60)).astype(np.float32)
+    >>> picture[20:40, 20:40] += 100.0
+    >>> corners = RepeatableDetector(RepeatableConfig(least=0.0)).detect(picture)
+    >>> sorted(corners.xy.round().astype(int).tolist())
+    [[20, 20], [20, 39], [39, 20], [39, 39]]
+    """
+
+    def __init__(self, config: RepeatableConfig | None = None) -> None:
+        self.config = config if config is not None else RepeatableConfig()
+        self._detector = HarrisDetector(
+            HarrisConfig(
+                gradient="gaussian",
+                sigma_d_px=0.9,
+                window="gaussian",
+                sigma_i_px=0.85,
+                response="geometric",
+                k=0.01,
+                relative_threshold=0.0,
+                max_corners=0,
+            )
+        )
+
+    def detect(self, gray: npt.NDArray[Any]) -> Corners:
+        """Return the corners of (H, W) uint8, uint16 or float32, by falling response.
+
+        Raises
+        ------
+        ValueError
+            For another shape or dtype.
+        """
+        config, noise = self.config, noise_of(checked(gray))
+        response = self._detector.response(diffused(gray, config.diffusion_steps, noise))
+        corners = self._detector.corners_of(response)
+        around = self._mean_around(response, corners.xy)
+        clear = corners.response > np.maximum(config.above_noise * noise**2, config.above_around * around)
+        kept = _best(clear, corners.response / around**_EVEN, config.max_corners or len(corners))
+        missing = math.ceil(config.least * config.max_corners) - len(kept)
+        # By the geometric mean of how far they stand out from the noise, which is one for all, and from what is around.
+        others = _best(~clear, corners.response / np.sqrt(around), max(missing, 0))
+        kept = np.union1d(kept, others)
+        return Corners(corners.xy[kept], corners.response[kept])
+
+    def _mean_around(self, response: npt.NDArray[np.float32], xy: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """Return the mean response around the positions (N, 2) px, (N,)."""
+        if len(xy) == 0:
+            return np.empty(0, np.float32)
+        height, width = response.shape
+        known = np.where(np.isfinite(response), response, np.float32(0.0))
+        size = (-(-width // _SHRUNK), -(-height // _SHRUNK))
+        small = cv2.resize(known, size, interpolation=cv2.INTER_AREA)
+        soft = cv2.GaussianBlur(small, (0, 0), self.config.around_px / _SHRUNK, borderType=cv2.BORDER_REFLECT)
+        mean = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR)
+        x, y = np.rint(xy).astype(np.intp).T
+        return np.asarray(mean[y, x], np.float32)
+
+
+def _best(among: npt.NDArray[np.bool_], rank: npt.NDArray[Any], limit: int) -> npt.NDArray[np.int64]:
+    """Return at most ``limit`` indices among those that are set, the highest rank first."""
+    places = np.flatnonzero(among)
+    return np.asarray(places[np.argsort(-rank[places], kind="stable")[:limit]], np.int64)
+
+
+def noise_of(gray: npt.NDArray[Any]) -> float:
+    """Return the standard deviation of the noise of a picture (H, W), in its grey levels.
+
+    Told by the weaker half of the pixels, so that texture here and there raises it little; a picture that is texture
+    everywhere cannot be told from noise. 0 for a picture without noise, or without finite pixels.
+    """
+    if gray.size == 0:
+        return 0.0
+    found = np.abs(cv2.filter2D(gray.astype(np.float32), cv2.CV_32F, _MASK)).ravel()
+    found = found[np.isfinite(found)]
+    half = len(found) // 2
+    return float(np.partition(found, half)[:half].mean()) / (6.0 * _LOWER_HALF) if half else 0.0

@@ -1,0 +1,29 @@
+"""Values of a picture between its pixels, at as many places as are wanted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+_MOST = 32_766
+"""OpenCV takes tables of no more rows or columns."""
+_FOLDED = 1024
+
+
+def sampled(
+    picture: npt.NDArray[Any], x: npt.NDArray[Any], y: npt.NDArray[Any], interpolation: int = cv2.INTER_LINEAR
+) -> npt.NDArray[np.float32]:
+    """Return the values of a picture (H, W) uint8, uint16 or float32 at places ``x``, ``y`` px, (N, K) as these are.
+
+    Outside, the picture is continued by its border pixels.
+    """
+    shape = x.shape
+    if max(shape) > _MOST:
+        folded = (-(-x.size // _FOLDED), _FOLDED)
+        x, y = np.resize(x, folded), np.resize(y, folded)
+    table = np.asarray(x, np.float32), np.asarray(y, np.float32)
+    values = cv2.remap(picture, *table, interpolation, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(values.ravel()[: shape[0] * shape[1]].reshape(shape), np.float32)

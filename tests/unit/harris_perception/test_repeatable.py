@@ -1,0 +1,112 @@
+"""The corners that repeat best do so under every change, stand out from the noise, and keep off straight edges."""
+
+from __future__ import annotations
+
+import doctest
+
+import cv2
+import numpy as np
+import pytest
+
+from harris_perception.core import repeatable
+from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.repeatability import repeatability, warps
+from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector, noise_of
+
+ABOVE_NOISE = RepeatableDetector(RepeatableConfig(max_corners=1000, least=0.0))
+
+
+def rocks(seed: int, size: int = 260) -> np.ndarray:
+    """Return a picture with the spectrum of natural ones, which falls with the frequency."""
+    rng = np.random.default_rng(seed)
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
+    frequency[0, 0] = 1.0
+    field = np.fft.ifft2(np.fft.fft2(rng.normal(size=(size, size))) * frequency**-1.2).real
+    return np.clip(128.0 + 45.0 * field / field.std(), 0, 255).astype(np.uint8)
+
+
+def test_setting_that_repeats_best_does_so_under_every_change() -> None:
+    found: dict[str, list[tuple[float, float]]] = {}
+    best = RepeatableDetector(RepeatableConfig(max_corners=300))
+    fast = HarrisDetector(HarrisConfig(max_corners=300, relative_threshold=0.0))
+    for pair in warps(rocks(1), np.random.default_rng(1)):
+        rates = [repeatability(pair, d(pair.first).xy, d(pair.second).xy, (1.5,)) for d in (best.detect, fast.detect)]
+        assert min(rates[0].count, rates[1].count) > 20
+        found.setdefault(pair.change, []).append((rates[0].rates[0], rates[1].rates[0]))
+    means = {change: np.mean(rates, axis=0) for change, rates in found.items()}
+    print(means)
+    assert all(ours > plain + 0.05 for ours, plain in means.values())
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1.0, 4.0, 15.0])
+def test_noise_is_told_beside_texture(sigma: float) -> None:
+    rng = np.random.default_rng(3)
+    picture = np.full((200, 240), 100.0)
+    picture[:, 160:] += np.kron(rng.uniform(-60.0, 60.0, (40, 16)), np.ones((5, 5)))  # a third
+    noisy = picture + rng.normal(0.0, sigma, picture.shape)
+    found = noise_of(noisy.astype(np.float32))
+    print(found)
+    assert found == pytest.approx(sigma, rel=0.35, abs=1e-4)
+    assert noise_of((noisy * 200.0).astype(np.uint16)) == pytest.approx(200.0 * found, rel=0.01, abs=1.0)
+
+
+def test_noise_alone_and_a_noisy_straight_edge_have_no_corner() -> None:
+    rng = np.random.default_rng(4)
+    y, x = np.indices((200, 200))
+    for slope in (0.0, 0.4):
+        edge = 60.0 + 120.0 / (1.0 + np.exp(2.0 * (120.0 - x - slope * y)))
+        for sigma in (2.0, 8.0):
+            picture = (edge + rng.normal(0.0, sigma, edge.shape)).clip(0, 255).astype(np.uint8)
+            plain = HarrisDetector(HarrisConfig(relative_threshold=0.0)).detect(picture)
+            found = ABOVE_NOISE.detect(picture)
+            print(slope, sigma, len(plain), len(found))
+            assert len(plain) > 500 and len(found) <= 2
+            least = RepeatableDetector(RepeatableConfig(max_corners=100, least=0.3)).detect(picture)
+            assert len(least) == 30, "however weak"
+
+
+@pytest.mark.parametrize("gain", [0.1, 0.5, 100.0])
+def test_gain_and_offset_change_nothing(gain: float) -> None:
+    rng = np.random.default_rng(2)
+    blocks = np.kron(rng.uniform(20.0, 220.0, (20, 22)), np.ones((11, 12)))
+    picture = np.asarray(cv2.GaussianBlur(blocks, (0, 0), 0.8) + rng.normal(0.0, 1.0, blocks.shape), np.float32)
+    plain, lit = ABOVE_NOISE.detect(picture), ABOVE_NOISE.detect(np.float32(gain) * picture + np.float32(7.0))
+    assert len(plain) > 50 and abs(len(lit) - len(plain)) <= 1
+    distance = np.linalg.norm(plain.xy[:, None] - lit.xy[None], axis=2)
+    assert (distance.min(axis=1) < 0.05).sum() >= len(plain) - 1
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (30, 7), (60, 60)])
+def test_pictures_without_corners(shape: tuple[int, int]) -> None:
+    for value in (9.0, np.nan):
+        picture = np.full(shape, value, np.float32)
+        assert noise_of(picture) == 0.0
+        assert RepeatableDetector().detect(picture).xy.shape == (0, 2)
+
+
+def test_corners_may_be_more_than_opencv_takes_at_once() -> None:
+    picture = np.random.default_rng(6).integers(0, 256, (1000, 1000), np.uint8)
+    everything = RepeatableConfig(max_corners=0, above_noise=0.0, above_around=0.0, diffusion_steps=0)
+    assert len(RepeatableDetector(everything).detect(picture)) > 32_768
+
+
+def test_colour_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"\(9, 9, 3\)"):
+        ABOVE_NOISE.detect(np.zeros((9, 9, 3), np.uint8))
+
+
+def test_one_pixel_that_is_not_finite_takes_its_surroundings_only() -> None:
+    rng = np.random.default_rng(5)
+    picture = np.kron(np.indices((12, 30)).sum(axis=0) % 2 * 100, np.ones((12, 12))) + rng.normal(0, 1.0, (144, 360))
+    picture = picture.astype(np.float32)
+    whole = ABOVE_NOISE.detect(picture).xy
+    picture[70, 20] = np.inf
+    left = ABOVE_NOISE.detect(picture).xy
+    far = whole[:, 0] > 120
+    assert far.sum() > 100
+    assert np.linalg.norm(whole[far, None] - left[None], axis=2).min(axis=1).max() < 0.1
+
+
+def test_examples_in_docstrings_run() -> None:
+    result = doctest.testmod(repeatable)
+    assert result.attempted > 0 and result.failed == 0
