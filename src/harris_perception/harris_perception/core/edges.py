@@ -18,6 +18,7 @@ import numpy.typing as npt
 from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edge_tracing as tracing
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, gaussian_taps
+from harris_perception.core.sampling import mean_around
 from icu_common.core.config import Config, setting
 
 FLAT, EDGE, CORNER = 0, 128, 255
@@ -159,11 +160,7 @@ class EdgeDetector:
         if config.coarse_sigma_px > 0.0:
             kernels.weigh(strength, cv2.resize(self._difference(channels), size, interpolation=cv2.INTER_LINEAR))
         if config.surround > 0.0:
-            eighth = tuple(max(side // 8, 1) for side in size)
-            small = cv2.resize(strength, eighth, interpolation=cv2.INTER_AREA)
-            around = cv2.GaussianBlur(small, (0, 0), config.surround_px / 8, borderType=cv2.BORDER_REFLECT)
-            around = cv2.resize(around, size, interpolation=cv2.INTER_LINEAR)
-            strength = cv2.scaleAdd(around, -config.surround, strength)
+            strength = cv2.scaleAdd(mean_around(strength, config.surround_px), -config.surround, strength)
         framed = cv2.copyMakeBorder(strength, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
         maxima = kernels.thin(framed, a, b, c)
         if config.along_px > 0:

@@ -20,13 +20,11 @@ import numpy.typing as npt
 
 from harris_perception.core.diffusion import diffused
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked
+from harris_perception.core.sampling import mean_around
 from icu_common.core.config import Config, setting
 
 _MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 """Zero on whatever is linear in x or y; of white noise it makes six times its standard deviation."""
-
-_SHRUNK = 8
-"""How many times smaller the picture is on which means are taken."""
 
 _EVEN = 0.2
 """Corners rank by response / mean around to this power: a lamp on one side does not take all of them there."""
@@ -99,7 +97,9 @@ class RepeatableDetector:
         config, noise = self.config, noise_of(checked(gray))
         response = self._detector.response(diffused(gray, config.diffusion_steps, noise))
         corners = self._detector.corners_of(response)
-        around = self._mean_around(response, corners.xy)
+        x, y = np.rint(corners.xy).astype(np.intp).T
+        known = np.where(np.isfinite(response), response, np.float32(0.0))
+        around = mean_around(known, config.around_px)[y, x]
         clear = corners.response > np.maximum(config.above_noise * noise**2, config.above_around * around)
         kept = _best(clear, corners.response / around**_EVEN, config.max_corners or len(corners))
         missing = math.ceil(config.least * config.max_corners) - len(kept)
@@ -107,19 +107,6 @@ class RepeatableDetector:
         others = _best(~clear, corners.response / np.sqrt(around), max(missing, 0))
         kept = np.union1d(kept, others)
         return Corners(corners.xy[kept], corners.response[kept])
-
-    def _mean_around(self, response: npt.NDArray[np.float32], xy: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """Return the mean response around the positions (N, 2) px, (N,)."""
-        if len(xy) == 0:
-            return np.empty(0, np.float32)
-        height, width = response.shape
-        known = np.where(np.isfinite(response), response, np.float32(0.0))
-        size = (-(-width // _SHRUNK), -(-height // _SHRUNK))
-        small = cv2.resize(known, size, interpolation=cv2.INTER_AREA)
-        soft = cv2.GaussianBlur(small, (0, 0), self.config.around_px / _SHRUNK, borderType=cv2.BORDER_REFLECT)
-        mean = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR)
-        x, y = np.rint(xy).astype(np.intp).T
-        return np.asarray(mean[y, x], np.float32)
 
 
 def _best(among: npt.NDArray[np.bool_], rank: npt.NDArray[Any], limit: int) -> npt.NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""Values of a picture between its pixels, at as many places as are wanted."""
+"""Values of a picture between its pixels, at as many places as are wanted, and means around them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ import numpy.typing as npt
 _MOST = 32_766
 """OpenCV takes tables of no more rows or columns."""
 _FOLDED = 1024
+
+_SHRUNK = 8
+"""How many times smaller the picture is on which means are taken."""
 
 
 def sampled(
@@ -27,3 +30,13 @@ def sampled(
     table = np.asarray(x, np.float32), np.asarray(y, np.float32)
     values = cv2.remap(picture, *table, interpolation, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(values.ravel()[: shape[0] * shape[1]].reshape(shape), np.float32)
+
+
+def mean_around(values: npt.NDArray[np.float32], sigma_px: float) -> npt.NDArray[np.float32]:
+    """Return the mean of ``values`` (H, W) around each pixel, weighted by a Gaussian of at least 8 px."""
+    height, width = values.shape
+    if values.size == 0:
+        return np.zeros_like(values)
+    small = cv2.resize(values, (max(width // _SHRUNK, 1), max(height // _SHRUNK, 1)), interpolation=cv2.INTER_AREA)
+    soft = cv2.GaussianBlur(small, (0, 0), sigma_px / _SHRUNK, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
