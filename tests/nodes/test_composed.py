@@ -59,8 +59,13 @@ def test_two_nodes_in_one_process(ros: Ros, tmp_path: Path) -> None:
         found = {s: ros.collect(probe, PointCloud2, f"/stereo/{s}/corners", qos.RESULTS) for s in ("left", "right")}
         ros.spin_until(lambda: picture.get_subscription_count() == 1, 10.0)
         noise = np.random.default_rng(1).integers(0, 256, (60, 80), np.uint8)
-        picture.publish(image_message(noise, "mono8", header(5, "eye")))
-        ros.spin_until(lambda: found["right"], 10.0)
+        message = image_message(noise, "mono8", header(5, "eye"))
+
+        def answered() -> bool:  # again and again: the node works for listeners only, and may not know of them yet
+            picture.publish(message)
+            return bool(found["right"])
+
+        ros.spin_until(answered, 10.0)
         assert found["right"][0].width == 22 and not found["left"]
         process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=15)
