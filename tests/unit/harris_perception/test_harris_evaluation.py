@@ -103,20 +103,21 @@ def test_peers_are_found_where_opencv_moved_them(monkeypatch: pytest.MonkeyPatch
     assert np.array_equal(found, peer_detectors()["cv2 SIFT"](photograph(), 100))
 
 
+def places(table: Path) -> set[tuple[int, int]]:
+    """Return the corners of a table, to the pixel."""
+    with table.open() as stream:
+        return {(round(float(row["x_px"])), round(float(row["y_px"]))) for row in csv.DictReader(stream)}
+
+
 def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = np.full((80, 90), 50, np.uint8)
     picture[20:60, 20:70] = 220
+    square = {(20, 20), (69, 20), (20, 59), (69, 59)}
     source, drawn, table = tmp_path / "in.png", tmp_path / "out.png", tmp_path / "corners.csv"
     cv2.imwrite(str(source), picture)
     assert main(["detect", str(source), "-o", str(drawn), "--table", str(table), "--edges"]) == 0
     assert capsys.readouterr().out.startswith("4 corners, ")
-    rows = list(csv.DictReader(table.open()))
-    assert {(round(float(r["x_px"])), round(float(r["y_px"]))) for r in rows} == {
-        (20, 20),
-        (69, 20),
-        (20, 59),
-        (69, 59),
-    }
+    assert places(table) == square
     colored = cv2.imread(str(drawn))
     assert colored.shape == (80, 90, 3) and colored[20, 20, 1] > colored[20, 20, 0] + 50
     assert (colored[17:23, 45] == (255, 160, 0)).all(axis=1).any()  # the upper side
@@ -125,7 +126,7 @@ def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.Capture
     seen = cv2.imread(str(labels), cv2.IMREAD_UNCHANGED)
     assert seen.shape == (80, 90) and (seen == 255).sum() == 4
     linked = {(row["x_px"], row["y_px"]) for row in json.loads(chains.read_text())}
-    assert linked - {(20, 20), (69, 20), (20, 59), (69, 59)} == {(int(x), int(y)) for y, x in np.argwhere(seen == 128)}
+    assert linked - square == {(int(x), int(y)) for y, x in np.argwhere(seen == 128)}
     assert main(["detect", str(source), "--labels", str(labels)]) == 2
     assert "--edges" in capsys.readouterr().err
     unlit = picture.astype(np.uint16)  # of 65535
@@ -140,13 +141,7 @@ def test_detect_writes_picture_and_tables(tmp_path: Path, capsys: pytest.Capture
     capsys.readouterr()
     assert main(["detect", str(source), "--repeatable", "--table", str(table), "--set", "least=0.002"]) == 0
     assert capsys.readouterr().out == "4 corners\n"
-    rows = list(csv.DictReader(table.open()))
-    assert {(round(float(r["x_px"])), round(float(r["y_px"]))) for r in rows} == {
-        (20, 20),
-        (69, 20),
-        (20, 59),
-        (69, 59),
-    }
+    assert places(table) == square
     for wrong, told in (
         (["--scales", "2", "--edges", "combined"], "--edges"),
         (["--repeatable", "--edges", "combined"], "--edges"),
