@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Any
 
 from line_socket import LineSocket
@@ -12,14 +11,7 @@ HOLD = ord("!")
 
 
 class BoardSocket(LineSocket):
-    """Waits for the socket and asks what the board received and where it stands."""
-
-    def __init__(self, path: Path, within_s: float = 30.0) -> None:
-        deadline = time.monotonic() + within_s
-        while not path.exists():
-            assert time.monotonic() < deadline, f"the mock board did not start: no {path}"
-            time.sleep(0.05)
-        super().__init__(path)
+    """Asks what the board received and where it stands."""
 
     def _log(self, kind: str) -> list[dict[str, Any]]:
         entries: list[dict[str, Any]] = []
