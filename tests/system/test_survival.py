@@ -188,16 +188,22 @@ class Scene:
         pids, heard, log = self.pids(), len(self.heard), len(self.graph.output)
         assert set(row.killed) <= set(pids), (row.killed, pids)
 
+        # What is killed may hold up a heartbeat. The driver has stopped then, which others say instead.
+        states = len(self.operator.driver_states)
+        held_up = "stopped: operator's heartbeat"
+
         def missing(said: tuple[tuple[str, str], ...]) -> list[tuple[str, str]]:
-            new = list(self.heard[heard:])
-            new += [("result", r.reason) for r in self.operator.results if r.goal_id == goal and r.outcome.final]
-            return [(w, p) for w, p in said if not any(w == who and re.search(p, text) for who, text in new)]
+            results = [r.reason for r in self.operator.results if r.goal_id == goal and r.outcome.final]
+            new = [*self.heard[heard:], *(("result", reason) for reason in results)]
+            left = [(w, p) for w, p in said if not any(w == who and re.search(p, text) for who, text in new)]
+            stopped = any(state.data.startswith(held_up) for state in self.operator.driver_states[states:])
+            aborted = any("the driver aborted the motion: operator's heartbeat lost" in reason for reason in results)
+            return [(w, p) for w, p in left if w != "result"] if stopped and aborted else left
 
         def all_said() -> bool:
             left = missing(row.said)
-            # What is killed may hold up a heartbeat. The driver has stopped then, which the controller says instead.
-            held_up = self.operator.driver_state.startswith("stopped: operator's heartbeat")
-            if held_up and "controller" in dict(left) and "serial_driver" not in row.killed:
+            stopped = self.operator.driver_state.startswith(held_up)
+            if stopped and "controller" in dict(left) and "serial_driver" not in row.killed:
                 self.operator.call("/gantry/reset")
             return not left
 
