@@ -1,9 +1,9 @@
 """From the pixels of thinned edges to chains: hysteresis, a skeleton, spurs, corners, links; compiled by numba.
 
-Everything here touches edge pixels only, in lists, on a picture framed by one empty pixel, where neighbours are
-constant distances and need no test for the border. Which of the eight neighbours belong to edges is gathered once for
-each pixel, as the bits of a byte, and kept up to date; ends, branches, needless pixels and the way ahead are then one
-look at a table of 256 patterns, without a look at the neighbours.
+Everything here works on lists of edge pixels and on bitmaps, which are framed by empty pixels, so that neighbours are
+constant distances and need no test for the border. Which of the eight neighbours belong to edges is read from three
+words as the bits of a byte; ends, branches, needless pixels and the way ahead are then one look at a table of 256
+patterns.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.bitmap import MARGIN, clear, has, lowest, pack, put, window
 from harris_perception.core.compiled import called, compiled
-from harris_perception.core.harris_kernels import collect_marked
 
 Array = npt.NDArray[Any]
 
@@ -22,11 +22,10 @@ Array = npt.NDArray[Any]
 _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1], np.int32)
 _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1], np.int32)
 
-# States: a pixel of an edge; marks of what is drawn (before that, of a candidate), used, listed as odd; a corner.
-_KEPT, _DRAWN, _USED, _LISTED, _CORNER = 128, 1, 32, 64, 255
+# What is told of every pixel; 0 is neither.
+EDGE, CORNER = 128, 255
 
-# Of eight bytes their lowest bits, and the factor that gathers these in the uppermost byte.
-_LOWEST_BITS, _GATHER = np.uint64(0x0101010101010101), np.uint64(0x0102040810204080)
+_ONE, _LAST = np.uint64(1), np.uint64(63)
 
 
 def _tables() -> tuple[npt.NDArray[Any], ...]:
@@ -55,145 +54,110 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
 
 
 _COUNT, _FIRST, _NEEDLESS, _ODD, _AHEAD, _DIRECT = _tables()
-_AHEAD_FLAT = _AHEAD.reshape(-1)
 
-
-# A number whose products with the powers of two differ in their upper six bits, and
-# which power it was (C. Leiserson, H. Prokop, K. Randall, "Using de Bruijn Sequences to Index a 1 in a Computer Word").
-_DE_BRUIJN = np.uint64(0x022FDD63CC95386D)
-_POWERS = np.argsort([int(_DE_BRUIJN) * 2**i % 2**64 >> 58 for i in range(64)])
-
-
-@called
-def _lowest(bits: np.uint64) -> int:
-    """Return the place of the lowest bit that is set."""
-    return int(_POWERS[((bits & (~bits + np.uint64(1))) * _DE_BRUIJN) >> np.uint64(58)])
+# The neighbours in circular order by the nine bits of a window of 3x3, in the order of rows.
+_NEIGHBOURS = (((np.arange(512)[:, None] >> (3 * _DY + _DX + 4)) & 1) << np.arange(8)).sum(axis=1).astype(np.uint8)
+_STEPS = _DIRECT[_NEIGHBOURS]
+# The next direction of a line by (direction, window), one behind the other; 8 where a line does not go on by itself.
+_ONWARD = np.where(_COUNT[_STEPS] == 2, _AHEAD[:, _STEPS], 8).reshape(-1)
 
 
 @called
-def _neighbours(quads: Array, here: int, stride: int) -> np.uint64:
-    """Return the states of the eight neighbours as the bytes of a word, in circular order."""
-    # Unsigned, an index is not looked at whether it counts from the end.
-    north, south, west = np.uint64(here - stride - 1), np.uint64(here + stride - 2), np.uint64(here - 1)
-    above, below, beside = np.uint64(quads[north]), np.uint64(quads[south]), np.uint64(quads[west])
-    word = (above << np.uint64(40)) | ((below >> np.uint64(16)) & np.uint64(0xFF00))  # NE N NW . . . SE .
-    word |= (below & np.uint64(0xFF0000)) | ((below & np.uint64(0xFF00)) << np.uint64(16))  # . . . . SW S . .
-    word |= ((beside & np.uint64(0xFF)) << np.uint64(32)) | ((beside >> np.uint64(16)) & np.uint64(0xFF))  # W and E
-    return word
-
-
-@called
-def _pattern(neighbours: np.uint64, bit: int) -> np.uint8:
-    """Return as bits in circular order which of the eight neighbours have a bit of their state."""
-    return np.uint8((((neighbours >> np.uint64(bit)) & _LOWEST_BITS) * _GATHER) >> np.uint64(56))
+def _pattern(words: Array, here: int, row: int) -> np.uint8:
+    """Return as bits in circular order which of the eight neighbours are set; ``row`` is the bytes of one."""
+    return np.uint8(_NEIGHBOURS[window(words, here, row)])
 
 
 @called
 def _connected(
-    state: Array, quads: Array, around: Array, seeds: Array, strength: Array, steps: Array, least: int, weight: float
-) -> tuple[Array, Array, int, Array]:
-    """Set the pixels of connected pieces with a seed to kept and clear all others; fill in their patterns ``around``.
+    bits: Array, words: Array, strong: Array, strength: Array, steps: Array, least: int, weight: float
+) -> tuple[int, Array, int, Array]:
+    """Clear all pixels but those of connected pieces with a strong one.
 
-    Returns their places; of these, in the same order, the free ends and those that may be needless, a list that can
-    grow, and its length; and a bitmap of all, which is so small that it stays in the cache.
+    Returns how many are left; of these the places of free ends and of those that may be needless, a list that can grow,
+    and its length; and the same as a bitmap.
     """
     stride = steps[2]
+    row = stride >> 3
     first_steps = steps[_FIRST]
     others = ~(1 << (_FIRST ^ 4)) & 255  # all neighbours but the one that a first step comes from
     # Growing lists would make the flood slower, counting the candidates first, too; what is not written costs nothing.
-    kept, odd = np.empty(len(state) + 1, np.int32), np.empty(2 * len(state) + 1, np.int32)
-    ahead = np.empty(len(state) + 1, np.uint8)  # where a line may go on: what is left is mostly one way, well predicted
-    packed = np.zeros(len(state) // 64 + 2, np.uint64)
-    one, last = np.uint64(1), np.uint64(63)
-    around[:] = 0  # in the cache from here on: sooner than line by line later
+    most = 64 * len(bits)
+    kept, odd = np.empty(most, np.int32), np.empty(2 * most, np.int32)
+    ahead = np.empty(most, np.uint8)  # where a line may go on: what is left is mostly one way, well predicted
+    seen = np.zeros(len(bits), np.uint64)
     count = odds = 0
     left_out = len(kept)  # these are listed from the end on
-    for i in range(len(seeds)):
-        place = np.uint64(seeds[i])
-        if (packed[place >> np.uint64(6)] >> (place & last)) & one:
-            continue
-        first, done, first_odd = count, count, odds
-        kept[count] = seeds[i]
-        ahead[count] = 255
-        packed[place >> np.uint64(6)] |= one << (place & last)
-        count += 1
-        while done < count:
-            here = kept[np.uint64(done)]
-            pattern = _pattern(_neighbours(quads, here, stride), 0)
-            around[np.uint64(here)] = pattern
-            odd[np.uint64(odds)] = here
-            odds += _ODD[np.uint64(pattern)]
-            ways = np.uint64(pattern) & np.uint64(ahead[np.uint64(done)])
-            done += 1
-            while ways:
-                place = np.uint64(here + first_steps[ways])
-                word, bit = packed[place >> np.uint64(6)], one << (place & last)
-                if word & bit == 0:
-                    packed[place >> np.uint64(6)] = word | bit
-                    kept[np.uint64(count)], ahead[np.uint64(count)] = place, others[ways]
-                    count += 1
-                ways &= ways - one
-        total = 0.0
-        if weight > 0.0:
-            for j in range(first, count):
-                total += strength[kept[j] // stride - 1, kept[j] % stride - 1]
-        if count - first < least or total < weight:
-            for j in range(first, count):
-                left_out -= 1
-                kept[left_out] = kept[j]
-            count, odds = first, first_odd
-    state[:] = 0
-    for i in range(count):
-        state[kept[i]] = _KEPT
-    for i in range(odds):
-        state[odd[i]] = _KEPT | _LISTED
+    for i in range(len(strong)):
+        while strong[i] & ~seen[i]:
+            first, done, first_odd = count, count, odds
+            kept[count] = 64 * i + lowest(strong[i] & ~seen[i])
+            ahead[count] = 255
+            put(seen, kept[count])
+            count += 1
+            while done < count:
+                here = kept[np.uint64(done)]
+                pattern = _pattern(words, here, row)
+                odd[np.uint64(odds)] = here
+                odds += _ODD[np.uint64(pattern)]
+                ways = np.uint64(pattern) & np.uint64(ahead[np.uint64(done)])
+                done += 1
+                while ways:
+                    place = np.uint64(here + first_steps[ways])
+                    word, bit = seen[place >> np.uint64(6)], _ONE << (place & _LAST)
+                    if word & bit == 0:
+                        seen[place >> np.uint64(6)] = word | bit
+                        kept[np.uint64(count)], ahead[np.uint64(count)] = place, others[ways]
+                        count += 1
+                    ways &= ways - _ONE
+            total = 0.0
+            if weight > 0.0:
+                for j in range(first, count):
+                    total += strength[kept[j] // stride - 1, kept[j] % stride - MARGIN]
+            if count - first < least or total < weight:
+                for j in range(first, count):
+                    left_out -= 1
+                    kept[left_out] = kept[j]
+                count, odds = first, first_odd
     for i in range(left_out, len(kept)):
-        place = np.uint64(kept[i])
-        packed[place >> np.uint64(6)] &= ~(one << (place & last))
-    return kept[:count], odd, odds, packed
+        clear(seen, kept[i])
+    listed = seen
+    for i in range(len(bits)):  # an assignment to a slice moves them one by one
+        bits[i], seen[i] = seen[i], 0
+    for i in range(odds):
+        put(listed, odd[i])
+    return count, odd, odds, listed
 
 
 @called
-def _drop(state: Array, around: Array, here: int, steps: Array) -> None:
-    """Clear a pixel, and its bit in its neighbours' patterns."""
-    pattern = around[here]
-    state[here] = around[here] = 0
-    while pattern:
-        way = _FIRST[pattern]
-        pattern &= pattern - 1
-        around[here + steps[way]] &= ~(1 << (way ^ 4))
-
-
-@called
-def _add(state: Array, odd: Array, odds: int, here: int) -> int:
+def _add(bits: Array, listed: Array, odd: Array, odds: int, here: int) -> int:
     """List a pixel, if it is one of an edge and not listed; return the length of the list."""
-    if state[here] & (_KEPT | _LISTED) == _KEPT:
-        state[here] |= _LISTED
+    if has(bits, here) and not has(listed, here):
+        put(listed, here)
         odd[odds] = here
         odds += 1
     return odds
 
 
 @called
-def _thin_out(state: Array, around: Array, places: Array, count: int, steps: Array) -> int:
-    """Remove needless pixels among the first ``count`` places, until there are none; return how many."""
-    total, before = 0, -1
-    while total > before:
-        before = total
+def _thin_out(bits: Array, words: Array, places: Array, count: int, row: int) -> None:
+    """Remove needless pixels among the first ``count`` places, until there are none."""
+    changed = True
+    while changed:
+        changed = False
         for i in range(count):
             here = places[i]
-            if _NEEDLESS[around[here]]:
-                _drop(state, around, here, steps)
-                total += 1
-    return total
+            if _NEEDLESS[_pattern(words, here, row)] and has(bits, here):
+                clear(bits, here)
+                changed = True
 
 
 @called
-def _branch(around: Array, end: int, steps: Array, path: Array) -> tuple[int, int]:
+def _branch(words: Array, end: int, steps: Array, path: Array) -> tuple[int, int]:
     """Follow a line from its free end into ``path``; return its length and where it branches, or 0, -1."""
     here, length, back = end, 0, 0
     while length < len(path):
-        pattern = around[here] & ~back
+        pattern = _pattern(words, here, steps[2] >> 3) & ~back
         if pattern == 0:
             break  # a line of its own
         way = _FIRST[pattern]
@@ -208,36 +172,40 @@ def _branch(around: Array, end: int, steps: Array, path: Array) -> tuple[int, in
 
 @called
 def _prune(
-    state: Array, around: Array, odd: Array, odds: int, most: int, steps: Array, longest: int
-) -> tuple[int, int]:
+    bits: Array, words: Array, listed: Array, odd: Array, odds: int, most: int, steps: Array, longest: int
+) -> int:
     """Remove branches of up to ``longest`` pixels that end freely, shortest first, and what becomes needless then.
 
-    The ends are among the first ``odds`` of ``odd``; there may be ``most``. Where branches were is added to that list.
-    Returns its length and how many pixels were removed.
+    The ends are among the first ``odds`` of ``odd``; there may be ``most``. Where branches were is added to that list,
+    whose length is returned.
     """
+    row = steps[2] >> 3
     path = np.empty(longest + 1, np.int32)
     beside = np.empty(9, np.int32)
     ends, lengths = np.empty(most, np.int32), np.empty(most, np.int32)
-    count = removed = 0
+    marked = np.zeros(len(bits), np.uint64)
+    count = 0
     for i in range(odds):  # ends are many, branches few: seen from there, most ends need no look
         branch = odd[i]
-        pattern = around[branch] if _COUNT[around[branch]] > 2 else np.uint8(0)
+        pattern = _pattern(words, branch, row)
+        if _COUNT[pattern] < 3 or not has(bits, branch):
+            continue
         while pattern:
             way = _FIRST[pattern]
             pattern &= pattern - 1
             here = branch
             for _ in range(longest):
                 here += steps[way]
-                ahead = around[here] & ~(1 << (way ^ 4))
+                ahead = _pattern(words, here, row) & ~(1 << (way ^ 4))
                 if ahead == 0:
-                    state[here] |= _USED
+                    put(marked, here)
                 if ahead == 0 or ahead & (ahead - 1):
                     break
                 way = _FIRST[ahead]
     for i in range(odds):
-        if state[odd[i]] & _USED:
-            state[odd[i]] &= 255 - _USED
-            ends[count], (lengths[count], _) = odd[i], _branch(around, odd[i], steps, path)
+        if has(marked, odd[i]):
+            clear(marked, odd[i])
+            ends[count], (lengths[count], _) = odd[i], _branch(words, odd[i], steps, path)
             count += 1
     # Short branches first: of two at the end of a line the longer one continues it.
     for shortest in range(1, longest + 1):
@@ -245,45 +213,42 @@ def _prune(
         while i < count:
             end = ends[i]
             i += 1
-            if lengths[i - 1] > shortest or _COUNT[around[end]] != 1:
+            if lengths[i - 1] > shortest or not has(bits, end) or _COUNT[_pattern(words, end, row)] != 1:
                 continue
-            length, branch = _branch(around, end, steps, path)
+            length, branch = _branch(words, end, steps, path)
             if length == 0 or length > shortest:
                 lengths[i - 1] = length if length > 0 else longest + 1
                 continue
             for j in range(length):
-                _drop(state, around, path[j], steps)
-            removed += length
+                clear(bits, path[j])
             near = 0
-            pattern = around[branch]
+            pattern = _pattern(words, branch, row)
             while pattern:
                 beside[near] = branch + steps[_FIRST[pattern]]
                 pattern &= pattern - 1
                 near += 1
             beside[near] = branch
-            removed += _thin_out(state, around, beside, near + 1, steps)
+            _thin_out(bits, words, beside, near + 1, row)
             for j in range(near + 1):
-                odds = _add(state, odd, odds, beside[j])
-                if count < len(ends) and _COUNT[around[beside[j]]] == 1:
+                odds = _add(bits, listed, odd, odds, beside[j])
+                alive = has(bits, beside[j])
+                if count < len(ends) and alive and _COUNT[_pattern(words, beside[j], row)] == 1:
                     ends[count], lengths[count] = beside[j], 0
                     count += 1
-    return odds, removed
+    return odds
 
 
 @called
-def _cut(
-    state: Array, packed: Array, around: Array, corners: Array, stride: int, radius: float, farthest: float
-) -> tuple[Array, Array, int, int]:
-    """Clear what lies within a radius of a corner (N, 2) px; patterns of what is beside it are left as they were.
+def _cut(words: Array, corners: Array, row: int, radius: float, farthest: float) -> tuple[Array, Array, int]:
+    """Clear what lies within a radius of a corner (N, 2) px.
 
-    ``packed`` has a bit for each pixel of the frame, set where an edge is or was. Returns what else it has up to the
-    radius ``farthest``, as the bits of some rows around a corner, one after the other, as many as make a word; where
-    each word begins, its corner, x, y; how many columns a row has in it; and how many pixels were cleared.
+    Returns what else there is up to the radius ``farthest``, as the bits of some rows around a corner, one after the
+    other, as many as make a word; where each word begins, its corner, x, y; and how many columns a row has in it.
     """
-    width, height = stride - 2, len(state) // stride - 2
+    height = len(words) // row - 2
     reach = int(farthest)
     side = 2 * reach + 1
-    parts = (side + 63) // 64
+    parts = (side + 56) // 57  # a word that begins at a byte has at least so many of the bits wanted
     columns = (side + parts - 1) // parts
     rows = 64 // columns
     across, down = np.arange(64) % columns, np.arange(64) // columns
@@ -293,28 +258,23 @@ def _cut(
             for bit in range(rows * columns):
                 x, y = part * columns + across[bit] - reach, group * rows + down[bit] - reach
                 if x * x + y * y <= radius * radius:
-                    inner[part, group] |= np.uint64(1) << np.uint64(bit)
+                    inner[part, group] |= _ONE << np.uint64(bit)
                 elif x * x + y * y <= farthest * farthest:
-                    outer[part, group] |= np.uint64(1) << np.uint64(bit)
+                    outer[part, group] |= _ONE << np.uint64(bit)
     begins, remains = np.empty((len(corners), 3), np.int32), np.empty(len(corners), np.uint64)
-    count = removed = 0
+    mask = ~np.uint64(0) >> np.uint64(64 - columns)
+    count = 0
     for i in range(len(corners)):
         for part in range(parts):
             left = corners[i, 0] - reach + part * columns
-            first = max(left, 0)
-            shift = np.uint64(first - left)
-            inside = min(min(left + columns, corners[i, 0] + reach + 1), width) - first
-            if inside <= 0:
-                continue
-            mask = ~np.uint64(0) >> np.uint64(64 - inside)
+            shift = np.uint64((left + MARGIN) & 7)
             for group in range(inner.shape[1]):
                 top = corners[i, 1] - reach + group * rows
+                low, high = max(top, 0), min(top + rows, height)
                 word = np.uint64(0)
-                for y in range(max(top, 0), min(min(top + rows, corners[i, 1] + reach + 1), height)):
-                    place = (y + 1) * stride + first + 1
-                    low, high = packed[np.uint64(place >> 6)], packed[np.uint64((place >> 6) + 1)]
-                    row = (low >> np.uint64(place & 63)) | ((high << np.uint64(1)) << np.uint64(63 - (place & 63)))
-                    word |= ((row & mask) << shift) << np.uint64((y - top) * columns)
+                for y in range(low, high):
+                    place = np.uint64((y + 1) * row + ((left + MARGIN) >> 3))
+                    word |= ((words[place] >> shift) & mask) << np.uint64((y - top) * columns)
                 if word == 0:
                     continue
                 if count == len(remains):
@@ -323,33 +283,29 @@ def _cut(
                 remains[count] = word & outer[part, group]
                 count += remains[count] != 0
                 word &= inner[part, group]
-                while word:
-                    bit = _lowest(word)
-                    word &= word - np.uint64(1)
-                    here = (top + down[bit] + 1) * stride + left + across[bit] + 1
-                    removed += state[np.uint64(here)] != 0
-                    state[np.uint64(here)] = around[np.uint64(here)] = 0
-    return remains[:count], begins[:count], columns, removed
+                for y in range(low, high if word else low):
+                    place = np.uint64((y + 1) * row + ((left + MARGIN) >> 3))
+                    words[place] &= ~(((word >> np.uint64((y - top) * columns)) & mask) << shift)
+    return remains[:count], begins[:count], columns
 
 
 @called
 def _ends_near(
-    state: Array,
-    quads: Array,
-    around: Array,
+    bits: Array,
+    words: Array,
+    listed: Array,
     odd: Array,
     odds: int,
-    cut: tuple[Array, Array, int, int],
+    cut: tuple[Array, Array, int],
     corners: Array,
-    stride: int,
+    row: int,
     radius: float,
 ) -> tuple[Array, int]:
     """Return pairs (N, 2) of a free end within a radius of a corner, and that corner, the nearest pairs first.
 
-    Ends get marked as used. ``cut`` is from ``_cut``; the patterns of these pixels are renewed, and they are added to
-    the list ``odd``, whose length is returned, too.
+    ``cut`` is from ``_cut``; these pixels are added to the list ``odd``, whose length is returned, too.
     """
-    remains, begins, columns, _ = cut
+    remains, begins, columns = cut
     across, down = np.arange(64) % columns, np.arange(64) // columns
     most = int(radius * radius)
     found = np.empty((4096, 3), np.int32)
@@ -359,24 +315,21 @@ def _ends_near(
         i, left, top = begins[number]
         word = remains[number]
         while word:
-            bit = _lowest(word)
-            word &= word - np.uint64(1)
+            bit = lowest(word)
+            word &= word - _ONE
             x, y = left + across[bit], top + down[bit]
-            here = (y + 1) * stride + x + 1
-            if state[np.uint64(here)] == 0:  # removed before, or cut at another corner
+            here = (y + 1) * 8 * row + x + MARGIN
+            if not has(bits, here):  # cut at another corner
                 continue
-            pattern = _pattern(_neighbours(quads, here, stride), 7)
-            around[np.uint64(here)] = pattern
-            odds = _add(state, odd, odds, here)
+            odds = _add(bits, listed, odd, odds, here)
             square = (x - corners[i, 0]) ** 2 + (y - corners[i, 1]) ** 2
-            if _COUNT[np.uint64(pattern)] > 1 or square > most:
+            if square > most or _COUNT[_pattern(words, here, row)] > 1:
                 continue
             if count == len(found):
                 found = np.concatenate((found, found))
             found[count, 0], found[count, 1], found[count, 2] = here, i, square
             count += 1
             starts[square + 1] += 1
-            state[here] |= _USED
     for square in range(most):
         starts[square + 1] += starts[square]
     pairs = np.empty((count, 2), np.int32)
@@ -389,124 +342,135 @@ def _ends_near(
 
 @called
 def _lead(
-    state: Array,
-    quads: Array,
-    around: Array,
-    packed: Array,
+    bits: Array,
+    words: Array,
+    listed: Array,
     odd: Array,
     odds: int,
     corners: Array,
     steps: Array,
     farthest: float,
-) -> tuple[int, int]:
+) -> int:
     """Draw lines from free ends to the nearest corner (N, 2) px within reach.
 
     Edges round corners off on the outside, so what passes within three quarters of the reach is cut first. All pairs
-    are seen from the corners, which are fewer than pixels. Pixels with new neighbours are added to the list ``odd``.
-    Returns its length, and how many pixels there are more than before.
+    are seen from the corners, which are fewer than pixels. Pixels with new neighbours are added to the list ``odd``,
+    whose length is returned.
     """
     stride = steps[2]
+    row = stride >> 3
     radius = 0.75 * farthest
-    cut = _cut(state, packed, around, corners, stride, radius, max(farthest, radius + 1.5))  # with all neighbours
-    pairs, odds = _ends_near(state, quads, around, odd, odds, cut, corners, stride, farthest)
-    first = odds
+    # With all neighbours of what is cut, and of what is drawn but for the first pixel of each line.
+    cut = _cut(words, corners, row, radius, max(farthest + 0.25, radius + 1.5))
+    pairs, odds = _ends_near(bits, words, listed, odd, odds, cut, corners, row, farthest)
+    led = np.zeros(len(bits), np.uint64)
+    firsts = np.empty(len(pairs), np.int32)
+    lines = 0
     for i in range(len(pairs)):
         start, corner = pairs[i, 0], corners[pairs[i, 1]]
-        if state[start] & _USED == 0:  # led to a nearer one
+        if has(led, start):  # to a nearer one
             continue
-        state[start] &= 255 - _USED
-        x0, y0 = start % stride - 1, start // stride - 1
+        put(led, start)
+        x0, y0 = start % stride - MARGIN, start // stride - 1
         dx, dy = corner[0] - x0, corner[1] - y0
         length = max(abs(dx), abs(dy))
         for j in range(1, length + 1):
             x, y = x0 + int(np.rint(dx * j / length)), y0 + int(np.rint(dy * j / length))
-            here = (y + 1) * stride + x + 1
-            if state[np.uint64(here)] == 0:
-                state[np.uint64(here)] = _KEPT | _DRAWN | _LISTED
+            here = (y + 1) * stride + x + MARGIN
+            if j == 1:
+                firsts[lines] = here
+                lines += 1
+            if not has(bits, here):
+                put(bits, here)
+                put(listed, here)
                 odd[np.uint64(odds)] = here
                 odds += 1
-    drawn = odds - first
-    for i in range(first, first + drawn):
-        here = odd[i]
-        neighbours = _neighbours(quads, here, stride)
-        pattern = _pattern(neighbours, 7)
-        around[here] = pattern
-        old = np.int64(pattern) & ~np.int64(_pattern(neighbours, 0))
-        while old:
-            way = _FIRST[old]
-            old &= old - 1
-            around[here + steps[way]] |= 1 << (way ^ 4)
-            odds = _add(state, odd, odds, here + steps[way])
-    for i in range(first, first + drawn):
-        state[odd[i]] = _KEPT | _LISTED
-    return odds, drawn - cut[3]
+    for i in range(lines):
+        here = firsts[i]
+        pattern = _pattern(words, here, row)
+        while pattern:
+            odds = _add(bits, listed, odd, odds, here + steps[_FIRST[pattern]])
+            pattern &= pattern - 1
+    return odds
 
 
 @called
-def _follow(around: Array, chain: Array, filled: int, stride: int, turns: Array, way: int) -> int:
+def _follow(
+    words: Array, linked: Array, labels: Array, chain: Array, filled: int, stride: int, turns: Array, way: int
+) -> int:
     """Append to ``chain`` (x, y), whose last pixel is the first of ``filled``, up to a node or what is linked already.
 
-    ``way`` is the direction of the first step; ``turns`` tells the next one by direction and pattern, and, times eight,
-    how far away it lies. Patterns of what is linked become 0. Returns the new ``filled``.
+    ``way`` is the direction of the first step; ``turns`` tells the next one by direction and window, and, times
+    sixteen, how far away it lies; 8 for a node. Returns the new ``filled``.
     """
+    row = stride >> 3
     x, y = chain[filled - 1, 0], chain[filled - 1, 1]
-    here = (y + 1) * stride + x + 1
+    here = (y + 1) * stride + x + MARGIN
     to = np.uint64(way)
     here += _DY[to] * stride + _DX[to]
     while True:
         x, y = x + _DX[to], y + _DY[to]
         chain[np.uint64(filled), 0], chain[np.uint64(filled), 1] = x, y
+        labels[np.uint64(y), np.uint64(x)] = EDGE
         filled += 1
-        pattern = around[np.uint64(here)]
-        if _COUNT[np.uint64(pattern)] != 2:
+        turn = turns[to, window(words, here, row)]
+        if turn == 8 or has(linked, here):
             return filled
-        around[np.uint64(here)] = 0
-        turn = turns[to, np.uint64(pattern)]
-        here += turn >> 3
+        put(linked, here)
+        here += turn >> 4
         to = np.uint64(turn & 7)
 
 
 @called
 def _link(
-    state: Array, around: Array, kept: Array, alive: int, odd: Array, odds: int, corners: Array, steps: Array
+    bits: Array,
+    words: Array,
+    listed: Array,
+    labels: Array,
+    most: int,
+    odd: Array,
+    odds: int,
+    corners: Array,
+    steps: Array,
 ) -> tuple[Array, Array]:
     """Return chains of neighbouring pixels between ends, branches and corners: points (N, 2) x, y, starts (M + 1,).
 
-    All pixels that may have other than two neighbours are among the first ``odds`` of ``odd``; closed lines without
-    such among ``kept``. Of all there are ``alive`` pixels.
+    All pixels that may have other than two neighbours are among the first ``odds`` of ``odd``. Of all there are at most
+    ``most``. Each is told in ``labels``.
     """
     stride = steps[2]
+    row = stride >> 3
+    linked = np.zeros(len(bits), np.uint64)
     nodes = links = 0
     node_places, patterns = np.empty(len(corners) + odds, np.int32), np.empty(len(corners) + odds, np.uint8)
     for i in range(len(corners)):  # a line that goes through a corner is two
-        here = (corners[i, 1] + 1) * stride + corners[i, 0] + 1
-        if state[here] == 0:
-            continue
-        pattern = _DIRECT[around[here]]
-        if _COUNT[pattern] == 2:
+        here = (corners[i, 1] + 1) * stride + corners[i, 0] + MARGIN
+        pattern = _STEPS[window(words, here, row)]
+        if _COUNT[pattern] == 2 and has(bits, here) and not has(linked, here):
             node_places[nodes], patterns[nodes] = here, pattern
-            state[here], around[here] = _KEPT, 0
+            put(linked, here)
+            clear(listed, here)
             links += 2
             nodes += 1
     for i in range(odds):
         here = odd[i]
-        if state[here] & _LISTED == 0:  # removed, or a second time
+        if not (has(bits, here) and has(listed, here)):  # removed, or a second time
             continue
-        state[here] = _KEPT
-        pattern = _DIRECT[around[here]]
-        around[here] = pattern
+        clear(listed, here)
+        pattern = _STEPS[window(words, here, row)]
         if _COUNT[pattern] != 2:
             node_places[nodes], patterns[nodes] = here, pattern
             links += max(_COUNT[pattern], 1)
             nodes += 1
-    between = alive - nodes  # these have two neighbours
-    turns = (steps * 8 + np.arange(8, dtype=np.int32))[_AHEAD_FLAT].reshape(8, 256)
-    chain = np.empty((2 * between + 2 * links + 2, 2), np.int32)
-    starts = np.zeros(between + links + 2, np.int64)
-    filled = chains = 0
+    turns = (np.append(steps, 0) * 16 + np.arange(9)).astype(np.int32)[_ONWARD].reshape(8, 512)
+    # At most; what is not written costs nothing.
+    chain = np.empty((2 * most + 2 * links + 2, 2), np.int32)
+    starts = np.empty(most + links + 2, np.int64)
+    filled = chains = starts[0] = 0
     for i in range(nodes):
         node, pattern = node_places[i], patterns[i]
-        x, y = node % stride - 1, node // stride - 1
+        x, y = node % stride - MARGIN, node // stride - 1
+        labels[y, x] = EDGE
         if pattern == 0:
             chain[filled, 0], chain[filled, 1] = x, y
             filled += 1
@@ -515,50 +479,46 @@ def _link(
         while pattern:
             way = _FIRST[pattern]
             pattern &= pattern - 1
-            if around[node + steps[way]] == 0:  # linked already, from its other end
+            if has(linked, node + steps[way]):  # already, from its other end
                 continue
             chain[filled, 0], chain[filled, 1] = x, y
-            filled = _follow(around, chain, filled + 1, stride, turns, way)
+            filled = _follow(words, linked, labels, chain, filled + 1, stride, turns, way)
             chains += 1
-            between -= filled - starts[chains - 1] - 2
             starts[chains] = filled
-        around[node] = 0
-    for i in range(len(kept) if between > 0 else 0):  # what is left are closed lines without branches
-        start = kept[i]
-        pattern = around[start]
-        if pattern == 0:
-            continue
-        around[start] = 0
-        chain[filled, 0], chain[filled, 1] = start % stride - 1, start // stride - 1
-        filled = _follow(around, chain, filled + 1, stride, turns, _FIRST[pattern])
-        chains += 1
-        starts[chains] = filled
+        put(linked, node)
+    for i in range(len(bits)):  # what is left are closed lines without branches
+        while bits[i] & ~linked[i]:
+            start = 64 * i + lowest(bits[i] & ~linked[i])
+            put(linked, start)
+            chain[filled, 0], chain[filled, 1] = start % stride - MARGIN, start // stride - 1
+            way = _FIRST[_pattern(words, start, row)]
+            filled = _follow(words, linked, labels, chain, filled + 1, stride, turns, way)
+            chains += 1
+            starts[chains] = filled
     return chain[:filled], starts[: chains + 1]
 
 
 @compiled
 def trace(
-    marks: Array,
-    quads: Array,
-    seeds: Array,
+    bits: Array,
+    words: Array,
     strength: Array,
     least: int,
     weight: float,
     longest: int,
     corners: Array,
     farthest: float,
+    labels: Array,
 ) -> tuple[Array, Array]:
     """Link thinned pixels to chains.
 
     Parameters
     ----------
-    marks
-        (H + 2, W + 2) uint8, framed by a pixel of zeros: 1 where an edge may be; it is changed to 128 on edges, 255 on
-        corners.
-    quads
-        (N - 3,) uint32: the same memory, any four bytes as a number, the first the lowest.
-    seeds
-        (N,) int32 places in ``marks``, taken as one row: what is connected with one of them is kept.
+    bits
+        (2, H + 3, B) uint64, bitmaps (see bitmap.py) of the pixels where an edge may be, which is changed, and of
+        strong ones among them: what is connected with one of these is kept.
+    words
+        The memory of the first, as words of 64 bits that begin at every byte.
     strength
         (H, W) float32, looked at for ``weight`` only.
     least, weight
@@ -569,6 +529,8 @@ def trace(
         (M, 2) int32 px inside the picture.
     farthest
         Free ends this near to a corner are led to it, px; 0 for none.
+    labels
+        (H, W) uint8 zeros, which become 128 on edges, 255 at corners.
 
     Returns
     -------
@@ -576,38 +538,32 @@ def trace(
         Points (K, 2) int32 x, y; starts (C + 1,): chain i is points[starts[i]:starts[i + 1]], a closed one repeats its
         first point.
     """
-    stride = marks.shape[1]
-    state = marks.reshape(marks.size)
-    steps = _DY * stride + _DX
-    around = np.empty(marks.size, np.uint8)
-    kept, odd, odds, packed = _connected(state, quads, around, seeds, strength, steps, least, weight)
-    alive = len(kept) - _thin_out(state, around, odd, odds, steps)
+    flat, strong = bits[0].reshape(bits[0].size), bits[1].reshape(bits[1].size)
+    stride = 64 * bits.shape[2]
+    steps = (_DY * stride + _DX).astype(np.int32)
+    count, odd, odds, listed = _connected(flat, words, strong, strength, steps, least, weight)
+    _thin_out(flat, words, odd, odds, stride >> 3)
     if longest > 0:
-        odds, removed = _prune(state, around, odd, odds, len(kept) + 1, steps, longest)
-        alive -= removed
+        odds = _prune(flat, words, listed, odd, odds, count + 1, steps, longest)
     if farthest > 0.0 and len(corners) > 0:
-        odds, more = _lead(state, quads, around, packed, odd, odds, corners, steps, farthest)
-        alive += more
-    points, starts = _link(state, around, kept, alive, odd, odds, corners, steps)
+        odds = _lead(flat, words, listed, odd, odds, corners, steps, farthest)
+    points, starts = _link(flat, words, listed, labels, count + odds, odd, odds, corners, steps)
     for i in range(len(corners)):
-        state[(corners[i, 1] + 1) * stride + corners[i, 0] + 1] = _CORNER
+        labels[corners[i, 1], corners[i, 0]] = CORNER
     return points, starts
 
 
 @compiled
-def candidates(thinned: Array, low: float, high: float) -> tuple[Array, Array]:
-    """Return marks and seeds, as ``trace`` takes them, of (H, W) float32: what is at least ``low``, and ``high``."""
+def candidates(thinned: Array, low: float, high: float, bits: Array) -> None:
+    """Set in two empty bitmaps what of (H, W) float32 is at least ``low``, and what at least ``high``."""
     height, width = thinned.shape
     lower, upper, zero = np.float32(low), np.float32(max(low, high)), np.float32(0.0)
-    result = np.zeros((height + 2, width + 2), np.uint8)
-    seeds = np.empty(4096, np.int32)
-    words = np.zeros((width + 31) // 32 * 4, np.uint64)
+    words = np.zeros((2, (width + 7) // 8), np.uint64)
     marks = words.view(np.uint8)
-    count = 0
     for y in range(height):
-        row, out = thinned[y], result[y + 1, 1:]
+        row = thinned[y]
         for x in range(width):
-            out[x] = (row[x] > zero) & (row[x] >= lower)
-            marks[x] = (row[x] > zero) & (row[x] >= upper)
-        seeds, count = collect_marked(words, width, (y + 1) * (width + 2) + 1, seeds, count)
-    return result, seeds[:count]
+            marks[0, x] = (row[x] > zero) & (row[x] >= lower)
+            marks[1, x] = (row[x] > zero) & (row[x] >= upper)
+        for i in range(2):
+            pack(words[i], words.shape[1], bits[i, y + 1, MARGIN // 8 :])

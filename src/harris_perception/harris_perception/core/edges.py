@@ -15,13 +15,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core import bitmap
 from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edge_tracing as tracing
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, gaussian_taps
 from harris_perception.core.sampling import mean_around
 from icu_common.core.config import Config, setting
 
-FLAT, EDGE, CORNER = 0, 128, 255
+FLAT, EDGE, CORNER = 0, tracing.EDGE, tracing.CORNER
 """Values of the label picture."""
 
 _NO_STRENGTH = np.empty((0, 0), np.float32)
@@ -222,8 +223,9 @@ class EdgeDetector:
     def edges_of(self, thinned: npt.NDArray[Any], corners_xy: npt.ArrayLike = ()) -> Edges:
         """Do the second half of ``detect``, from what ``thinned`` has returned."""
         config, values = self.config, np.ascontiguousarray(thinned, np.float32)
-        marks, seeds = tracing.candidates(values, config.low_of_high * config.high, config.high)
-        return traced(marks, seeds, config, corners_xy, values, config.min_weight_px * config.high)
+        bits = bitmap.blank(2, *values.shape)
+        tracing.candidates(values, config.low_of_high * config.high, config.high, bits)
+        return traced(bits, values.shape, config, corners_xy, values, config.min_weight_px * config.high)
 
 
 class CombinedDetector:
@@ -262,30 +264,30 @@ class CombinedDetector:
             For another shape or dtype, or a response other than ``harris``.
         """
         config = self.edges
-        corners, pixels = self._detector.detect_with_edges(gray, config.low_of_high * config.high, config.high)
-        return corners, traced(pixels.marks, pixels.seeds, config, corners.xy)
+        corners, bits = self._detector.detect_with_edges(gray, config.low_of_high * config.high, config.high)
+        return corners, traced(bits, gray.shape, config, corners.xy)
 
 
 def traced(
-    marks: npt.NDArray[np.uint8],
-    seeds: npt.NDArray[np.int32],
+    bits: npt.NDArray[np.uint8],
+    shape: tuple[int, ...],
     config: TracingConfig,
     corners_xy: npt.ArrayLike,
     strength: npt.NDArray[np.float32] = _NO_STRENGTH,
     weight: float = 0.0,
 ) -> Edges:
-    """Return the edges of a picture from its thinned pixels, given as to ``tracing.trace``; ``marks`` become labels."""
-    height, width = marks.shape[0] - 2, marks.shape[1] - 2
-    if 0 in (height, width):
-        return Edges(marks[1:-1, 1:-1], np.empty((0, 2), np.int32), np.zeros(1, np.int64))
+    """Return the edges of a picture of a shape (H, W) from its thinned pixels, as ``tracing.trace``."""
+    height, width = shape
+    labels = np.full(shape, FLAT, np.uint8)
+    if 0 in shape:
+        return Edges(labels, np.empty((0, 2), np.int32), np.zeros(1, np.int64))
     corners = np.rint(np.asarray(corners_xy, np.float64).reshape(-1, 2)).astype(np.int32)
     if ((corners < 0) | (corners >= (width, height))).any():
         raise ValueError(f"a corner lies outside the picture of {width} x {height} px")
-    quads = np.ndarray(marks.size - 3, np.uint32, marks, strides=(1,))
-    points, starts = tracing.trace(
-        marks, quads, seeds, strength, config.min_length_px, weight, config.max_spur_px, corners, config.max_gap_px
-    )
-    return Edges(marks[1:-1, 1:-1], points, starts)
+    limits = (config.min_length_px, weight, config.max_spur_px)
+    words = bitmap.wide(bits[0])
+    points, starts = tracing.trace(bits.view(np.uint64), words, strength, *limits, corners, config.max_gap_px, labels)
+    return Edges(labels, points, starts)
 
 
 def _half_taps(sigma: float) -> npt.NDArray[np.float32]:

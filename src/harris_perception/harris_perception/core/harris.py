@@ -19,18 +19,18 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core import deriche
+from harris_perception.core import bitmap, deriche
 from harris_perception.core import harris_kernels as kernels
 from harris_perception.core.structure import structure_of
 from icu_common.core.config import Config, ConfigError, setting
 
 F32 = npt.NDArray[Any]
 
-Band = tuple[F32, float, npt.NDArray[np.int32]]
+Band = tuple[F32, float]
 BandMap = Callable[[Callable[[Callable[[], Band]], Band], Iterable[Callable[[], Band]]], Iterable[Band]]
 
 _RESPONSES = ("harris", "shi_tomasi", "noble", "geometric")
-_NO_EDGES = (0.0, 0.0, np.empty((0, 0), np.uint8))
+_NO_EDGES = (0.0, 0.0, np.empty((2, 0, 0), np.uint8))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,23 +109,6 @@ class Corners:
         return len(self.response)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EdgePixels:
-    """Pixels with R < 0 that are minima of R across the edge.
-
-    Attributes
-    ----------
-    marks
-        (H + 2, W + 2) uint8, framed by a pixel: 1 where an edge may be, else 0.
-    seeds
-        (N,) int32 places in ``marks``, taken as one row, ``(y + 1) * (W + 2) + x + 1``, of strong ones: of those that
-        touch at least the first.
-    """
-
-    marks: npt.NDArray[np.uint8]
-    seeds: npt.NDArray[np.int32]
-
-
 class HarrisDetector:
     """Detector with one configuration; it keeps no state between pictures.
 
@@ -192,8 +175,8 @@ class HarrisDetector:
         if min(response.shape) <= 2 * border:
             return self._selected([_nothing()])
         rows = (border, response.shape[0] - border)
-        thresholds = (config.absolute_threshold, config.relative_threshold, config.subpixel)
-        return self._selected([_peaks_of(response, border, *rows, *thresholds)])
+        thresholds: tuple[Any, ...] = (config.absolute_threshold, config.relative_threshold, config.subpixel)
+        return self._selected([kernels.peaks_of(response, border, *rows, *thresholds)])
 
     def _response(self, picture: npt.NDArray[Any]) -> tuple[F32, F32, F32]:
         """Return the response, and the sums of gx^2 and gy^2 without the frame of ``margin_px``."""
@@ -271,7 +254,9 @@ class HarrisDetector:
             return self._detect([gray])[0]
         return self._detect(gray)
 
-    def detect_with_edges(self, gray: npt.NDArray[Any], low: float, high: float) -> tuple[Corners, EdgePixels]:
+    def detect_with_edges(
+        self, gray: npt.NDArray[Any], low: float, high: float
+    ) -> tuple[Corners, npt.NDArray[np.uint8]]:
         """Return the corners, and the pixels of edges: both halves of the detector of 1988.
 
         Parameters
@@ -281,6 +266,12 @@ class HarrisDetector:
         low, high
             Strengths (-R / k)^(1/4), on a straight edge the gradient in grey levels per px, that a pixel and a strong
             pixel have at least.
+
+        Returns
+        -------
+        tuple
+            The corners, and bitmaps (2, H + 3, B) uint8 (see bitmap.py) of the pixels with R < 0 that are minima of R
+            across the edge: those at least as strong as ``low``, and those as ``high``.
 
         Raises
         ------
@@ -294,15 +285,14 @@ class HarrisDetector:
         gain = float((self._derivative * x).sum() * self._smooth.sum() * self._window.sum())
         weak, strong = (-self.config.k * (gain * max(least, 1e-6)) ** 4 for least in (low, max(low, high)))
         picture = checked(gray)
-        marks = np.zeros((picture.shape[0] + 2, picture.shape[1] + 2), np.uint8)
+        bits = bitmap.blank(2, *picture.shape)
         if self._fused:
-            found = list(self._run(_call, self._tasks(picture, (weak, strong, marks))))
-            seeds = np.concatenate([band[2] for band in found])
+            found = list(self._run(_call, self._tasks(picture, (weak, strong, bits))))
         else:
             response, a, b = self._response(picture)
             found = list(self._run(_call, self._tasks(picture, response=response)))
-            seeds = kernels.minima_of(response, a, b, self.margin_px + 1, weak, strong, marks)
-        return self._selected(found), EdgePixels(marks, seeds)
+            kernels.minima_of(response, a, b, self.margin_px + 1, weak, strong, bits)
+        return self._selected(found), bits
 
     def _detect(self, pictures: Sequence[npt.NDArray[Any]]) -> list[Corners]:
         tasks = [task for picture in pictures for task in self._tasks(checked(picture))]
@@ -329,7 +319,7 @@ class HarrisDetector:
             find: Callable[..., Band] = partial(kernels.fused_peaks, rows, centre, border)
             thresholds = (config.k, *thresholds, *edges)
         else:
-            find = partial(_peaks_of, self._response(picture)[0] if response is None else response, border)
+            find = partial(kernels.peaks_of, self._response(picture)[0] if response is None else response, border)
         limits = np.linspace(border, height - border, self._bands + 1).astype(int).tolist()
         return [partial(find, first, last, *thresholds) for first, last in pairwise(limits)]
 
@@ -352,11 +342,7 @@ def _call(task: Callable[[], Band]) -> Band:
 
 
 def _nothing() -> Band:
-    return np.empty((0, 3), np.float32), 0.0, np.empty(0, np.int32)
-
-
-def _peaks_of(*arguments: Any) -> Band:
-    return (*kernels.peaks_of(*arguments), _nothing()[2])
+    return np.empty((0, 3), np.float32), 0.0
 
 
 def checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:

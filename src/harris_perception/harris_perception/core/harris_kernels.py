@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.bitmap import MARGIN, pack
 from harris_perception.core.compiled import called, compiled, inlined
 
 Array = npt.NDArray[Any]
@@ -93,7 +94,7 @@ def _mark_all(
     g: Any,
     row: int,
     marks: Any,
-    out: Any,
+    minima: Any,
     n: int,
     floor: Any,
     weak: Any,
@@ -101,9 +102,9 @@ def _mark_all(
 ) -> None:
     """Mark peaks as ``_mark_peaks``, and minima along the axis nearer to the gradient.
 
-    Those below ``weak`` are marked in ``out``, those below ``strong`` in the second row of marks, ``_MARKS`` behind the
-    first. Element x of the responses lies under element x + 1 of the gradients, which begin at ``row`` of ``g``. This
-    is the thinning of the paper of 1988.
+    Those below ``weak`` are marked in ``minima``, those below ``strong`` ``_MARKS`` behind it. Element x of the
+    responses lies under element x + 1 of the gradients, which begin at ``row`` of ``g``. This is the thinning of the
+    paper of 1988.
     """
     for x in range(1, n - 1):
         r, west, east, north, south = here[x], here[x - 1], here[x + 1], above[x], below[x]
@@ -111,44 +112,8 @@ def _mark_all(
         before, after = west if along_x else north, east if along_x else south
         least = (r < before) & (r <= after)
         marks[x] = (r > floor) & (r > west) & (r >= east) & (r > north) & (r >= south)
-        out[x] = least & (r < weak)
-        marks[_MARKS + x] = least & (r < strong)
-
-
-@inlined
-def _mark_first(marks: Any, n: int) -> None:
-    """Mark in the third row what is marked in the second, but neither to its left nor above, in the fourth.
-
-    The fourth is the second of the row before, and becomes that for the next. Of all marked pixels that touch the first
-    is among these: enough for a flood to start from.
-    """
-    for x in range(1, n - 1):
-        before = marks[_MARKS + x - 1] | marks[3 * _MARKS + x - 1]
-        before |= marks[3 * _MARKS + x] | marks[3 * _MARKS + x + 1]
-        marks[2 * _MARKS + x] = marks[_MARKS + x] & ~before
-    for x in range(1, n - 1):  # a loop is vectorised, an assignment to a slice moves them one by one
-        marks[3 * _MARKS + x] = marks[_MARKS + x]
-
-
-@called
-def collect_marked(words: Any, n: int, place: int, places: Any, count: int) -> tuple[Any, int]:
-    """Append ``place`` + x of the columns of ``n`` that are marked; returns the list, longer where full, and count.
-
-    ``words`` are the marks, eight to a word, in blocks of four words.
-    """
-    marks = words.view(np.uint8)
-    if count + n + 32 > len(places):
-        places = np.concatenate((places, np.empty(len(places) + n + 32, places.dtype)))
-    for block in range((n + 31) // 32):
-        w = 4 * block
-        if (words[w] | words[w + 1] | words[w + 2] | words[w + 3]) == 0:
-            continue
-        for word in range(w, w + 4):
-            if words[word] != 0:
-                for x in range(8 * word, 8 * word + 8):
-                    places[count] = place + x
-                    count += marks[x]
-    return places, count
+        minima[x] = least & (r < weak)
+        minima[_MARKS + x] = least & (r < strong)
 
 
 @inlined
@@ -275,7 +240,7 @@ def fused_peaks(
     weak: float,
     strong: float,
     edges: Array,
-) -> tuple[Array, Any, Array]:
+) -> tuple[Array, Any]:
     """Return the peaks of the Harris response with a 3x3 gradient and a 3x3 box window in the rows first to last - 1.
 
     And set, where there is a picture for them, the pixels of edges: minima of the response across the edge.
@@ -300,13 +265,12 @@ def fused_peaks(
     weak, strong
         Negative: the response that continues an edge, and the one that starts it.
     edges
-        (H + 2, W + 2) uint8 zeros, framed by a pixel, that become 1 where an edge may be; (0, 0) for no edges.
+        Two empty bitmaps of the picture, for the pixels below ``weak`` and below ``strong``; (2, 0, 0) for no edges.
 
     Returns
     -------
     tuple
-        (N, 3) float32 x, y, response, and the threshold reached, which the first of them may not exceed; the places
-        (M,) int32 in ``edges``, taken as one row, of strong ones, at least the first of all that touch.
+        (N, 3) float32 x, y, response, and the threshold reached, which the first of them may not exceed.
     """
     width = gray.shape[1]
     centre = weight[0]
@@ -316,20 +280,21 @@ def fused_peaks(
     rows = np.empty(16 * _ROW, np.float32)
     r0, r1 = rows[12 * _ROW : 13 * _ROW], rows[13 * _ROW : 14 * _ROW]
     r2, r3 = rows[14 * _ROW : 15 * _ROW], rows[15 * _ROW :]
-    words = np.zeros(4 * _MARKS // 8, np.uint64)  # peaks, strong edges, seeds, strong edges of the row above
-    seed_words = words[2 * _MARKS // 8 :]
+    words = np.zeros(3 * _MARKS // 8, np.uint64)  # peaks, weak edges, strong edges
     marks = words.view(np.uint8)
+    # Marks of edges begin where a byte of the bitmap does, so many columns before the strip.
+    shift = border % 8
+    minima = marks[_MARKS + shift - 1 :]
     columns = np.empty(_ROW + 8, np.int32)
     weight_k, fraction, floor = np.float32(k), np.float32(relative), np.float32(absolute)
     found = np.empty((2048, 3), np.float32)
     count = 0
     low, high = np.float32(weak), np.float32(strong)
-    seeds = np.empty(4096 if edges.size > 0 else 0, np.int32)
-    seed_count = 0
     for start in range(border, width - border, _STRIP):
         x0 = start - 1  # column of the response's first element; its gradient starts one further left, the picture two
         n = min(start + _STRIP, width - border) + 1 - x0
         words[:] = 0
+        eighths, byte = (shift + n + 5) // 8, (MARGIN + start - shift) // 8
         for y in range(first - 2, last + 2, 2):  # y and y + 1 are gradient rows; responses are y - 1 and y
             p = x0 - 2
             # The last pair may lack its second row; what is computed from the repeated one is not looked at.
@@ -358,18 +323,15 @@ def fused_peaks(
                     continue
                 one, middle, other = (above, here, below) if i == 0 else (here, below, beyond)
                 if edges.size > 0:
-                    _mark_all(
-                        one, middle, other, before, 2 * i * _ROW, marks, edges[row + 1, x0 + 1 :], n, floor, low, high
-                    )
-                    _mark_first(marks, n)
-                    place = (row + 1) * (width + 2) + x0 + 1
-                    seeds, seed_count = collect_marked(seed_words, n, place, seeds, seed_count)
+                    _mark_all(one, middle, other, before, 2 * i * _ROW, marks, minima, n, floor, low, high)
+                    pack(words[_MARKS // 8 :], eighths, edges[0, row + 1, byte:])
+                    pack(words[2 * _MARKS // 8 :], eighths, edges[1, row + 1, byte:])
                 else:
                     _mark_peaks(one, middle, other, marks, n, floor)
                 found, count, floor = _collect(
                     one, middle, other, words, columns, n, x0, row, floor, fraction, subpixel, found, count
                 )
-    return found[:count], floor, seeds[:seed_count]
+    return found[:count], floor
 
 
 @compiled
@@ -398,19 +360,16 @@ def peaks_of(
 
 
 @compiled
-def minima_of(
-    response: Array, a: Array, b: Array, border: int, weak: float, strong: float, edges: Array
-) -> npt.NDArray[np.int32]:
-    """Set the pixels of edges and return the strong ones, as ``fused_peaks``, of a response picture (H, W) float32.
+def minima_of(response: Array, a: Array, b: Array, border: int, weak: float, strong: float, edges: Array) -> None:
+    """Set the pixels of edges, as ``fused_peaks``, of a response picture (H, W) float32.
 
     ``a`` and ``b`` are the sums of gx^2 and gy^2 of all but the outermost ``border - 1`` pixels; nearer than ``border``
     to the picture's edge there are no edges.
     """
     height, width = response.shape
-    words = np.zeros((width + 31) // 32 * 4 + 4, np.uint64)
+    eighths = (width + 7) // 8
+    words = np.zeros((2, eighths), np.uint64)
     marks = words.view(np.uint8)
-    seeds = np.empty(4096, np.int32)
-    count = 0
     low, high = np.float32(weak), np.float32(strong)
     for y in range(border, height - border):
         above, here, below = response[y - 1], response[y], response[y + 1]
@@ -419,10 +378,10 @@ def minima_of(
             along_x = ra[x - border + 1] >= rb[x - border + 1]
             before, after = (here[x - 1], here[x + 1]) if along_x else (above[x], below[x])
             least = (here[x] < before) & (here[x] <= after)
-            edges[y + 1, x + 1] = least & (here[x] < low)
-            marks[x] = least & (here[x] < high)
-        seeds, count = collect_marked(words, width, (y + 1) * (width + 2) + 1, seeds, count)
-    return seeds[:count]
+            marks[0, x] = least & (here[x] < low)
+            marks[1, x] = least & (here[x] < high)
+        for i in range(2):
+            pack(words[i], eighths, edges[i, y + 1, MARGIN // 8 :])
 
 
 @compiled

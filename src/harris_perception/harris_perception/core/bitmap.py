@@ -1,0 +1,82 @@
+"""Pictures of one bit a pixel: so small that they stay in the cache, and eight pixels are looked at in one go.
+
+Pixel (x, y) is bit ``MARGIN + x`` of row y + 1; its *place* is its number among all bits. Around the picture all bits
+are zero: a row above and one below, and between rows a margin so wide that no window around a pixel reaches the
+neighbouring row's pixels. One more row at the end lets the last words be read whole.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.compiled import called, inlined
+
+Array = npt.NDArray[Any]
+
+MARGIN = 64
+
+_ONE, _LAST = np.uint64(1), np.uint64(63)
+
+# A number whose products with the powers of two differ in their upper six bits, and
+# which power it was (C. Leiserson, H. Prokop, K. Randall, "Using de Bruijn Sequences to Index a 1 in a Computer Word").
+_DE_BRUIJN = np.uint64(0x022FDD63CC95386D)
+_POWERS = np.argsort([int(_DE_BRUIJN) * 2**i % 2**64 >> 58 for i in range(64)])
+
+
+def blank(count: int, height: int, width: int) -> npt.NDArray[np.uint8]:
+    """Return empty bitmaps for pictures of one size: (N, H + 3, B) uint8, eight bits to a byte, the lowest first."""
+    return np.zeros((count, height + 3, (MARGIN + width + 63) // 64 * 8), np.uint8)
+
+
+def wide(bits: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint64]:
+    """Return the same memory as words of 64 bits, one beginning at each byte."""
+    return np.ndarray(bits.size - 7, np.uint64, bits, strides=(1,))
+
+
+@inlined
+def pack(words: Any, count: int, out: Any) -> None:
+    """Set the bits of ``out``, uint8, that are marked in ``count`` words of eight bytes, each 0 or 1."""
+    for i in range(count):
+        word = words[i]
+        word = (word | (word >> np.uint64(7))) & np.uint64(0x0003000300030003)
+        word = (word | (word >> np.uint64(14))) & np.uint64(0x0000000F0000000F)
+        out[i] |= np.uint8((word | (word >> np.uint64(28))) & np.uint64(0xFF))
+
+
+@called
+def lowest(word: np.uint64) -> int:
+    """Return the number of the lowest bit that is set."""
+    return int(_POWERS[((word & (~word + _ONE)) * _DE_BRUIJN) >> np.uint64(58)])
+
+
+@called
+def window(words: Array, here: int, row: int) -> np.uint64:
+    """Return the bits of a window of 3x3, in the order of rows; ``row`` is the bytes of one."""
+    before = np.uint64(here - 1)
+    shift, middle = before & np.uint64(7), before >> np.uint64(3)
+    seven = np.uint64(7)
+    above = (words[middle - np.uint64(row)] >> shift) & seven
+    beside = (words[middle] >> shift) & seven
+    below = (words[middle + np.uint64(row)] >> shift) & seven
+    return np.uint64(above | (beside << np.uint64(3)) | (below << np.uint64(6)))
+
+
+@called
+def has(flags: Array, place: int) -> np.uint64:
+    """Tell whether a bit is set in words of 64."""
+    return np.uint64((flags[np.uint64(place) >> np.uint64(6)] >> (np.uint64(place) & _LAST)) & _ONE)
+
+
+@called
+def put(flags: Array, place: int) -> None:
+    """Set a bit."""
+    flags[np.uint64(place) >> np.uint64(6)] |= _ONE << (np.uint64(place) & _LAST)
+
+
+@called
+def clear(flags: Array, place: int) -> None:
+    """Clear a bit."""
+    flags[np.uint64(place) >> np.uint64(6)] &= ~(_ONE << (np.uint64(place) & _LAST))
