@@ -278,7 +278,7 @@ def traced(
 ) -> Edges:
     """Return the edges of a picture of a shape (H, W) from its thinned pixels, as ``tracing.trace``."""
     height, width = shape
-    labels = np.full(shape, FLAT, np.uint8)
+    labels = np.zeros(shape, np.uint8)  # all flat
     if 0 in shape:
         return Edges(labels, np.empty((0, 2), np.int32), np.zeros(1, np.int64))
     corners = np.rint(np.asarray(corners_xy, np.float64).reshape(-1, 2)).astype(np.int32)

@@ -139,6 +139,8 @@ class HarrisDetector:
         self._bands, self._run = bands, run
         self._derivative, self._smooth = _gradient_taps(self.config)
         self._window = _window_taps(self.config)
+        x = np.arange(len(self._derivative)) - len(self._derivative) // 2
+        self._gain = float((self._derivative * x).sum() * self._smooth.sum() * self._window.sum())
         fusable = self.config.window == "box" and self.config.window_px == 3 and self.config.response == "harris"
         self._fused = fusable and self.config.gradient in ("harris", "sobel")
 
@@ -281,9 +283,7 @@ class HarrisDetector:
         if self.config.response != "harris":
             raise ValueError(f"response = {self.config.response!r}: edges need 'harris'")
         # On a straight edge R = -k trace^2, and the trace is the squared gradient times the gain of kernels and window.
-        x = np.arange(len(self._derivative)) - len(self._derivative) // 2
-        gain = float((self._derivative * x).sum() * self._smooth.sum() * self._window.sum())
-        weak, strong = (-self.config.k * (gain * max(least, 1e-6)) ** 4 for least in (low, max(low, high)))
+        weak, strong = (-self.config.k * (self._gain * max(least, 1e-6)) ** 4 for least in (low, max(low, high)))
         picture = checked(gray)
         bits = bitmap.blank(2, *picture.shape)
         if self._fused:
