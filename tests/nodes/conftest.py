@@ -14,12 +14,18 @@ from icu_common.nodes.runtime import prepare_transport
 
 
 @pytest.fixture
-def ros(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
+def domain() -> int:
+    """The ROS domain of a test; a file may have one of its own."""
+    return domain_of_worker()
+
+
+@pytest.fixture
+def ros(domain: int, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
     """A private rclpy context on a domain of its own, discovery on this host only."""
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
     prepare_transport()
     context = Context()
-    rclpy.init(context=context, domain_id=domain_of_worker())
+    rclpy.init(context=context, domain_id=domain)
     rig = Ros(context)
     try:
         yield rig
