@@ -187,6 +187,29 @@ def test_chains_hold_every_edge_pixel_in_steps_of_one(seed: int, density: float,
     assert {(int(x), int(y)) for x, y in corners} == {(int(x), int(y)) for y, x in np.argwhere(found.labels == CORNER)}
 
 
+@settings(max_examples=150, deadline=None)
+@given(seed=st.integers(0, 100_000), density=st.floats(0.02, 0.4), gap=st.floats(0.0, 12.0))
+def test_chains_end_where_lines_end_branch_or_reach_a_corner(seed: int, density: float, gap: float) -> None:
+    rng = np.random.default_rng(seed)
+    thinned = np.where(rng.random((40, 50)) < density, 9.0, 0.0).astype(np.float32)
+    corners = np.column_stack((rng.integers(0, 50, 8), rng.integers(0, 40, 8)))
+    config = EdgeConfig(
+        high=2.0, min_length_px=2, min_weight_px=0.0, max_spur_px=int(rng.integers(0, 4)), max_gap_px=gap
+    )
+    found = EdgeDetector(config).edges_of(thinned, corners)
+    lines = {tuple(place) for place in found.points.tolist()}
+    at_corners = {tuple(place) for place in corners.tolist()}
+
+    def ways(x: int, y: int) -> int:
+        sides = {(x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)} & lines
+        direct = [(x + i, y + j) for i in (-1, 1) for j in (-1, 1) if not {(x + i, y), (x, y + j)} & lines]
+        return len(sides) + len(lines.intersection(direct))
+
+    for chain in found.chains:
+        for x, y in chain[1:-1].tolist():
+            assert ways(x, y) == 2 and (x, y) not in at_corners, (x, y)
+
+
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 100_000), density=st.floats(0.1, 0.8))
 def test_skeleton_keeps_the_pieces_together(seed: int, density: float) -> None:

@@ -360,12 +360,10 @@ def _lead(
     stride = steps[2]
     row = stride >> 3
     radius = 0.75 * farthest
-    # With all neighbours of what is cut, and of what is drawn but for the first pixel of each line.
-    cut = _cut(words, corners, row, radius, max(farthest + 0.25, radius + 1.5))
+    # With all neighbours of what is cut, and of what is drawn, which lie at most 0.593 px farther than its end.
+    cut = _cut(words, corners, row, radius, max(farthest + 0.6, radius + 1.5))
     pairs, odds = _ends_near(bits, words, listed, odd, odds, cut, corners, row, farthest)
     led = np.zeros(len(bits), np.uint64)
-    firsts = np.empty(len(pairs), np.int32)
-    lines = 0
     for i in range(len(pairs)):
         start, corner = pairs[i, 0], corners[pairs[i, 1]]
         if has(led, start):  # to a nearer one
@@ -377,20 +375,11 @@ def _lead(
         for j in range(1, length + 1):
             x, y = x0 + int(np.rint(dx * j / length)), y0 + int(np.rint(dy * j / length))
             here = (y + 1) * stride + x + MARGIN
-            if j == 1:
-                firsts[lines] = here
-                lines += 1
             if not has(bits, here):
                 put(bits, here)
                 put(listed, here)
                 odd[np.uint64(odds)] = here
                 odds += 1
-    for i in range(lines):
-        here = firsts[i]
-        pattern = _pattern(words, here, row)
-        while pattern:
-            odds = _add(bits, listed, odd, odds, here + steps[_FIRST[pattern]])
-            pattern &= pattern - 1
     return odds
 
 
