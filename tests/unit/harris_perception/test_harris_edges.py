@@ -82,6 +82,34 @@ def test_texture_counts_less_than_an_outline_of_the_same_contrast() -> None:
     assert strength[100:140, 30:170].max() > 2.0 * strength[60:180, 280:380].max()
 
 
+def test_textures_of_the_same_values_are_told_apart() -> None:
+    y, x = np.indices((120, 160))
+    picture = np.where(np.where(x < 80, x, y) % 4 < 2, 90, 130).astype(np.uint8)  # stripes down, stripes across
+    strength, without = (EdgeDetector(EdgeConfig(surround=0.0, texture=t)).thinned(picture) for t in (1.4, 0.0))
+    beside, apart = np.s_[20:100, 74:86], np.s_[20:100, 20:50]
+    assert strength[beside].max() > 5.0 * strength[apart].max()
+    assert strength[beside].max() > 5.0 * without[beside].max()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 100_000),
+    shape=st.tuples(st.integers(1, 9), st.integers(1, 40)),
+    way=st.tuples(st.integers(-2, 2), st.integers(-2, 2)),
+    most=st.integers(1, 255),
+)
+def test_bends_are_those_of_the_definition(
+    seed: int, shape: tuple[int, int], way: tuple[int, int], most: int
+) -> None:
+    framed = np.random.default_rng(seed).integers(0, 256, (shape[0] + 4, shape[1] + 4)).astype(np.uint8)
+    found = kernels.bends(framed, 2, *way, most)
+    assert found.shape == shape and found.dtype == np.uint8
+    for (y, x), value in np.ndenumerate(found):
+        before, after = framed[y + 2 - way[1], x + 2 - way[0]], framed[y + 2 + way[1], x + 2 + way[0]]
+        bend = abs(int(before) + int(after) - 2 * int(framed[y + 2, x + 2]))
+        assert value == min(bend, most) * (255 // most)
+
+
 def square() -> np.ndarray:
     picture = np.full((100, 110), 60, np.uint8)
     picture[25:75, 30:80] = 180

@@ -121,6 +121,34 @@ def strength_of(a: Array, b: Array, c: Array, k: float) -> Array:
 
 
 @compiled
+def bends(framed: Array, reach: int, dx: int, dy: int, most: int) -> Array:
+    """Return how far twice a pixel lies from the sum of the two at (dx, dy) px and opposite, (H, W) uint8.
+
+    Parameters
+    ----------
+    framed
+        (H + 2 reach, W + 2 reach) uint8.
+    reach
+        |dx| and |dy| are at most that.
+    dx, dy
+        Way to the other two, px.
+    most
+        Grey levels, 1 to 255; more counts as that, and all is as many times as great as makes at most 255.
+    """
+    height, width = framed.shape[0] - 2 * reach, framed.shape[1] - 2 * reach
+    limit, scale = np.int16(most), np.int16(255 // most)
+    result = np.empty((height, width), np.uint8)
+    for y in range(height):
+        here, out = framed[y + reach, reach:], result[y]
+        before, after = framed[y + reach - dy, reach - dx :], framed[y + reach + dy, reach + dx :]
+        for x in range(width):  # casts: numba widens sums of small integers to 64 bits
+            both = np.int16(np.int16(before[x]) + np.int16(after[x]))
+            bend = np.int16(both - np.int16(np.int16(2) * np.int16(here[x])))
+            out[x] = np.uint8(np.int16(min(np.int16(abs(bend)), limit)) * scale)
+    return result
+
+
+@compiled
 def weigh(strength: Array, difference: Array) -> None:
     """Multiply ``strength`` (H, W) by the square root of ``difference`` (H, W), in place."""
     for y in range(strength.shape[0]):

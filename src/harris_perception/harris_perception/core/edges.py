@@ -41,6 +41,13 @@ def _bins(low: float, high: float, count: int) -> npt.NDArray[np.float32]:
 _LIGHT_BINS = _bins(0.0, 255.0, 8)
 _COLOR_BINS = _bins(88.0, 168.0, 8)  # colors of photographs lie near to grey, which is 128
 
+_REACH = 2
+_BENDS = [(distance * x, distance * y) for distance in (1, _REACH) for x, y in ((1, 0), (0, 1), (1, 1), (1, -1))]
+"""Texture is how much the light bends: twice a pixel less two opposite ones, so far away (x, y) in px."""
+
+_BENT = 12
+"""Grey levels from which on a bend counts no more: texture, not contrast."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TracingConfig(Config):
@@ -63,13 +70,16 @@ class EdgeConfig(TracingConfig):
     """What is an outline.
 
     The window over the products is 1 2 1 both ways. Strengths are multiplied by how different the values (coded in
-    soft bins) are on either side at a coarse scale, and what surrounds a pixel on average is subtracted, so that
-    texture counts less than outlines.
+    soft bins) and the texture are on either side at a coarse scale, and what surrounds a pixel on average is
+    subtracted, so that texture counts less than outlines.
     """
 
     sigma_d_px: float = setting(1.5, "Scale of the derivatives", minimum=0.5, maximum=10.0, unit="px")
     coarse_sigma_px: float = setting(
         6.0, "Scale at which the sides of an edge must differ as well, 0 = none", minimum=0.0, maximum=40.0, unit="px"
+    )
+    texture: float = setting(
+        1.4, "Weight of the texture beside that of the values, where sides are compared", minimum=0.0, maximum=20.0
     )
     k: float = setting(
         0.24, "Weight of trace^2 in the response; more keeps bent edges whole", minimum=0.001, maximum=0.24
@@ -172,21 +182,20 @@ class EdgeDetector:
         """Return how different the sides of each pixel of the shrunk picture are, about 1 for nothing in common.
 
         Each channel is coded by how much of it falls into each of some bins that overlap (the channel representation
-        of G. Granlund); the strength of that picture of many channels compares local histograms.
+        of G. Granlund); the strength of that picture of many channels compares local histograms. What is compared of
+        texture is how much the light bends on average, in four directions at two distances: a step bends it in few
+        places.
         """
         height, width = channels[0][0].shape
         size = (-(-width // _SHRUNK), -(-height // _SHRUNK))
+        graded = [_of_256(channel, size) for channel, weight in channels if weight > 0.0]
         coded = []
-        for number, (channel, weight) in enumerate(channels):
-            if weight == 0.0:
-                continue
+        for number, channel in enumerate(graded):
             small = cv2.resize(channel, size, interpolation=cv2.INTER_AREA)
             bins = _COLOR_BINS if number else _LIGHT_BINS
-            if small.dtype != np.uint8:  # no range is agreed on for these: that of the picture is coded
-                small = np.where(np.isfinite(small), small, 0.0)
-                low, high = float(small.min()), float(small.max())
-                small = np.asarray((small - low) * (255.0 / max(high - low, 1e-9)), np.uint8)
             coded += [(np.asarray(cv2.LUT(small, table), np.float32), 1.0) for table in bins]
+        if self.config.texture > 0.0:
+            coded += [(bends, self.config.texture**2) for bends in _texture(graded[0], size)]
         strength: npt.NDArray[np.float32] = kernels.strength_of(*_structure(coded, self._coarse), self.config.k)
         # A smoothed step between two bins has a gradient of sqrt(2) / (sigma sqrt(2 pi)).
         return strength * np.float32(np.sqrt(np.pi) * self.config.coarse_sigma_px / _SHRUNK)
@@ -288,6 +297,24 @@ def traced(
     words = bitmap.wide(bits[0])
     points, starts = tracing.trace(bits.view(np.uint64), words, strength, *limits, corners, config.max_gap_px, labels)
     return Edges(labels, points, starts)
+
+
+def _texture(light: npt.NDArray[np.uint8], size: tuple[int, int]) -> list[npt.NDArray[np.float32]]:
+    """Return how much a picture bends in each of some directions, 0 to 1, shrunk to a size (width, height)."""
+    most = np.float32(_BENT * (255 // _BENT))
+    framed = cv2.copyMakeBorder(light, _REACH, _REACH, _REACH, _REACH, cv2.BORDER_REFLECT)
+    bends = (kernels.bends(framed, _REACH, *way, _BENT) for way in _BENDS)
+    return [np.asarray(cv2.resize(each, size, interpolation=cv2.INTER_AREA) / most, np.float32) for each in bends]
+
+
+def _of_256(channel: npt.NDArray[Any], size: tuple[int, int]) -> npt.NDArray[np.uint8]:
+    """Return a channel in 256 steps; no range is agreed on for others than uint8, so that of it shrunk is taken."""
+    if channel.dtype == np.uint8:
+        return channel
+    finite = np.where(np.isfinite(channel), channel, 0.0)
+    small = cv2.resize(finite, size, interpolation=cv2.INTER_AREA)
+    low, high = float(small.min()), float(small.max())
+    return np.asarray(np.clip((finite - low) * (255.0 / max(high - low, 1e-9)), 0.0, 255.0), np.uint8)
 
 
 def _half_taps(sigma: float) -> npt.NDArray[np.float32]:
