@@ -250,10 +250,29 @@ def test_edges_of_the_corners_pass_need_its_response(ros: Any) -> None:
     assert rig.node.set_parameters_atomically(outlines).successful
 
 
+@pytest.mark.parametrize("edge_method", ["combined", "outlines"])
+def test_repeatable_corners_stand_out_from_the_noise(ros: Any, edge_method: str) -> None:
+    noisy = (square().astype(np.float64) + np.random.default_rng(3).normal(0.0, 5.0, square().shape)).astype(np.uint8)
+    repeatable = {"corner_method": "repeatable", "repeatable.least": 0.0, "relative_threshold": 0.0}
+    rig = Rig(ros, {**repeatable, "edge_method": edge_method})
+    assert pixels(rig.corners_of(image_message(noisy, "mono8", header(1, "c")))) == SQUARE
+    labels: list[Image] = ros.collect(rig.probe, Image, "edges", qos.IMAGES)
+    ros.spin_until(lambda: rig.node.count_subscribers("edges") == 1, 10.0)
+    ros.spin_until(lambda: rig.probe.count_publishers("edges") == 1, 10.0)
+    assert pixels(rig.corners_of(image_message(noisy, "mono8", header(2, "c")))) == SQUARE
+    picture = image_array(ros.spin_until(lambda: labels and labels[-1], 10.0))
+    assert sorted(map(tuple, np.argwhere(picture == 255)[:, ::-1].astype(float).tolist())) == SQUARE
+    assert (picture[11:14, 14:46] == 128).any(axis=0).all(), "the upper side leads from corner to corner"
+    refused = rig.node.set_parameters([Parameter("repeatable.least", value=1.5)])[0]
+    assert not refused.successful and "1.5" in refused.reason
+    assert rig.node.set_parameters([Parameter("corner_method", value="fast")])[0].successful
+    assert len(rig.corners_of(image_message(noisy, "mono8", header(3, "c")))) > 20
+
+
 def test_parameter_file_names_every_setting_and_holds_the_defaults() -> None:
     path = Path(__file__).parents[2] / "config" / "params" / "corners.yaml"
     values = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
-    nested = ("combined", "edges")
+    nested = ("repeatable", "combined", "edges")
     edges = {f"{part}.{name}": value for part in nested for name, value in values.pop(part).items()}
     assert values | edges == to_mapping(CornersNodeConfig())
     assert from_mapping(CornersNodeConfig, values | edges) == CornersNodeConfig()

@@ -264,17 +264,24 @@ class CombinedDetector:
         for dtype in (np.uint8, np.uint16, np.float32):
             self.detect(checks.astype(dtype))
 
-    def detect(self, gray: npt.NDArray[Any]) -> tuple[Corners, Edges]:
-        """Return corners and edges of (H, W) uint8, uint16 or float32; the corners are those of ``HarrisDetector``.
+    def detect(self, gray: npt.NDArray[Any], corners_xy: npt.ArrayLike | None = None) -> tuple[Corners, Edges]:
+        """Return corners and edges of a picture; the corners are those of ``HarrisDetector``.
+
+        Parameters
+        ----------
+        gray
+            (H, W) uint8, uint16 or float32.
+        corners_xy
+            (N, 2) px of other corners that edges shall end at.
 
         Raises
         ------
         ValueError
-            For another shape or dtype, or a response other than ``harris``.
+            For another shape or dtype, a response other than ``harris``, or a corner outside the picture.
         """
         config = self.edges
         corners, bits = self._detector.detect_with_edges(gray, config.low_of_high * config.high, config.high)
-        return corners, traced(bits, gray.shape, config, corners.xy)
+        return corners, traced(bits, gray.shape, config, corners.xy if corners_xy is None else corners_xy)
 
 
 def traced(

@@ -86,6 +86,12 @@ class RepeatableDetector:
             )
         )
 
+    def warm(self) -> None:
+        """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
+        checks = (np.indices((64, 64)) // 16).sum(axis=0) % 2 * 100 + np.eye(64) * 5
+        for dtype in (np.uint8, np.uint16, np.float32):
+            self.detect(checks.astype(dtype))
+
     def detect(self, gray: npt.NDArray[Any]) -> Corners:
         """Return the corners of (H, W) uint8, uint16 or float32, by falling response.
 

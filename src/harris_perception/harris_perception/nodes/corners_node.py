@@ -17,6 +17,7 @@ from harris_perception.core.edges import CombinedDetector, EdgeConfig, EdgeDetec
 from harris_perception.core.gray import bgr_of, bgr_of_gray, gray_of, has_color
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
 from harris_perception.core.overlay import draw_corners
+from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
 from icu_common.core.config import ConfigError, nested, setting
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
@@ -35,8 +36,15 @@ COLUMNS = ("u", "v", "response")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CornersNodeConfig(HarrisConfig):
-    """The detector's settings, and those of the edges (two ways) that are found while somebody looks."""
+    """The detectors' settings (two ways to corners), and those of the edges (two ways) found while somebody looks."""
 
+    corner_method: str = setting(
+        "fast",
+        "Corners of the detector of 1988 by the settings beside this (fast), or those that stand out from noise and "
+        "surroundings (repeatable), which takes several times as long",
+        choices=("fast", "repeatable"),
+    )
+    repeatable: RepeatableConfig = nested(RepeatableConfig)
     edge_method: str = setting(
         "combined",
         "Edges of the corners' own pass (combined), or of two scales and of colors, which follow objects (outlines)",
@@ -72,8 +80,8 @@ class CornersNode(Node):
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
 
     def _use(self, config: CornersNodeConfig) -> None:
-        self._detector = HarrisDetector(config)
-        self._detector.warm()
+        self._fast, self._repeatable = HarrisDetector(config), RepeatableDetector(config.repeatable)
+        (self._fast if config.corner_method == "fast" else self._repeatable).warm()
         self._combined = CombinedDetector(config, config.combined)
         self._outlines = EdgeDetector(config.edges)
         (self._combined if config.edge_method == "combined" else self._outlines).warm()
@@ -95,11 +103,16 @@ class CornersNode(Node):
         self._busy_s += time.perf_counter() - start
 
     def _found_in(self, gray: npt.NDArray[Any], message: Image) -> tuple[Corners, Edges | None]:
-        if self._labels.get_subscription_count() + self._lines.get_subscription_count() == 0:
-            return self._detector.detect(gray), None
-        if self._live.config.edge_method == "combined":
+        config = self._live.config
+        looked_at = self._labels.get_subscription_count() + self._lines.get_subscription_count() > 0
+        fast, combined = config.corner_method == "fast", config.edge_method == "combined"
+        if looked_at and fast and combined:
             return self._combined.detect(gray)
-        corners = self._detector.detect(gray)
+        corners = (self._fast if fast else self._repeatable).detect(gray)
+        if not looked_at:
+            return corners, None
+        if combined:
+            return corners, self._combined.detect(gray, corners.xy)[1]
         colored = has_color(message.encoding) and gray.size > 0
         picture = bgr_of(image_array(message), message.encoding) if colored else gray
         return corners, self._outlines.detect(picture, corners.xy)
