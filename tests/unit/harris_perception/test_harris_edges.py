@@ -98,9 +98,7 @@ def test_textures_of_the_same_values_are_told_apart() -> None:
     way=st.tuples(st.integers(-2, 2), st.integers(-2, 2)),
     most=st.integers(1, 255),
 )
-def test_bends_are_those_of_the_definition(
-    seed: int, shape: tuple[int, int], way: tuple[int, int], most: int
-) -> None:
+def test_bends_are_those_of_the_definition(seed: int, shape: tuple[int, int], way: tuple[int, int], most: int) -> None:
     framed = np.random.default_rng(seed).integers(0, 256, (shape[0] + 4, shape[1] + 4)).astype(np.uint8)
     found = kernels.bends(framed, 2, *way, most)
     assert found.shape == shape and found.dtype == np.uint8
