@@ -1,0 +1,62 @@
+"""Pictures with boundaries that people drew, in the form of BSDS500, from files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.adapters.picture_files import SUFFIXES, read_bgr
+
+
+def drawn_pictures(folder: Path) -> list[tuple[Path, Path]]:
+    """Return pictures and their .mat files below a folder, by name.
+
+    The picture lies beside <name>.mat, or in ``images`` where that is in ``groundTruth``.
+
+    Raises
+    ------
+    ValueError
+        If a picture is missing.
+    """
+    found = []
+    for path in sorted(folder.rglob("*.mat"), key=lambda p: (p.name, p)):
+        picture = next(_candidates(path), None)
+        if picture is None:
+            raise ValueError(f"{path} has no picture {path.stem}.* beside it, or in images instead of groundTruth")
+        found.append((picture, path))
+    return found
+
+
+def _candidates(path: Path) -> Iterator[Path]:
+    other = Path(*("images" if part == "groundTruth" else part for part in path.parent.parts))
+    for folder in (path.parent, other):
+        yield from (p for p in sorted(folder.glob(f"{path.stem}.*")) if p.suffix.lower() in SUFFIXES)
+
+
+def read_drawn(picture: Path, path: Path) -> tuple[npt.NDArray[np.uint8], list[npt.NDArray[np.bool_]]]:
+    """Read a picture (H, W, 3) uint8, BGR, and what each person drew in it, (H, W) each.
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be read, has another form or size, or scipy is missing.
+    """
+    try:
+        from scipy.io import loadmat
+    except ImportError as error:
+        raise ValueError(f"{path}: drawn boundaries need scipy (apt install python3-scipy)") from error
+    bgr = read_bgr(picture)
+    try:
+        persons = loadmat(str(path))["groundTruth"].ravel()
+        drawings = [np.ascontiguousarray(person["Boundaries"][0, 0] != 0) for person in persons]
+    except Exception as error:  # what is no such file can fail anywhere within scipy
+        raise ValueError(f"{path} cannot be read as groundTruth with Boundaries of each person: {error}") from error
+    if not drawings:
+        raise ValueError(f"{path} holds the drawings of 0 persons, at least 1 is needed")
+    for drawn in drawings:
+        if drawn.shape != bgr.shape[:2]:
+            raise ValueError(f"{path} has a drawing of {drawn.shape} px, {picture.name} has {bgr.shape[:2]}")
+    return bgr, drawings

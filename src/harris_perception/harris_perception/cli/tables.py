@@ -1,0 +1,35 @@
+"""What commands over many pictures share: a bar while they work, and tables for machines."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+def progress(items: Sequence[T], what: str) -> Iterator[T]:
+    """Yield the items while a bar on standard error tells how far it is; silent where nobody sees it."""
+    shown = sys.stderr.isatty()
+    for i, item in enumerate(items):
+        if shown:
+            done = 30 * i // len(items)
+            print(f"\r{what} [{'#' * done}{'.' * (30 - done)}] {i}/{len(items)}", end="", file=sys.stderr, flush=True)
+        yield item
+    if shown:
+        print(f"\r{what} [{'#' * 30}] {len(items)}/{len(items)}", file=sys.stderr)
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """Write rows as JSON or CSV, as the name's ending says."""
+    if path.suffix == ".json":
+        path.write_text(json.dumps([dict(zip(columns, row)) for row in rows], indent=1) + "\n")
+    elif path.suffix == ".csv":
+        with path.open("w", newline="") as stream:
+            csv.writer(stream).writerows([columns, *rows])
+    else:
+        raise ValueError(f"{path}: the name must end in .csv or .json")
