@@ -18,7 +18,7 @@ ONLY_ELSEWHERE = {
     "command line programs": (
         *("gcode_check", "progress", "monitor", "check_mode", "wrist_camera", "board", "board_detection"),
         *("stereo_evaluation", "dense_stereo", "repeatability", "capture"),
-        *("stereo_folders", "picture_files", "stereo_calibration"),
+        *("stereo_folders", "picture_files", "stereo_calibration", "boundary_files", "boundary_evaluation"),
     ),
     "programs that do not start, or the log": (
         *("config", "machine_config", "controller_config", "parameters", "runtime", "camera_model", "frame_link"),

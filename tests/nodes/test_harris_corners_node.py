@@ -28,7 +28,7 @@ def square(encoding: str = "mono8") -> np.ndarray:
     gray[12:32, 10:50] = 200
     if encoding == "32FC1":
         return np.where(gray == 30, np.float32(0.1), np.float32(0.7))
-    deep = gray.astype(np.uint16) * 256 if encoding.endswith("16") else gray
+    deep = gray.astype(np.uint16) * 256 if "16" in encoding else gray
     return np.repeat(deep[:, :, None], 3, axis=2) if encoding[:3] in ("bgr", "rgb") else deep
 
 
@@ -61,7 +61,7 @@ def pixels(values: np.ndarray) -> list[tuple[float, float]]:
 
 def test_each_encoding_gives_the_same_corners_with_stamp_and_frame(ros: Any) -> None:
     rig = Rig(ros)
-    others = ("mono8", "mono16", "bgr8", "rgb8", "bgr16", "32FC1")
+    others = ("mono8", "mono16", "8UC1", "16UC1", "bgr8", "rgb8", "bgr16", "32FC1")
     for stamp, encoding in enumerate((*others, *BAYER, "bayer_gbrg16"), start=1_500_000_007):
         found = rig.corners_of(image_message(square(encoding), encoding, header(stamp, "camera_left_optical_frame")))
         assert (np.diff(found[:, 2]) <= 0.0).all() and (found[:, 2] > 0.0).all(), encoding
@@ -115,6 +115,7 @@ def test_pictures_without_corners_give_empty_results(ros: Any) -> None:
         )
     ]
     messages += [Image(encoding=e) for e in ("mono8", "bgr8", "32FC1")] + [Image(encoding="mono8", height=7)]
+    messages.append(image_message(np.zeros((0, 5), np.uint8), "mono8", header(1, "c")))
     for stamp, message in enumerate(messages, start=1):
         message.header = header(stamp, "c")
         assert rig.corners_of(message).shape == (0, 3)
@@ -226,6 +227,26 @@ def test_edges_are_labelled_only_while_somebody_looks(ros: Any, parameters: dict
     assert np.ptp(u) >= 28 and np.ptp(v) >= 16, (u, v)
     for refused in (Parameter("edges.high", value=-1.0), Parameter("combined.low_of_high", value=1.5)):
         assert not rig.node.set_parameters([refused])[0].successful
+
+
+@pytest.mark.parametrize("edge_method", ["combined", "outlines"])
+def test_deep_pictures_have_the_edges_of_those_of_8_bits(ros: Any, edge_method: str) -> None:
+    soft = cv2.GaussianBlur(square(), (0, 0), 1.2).astype(np.float32)
+    soft = np.rint(soft * (255.0 / soft.max()))
+    soft[40, :] += np.where(np.arange(66) % 8 < 4, 12, 0)  # too weak for an edge, in any depth
+    rig = Rig(ros, {"edge_method": edge_method, "edges.surround": 0.0, "edges.high": 10.0})
+    labels: list[Image] = ros.collect(rig.probe, Image, "edges", qos.IMAGES)
+    ros.spin_until(lambda: rig.node.count_subscribers("edges") == 1, 10.0)
+    ros.spin_until(lambda: rig.probe.count_publishers("edges") == 1, 10.0)
+    found = {}
+    pictures = {"mono8": soft.astype(np.uint8), "mono16": (soft * 257).astype(np.uint16), "32FC1": soft / 255}
+    for stamp, (encoding, picture) in enumerate(pictures.items(), start=1):
+        rig.corners_of(image_message(picture.astype(picture.dtype), encoding, header(stamp, "c")))
+        message = ros.spin_until(lambda n=stamp: next((m for m in labels if stamp_ns(m.header.stamp) == n), None), 10.0)
+        found[encoding] = image_array(message) == 128
+    assert 90 < found["mono8"].sum() < 130  # the four sides
+    for encoding in ("mono16", "32FC1"):
+        assert (found[encoding] != found["mono8"]).sum() <= 4, encoding
 
 
 def test_outlines_see_colors_of_one_lightness(ros: Any) -> None:

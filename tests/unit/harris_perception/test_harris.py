@@ -265,6 +265,32 @@ def test_gain_and_offset_change_nothing_but_the_response(seed: int, gain: int, o
     np.testing.assert_allclose(sorted(map(tuple, lit.xy.round(2).tolist())), ours, atol=0.02)
 
 
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    gain=st.sampled_from([1e-9, 1e-6, 1e-3, 257.0]),
+    response=st.sampled_from(["harris", "shi_tomasi", "noble"]),
+)
+def test_positions_do_not_depend_on_the_unit_of_the_grey_levels(seed: int, gain: float, response: str) -> None:
+    picture = texture(seed, 60, 70)
+    detector = HarrisDetector(HarrisConfig(max_corners=0, response=response))
+    scaled = (picture.astype(np.float64) * gain).astype(np.uint16 if gain > 1.0 else np.float32)
+    plain, lit = detector.detect(picture), detector.detect(scaled)
+    assert len(plain) == len(lit) > 5
+    ours = sorted(map(tuple, plain.xy.round(2).tolist()))
+    np.testing.assert_allclose(sorted(map(tuple, lit.xy.round(2).tolist())), ours, atol=0.02)
+
+
+@pytest.mark.parametrize("value", [0.1, 7.0, 65535.0])
+@pytest.mark.parametrize("gradient", ["harris", "gaussian", "deriche"])
+@pytest.mark.parametrize("window", ["box", "gaussian", "deriche"])
+def test_rounding_on_constant_pictures_is_no_corner(value: float, gradient: str, window: str) -> None:
+    picture = np.full((240, 320), value, np.float32)
+    for response in ("harris", "shi_tomasi", "noble", "geometric"):
+        config = HarrisConfig(gradient=gradient, window=window, response=response)
+        assert len(HarrisDetector(config).detect(picture)) == 0, response
+
+
 def test_thresholds_count_and_border() -> None:
     picture = texture(2, 120, 150)
 
@@ -422,12 +448,13 @@ def test_missing_numba_is_told_plainly() -> None:
 WARMED = """
 import numpy as np
 from numba.core.registry import CPUDispatcher
-from harris_perception.core import deriche, edge_kernels, edge_tracing, harris_kernels, structure
+from harris_perception.core import deriche, diffusion, edge_kernels, edge_tracing, harris_kernels, structure
 from harris_perception.core.edges import CombinedDetector, EdgeDetector
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.repeatable import RepeatableDetector
 
 def compiled():
-    modules = (deriche, edge_kernels, edge_tracing, harris_kernels, structure)
+    modules = (deriche, diffusion, edge_kernels, edge_tracing, harris_kernels, structure)
     return {
         f"{module.__name__}.{name}": len(value.signatures)
         for module in modules for name, value in vars(module).items() if isinstance(value, CPUDispatcher)
@@ -435,13 +462,15 @@ def compiled():
 
 rng = np.random.default_rng(1)
 for config in (HarrisConfig(), HarrisConfig(gradient="gaussian", window="gaussian"), HarrisConfig(even_spread=True)):
-    for detector in (HarrisDetector(config), CombinedDetector(config), EdgeDetector()):
+    for detector in (RepeatableDetector(), HarrisDetector(config), CombinedDetector(config), EdgeDetector()):
         detector.warm()
         before = compiled()
         for shape in ((90, 121), (8, 9), (2, 3)):
             noise = rng.integers(0, 256, shape)
             for dtype in (np.uint8, np.uint16, np.float32):
-                for picture in (noise.astype(dtype), noise.astype(dtype)[:, ::-1], np.zeros(shape, dtype)):
+                received = np.frombuffer(noise.astype(dtype).tobytes(), dtype).reshape(shape)  # not to be written
+                turned = noise.astype(dtype)[:, ::-1]
+                for picture in (noise.astype(dtype), turned, np.zeros(shape, dtype), received):
                     detector.detect(picture)
             if isinstance(detector, EdgeDetector):
                 detector.detect(np.dstack([noise] * 3).astype(np.uint8))

@@ -131,6 +131,16 @@ def test_square_becomes_sides_that_end_at_its_corners() -> None:
     assert (reached[sides > 0] <= 2.5).mean() > 0.97
 
 
+@pytest.mark.parametrize("gap_px", [0.0, 6.0, 20.0, 50.0])
+def test_lines_without_a_free_end_stay_whole_beside_corners(gap_px: float) -> None:
+    picture = np.full((200, 300), 40, np.uint8)
+    picture[100:] = 200
+    beside = [(x, 70) for x in range(70, 250, 40)]
+    found = EdgeDetector(EdgeConfig(max_gap_px=gap_px)).detect(picture, beside)
+    assert [len(chain) for chain in found.chains] == [300]
+    assert (found.labels[98:102] == EDGE).any(axis=0).all()
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_precision_and_recall_on_exact_drawings(seed: int) -> None:
     rng = np.random.default_rng(seed)

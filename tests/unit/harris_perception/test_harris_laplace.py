@@ -91,6 +91,12 @@ def test_pictures_without_corners(shape: tuple[int, int]) -> None:
         assert corners.xy.shape == (0, 2) and len(corners.scale) == len(corners) == 0
 
 
+@pytest.mark.parametrize("value", [0.1, 0.3, 7.0, 255.0])
+@pytest.mark.parametrize("config", [HarrisLaplaceConfig(), HarrisLaplaceConfig(levels=30, select=False)])
+def test_rounding_on_constant_pictures_is_no_corner(value: float, config: HarrisLaplaceConfig) -> None:
+    assert len(HarrisLaplaceDetector(config).detect(np.full((200, 300), value, np.float32))) == 0
+
+
 def test_colour_is_refused() -> None:
     with pytest.raises(ValueError, match=r"\(9, 9, 3\)"):
         DETECTOR.detect(np.zeros((9, 9, 3), np.uint8))

@@ -22,6 +22,9 @@ Array = npt.NDArray[Any]
 _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1], np.int32)
 _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1], np.int32)
 
+# Px from a corner within which an edge may pass by it, rounding it off.
+_ROUNDED_OFF = 6.0
+
 # What is told of every pixel; 0 is neither.
 EDGE, CORNER = 128, 255
 
@@ -353,13 +356,13 @@ def _lead(
 ) -> int:
     """Draw lines from free ends to the nearest corner (N, 2) px within reach.
 
-    Edges round corners off on the outside, so what passes within three quarters of the reach is cut first. All pairs
-    are seen from the corners, which are fewer than pixels. Pixels with new neighbours are added to the list ``odd``,
-    whose length is returned.
+    Edges round corners off on the outside, so what passes within three quarters of the reach is cut first, but no more
+    than a corner rounds off. All pairs are seen from the corners, which are fewer than pixels. Pixels with new
+    neighbours are added to the list ``odd``, whose length is returned.
     """
     stride = steps[2]
     row = stride >> 3
-    radius = 0.75 * farthest
+    radius = min(0.75 * farthest, _ROUNDED_OFF)
     # With all neighbours of what is cut, and of what is drawn, which lie at most 0.593 px farther than its end.
     cut = _cut(words, corners, row, radius, max(farthest + 0.6, radius + 1.5))
     pairs, odds = _ends_near(bits, words, listed, odd, odds, cut, corners, row, farthest)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from harris_perception.core import bitmap
 from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edge_tracing as tracing
-from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, gaussian_taps
+from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked, gaussian_taps
 from harris_perception.core.sampling import mean_around
 from icu_common.core.config import Config, setting
 
@@ -210,7 +210,7 @@ class EdgeDetector:
         if picture.ndim != 2:
             raise ValueError(f"a grey picture (H, W) or BGR (H, W, 3) uint8 is needed, not shape {picture.shape}")
         dtype = np.uint8 if picture.dtype == np.uint8 else np.float32
-        return [(np.ascontiguousarray(picture, dtype), 1.0)]
+        return [(np.ascontiguousarray(checked(picture), dtype), 1.0)]
 
     def detect(self, picture: npt.NDArray[Any], corners_xy: npt.ArrayLike = ()) -> Edges:
         """Return the edges of a picture.
@@ -225,7 +225,7 @@ class EdgeDetector:
         Raises
         ------
         ValueError
-            For another shape, or a corner outside the picture.
+            For another shape or dtype, or a corner outside the picture.
         """
         return self.edges_of(self.thinned(picture), corners_xy)
 
@@ -264,7 +264,9 @@ class CombinedDetector:
         for dtype in (np.uint8, np.uint16, np.float32):
             self.detect(checks.astype(dtype))
 
-    def detect(self, gray: npt.NDArray[Any], corners_xy: npt.ArrayLike | None = None) -> tuple[Corners, Edges]:
+    def detect(
+        self, gray: npt.NDArray[Any], corners_xy: npt.ArrayLike | None = None, grey_level: float = 1.0
+    ) -> tuple[Corners, Edges]:
         """Return corners and edges of a picture; the corners are those of ``HarrisDetector``.
 
         Parameters
@@ -273,14 +275,16 @@ class CombinedDetector:
             (H, W) uint8, uint16 or float32.
         corners_xy
             (N, 2) px of other corners that edges shall end at.
+        grey_level
+            What the settings of edges count as one grey level, in values of the picture.
 
         Raises
         ------
         ValueError
             For another shape or dtype, a response other than ``harris``, or a corner outside the picture.
         """
-        config = self.edges
-        corners, bits = self._detector.detect_with_edges(gray, config.low_of_high * config.high, config.high)
+        config, high = self.edges, self.edges.high * grey_level
+        corners, bits = self._detector.detect_with_edges(gray, config.low_of_high * high, high)
         return corners, traced(bits, gray.shape, config, corners.xy if corners_xy is None else corners_xy)
 
 

@@ -39,7 +39,7 @@ def gray_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[Any]:
         For another encoding.
     """
     native = picture.astype(picture.dtype.newbyteorder("="), copy=False)
-    if encoding in ("mono8", "mono16"):
+    if encoding in ("mono8", "mono16", "8UC1", "16UC1"):
         return native
     name = encoding.removesuffix("16") + "8" if encoding.endswith("16") else encoding
     code = (_COLOR_TO_GRAY | _BAYER_TO_GRAY).get(name)
@@ -87,6 +87,13 @@ def bgr_of_gray(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     """Return (H, W, 3) uint8 to draw on; 16-bit and float pictures are stretched to their largest value."""
     if gray.dtype != np.uint8:
         finite = np.nan_to_num(gray.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-        top = float(finite.max(initial=0.0))
-        gray = np.clip(finite * (255.0 / top if top > 0.0 else 0.0), 0.0, 255.0).astype(np.uint8)
+        gray = np.clip(finite / np.float32(grey_level_of(gray)), 0.0, 255.0).astype(np.uint8)
     return np.repeat(gray[:, :, None], 3, axis=2)
+
+
+def grey_level_of(gray: npt.NDArray[Any]) -> float:
+    """Return what one of 255 grey levels is in the values of a picture: where they are not uint8, up to its largest."""
+    if gray.dtype == np.uint8:
+        return 1.0
+    top = float(np.max(gray, where=np.isfinite(gray), initial=0.0))
+    return top / 255.0 if top > 0.0 else 1.0

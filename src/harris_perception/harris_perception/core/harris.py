@@ -214,7 +214,7 @@ class HarrisDetector:
             rows = np.ascontiguousarray(gray, np.uint8 if gray.dtype == np.uint8 else np.float32)
             structure_of(rows, derivative[1:], smooth, window, a, b, c)
             return a, b, c
-        source = gray.astype(np.float32)
+        source = from_lowest(gray)
         if config.gradient == "deriche":
             soft, slope = (deriche.recursive_filter(config.sigma_d_px, order) for order in (False, True))
             gx, gy = deriche.filtered(source, slope, soft), deriche.filtered(source, soft, slope)
@@ -346,12 +346,26 @@ def _nothing() -> Band:
 
 
 def checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the picture if it is one that the detectors take, else raise ``ValueError``."""
+    """Return the picture if it is one that the detectors take, else raise ``ValueError``.
+
+    One that may not be written is copied: the kernels would be compiled once more for such.
+    """
     if gray.ndim != 2:
         raise ValueError(f"a grey picture (H, W) is needed, not shape {gray.shape}")
     if gray.dtype.newbyteorder("=") not in (np.uint8, np.uint16, np.float32):
         raise ValueError(f"uint8, uint16 or float32 is needed, not {gray.dtype}")
-    return gray
+    return gray if gray.flags.writeable else gray.copy()
+
+
+def from_lowest(gray: npt.NDArray[Any]) -> F32:
+    """Return a picture less its lowest finite value, float32.
+
+    Gradients are the same, but the rounding of what comes before them grows with the values: on a constant picture all
+    that is left would be corners of rounding.
+    """
+    values = gray.astype(np.float32)
+    lowest = np.min(values, where=np.isfinite(values), initial=np.float32(np.inf))
+    return np.asarray(values - lowest, np.float32) if np.isfinite(lowest) else values
 
 
 def gaussian_taps(sigma: float) -> F32:

@@ -119,12 +119,13 @@ def _mark_all(
 @inlined
 def _quadratic_peak(above: Any, here: Any, below: Any, x: int) -> tuple[Any, Any]:
     """Return the offset (dx, dy) of the maximum of the quadratic through a 3x3 neighbourhood, at most half a pixel."""
-    half = np.float32(0.5)
-    gx = half * (here[x + 1] - here[x - 1])
-    gy = half * (below[x] - above[x])
-    hxx = (here[x + 1] - here[x]) + (here[x - 1] - here[x])
-    hyy = (below[x] - here[x]) + (above[x] - here[x])
-    hxy = np.float32(0.25) * ((below[x + 1] - below[x - 1]) - (above[x + 1] - above[x - 1]))
+    half, r = np.float32(0.5), here[x]
+    # As parts of the peak: products of responses to pictures of 16 bits are more than a float32 holds.
+    gx = half * (here[x + 1] - here[x - 1]) / r
+    gy = half * (below[x] - above[x]) / r
+    hxx = ((here[x + 1] - r) + (here[x - 1] - r)) / r
+    hyy = ((below[x] - r) + (above[x] - r)) / r
+    hxy = np.float32(0.25) * ((below[x + 1] - below[x - 1]) - (above[x + 1] - above[x - 1])) / r
     det = hxx * hyy - hxy * hxy
     if det > np.float32(1e-6) * hxx * hyy:
         dx = (hxy * gy - hyy * gx) / det

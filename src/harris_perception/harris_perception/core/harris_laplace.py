@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.harris import HarrisConfig, HarrisDetector, checked
+from harris_perception.core.harris import HarrisConfig, HarrisDetector, checked, from_lowest
 from harris_perception.core.sampling import sampled
 from icu_common.core.config import Config, nested, setting
 
@@ -78,7 +78,7 @@ class HarrisLaplaceDetector:
         ValueError
             For another shape or dtype.
         """
-        gray = checked(gray)
+        gray = checked(gray) if gray.dtype == np.uint8 else from_lowest(checked(gray))
         pictures = self._pyramid(gray)
         found = [self._detector.detect(picture) for picture in pictures]
         laplacians = [self._laplacian(picture) for picture in pictures] if self.config.select else []

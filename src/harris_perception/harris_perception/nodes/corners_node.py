@@ -14,7 +14,7 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from harris_perception.core import edge_lines
 from harris_perception.core.edges import CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
-from harris_perception.core.gray import bgr_of, bgr_of_gray, gray_of, has_color
+from harris_perception.core.gray import bgr_of, bgr_of_gray, gray_of, grey_level_of, has_color
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
 from harris_perception.core.overlay import draw_corners
 from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
@@ -36,7 +36,10 @@ COLUMNS = ("u", "v", "response")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CornersNodeConfig(HarrisConfig):
-    """The detectors' settings (two ways to corners), and those of the edges (two ways) found while somebody looks."""
+    """The detectors' settings (two ways to corners), and those of the edges (two ways) found while somebody looks.
+
+    Strengths of edges are in grey levels of 8 bits; the largest value of a picture of more counts as 255.
+    """
 
     corner_method: str = setting(
         "fast",
@@ -107,15 +110,16 @@ class CornersNode(Node):
         looked_at = self._labels.get_subscription_count() + self._lines.get_subscription_count() > 0
         fast, combined = config.corner_method == "fast", config.edge_method == "combined"
         if looked_at and fast and combined:
-            return self._combined.detect(gray)
+            return self._combined.detect(gray, grey_level=grey_level_of(gray))
         corners = (self._fast if fast else self._repeatable).detect(gray)
         if not looked_at:
             return corners, None
         if combined:
-            return corners, self._combined.detect(gray, corners.xy)[1]
-        colored = has_color(message.encoding) and gray.size > 0
-        picture = bgr_of(image_array(message), message.encoding) if colored else gray
-        return corners, self._outlines.detect(picture, corners.xy)
+            return corners, self._combined.detect(gray, corners.xy, grey_level_of(gray))[1]
+        if has_color(message.encoding) and gray.size > 0:
+            return corners, self._outlines.detect(bgr_of(image_array(message), message.encoding), corners.xy)
+        leveled = gray if gray.dtype == np.uint8 else gray.astype(np.float32) / np.float32(grey_level_of(gray))
+        return corners, self._outlines.detect(leveled, corners.xy)
 
     def _publish(self, corners: Corners, gray: npt.NDArray[Any], message: Image) -> None:
         values = np.column_stack((corners.xy, corners.response))

@@ -41,7 +41,7 @@ _CHANNELS: dict[str, tuple[Any, int]] = {
 _CHANNELS |= {"bgra8": (np.uint8, 4), "rgba8": (np.uint8, 4)}
 _CHANNELS |= {f"bayer_{p}8": (np.uint8, 1) for p in ("rggb", "bggr", "gbrg", "grbg")}
 _CHANNELS |= {f"{name[:-1]}16": (np.uint16, count) for name, (_, count) in _CHANNELS.items() if name[-1] == "8"}
-_CHANNELS |= {"32FC1": (np.float32, 1)}
+_CHANNELS |= {"8UC1": (np.uint8, 1), "16UC1": (np.uint16, 1), "32FC1": (np.float32, 1)}
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
@@ -71,7 +71,7 @@ def image_message(picture: npt.NDArray[Any], encoding: str, head: Header) -> Ima
     """Pack (H, W) or (H, W, C); filling ``array.array`` from a buffer is the fast way in rclpy (see ros decisions)."""
     contiguous = np.ascontiguousarray(picture)
     message = Image(header=head, height=contiguous.shape[0], width=contiguous.shape[1], encoding=encoding)
-    message.step = contiguous.strides[0]
+    message.step = int(np.prod(contiguous.shape[1:])) * contiguous.itemsize  # strides of empty arrays are anything
     data = array.array("B")
     data.frombytes(contiguous.data.cast("B") if contiguous.size else b"")
     message.data = data
