@@ -33,6 +33,10 @@ _RESPONSES = ("harris", "shi_tomasi", "noble", "geometric")
 _NO_EDGES = (0.0, 0.0, np.empty((2, 0, 0), np.uint8))
 
 
+# By the bytes of a pixel: responses to 16 bits are 2^32 times as large as those to 8, those to float32 are anything.
+_HALF = {1: np.float32(0.5), 2: np.float32(2.0**-33)}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HarrisConfig(Config):
     """What is detected and how many of it.
@@ -317,7 +321,7 @@ class HarrisDetector:
             rows = np.ascontiguousarray(picture, np.uint8 if picture.dtype == np.uint8 else np.float32)
             centre = self._smooth[1:2].astype(np.int16 if rows.dtype == np.uint8 else np.float32)
             find: Callable[..., Band] = partial(kernels.fused_peaks, rows, centre, border)
-            thresholds = (config.k, *thresholds, *edges)
+            thresholds = (config.k, *thresholds, _HALF.get(picture.dtype.itemsize, 0.5), *edges)
         else:
             find = partial(kernels.peaks_of, self._response(picture)[0] if response is None else response, border)
         limits = np.linspace(border, height - border, self._bands + 1).astype(int).tolist()

@@ -117,24 +117,28 @@ def _mark_all(
 
 
 @inlined
-def _quadratic_peak(above: Any, here: Any, below: Any, x: int) -> tuple[Any, Any]:
-    """Return the offset (dx, dy) of the maximum of the quadratic through a 3x3 neighbourhood, at most half a pixel."""
-    half, r = np.float32(0.5), here[x]
-    # As parts of the peak: products of responses to pictures of 16 bits are more than a float32 holds.
-    gx = half * (here[x + 1] - here[x - 1]) / r
-    gy = half * (below[x] - above[x]) / r
-    hxx = ((here[x + 1] - r) + (here[x - 1] - r)) / r
-    hyy = ((below[x] - r) + (above[x] - r)) / r
-    hxy = np.float32(0.25) * ((below[x + 1] - below[x - 1]) - (above[x + 1] - above[x - 1])) / r
+def _quadratic_peak(above: Any, here: Any, below: Any, x: int, half: Any) -> tuple[Any, Any]:
+    """Return the offset (dx, dy) of the maximum of the quadratic through a 3x3 neighbourhood, at most half a pixel.
+
+    Only ratios of derivatives count, so all are as many times smaller as ``half`` tells, and of its precision: float32
+    does not hold products of the responses to pictures of any unit.
+    """
+    limit, zero = np.float32(0.5), half - half
+    quarter = limit * half
+    gx = quarter * (here[x + 1] - here[x - 1])
+    gy = quarter * (below[x] - above[x])
+    hxx = half * ((here[x + 1] - here[x]) + (here[x - 1] - here[x]))
+    hyy = half * ((below[x] - here[x]) + (above[x] - here[x]))
+    hxy = limit * quarter * ((below[x + 1] - below[x - 1]) - (above[x + 1] - above[x - 1]))
     det = hxx * hyy - hxy * hxy
     if det > np.float32(1e-6) * hxx * hyy:
         dx = (hxy * gy - hyy * gx) / det
         dy = (hxy * gx - hxx * gy) / det
-        if abs(dx) <= half and abs(dy) <= half:
+        if abs(dx) <= limit and abs(dy) <= limit:
             return dx, dy
     # A ridge or saddle beside the peak: each axis alone. A maximum has no positive curvature; zero means a plateau.
-    dx = min(max(-gx / hxx, -half), half) if hxx < 0 else np.float32(0.0)
-    dy = min(max(-gy / hyy, -half), half) if hyy < 0 else np.float32(0.0)
+    dx = min(max(-gx / hxx, -limit), limit) if hxx < 0 else zero
+    dy = min(max(-gy / hyy, -limit), limit) if hyy < 0 else zero
     return dx, dy
 
 
@@ -151,6 +155,7 @@ def _collect(
     floor: Any,
     relative: Any,
     subpixel: bool,
+    half: Any,
     found: Any,
     count: int,
 ) -> tuple[Any, int, Any]:
@@ -182,7 +187,7 @@ def _collect(
         floor = max(floor, relative * r * np.float32(peak))
     if subpixel:
         for i in range(start, count):
-            dx, dy = _quadratic_peak(above, here, below, int(found[i, 0]) - x0)
+            dx, dy = _quadratic_peak(above, here, below, int(found[i, 0]) - x0, half)
             found[i, 0] += dx
             found[i, 1] += dy
     return found, count, floor
@@ -238,6 +243,7 @@ def fused_peaks(
     absolute: float,
     relative: float,
     subpixel: bool,
+    half: float,
     weak: float,
     strong: float,
     edges: Array,
@@ -263,6 +269,8 @@ def fused_peaks(
         Thresholds; the second as a fraction of the strongest peak so far.
     subpixel
         Refine by the quadratic through 3x3 responses.
+    half
+        0.5 or less, float32 or float64: the unit and the precision of ``_quadratic_peak``.
     weak, strong
         Negative: the response that continues an edge, and the one that starts it.
     edges
@@ -330,7 +338,7 @@ def fused_peaks(
                 else:
                     _mark_peaks(one, middle, other, marks, n, floor)
                 found, count, floor = _collect(
-                    one, middle, other, words, columns, n, x0, row, floor, fraction, subpixel, found, count
+                    one, middle, other, words, columns, n, x0, row, floor, fraction, subpixel, half, found, count
                 )
     return found[:count], floor
 
@@ -355,7 +363,7 @@ def peaks_of(
             above, here, below = response[y - 1, x0:], response[y, x0:], response[y + 1, x0:]
             _mark_peaks(above, here, below, marks, n, floor)
             found, count, floor = _collect(
-                above, here, below, words, columns, n, x0, y, floor, fraction, subpixel, found, count
+                above, here, below, words, columns, n, x0, y, floor, fraction, subpixel, 0.5, found, count
             )
     return found[:count], floor
 
