@@ -81,6 +81,18 @@ def test_warps_show_what_their_homography_says() -> None:
     assert seen == {"rotation": 7, "scale": 5, "light": 5, "viewpoint": 4, "noise": 4}
 
 
+@pytest.mark.parametrize("scale", [1.0, 2.0, 3.0])
+def test_chance_is_that_of_the_common_part_alone(scale: float) -> None:
+    rng = np.random.default_rng(5)
+    size = np.array([480.0, 320.0])
+    h = np.array([[1 / scale, 0, 240 * (1 - 1 / scale)], [0, 1 / scale, 160 * (1 - 1 / scale)], [0, 0, 1.0]])
+    one, other = rng.uniform((6, 6), size - 7, (800, 2)), rng.uniform((6, 6), size - 7, (800, 2))
+    other = mapped(other, h)  # as many again, anywhere in what both show
+    rate = repeatability(pair(h, (320, 480)), one, other, (1.5,))
+    assert rate.count > 700 and rate.rates[0] > 0.03 * scale
+    assert rate.chance[0] == pytest.approx(rate.rates[0], abs=0.03)
+
+
 @pytest.mark.parametrize("name", [*our_detectors(), *peer_detectors()])
 def test_each_detector_repeats_far_above_chance_under_rotation(name: str) -> None:
     find = (our_detectors() | peer_detectors())[name]
@@ -180,6 +192,38 @@ def test_match_finds_the_box_in_the_scene(capsys: pytest.CaptureFixture[str]) ->
     np.testing.assert_allclose(outline, [(118, 161), (285, 175), (267, 297), (90, 272)], atol=5.0)
 
 
+def test_pictures_of_floats_are_read_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dark = np.full((120, 160), -200, np.float32)
+    dark[40:80, 50:110] = -40
+    hidden = dark.copy()
+    hidden[90:100, 20:30] = np.nan
+    for name, picture in (("dark", dark), ("hidden", hidden)):
+        cv2.imwrite(str(tmp_path / f"{name}.tif"), picture)
+        chains = tmp_path / "chains.json"
+        assert main(["detect", str(tmp_path / f"{name}.tif"), "--edges", "--chains", str(chains)]) == 0
+        assert capsys.readouterr().out.startswith("4 corners"), name
+        places = np.array([(r["x_px"], r["y_px"]) for r in json.loads(chains.read_text())])
+        assert len(places) > 150 and ((places >= (48, 38)) & (places <= (111, 81))).all(), name
+    assert main(["match", str(tmp_path / "dark.tif"), str(tmp_path / "hidden.tif"), "--scales", "1"]) == 0
+    assert capsys.readouterr().out.startswith("4 and 4 corners")
+
+
+def test_numbers_may_have_an_exponent_and_scales_be_selected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(tmp_path / "p.png")
+    cv2.imwrite(path, photograph())
+
+    def count(*arguments: str) -> int:
+        assert main(["detect", path, *arguments]) == 0
+        return int(capsys.readouterr().out.split()[0])
+
+    plain = ("--set", "relative_threshold=0.0", "--set")
+    assert 0 < count(*plain, "absolute_threshold=1e9") == count(*plain, "absolute_threshold=1000000000.0")
+    assert count(*plain, "absolute_threshold=1e9") < count(*plain, "absolute_threshold=0.0")
+    assert 0 < count("--scales", "8", "--select") < count("--scales", "8")
+
+
 def test_evaluate_reads_sequences_and_writes_tables_and_curves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -259,7 +303,15 @@ def test_best_on_average_weighs_every_change_alike() -> None:
         (["detect", "PICTURE", "--table", "corners.txt"], ".csv or .json"),
         (["detect", "PICTURE", "-o", "corners.nothing"], "cannot be written"),
         (["evaluate", "EMPTY", "-o", "OUT"], "neither sequences"),
-        (["evaluate", "PICTURE", "-o", "OUT", "--count", "0"], "--count 0"),
+        (["evaluate", "PICTURE", "-o", "OUT", "--count", "0"], "--count 0: 1 to 5000"),
+        (["evaluate", "PICTURE", "-o", "OUT", "--count", "20000"], "--count 20000: 1 to 5000"),
+        (["evaluate", "PICTURE", "-o", "OUT", "--seed", "-1"], "--seed -1: 0 to"),
+        (["evaluate", "NARROW", "-o", "OUT"], "300 x 1 px, at least 64"),
+        (["detect", "PICTURE", "--scales", "31"], "--scales 31: 1 to 30"),
+        (["match", "PICTURE", "PICTURE", "--scales", "0"], "--scales 0: 1 to 30"),
+        (["detect", "PICTURE", "--select"], "--select needs --scales"),
+        (["detect", "PICTURE", "--edges", "--labels", "l.jpg"], "l.jpg: the name must end in one of .png"),
+        (["match", "PICTURE", "PICTURE", "-o", "/nowhere/m.png", "--table", "x.txt"], "x.txt: the name must end in"),
         (["evaluate", "CUT", "-o", "OUT"], "H1to3p is missing"),
         (["evaluate", "FLAT", "-o", "OUT"], "H1to2p is no homography"),
     ],
@@ -268,13 +320,14 @@ def test_mistakes_end_with_one_line(
     arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cv2.imwrite(str(tmp_path / "p.png"), photograph())
+    cv2.imwrite(str(tmp_path / "n.png"), np.full((1, 300), 90, np.uint8))
     for folder, pictures, homography in (("EMPTY", 0, ""), ("CUT", 3, "1 0 0 0 1 0 0 0 1"), ("FLAT", 2, "1 0 0 0 1 0")):
         (tmp_path / folder).mkdir()
         for number in range(1, pictures + 1):
             (tmp_path / folder / f"img{number}.png").write_bytes((tmp_path / "p.png").read_bytes())
         if pictures:
             (tmp_path / folder / "H1to2p").write_text(homography)
-    names = {"PICTURE": "p.png", "OUT": "out", "EMPTY": "EMPTY", "CUT": "CUT", "FLAT": "FLAT"}
+    names = {"PICTURE": "p.png", "NARROW": "n.png", "OUT": "out", "EMPTY": "EMPTY", "CUT": "CUT", "FLAT": "FLAT"}
     assert main([str(tmp_path / names[a]) if a in names else a for a in arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and words in error and error.count("\n") == 1

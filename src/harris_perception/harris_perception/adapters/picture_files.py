@@ -40,8 +40,10 @@ def read_bgr(path: Path) -> npt.NDArray[np.uint8]:
 def _stretched(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
     if picture.dtype == np.uint8:
         return picture
-    values = np.maximum(picture.astype(np.float32), 0.0)
-    top = float(values.max(initial=0.0, where=np.isfinite(values)))
+    values = picture.astype(np.float32)
+    known = np.isfinite(values)
+    values -= values.min(initial=0.0, where=known)  # what is negative is above the lowest, not black
+    top = float(values.max(initial=0.0, where=known))
     return values * np.float32(255.0 / top if top > 0.0 else 0.0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ import yaml
 
 from harris_perception.adapters.picture_files import read_bgr, read_deep_gray, read_gray
 from harris_perception.cli.harris_evaluate import evaluate
-from harris_perception.cli.tables import write_table
+from harris_perception.cli.tables import check_table, write_table
 from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
 from harris_perception.core.gray import bgr_of_gray
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
@@ -28,6 +29,7 @@ from icu_common.core.config import from_mapping, settings_of
 
 T = TypeVar("T")
 EDGE_COLOR = (255, 160, 0)
+LOSSLESS = (".png", ".tif", ".tiff", ".bmp", ".pgm")
 MIN_AGREEING = 10
 """Fewer matches than this agree by chance (measured on pictures that have nothing in common)."""
 
@@ -43,6 +45,8 @@ def _settings(config_class: type[T], pairs: Sequence[str]) -> T:
             values[name] = yaml.safe_load(value)
         except yaml.YAMLError as error:
             raise ValueError(f"{pair!r}: the value cannot be read") from error
+        if isinstance(values[name], str) and re.fullmatch(r"[-+]?[\d.]+[eE][-+]?\d+", value):
+            values[name] = float(value)  # YAML 1.1 takes 1e6 for a text
     return from_mapping(config_class, values)
 
 
@@ -73,7 +77,8 @@ def detect(options: argparse.Namespace) -> int:
         corners = HarrisDetector(_settings(HarrisConfig, options.set)).detect(gray)
     if options.edges == "outlines":
         detector = EdgeDetector(_settings(EdgeConfig, options.set_edges))
-        edges = detector.detect(read_bgr(options.picture), corners.xy)
+        # What is not known would be black, and have edges, in a picture of 8 bits.
+        edges = detector.detect(read_bgr(options.picture) if np.isfinite(gray).all() else gray, corners.xy)
     if edges is not None:
         drawn[edges.labels == EDGE] = EDGE_COLOR
     draw_corners(drawn, corners.xy)
@@ -92,13 +97,17 @@ def detect(options: argparse.Namespace) -> int:
 
 
 def _over_scales(options: argparse.Namespace) -> HarrisLaplaceConfig:
-    return HarrisLaplaceConfig(detector=_settings(HarrisConfig, options.set), levels=options.scales, select=False)
+    most = {item.name: item.setting.maximum for item in settings_of(HarrisLaplaceConfig)}["levels"]
+    if not 1 <= options.scales <= (most or 1):
+        raise ValueError(f"--scales {options.scales}: 1 to {most} is needed")
+    select = options.run is detect and options.select
+    return HarrisLaplaceConfig(detector=_settings(HarrisConfig, options.set), levels=options.scales, select=select)
 
 
 def match_pictures(options: argparse.Namespace) -> int:
     first, second = read_gray(options.first), read_gray(options.second)
     detector, config = HarrisLaplaceDetector(_over_scales(options)), _settings(MatchConfig, options.set_match)
-    one, other = detector.detect(first), detector.detect(second)
+    one, other = (detector.detect(read_deep_gray(path)) for path in (options.first, options.second))
     found = match(describe_over_scales(first, one, config), describe_over_scales(second, other, config), config)
     pairs, a, b = found.pairs, one.xy, other.xy
     if options.output:
@@ -159,6 +168,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--scales", type=int, default=0, help="corners of so many scales, each 1.26 times coarser")
     one.add_argument(
+        "--select",
+        action="store_true",
+        help="of the corners over scales those at which the Laplacian answers most (Harris-Laplace); needs --scales",
+    )
+    one.add_argument(
         "--repeatable",
         action="store_true",
         help="the corners that repeat best when the picture changes: those that stand out from its noise",
@@ -210,6 +224,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if options.run is detect and options.edges is None and (options.labels or options.chains or options.set_edges):
             raise ValueError("--labels, --chains and --set-edges need --edges")
+        for table in (getattr(options, "table", None), getattr(options, "chains", None)):
+            if table is not None:
+                check_table(table)
+        if options.run is detect and options.labels and options.labels.suffix.lower() not in LOSSLESS:
+            raise ValueError(f"{options.labels}: the name must end in one of {', '.join(LOSSLESS)}, or labels change")
+        if options.run is detect and options.select and not options.scales:
+            raise ValueError("--select needs --scales")
         if options.run is detect and (options.repeatable or options.scales):
             if options.repeatable and options.scales:
                 raise ValueError("--repeatable has one scale: it does not go with --scales")

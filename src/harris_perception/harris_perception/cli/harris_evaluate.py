@@ -41,11 +41,14 @@ AMOUNTS = {
 }
 """What the amounts of the warps of a photograph mean; for sequences they are the numbers of the pictures."""
 
+_LEAST_PX = 64
+
 
 def evaluate(options: argparse.Namespace) -> int:
     """Run the command for its sources: boundaries where there are .mat files, else interest points."""
-    if options.count < 1:
-        raise ValueError(f"--count {options.count}: at least 1 is needed")
+    for name, value, least, most in (("count", options.count, 1, 5000), ("seed", options.seed, 0, 2**32 - 1)):
+        if not least <= value <= most:
+            raise ValueError(f"--{name} {value}: {least} to {most} is needed")
     drawn = [source for source in options.sources if source.is_dir() and any(source.rglob("*.mat"))]
     others = [source for source in options.sources if source not in drawn]
     options.output.mkdir(parents=True, exist_ok=True)
@@ -69,7 +72,11 @@ def _pairs(sources: Iterable[Path], seed: int) -> Iterator[list[Pair]]:
         else:
             photographs = [source]
         for photograph in photographs:
-            yield list(warps(read_gray(photograph), np.random.default_rng(seed)))
+            picture = read_gray(photograph)
+            if min(picture.shape) < _LEAST_PX:
+                size = f"{picture.shape[1]} x {picture.shape[0]} px"
+                raise ValueError(f"{photograph}: {size}, at least {_LEAST_PX} each way are needed to be warped")
+            yield list(warps(picture, np.random.default_rng(seed)))
 
 
 def _points(sources: list[Path], options: argparse.Namespace) -> None:
@@ -150,7 +157,7 @@ def _plot(rows: Sequence[dict[str, Any]], ours: Sequence[str], peers: Sequence[s
 
 
 def _boundaries(folders: list[Path], output: Path) -> None:
-    """Compare edges with drawn boundaries; of each peer the sigma with the highest ODS on these pictures counts."""
+    """Compare edges with drawn boundaries; of each peer the sigma that is best on these counts, for ODS and for OIS."""
     ours, peers = our_finders(), peer_finders()
     named = {(name, 0.0): finder for name, finder in ours.items()}
     named |= {(name, sigma): finder for name, sigmas in peers.items() for sigma, finder in sigmas.items()}
@@ -176,7 +183,8 @@ def _boundaries(folders: list[Path], output: Path) -> None:
         )
         for name, key in best.items()
     }
-    print(f"edges beside drawn boundaries, {len(pictures)} pictures; peers at the sigma that is best on these")
+    highest = {name: [max(scores[key][i] for key in named if key[0] == name) for i in (0, 1)] for name in best}
+    print(f"edges beside drawn boundaries, {len(pictures)} pictures; peers at the sigma with the highest ODS on these")
     print(f"{'':<34}{'ODS':>8}{'OIS':>8}{'threshold':>11}{'precision':>11}{'recall':>8}")
     for title, key in zip(curves, best.values()):
         precision, recall, f = curves[title]
@@ -187,8 +195,8 @@ def _boundaries(folders: list[Path], output: Path) -> None:
         print(f"{title:<34}{cells}")
     for name in ours:
         for peer in peers:
-            ahead = [100.0 * (a - b) for a, b in zip(scores[best[name]], scores[best[peer]])]
-            print(f"{name}: {ahead[0]:+.1f} points ODS, {ahead[1]:+.1f} points OIS to {peer}")
+            ahead = [100.0 * (a - b) for a, b in zip(highest[name], highest[peer])]
+            print(f"{name}: {ahead[0]:+.1f} points ODS, {ahead[1]:+.1f} points OIS to {peer}, each at its best sigma")
     _plot_boundaries(curves, len(ours), output / "boundaries.png")
 
 

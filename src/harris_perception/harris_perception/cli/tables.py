@@ -24,12 +24,17 @@ def progress(items: Sequence[T], what: str) -> Iterator[T]:
         print(f"\r{what} [{'#' * 30}] {len(items)}/{len(items)}", file=sys.stderr)
 
 
+def check_table(path: Path) -> None:
+    """Raise ``ValueError`` unless the name ends as that of a table."""
+    if path.suffix not in (".csv", ".json"):
+        raise ValueError(f"{path}: the name must end in .csv or .json")
+
+
 def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     """Write rows as JSON or CSV, as the name's ending says."""
+    check_table(path)
     if path.suffix == ".json":
         path.write_text(json.dumps([dict(zip(columns, row)) for row in rows], indent=1) + "\n")
-    elif path.suffix == ".csv":
+    else:
         with path.open("w", newline="") as stream:
             csv.writer(stream).writerows([columns, *rows])
-    else:
-        raise ValueError(f"{path}: the name must end in .csv or .json")

@@ -25,7 +25,7 @@ Finder = Callable[[npt.NDArray[np.uint8]], Iterator[Mask]]
 THRESHOLDS = tuple(float(value) for value in np.geomspace(0.7, 30.0, 24))
 """Strengths that start an edge, grey levels per px."""
 
-_SIGMAS_PX = (1.5, 2.0, 2.5, 3.0, 4.0)
+_SIGMAS_PX = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
 _REACH = 0.0075
 _LOW_OF_HIGH = 0.4
 _SOBEL = 8.0  # answer of the kernels to a slope of one

@@ -77,7 +77,10 @@ def repeatability(pair: Pair, first: Points, second: Points, epsilons_px: Sequen
     count = min(len(a), len(b))
     if count == 0:
         return Rate((0.0,) * len(epsilons_px), (0.0,) * len(epsilons_px), 0)
-    found, by_chance = (_paired_distances(p, b, max(epsilons_px)) for p in (a, a + _SHIFT_PX))
+    shifted = _shifted(first, pair.first)
+    moved = mapped(shifted, pair.homography)
+    moved = moved[_inside(moved, pair.second)]
+    found, by_chance = (_paired_distances(p, b, max(epsilons_px)) for p in (a, moved))
     return Rate(
         tuple(float((found <= e).sum() / count) for e in epsilons_px),
         tuple(float((by_chance <= e).sum() / count) for e in epsilons_px),
@@ -88,6 +91,13 @@ def repeatability(pair: Pair, first: Points, second: Points, epsilons_px: Sequen
 def _inside(points: Points, picture: Gray) -> npt.NDArray[np.bool_]:
     limit = np.array(picture.shape[::-1]) - 1 - _EDGE_PX
     return np.asarray(((points >= _EDGE_PX) & (points <= limit)).all(axis=1))
+
+
+def _shifted(points: Points, picture: Gray) -> Points:
+    """Return those inside shifted; what leaves the picture comes in again at the other side, so that none is lost."""
+    inner = np.array(picture.shape[::-1]) - 1 - 2 * _EDGE_PX
+    kept = np.asarray(points, np.float64)[_inside(points, picture)]
+    return np.asarray(_EDGE_PX + (kept - _EDGE_PX + _SHIFT_PX) % inner)
 
 
 def _paired_distances(a: Points, b: Points, farthest: float) -> npt.NDArray[np.float64]:
