@@ -49,6 +49,9 @@ _BENT = 12
 """Grey levels from which on a bend counts no more: texture, not contrast."""
 
 
+_STARTS = "Strength that starts an edge; node and command count the largest value of more than 8 bits as 255"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TracingConfig(Config):
     """How thinned pixels become chains.
@@ -56,7 +59,7 @@ class TracingConfig(Config):
     Strengths are (-R / k)^(1/4), which on a straight edge is the gradient in grey levels per px.
     """
 
-    high: float = setting(20.0, "Strength that starts an edge", minimum=0.0, maximum=1e5, unit="grey levels per px")
+    high: float = setting(20.0, _STARTS, minimum=0.0, maximum=1e5, unit="grey levels per px")
     low_of_high: float = setting(0.5, "Strength that continues an edge, as a fraction", minimum=0.0, maximum=1.0)
     min_length_px: int = setting(10, "Smaller connected pieces are removed", minimum=1, maximum=10_000, unit="px")
     max_spur_px: int = setting(3, "Branches up to this length are removed", minimum=0, maximum=100, unit="px")
@@ -92,7 +95,7 @@ class EdgeConfig(TracingConfig):
         6, "Strengths are averaged along the edge so far, both ways", minimum=0, maximum=50, unit="px"
     )
     color: float = setting(5.0, "Weight of the Lab colors a and b in color pictures", minimum=0.0, maximum=20.0)
-    high: float = setting(3.0, "Strength that starts an edge", minimum=0.0, maximum=1e5, unit="grey levels per px")
+    high: float = setting(3.0, _STARTS, minimum=0.0, maximum=1e5, unit="grey levels per px")
     low_of_high: float = setting(0.3, "Strength that continues an edge, as a fraction", minimum=0.0, maximum=1.0)
     min_length_px: int = setting(20, "Smaller connected pieces are removed", minimum=1, maximum=10_000, unit="px")
     min_weight_px: float = setting(
