@@ -265,6 +265,12 @@ def test_pictures_without_edges(shape: tuple[int, int], value: float) -> None:
     assert found.labels.shape == shape and not found.labels.any() and found.chains == []
 
 
+@pytest.mark.parametrize("dtype", [np.float64, np.int32, np.bool_, np.complex64])
+def test_types_that_are_not_meant_are_refused(dtype: type) -> None:
+    with pytest.raises(ValueError, match=f"uint8, uint16 or float32 is needed, not {np.dtype(dtype)}"):
+        EdgeDetector().detect(np.zeros((9, 9), dtype))
+
+
 def naive_edge_pixels(picture: np.ndarray, least: float, border: int, k: float = 0.04) -> dict[tuple[int, int], float]:
     """Return the pixels of the paper's definition, written pixel by pixel, with their strengths."""
     height, width = picture.shape

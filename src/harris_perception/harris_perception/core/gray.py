@@ -31,7 +31,7 @@ def gray_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[Any]:
     picture
         (H, W) or (H, W, C) as ``icu_common.nodes.conversions.image_array`` gives it.
     encoding
-        mono8, bgr8, rgb8, bgra8, rgba8 or bayer_*8, or one of these with 16 bits.
+        mono8, bgr8, rgb8, bgra8, rgba8 or bayer_*8, or one of these with 16 bits; 8UC1 and 16UC1 are mono.
 
     Raises
     ------
