@@ -13,9 +13,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import serial
 from nodes.grbl_board import GrblBoard
 
 from gantry_driver.cli.gantry_gcode import main
+from gantry_driver.core.settings_profile import parse_profile, profile_text
 
 GOOD = ["; a square", "G21 G90", *(f"G53 G1 X{-300 - 10 * k} Y-100 F9000" for k in range(5)), "G53 G0 X-359 Y-219"]
 
@@ -72,13 +74,13 @@ class Terminal:
             os.close(self._master)
 
 
-def run(*arguments: str, what: str = "run") -> tuple[int, str]:
+def run(*arguments: str, what: str = "run", within_s: float = 60.0) -> tuple[int, str]:
     done = subprocess.run(
         [sys.executable, "-m", "gantry_driver.cli.gantry_gcode", what, *arguments],
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        timeout=60.0,
+        timeout=within_s,
     )
     return done.returncode, done.stdout
 
@@ -103,6 +105,15 @@ def test_a_refused_program_does_not_open_the_port(
     assert said == f"{path}:3:14: Y = 7.000 mm (machine) is outside -219 to 0 mm (ALARM:2)\n"
 
 
+def test_a_port_that_is_busy_ends_the_program_with_the_reason(program: Callable[..., Path]) -> None:
+    master, slave = pty.openpty()
+    with serial.Serial(os.ttyname(slave), exclusive=True):
+        code, output = run(str(program(*GOOD)), "--port", os.ttyname(slave), within_s=15.0)
+    os.close(slave)
+    os.close(master)
+    assert code == 1 and "Resource temporarily unavailable" in output.splitlines()[-1], output
+
+
 def test_the_check_alone_says_how_long_it_takes(
     program: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -121,6 +132,29 @@ def test_a_dry_run_moves_nothing_and_names_what_the_board_refuses(
     code, output = run(str(program(*GOOD)), "--port", str(board.port), "--dry-run")
     assert code == 1 and "program.nc:4:1: the board answers error:20 (command not supported)" in output, output
     assert board.mpos() == start
+
+
+def test_a_dry_run_resets_a_board_that_opening_its_port_does_not_reset(
+    tmp_path: Path, program: Callable[..., Path]
+) -> None:
+    board = GrblBoard(tmp_path, "--keep-running", "--dialect", "grblHAL", time_scale=4.0)
+    try:
+        path = program("G53 G1 X-300 Y-100 F9000", *["G4 P1"] * 60)
+        terminal = Terminal("run", str(path), "--port", str(board.port), "--dry-run")
+        terminal.until("dry run")
+        terminal.process.send_signal(signal.SIGINT)
+        terminal.until("interrupted")
+        assert terminal.end() == 1 and "Traceback" not in terminal.seen
+        assert board.ask("state")["state"] == "Idle" and board.counters()["resets"] == 2
+    finally:
+        board.close()
+
+
+def test_a_kept_profile_can_be_read_again_though_some_settings_are_texts() -> None:
+    """A grblHAL board with a network has such settings; they stay in the file as comments."""
+    text = profile_text({110: "12000.000", 302: "192.168.5.1", 74: "", 9: "1"})
+    assert text == "$9=1\n; $74=\n$110=12000.000\n; $302=192.168.5.1\n"
+    assert parse_profile(text.splitlines()) == {9: 1.0, 110: 12000.0}
 
 
 def test_a_setting_that_differs_is_named(tmp_path: Path, program: Callable[..., Path]) -> None:
@@ -150,6 +184,8 @@ def test_space_pauses_and_resumes_and_ctrl_c_ends_safely(board: GrblBoard, progr
         assert time.monotonic() < end, "it goes on"
     terminal.process.send_signal(signal.SIGINT)
     terminal.until("interrupted: holding")
+    terminal.process.send_signal(signal.SIGINT)  # people press again; the retreat goes on
+    terminal.process.send_signal(signal.SIGTERM)
     assert terminal.end() == 1
     x, _, z = board.mpos()
     assert -359.0 < x < -199.9 and z == pytest.approx(-1.0, abs=0.02), "held on the way, and the stylus is up"

@@ -23,6 +23,9 @@ SETTINGS = {
     22: "1",
     23: "3",
     27: "1.000",
+    30: "1000",
+    31: "0",
+    32: "0",
     100: "80.000",
     101: "80.000",
     102: "400.000",
@@ -96,7 +99,8 @@ class Board:
 
     def report(self) -> str:
         x, y, z = self.mpos
-        return f"<{self.state}|MPos:{x:.3f},{y:.3f},{z:.3f}|Bf:{15 - len(self.blocks)},{128 - len(self.rx)}|FS:0,0>"
+        room = f"Bf:{15 - len(self.blocks)},{128 - len(self.rx)}"
+        return f"<{self.state}|MPos:{x:.3f},{y:.3f},{z:.3f}|{room}|FS:0,0|WCO:0,0,0>"
 
     def say(self, text: str) -> None:
         if not self.mute:
@@ -105,7 +109,7 @@ class Board:
     def reset(self) -> None:
         """0x18, or the power: locked when it moved."""
         self.resets += 1
-        moving = self.state == "Run" or self.homing_until >= 0
+        moving = self.state in ("Run", "Hold:1") or self.homing_until >= 0
         if moving:
             self.say("ALARM:3")
         self.rx.clear()

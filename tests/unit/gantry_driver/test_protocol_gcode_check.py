@@ -41,6 +41,11 @@ def checked(*lines: str, **kwargs: object) -> list[str]:
         (["G53 G2 X-1 I1 F10"], 1, 1, "G53 needs G0 or G1"),
         (["G80", "X-1"], 2, 1, "axis words without a motion (error:31)"),
         (["G4"], 1, 1, "G4 needs P"),
+        (["G4 P1 X-10"], 1, 7, "G4 takes no axis words: a board would move by them"),
+        (["G92.1 Y-10"], 1, 7, "G92.1 takes no axis words"),
+        (["G1 F100 X-9", "G49 Z-5"], 2, 5, "G49 takes no axis words"),
+        (["G0 X-10 M2"], 1, 4, "M2 takes no axis words"),
+        (["G91 G1 F100", "M30 X-10"], 2, 5, "M30 takes no axis words"),
         (["G28"], 1, 1, "G28 goes to a stored place"),
         (["G10 L2 P1 X0"], 1, 1, "writes to the board's memory"),
         (["G38.2 Z-5 F10"], 1, 1, "where the probe touches"),
@@ -63,6 +68,10 @@ def test_refusals_name_line_column_and_reason(lines: list[str], line: int, colum
 def test_spaces_comments_and_realtime_bytes_do_not_reach_the_board() -> None:
     lines = ["%", "; all of it", "g21 (mm) g90", "/G1 x-50.0000 ?y-60 ! F1200 ; go", "~", "M3S0200\x18\x85", "m30"]
     assert checked(*lines) == ["G21G90", "F1200X-50Y-60G1", "M3S200", "M30"]
+
+
+def test_a_g53_without_a_move_is_left_out() -> None:
+    assert checked("G3 X-90 I5 F100", "G0 G53 F500", "X-80") == ["F100X-90I5G3", "F17234X-80G1"]
 
 
 def test_modes_stay_and_offsets_are_followed() -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Any
 
 import pytest
+from unit.gantry_driver import protocol_board
 from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
 
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
 from gantry_driver.core.machine_states import Note
 from gantry_driver.core.trajectory_gcode import Waypoint
-from icu_common.core.config import settings_of
+from icu_common.core.config import ConfigError, settings_of
 from icu_common.core.frames import JOINTS
 
 
@@ -39,6 +41,14 @@ def test_a_board_that_is_already_idle_is_reset_without_loss() -> None:
     rig.machine.opened(0.0)
     rig.until(lambda: rig.state == "unhomed")
     assert rig.board.resets == 1
+
+
+def test_a_board_found_in_an_alarm_in_which_it_answers_nothing_is_reset() -> None:
+    rig = Rig(locked=False)
+    rig.board.alarm(1)  # GRBL hears nothing but a reset then, and a reset after half a second only
+    rig.machine.opened(0.0)
+    rig.until(lambda: rig.state == "unhomed", 20.0)
+    assert rig.machine.connects == 1 and rig.now < rig.machine.config.connect_timeout_s
 
 
 def test_a_board_found_moving_is_held_before_it_is_reset() -> None:
@@ -87,6 +97,8 @@ def test_reached_is_not_said_before_the_machine_stands() -> None:
         ((0.1, 0.0, 0.0), {"velocities_m_s": (0.5, 0.0, 0.0)}, "30000 mm/min is above 12000"),
         ((0.1, 0.0, 0.0), {"time_s": 0.01}, "above 12000 mm/min"),
         ((0.1, 0.0, 0.0), {"velocities_m_s": (math.nan, 0.0, 0.0)}, "not finite"),
+        ((0.1, 0.0, 0.0), {"velocities_m_s": (1.7e308, 1.7e308, 0.0)}, "above 12000 mm/min"),
+        ((0.1, 0.0, 0.0), {"time_s": -1.0}, "time_from_start -1 s is negative"),
     ],
 )
 def test_bad_points_are_refused_and_nothing_is_sent(point: tuple[float, ...], kwargs: dict, reason: str) -> None:  # type: ignore[type-arg]
@@ -183,6 +195,25 @@ def test_stop_lifts_the_stylus_and_moves_nothing_else() -> None:
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
     assert rig.board.mpos == [x, y, HOMED[2]]
     assert rig.states[-1] == "stopped: stop requested"
+
+
+def test_a_stop_lifts_on_a_board_that_reports_work_positions_though_its_offset_is_garbled() -> None:
+    rig = Rig()
+    offset, garbled = (10.0, 20.0, -40.0), False
+
+    def report() -> str:
+        place = ",".join(f"{m - o:.3f}" for m, o in zip(rig.board.mpos, offset))
+        told = "" if garbled else "|WCO:" + ",".join(map(str, offset))
+        return f"<{rig.board.state}|WPos:{place}|FS:0,0{told}>"
+
+    rig.board.report = report  # type: ignore[method-assign]
+    rig.homed()
+    rig.go((0.1, 0.1, 0.03), (0.2, 0.1, 0.03))
+    rig.until(lambda: rig.board.mpos[2] < -30.9)
+    rig.machine.stop("stop requested", rig.now)
+    garbled = True  # the first report after a reset has the offset, the next ones have not
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.board.mpos[2] == pytest.approx(HOMED[2]) and rig.states[-1] == "stopped: stop requested"
 
 
 @pytest.mark.parametrize("hold_written", [False, True])
@@ -437,6 +468,47 @@ def test_homing_is_no_silence_and_its_alarm_is_one() -> None:
     assert "ALARM:9 (homing: no switch found)" in rig.states[-1] and not rig.machine.homed
 
 
+def test_an_alarm_outlasts_the_reset_that_the_board_adds_to_it() -> None:
+    rig = Rig().connect()
+    rig.step()
+    rig.machine.home(rig.now)
+    rig.run_for(0.2)
+    rig.board.homing_until = -1.0
+    rig.board.alarm(9)
+    rig.board.say("ok")  # of the line that was aborted
+    rig.board.reset()
+    rig.run_for(2.0)
+    assert rig.states[-1] == "alarm: ALARM:9 (homing: no switch found)"
+    assert rig.machine.reset(rig.now) == ""
+    rig.until(lambda: rig.state == "unhomed")
+
+
+@pytest.mark.parametrize("code", [1, 3])
+def test_an_alarm_while_connecting_does_not_spare_the_board_the_comparison(code: int) -> None:
+    board = Board()
+    board.settings[110] = "500.000"
+    board.hooks["$I"] = lambda: board.alarm(code)
+    rig = Rig(board=board)
+    rig.machine.opened(0.0)
+    board.reset()
+    rig.until(lambda: rig.state == "alarm")
+    assert rig.machine.reset(rig.now) == ""
+    rig.until(lambda: rig.state == "mismatch")
+    assert "$110 is 500.000" in rig.states[-1] and rig.machine.session.rx_bytes == 128
+
+
+@pytest.mark.parametrize(("banner", "code"), [(b"GrblHAL 1.1f ['$' for help]", 11), (b"Grbl 3.7 [FluidNC v3.7]", 14)])
+def test_a_board_that_only_wants_to_be_homed_is_unhomed(banner: bytes, code: int, monkeypatch: Any) -> None:
+    monkeypatch.setattr(protocol_board, "BANNER", b"\r\n%s\r\nALARM:%d\r\n" % (banner, code))
+    rig = Rig().connect()
+    assert rig.states[1:] == ["connecting", "unhomed"] and rig.machine.settings
+    rig.step()
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle")
+    rig.board.alarm(code)
+    rig.until(lambda: rig.state == "alarm")
+
+
 def test_stop_while_homing_resets_at_once() -> None:
     rig = Rig().connect()
     rig.step()
@@ -453,11 +525,34 @@ def test_stop_while_homing_resets_at_once() -> None:
 @pytest.mark.parametrize(("kind", "down", "up"), [("servo_m3", "M3S800", "M3S200"), ("solenoid_m8", "M8", "M9")])
 def test_other_styluses_go_down_after_the_move_and_up_before_it(kind: str, down: str, up: str) -> None:
     config = DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, stroke_m=0.01, dwell_s=0.1))
-    rig = Rig(config).homed()
+    board = Board()
+    board.homed = (*HOMED[:2], 0.0)  # a stage without a Z axis homes X and Y alone
+    rig = Rig(config, board).homed()
     rig.go((0.1, 0.0, 0.01), (0.2, 0.0, 0.0))
     rig.until(lambda: "reached" in rig.outcomes())
     lines = [t for t in rig.board.received if t not in ("G21G90G94", "G4P0")]
     assert lines[-6:] == ["F9000X-259G53G1", down, "G4P0.1", up, "G4P0.1", "X-159G53G1"]
+
+
+@pytest.mark.parametrize(("number", "value"), [(32, "1"), (30, "255"), (31, "300")])
+def test_a_servo_needs_the_spindle_settings_that_its_s_values_mean(number: int, value: str) -> None:
+    board = Board()
+    board.settings[number] = value  # with $32=1, GRBL gives M3 no power until a G1 has been sent: no stop would lift
+    config = DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind="servo_m3"))
+    assert f"mismatch: ${number} is {value}, the configuration says " in Rig(config, board).connect().states[-1]
+    assert Rig(board=board).connect().state == "unhomed", "a Z axis needs none of them"
+
+
+def test_a_servo_outside_its_range_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"servo_down = 1200 is not within servo_range = \(0.*, 1000"):
+        StylusConfig(servo_down=1200.0)
+
+
+@pytest.mark.parametrize("rate", ["status_rate_hz", "moving_status_rate_hz"])
+def test_a_silence_shorter_than_the_time_between_reports_is_refused(rate: str) -> None:
+    with pytest.raises(ConfigError, match=r"status_timeout_s = 0\.2: .* 0\.3 s at 5 Hz"):
+        DriverConfig(status_timeout_s=0.2, **{rate: 5.0})
+    DriverConfig(status_timeout_s=0.3, **{rate: 5.0})
 
 
 def test_homed_somewhere_else_than_configured_is_a_mismatch() -> None:
@@ -501,7 +596,7 @@ def test_reset_and_home_do_not_leave_settings_that_differ() -> None:
 
 
 def test_settings_of_the_test_board_are_those_of_the_configuration() -> None:
-    expected = MachineConfig().expected_settings()
+    expected = DriverConfig(stylus=StylusConfig(kind="servo_m3")).expected_settings()
     assert {n: float(v) for n, v in SETTINGS.items()} == pytest.approx(expected)
 
 
@@ -524,8 +619,9 @@ def test_a_program_is_checked_as_a_whole_and_then_streamed() -> None:
 def test_what_homing_and_the_settings_check_rest_on_is_fixed_while_the_node_runs() -> None:
     items = {item.name: item.setting.read_only for item in settings_of(DriverConfig)}
     fixed = {name for name in items if name.startswith("machine.")}
-    fixed |= {"stylus.kind", "stylus.stroke_m", "stylus.servo_up", "stylus.servo_down", "port", "baud"}
-    assert len(fixed) == 12 and [name for name in sorted(fixed) if not items[name]] == []
+    fixed |= {f"stylus.{name}" for name in ("kind", "stroke_m", "servo_up", "servo_down", "servo_range")}
+    fixed |= {"port", "baud"}
+    assert len(fixed) == 13 and [name for name in sorted(fixed) if not items[name]] == []
     assert not items["feed_m_s"], "what only the next motion needs stays live"
 
 
@@ -577,6 +673,26 @@ def test_a_stop_and_a_lost_operator_end_a_pause() -> None:
         rig.until(lambda rig=rig: rig.machine.phase.name == "STOPPED")
         assert rig.outcomes() == ["accepted", "aborted"] and rig.board.mpos[2] == pytest.approx(HOMED[2])
         assert rig.machine.homed
+
+
+def test_a_stop_just_after_a_resume_trusts_no_hold_from_before_it() -> None:
+    rig = Rig().homed()
+    rig.go((0.1, 0.1, 0.03), (0.3, 0.1, 0.03))
+    rig.until(lambda: rig.board.mpos[0] > HOMED[0] + 110.0)
+    rig.machine.pause(rig.now)
+    rig.until(lambda: rig.board.state == "Hold:0")
+    rig.run_for(0.2)
+    paused = rig.board.report()
+    rig.machine.resume(rig.now)
+    rig.until(lambda: rig.board.state == "Run", 1.0)
+    rig.machine.receive(f"{paused}\r\n".encode(), rig.now)  # asked for again: `~` waits to be written
+    rig.board.write(b"!")
+    rig.machine.stop("stop requested", rig.now, hold_written=True)
+    rig.machine.receive(f"{paused}\r\n".encode(), rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.machine.homed and rig.board.mpos[2] == pytest.approx(HOMED[2])
+    resumed = [t for t, code in rig.board.realtime if code == ord("~")]
+    assert next(code for t, code in rig.board.realtime if t > resumed[-1] and code != ord("?")) == ord("!")
 
 
 def test_settings_are_written_alone_and_read_back() -> None:
@@ -634,12 +750,21 @@ def test_a_stop_while_settings_are_written_is_a_stop() -> None:
     assert rig.states[-1] == "stopped: stop requested"
 
 
-@pytest.mark.parametrize("program", [False, True])
-def test_a_servo_that_is_down_between_two_moves_is_lifted_by_a_stop(program: bool) -> None:
+@pytest.mark.parametrize(
+    "program",
+    [
+        [],
+        ["M3 S800", "G53 G1 X-300 F6000", "G53 G1 X-100", "M3 S200"],
+        ["G1 F6000", "S800 G53 X-300 M3", "G53 X-100"],
+        ["M3 S200", "G53 G1 X-300 F6000", "S800", "G53 G1 X-100"],
+        ["M3 S800", "M5", "G53 G1 X-300 F6000", "G53 G1 X-100"],  # a servo without pulses is limp, not up
+    ],
+)
+def test_a_servo_that_is_down_between_two_moves_is_lifted_by_a_stop(program: list[str]) -> None:
     config = DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind="servo_m3", dwell_s=0.1))
     rig = Rig(config).homed()
     if program:
-        source = ["M3 S800", "G53 G1 X-300 F6000", "G53 G1 X-100", "M3 S200"]
+        source = program
         assert rig.machine.run_program("p", source, rig.now).outcome.value == "accepted"
     else:
         assert rig.go((0.05, 0.0, 0.02), (0.25, 0.0, 0.02), (0.25, 0.0, 0.0)).outcome.value == "accepted"
@@ -680,9 +805,9 @@ def test_marlin_is_told_from_the_others_and_nothing_but_a_question_is_sent_to_it
         assert now < 6.0
         machine.tick(now)
         sent += machine.output(now)
-        if b"M115\n" in sent:
+        if b"M115" in sent.split(b"\n")[:-1]:  # behind question marks in its line, no Marlin would know it
             machine.receive(b"FIRMWARE_NAME:Marlin 2.1.2 SOURCE_CODE_URL:x PROTOCOL_VERSION:1.0\nok\n", now)
-    assert set(sent.replace(b"M115\n", b"")) <= set(b"?") and (b"M115" in sent) is not banner
+    assert set(sent.replace(b"M115\n", b"")) <= set(b"?\n") and (b"M115" in sent) is not banner
     assert machine.state_text.startswith("mismatch: the firmware is Marlin, which has no feed hold")
     machine.heartbeat(now)
     refused = machine.run("g", JOINTS, [Waypoint(positions_m=(0.1, 0.1, 0.0))], age_s=0.0, now=now)

@@ -287,6 +287,16 @@ def test_work_positions_become_machine_positions_with_the_last_offset() -> None:
     assert isinstance(report, Report) and report.mpos_mm == (11.0, 22.0, 33.0)
 
 
+def test_a_work_position_whose_offset_has_not_been_told_is_no_position() -> None:
+    session = started()
+    for _ in range(2):
+        report = next(iter(session.receive(b"<Idle|WPos:1.000,2.000,3.000|FS:0,0>\r\n", 0.0)))
+        assert isinstance(report, Report) and report.mpos_mm is None and session.wco_mm is None
+        report = next(iter(session.receive(b"<Idle|WPos:1.000,2.000,3.000|WCO:-1.000,0.000,1.000>\r\n", 0.1)))
+        assert isinstance(report, Report) and report.mpos_mm == (0.0, 2.0, 4.0)
+        list(session.receive(b"Grbl 1.1h ['$' for help]\r\n", 0.2))  # G92 may have gone with the reset
+
+
 def test_errors_belong_to_their_lines() -> None:
     session = started()
     first, second = session.queue("X1G1"), session.queue("G77")

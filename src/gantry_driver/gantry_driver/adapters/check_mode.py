@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 
 import serial
 
 ANSWER_WITHIN_S = 5.0
+BANNER_WAIT_S = 2.5
+"""An Arduino is reset by the opening of its port and has then been in its boot loader for up to two seconds."""
+_ANSWER = re.compile(r"ok|error:\d+|ALARM:\d+")
 
 
 class CheckFailed(Exception):
@@ -34,7 +38,7 @@ def dry_run(
         When the port cannot be opened, for example because another program has it.
     """
     with serial.Serial(port_name, baud, timeout=0.1, exclusive=True) as port:
-        _read_until(port, lambda line: line.startswith("Grbl"), "no banner: is it a GRBL board?")
+        _await_reset(port)
         try:
             for command in ("$X", "$C"):
                 if (answer := _ask(port, command)) != "ok":
@@ -52,19 +56,38 @@ def dry_run(
             port.flush()
 
 
+def _await_reset(port: serial.Serial) -> None:
+    """Wait for the banner; a board that goes on running when its port is opened is reset, unless it moves."""
+    if _read_line(port, _is_banner, BANNER_WAIT_S):
+        return
+    port.write(b"?")
+    report = _read_line(port, lambda text: text.startswith("<"), ANSWER_WITHIN_S)
+    if report and not report.startswith(("<Idle", "<Alarm", "<Check")):
+        raise CheckFailed(f"a board at rest is needed, this one reports {report}")
+    port.write(b"\x18")
+    if not _read_line(port, _is_banner, ANSWER_WITHIN_S):
+        raise CheckFailed(f"no banner within {ANSWER_WITHIN_S:g} s: is it a GRBL board?")
+
+
+def _is_banner(text: str) -> bool:
+    return text.lower().startswith("grbl")
+
+
 def _ask(port: serial.Serial, line: str) -> str:
     port.write(line.encode("ascii") + b"\n")
-    return _read_until(
-        port, lambda text: text == "ok" or text.startswith(("error:", "ALARM:")), f"no answer to {line!r}"
-    )
+    answer = _read_line(port, lambda text: _ANSWER.fullmatch(text) is not None, ANSWER_WITHIN_S)
+    if not answer:
+        raise CheckFailed(f"no answer to {line!r} within {ANSWER_WITHIN_S:g} s")
+    return answer
 
 
-def _read_until(port: serial.Serial, wanted: Callable[[str], bool], missing: str) -> str:
-    end, buffer = time.monotonic() + ANSWER_WITHIN_S, b""
+def _read_line(port: serial.Serial, wanted: Callable[[str], bool], within_s: float) -> str:
+    """Return the first line that is wanted, empty if none comes in time."""
+    end, buffer = time.monotonic() + within_s, b""
     while time.monotonic() < end:
         buffer += port.read_until(b"\n")
         if buffer.endswith(b"\n"):
             text, buffer = buffer.decode("ascii", "replace").strip(), b""
             if wanted(text):
                 return text
-    raise CheckFailed(f"{missing} within {ANSWER_WITHIN_S:g} s")
+    return ""

@@ -35,7 +35,7 @@ from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, StateChanged
 from gantry_driver.core.progress import duration_text, progress_text
-from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile
+from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile, profile_text
 from icu_common.core.config import ConfigError, from_mapping
 from icu_common.core.results import GoalResult, Outcome
 
@@ -119,6 +119,7 @@ class Runner:
     def __init__(self, config: DriverConfig, display: Display) -> None:
         self._display = display
         self._machine = Machine(config)
+        self._before_opening = self._machine.state_text
         self._result: GoalResult | None = None
         self._texts: list[str] = []
         self._link = SerialLink(self._machine, config.port, config.baud, self._on_events)
@@ -173,10 +174,15 @@ class Runner:
         return differences(self.settings(), profile, "what was written")
 
     def _connect(self, key: Callable[[], str]) -> None:
-        self._turn_until(lambda: self._machine.state not in ("connecting", "disconnected"), key)
+        self._turn_until(
+            lambda: self._machine.state != "connecting" and self._machine.state_text != self._before_opening, key
+        )
+        if self._machine.state == "disconnected":
+            raise Failed(f"the board is {self._machine.state_text}")
 
     def close(self) -> None:
-        """Hold if anything moves, lift the stylus, and close the port."""
+        """Hold if anything moves, lift the stylus, and close the port; nothing interrupts that."""
+        _on_signals(signal.SIG_IGN)
         self._link.close("interrupted")
         self._turn()
 
@@ -254,11 +260,10 @@ def run_settings(config: DriverConfig, *, save: Path | None, profile: Mapping[in
         if not found:
             raise Failed("the board has no settings")
         if save is not None:
-            text = "".join(f"${number}={value}\n" for number, value in sorted(found.items()))
-            save.write_text(f"; settings of the board at {config.port}\n{text}", encoding="ascii")
+            save.write_text(f"; settings of the board at {config.port}\n{profile_text(found)}", encoding="ascii")
             print(f"{save}: {len(found)} settings")
             return DONE
-        wanted = config.machine.expected_settings() if profile is None else profile
+        wanted = config.expected_settings() if profile is None else profile
         wrong = differences(found, wanted)
         if profile is not None and wrong:
             wrong = runner.write(profile)
@@ -287,6 +292,9 @@ def run_dry(name: str, source: Sequence[str], lines: Sequence[CheckedLine], conf
     except (CheckFailed, serial.SerialException, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return FAILED
+    except KeyboardInterrupt:
+        display.say("interrupted")
+        return FAILED
     display.say(f"dry run: {len(lines)} lines, {refused} refused by the board")
     return FAILED if refused else DONE
 
@@ -311,7 +319,13 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _on_signals(what: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, what)
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
+    _on_signals(signal.SIG_IGN)  # People press again while the stylus goes up; that must not end its way.
     raise KeyboardInterrupt
 
 
@@ -327,11 +341,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return USAGE
     # A shell that starts a program in the background lets it ignore SIGINT; one that moves a machine must not.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    _on_signals(_interrupt)
     if given.command == "settings":
         if given.write:
-            profile = config.machine.expected_settings()
+            profile = config.expected_settings()
         return run_settings(config, save=given.save, profile=profile)
     try:
         lines = check(source, config)

@@ -34,6 +34,10 @@ HOLD_REPEAT_S = 0.2
 """A hold that the reports do not show is sent again."""
 STYLUS_DOWN_M = 0.0005
 """Extension above which the stylus may touch something and is lifted after a stop."""
+ASK_ALONE_S = 0.2
+"""No `?` gets into the line of a question to a firmware that knows no real-time bytes."""
+OLD_HOLDS = 2
+"""Reports of a hold that may still come after a resume: one on its way, one asked for."""
 TICK_S = 0.05
 READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
 """Directions, homing corner, pull-off, steps and travel: with others a calibration of the readings is void."""
@@ -89,6 +93,7 @@ class Connection:
         self._probe_from = 0.0
         self._stylus_down = self._lowers = False
         self._pausing = self._resuming = False
+        self._old_holds = 0
 
     # --- what the node sees --------------------------------------------------------------------------------------
 
@@ -197,11 +202,16 @@ class Connection:
         self.session.polling = False
         self.session.soft_reset(now)
 
-    def _ask_for_marlin(self, age: float, now: float) -> None:
-        # A board that answers neither with a banner nor to `?` may be a Marlin, which has no real-time bytes.
+    def _rouse(self, age: float, now: float) -> None:
+        # A board that answers neither with a banner nor to `?` may be a Marlin, which has no real-time bytes ...
         if age > self.config.connect_timeout_s / 2 and not self._probed:
             self._probed = now
+            self.session.realtime(b"\n")  # Ends the line that `?` has begun there.
             self.session.queue("M115")
+        # ... or a GRBL in a homing cycle or after a limit's alarm, which hears nothing but a reset.
+        silent = self.session.last_report_at is None and not self.session.awaiting_banner
+        if silent and age > 0.75 * self.config.connect_timeout_s:
+            self.session.soft_reset(now)
 
     def _on_firmware(self, firmware: Firmware, now: float) -> None:
         if firmware.dialect is not Dialect.UNKNOWN:
@@ -252,7 +262,7 @@ class Connection:
         """
         if self.phase not in (Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE) or self._rests_extended():
             return f"settings are written to a board at rest with the stylus up, the driver is {self.state_text}"
-        wanted = dict(profile if profile is not None else self.config.machine.expected_settings())
+        wanted = dict(profile if profile is not None else self.config.expected_settings())
         lines = lines_to_write(self._settings, wanted) if self._settings else []
         if not lines:
             return "nothing to write: " + ("it has these settings" if self._settings else "the board has no settings")
@@ -269,7 +279,7 @@ class Connection:
         self._marker = self.session.queue("$$").number
 
     def _check_settings(self, now: float) -> None:
-        self._mismatch = "; ".join(differences(self._settings, self.config.machine.expected_settings()))
+        self._mismatch = "; ".join(differences(self._settings, self.config.expected_settings()))
         profile, self._profile = self._profile, {}
         for text in differences(self._settings, profile, "what was written"):
             self._events.append(Note(level="error", text=f"the board did not keep a setting: {text}"))

@@ -38,6 +38,8 @@ _GROUPS: dict[str, tuple[str, ...]] = {
 _GROUP_OF = {word: group for group, words in _GROUPS.items() for word in words}
 _AXIS_USERS = frozenset({"G0", "G1", "G2", "G3", "G49", "G92"})
 """GRBL takes one of these in a line, even where no axis word follows."""
+_NO_AXES = frozenset({"G4", "G49", "G92.1", "M2", "M30"})
+"""GRBL obeys axis words beside most of these as a move of their own, beside G49 it ignores them."""
 _REFUSED = {
     "G28": "goes to a stored place that is not known here",
     "G30": "goes to a stored place that is not known here",
@@ -169,7 +171,7 @@ class ProgramChecker:
         modes = self._modes
         kept = [w for w in words if w.letter != "F" and _GROUP_OF.get(w.name) not in ("motion", "feed mode")]
         if not any(w.letter in "XYZ" for w in kept):
-            return "".join(f"{w.letter}{_plain(w.value)}" for w in kept)
+            return "".join(f"{w.letter}{_plain(w.value)}" for w in kept if w.name != "G53")
         # Values before commands: the rest of a line that a reset has cut is no move.
         text = "".join(f"{w.letter}{_plain(w.value)}" for w in sorted(kept, key=lambda w: w.letter in "GM"))
         if not feed:
@@ -276,6 +278,8 @@ class ProgramChecker:
             modes.feed_mode = "G94"
         special = commands.get("non-modal", "")
         axes = [values[letter] for letter in "XYZ" if letter in values]
+        if axes and (taken := _NO_AXES.intersection(commands.values())):
+            raise self._error(axes[0].column, f"{min(taken)} takes no axis words: a board would move by them")
         if special == "G4":
             if "P" not in values:
                 raise self._error(words[0].column, "G4 needs P (error:28)")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from gantry_driver.core.connection import HOLD_REPEAT_S, Connection, Goal, Reading
+from gantry_driver.core.connection import ASK_ALONE_S, HOLD_REPEAT_S, OLD_HOLDS, Connection, Goal, Reading
 from gantry_driver.core.gcode_check import Bounds, GcodeError, ProgramChecker
 from gantry_driver.core.grbl_messages import (
     Alarm,
@@ -40,7 +40,7 @@ from gantry_driver.core.trajectory_gcode import (
     TrajectoryError,
     Waypoint,
     lift_lines,
-    lifts,
+    may_be_down_after,
     mpos_mm,
     reading_m,
     write_motion,
@@ -50,6 +50,8 @@ from icu_common.core.results import GoalResult, Outcome
 BANNER_TIMEOUT_S = 5.0
 CRITICAL_ALARM_PAUSE_S = 0.6
 """After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
+HOMING_WANTED = {Dialect.GRBLHAL: 11, Dialect.FLUIDNC: 14}
+"""The alarm with which a firmware says after each reset that it has not been homed."""
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """What a program may rely on at its first line."""
 
@@ -77,8 +79,9 @@ class Machine(Connection):
                 self._close(f"no answer in {self.config.connect_timeout_s:g} s while {self._waiting_for()}", now)
                 return
             if phase is Phase.SYNCHRONISE and now >= self._probe_from:
-                self.session.polling = not self.session.awaiting_banner
-                self._ask_for_marlin(age, now)
+                self._rouse(age, now)
+                asked = 0.0 < self._probed > now - ASK_ALONE_S
+                self.session.polling = not self.session.awaiting_banner and not asked
         elif phase is Phase.HOLDING:
             self._tick_holding(age, now)
         elif phase is Phase.RESETTING and self.session.awaiting_banner and age > BANNER_TIMEOUT_S:
@@ -246,8 +249,10 @@ class Machine(Connection):
         try:
             if refusal := self._goal_refusal(0.0, now):
                 raise TrajectoryError(refusal)
+            if self.session.wco_mm is None:
+                raise TrajectoryError("the board has not told its work offset (WCO) yet")
             start = mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config)
-            checker = ProgramChecker(self.bounds(), start, {"G54": _three(self.session.wco_mm)})
+            checker = ProgramChecker(self.bounds(), start, {"G54": _three(self.session.wco_mm[:3])})
             lines = [(line.text, line.seconds) for line in checker.check_all(source)]
         except (TrajectoryError, GcodeError) as error:
             return self._answer(
@@ -263,9 +268,9 @@ class Machine(Connection):
     def _may_lower(self, lines: Iterable[str]) -> None:
         """Note where a stylus without a Z axis ends, and that it may be down before that."""
         if self.config.stylus.kind != "z_axis":
-            down = [not lifts(text, self.config) for text in lines if text.startswith("M")]
-            self._lowers = self._stylus_down or any(down)
-            self._stylus_down = down[-1] if down else self._stylus_down
+            told = [may_be_down_after(text, self.config) for text in lines]
+            down = [self._stylus_down, *(known for known in told if known is not None)]
+            self._lowers, self._stylus_down = any(down), down[-1]
 
     def _start(
         self, goal_id: str, text: str, lines: Sequence[tuple[str, float]], end_m: Reading, now: float
@@ -326,7 +331,9 @@ class Machine(Connection):
             self._enter(Phase.RESETTING, now, reason)
             self.session.soft_reset(now)
             return
-        if not hold_written:
+        self._old_holds = OLD_HOLDS if self._resuming else 0
+        self.session.withdraw(RESUME)
+        if not hold_written or self._resuming:  # a `~` may be on its way behind the hold that is written
             self.session.realtime(HOLD)
         self._hold_sent = now
         self.session.paused = True
@@ -376,11 +383,15 @@ class Machine(Connection):
             self._refuse_marlin(now)
             return
         self._critical = False
-        if self.phase is Phase.SYNCHRONISE:
+        if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):
+            # Also after an alarm: it may have come before the settings were known, or the board is another one.
             self.dialect, self.firmware = banner.dialect, banner.version
-            self._identify(now, self.reason)
-        elif event.expected and self.phase in (Phase.RESETTING, Phase.ALARM, Phase.ALARM_RESET):
+            self._identify(now, self.reason if self.phase is Phase.SYNCHRONISE else "")
+        elif event.expected and self.phase in (Phase.RESETTING, Phase.ALARM):
             self.session.poll_now()
+        elif self.phase in (Phase.ALARM, Phase.ALARM_RESET):
+            # GRBL resets itself after most alarms, which are still the reason; what is on the wire must not run.
+            self.session.realtime(HOLD)
         elif self.phase in (Phase.IDENTIFY, Phase.SETTINGS):
             # The board's own banner and that of the reset sent to it crossed.
             self._identify(now, self.reason)
@@ -432,6 +443,8 @@ class Machine(Connection):
             # The reset of an unknown position (homing cycle, a hold that did not complete) may say ALARM:3 or 6.
             self._events.append(Note(level="warn", text=text))
             return
+        if not self.homed and self.phase is not Phase.HOMING and alarm.code == HOMING_WANTED.get(self.dialect):
+            return
         self._critical = alarm.code in (1, 2, 10)
         self._reset_not_before = now + (CRITICAL_ALARM_PAUSE_S if self._critical else 0.0)
         self._to_alarm(text, now)
@@ -467,7 +480,6 @@ class Machine(Connection):
             Phase.HOLDING: self._report_holding,
             Phase.RESETTING: self._report_resetting,
             Phase.LIFTING: self._report_lifting,
-            Phase.ALARM_RESET: self._report_alarm_reset,
         }.get(self.phase)
         if handler is not None:
             handler(report, now)
@@ -475,10 +487,13 @@ class Machine(Connection):
     def _report_homing(self, report: Report, now: float) -> None:
         if not self._marker_done or report.state == "Home":
             return
-        if report.state != "Idle" or report.mpos_mm is None:
+        if report.state != "Idle":
             self._to_alarm(f"after homing the board is {report.state_text}", now)
             return
-        expected = self.config.machine.homed_mpos_mm()
+        if report.mpos_mm is None:
+            return  # A work position; its offset comes with one of the next reports.
+        # A stage whose stylus is no Z axis need not have one, and its Z stays where it was at power-up.
+        expected = self.config.machine.homed_mpos_mm()[: 3 if self.config.stylus.kind == "z_axis" else 2]
         if any(abs(a - e) > 0.05 for a, e in zip(report.mpos_mm, expected)):
             found = ", ".join(f"{v:.3f}" for v in report.mpos_mm[:3])
             text = f"homed at MPos {found} mm, the configuration says {', '.join(f'{v:g}' for v in expected)} mm"
@@ -538,7 +553,11 @@ class Machine(Connection):
         self._finish(Outcome.REACHED, "", now, error)
 
     def _report_holding(self, report: Report, now: float) -> None:
-        if report.state == "Alarm" and self.homed:
+        if report.state == "Hold" and self._old_holds:
+            # Older than the resume, perhaps: a reset now could find the board moving, and lose its position.
+            self._old_holds -= 1
+            self.session.poll_now()
+        elif report.state == "Alarm" and self.homed:
             self._to_alarm("the board is locked by an alarm whose number was not received", now)
         elif report.state in ("Idle", "Check"):
             # Older than the hold, or a firmware that does not hold while idle: give the hold time to show.
@@ -582,10 +601,6 @@ class Machine(Connection):
         elif report.state in ("Hold", "Door"):
             # The hold of a stop that was written just before the retreat began must not leave the stylus down.
             self._halt(self.reason, now, lift_again=report.state == "Hold")
-
-    def _report_alarm_reset(self, report: Report, now: float) -> None:
-        if self._marker == -1 and not self.session.awaiting_banner:
-            self._enter(self._resting_phase(), now, self._mismatch if self._blocked() else "")
 
 
 def _three(values: Sequence[float]) -> Reading:

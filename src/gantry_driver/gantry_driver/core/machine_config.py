@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from icu_common.core.config import Config, ConfigError, nested, setting
 
 AXES = ("x", "y", "z")
+REPORTS_MISSED = 1.5
+"""Time between status reports, as often as which a board must be silent before its link counts as lost."""
 STYLUS_KINDS = ("z_axis", "servo_m3", "solenoid_m8")
 
 
@@ -53,7 +55,7 @@ class MachineConfig(Config):
             raise ConfigError(f"pull_off_mm = {self.pull_off_mm:g} leaves nothing of travel_mm = {self.travel_mm}")
 
     def expected_settings(self) -> dict[int, float]:
-        """Return number and value of every ``$`` setting that the driver relies on."""
+        """Return number and value of every ``$`` setting that the axes rely on."""
         expected = {13: 0.0, 20: 1.0, 22: 1.0, 23: float(self.homing_direction_mask), 27: self.pull_off_mm}
         for axis in range(3):
             expected[100 + axis] = self.steps_per_mm[axis]
@@ -98,7 +100,19 @@ class StylusConfig(Config):
     servo_down: float = setting(
         800.0, "S value of M3 that lowers the stylus", minimum=0.0, maximum=30000.0, read_only=True
     )
+    servo_range: tuple[float, ...] = setting(
+        (0.0, 1000.0), "$31 and $30: the range of which S values are a share", minimum=0.0, read_only=True
+    )
     dwell_s: float = setting(0.25, "Time that servo or solenoid take for the way", minimum=0.0, maximum=5.0, unit="s")
+
+    def __post_init__(self) -> None:
+        super(StylusConfig, self).__post_init__()
+        if len(self.servo_range) != 2 or not self.servo_range[0] < self.servo_range[1]:
+            raise ConfigError(f"servo_range = {self.servo_range!r}: a lower and a higher value are needed")
+        for name in ("servo_up", "servo_down"):
+            value = getattr(self, name)
+            if not self.servo_range[0] <= value <= self.servo_range[1]:
+                raise ConfigError(f"{name} = {value:g} is not within servo_range = {self.servo_range!r}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,6 +167,22 @@ class DriverConfig(Config):
     lift_on_stop: bool = setting(True, "After a stop, once the hold is complete, lift the stylus off the panel")
     machine: MachineConfig = nested(MachineConfig)
     stylus: StylusConfig = nested(StylusConfig)
+
+    def __post_init__(self) -> None:
+        super(DriverConfig, self).__post_init__()
+        slowest = min(self.status_rate_hz, self.moving_status_rate_hz)
+        if self.status_timeout_s * slowest < REPORTS_MISSED - 1e-9:
+            raise ConfigError(
+                f"status_timeout_s = {self.status_timeout_s:g}: a link would be lost between two reports, at least "
+                f"{REPORTS_MISSED / slowest:g} s at {slowest:g} Hz are needed"
+            )
+
+    def expected_settings(self) -> dict[int, float]:
+        """Return number and value of every ``$`` setting that machine and stylus rely on."""
+        low, high = self.stylus.servo_range
+        # In laser mode ($32) a board gives M3 no power until it has been sent a G1: after a reset nothing would lift.
+        servo = {30: high, 31: low, 32: 0.0} if self.stylus.kind == "servo_m3" else {}
+        return {**self.machine.expected_settings(), **servo}
 
     def stylus_limit_m(self) -> float:
         """Return the largest extension of the stylus in metres."""

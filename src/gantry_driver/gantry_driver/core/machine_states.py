@@ -52,7 +52,7 @@ TRANSITIONS: dict[Phase, frozenset[Phase]] = {
     _P.LIFTING: frozenset({_P.STOPPED, _P.HOLDING}),
     _P.STOPPED: frozenset({_P.IDLE, _P.UNHOMED, _P.MISMATCH, _P.HOLDING}),
     _P.ALARM: frozenset({_P.ALARM_RESET}),
-    _P.ALARM_RESET: frozenset({_P.UNHOMED, _P.MISMATCH}),
+    _P.ALARM_RESET: frozenset(),
 }
 """All transitions; what is not here and not in the open ends is a bug and raises."""
 

@@ -178,7 +178,8 @@ class GrblSession:
         self._quiet_until = 0.0
         self._next_poll = 0.0
         self._reset_at = 0.0
-        self._wco_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self.wco_mm: tuple[float, ...] | None = None
+        """The work offset that the board has reported since its reset: its memory's G54 and what was added."""
         self._unanswered_since: float | None = None
         self._roomy_reports = 0
         self.last_report_at: float | None = None
@@ -197,18 +198,13 @@ class GrblSession:
         self.planner_blocks = 0
         self._planner_room = self._rx_room = -1
         self.last_report_at = None
-        self._wco_mm = (0.0, 0.0, 0.0)
+        self.wco_mm = None
         self._quiet_until = self._next_poll = now
 
     @property
     def pending(self) -> int:
         """Lines queued or under way."""
         return len(self._queue) + len(self._in_flight)
-
-    @property
-    def wco_mm(self) -> tuple[float, ...]:
-        """The work offset that the board has reported: its memory's G54 and what was added since its reset."""
-        return self._wco_mm[:3]
 
     @property
     def in_flight_bytes(self) -> int:
@@ -240,6 +236,10 @@ class GrblSession:
     def realtime(self, code: bytes) -> None:
         """Send one real-time byte before everything else."""
         self._realtime += code
+
+    def withdraw(self, code: bytes) -> None:
+        """Do not send a real-time byte that has not left yet."""
+        self._realtime = self._realtime.replace(code, b"")
 
     def soft_reset(self, now: float) -> None:
         """Send 0x18 and wait for the banner; until then no line is sent and no answer is believed."""
@@ -295,9 +295,9 @@ class GrblSession:
         self.last_report_at = now
         events: list[Message] = []
         if report.wco_mm is not None:
-            self._wco_mm = report.wco_mm
-        if report.mpos_mm is None and report.wpos_mm is not None:
-            mpos = tuple(w + o for w, o in zip(report.wpos_mm, self._wco_mm))
+            self.wco_mm = report.wco_mm
+        if report.mpos_mm is None and report.wpos_mm is not None and self.wco_mm is not None:
+            mpos = tuple(w + o for w, o in zip(report.wpos_mm, self.wco_mm))
             report = dataclasses.replace(report, mpos_mm=mpos)
         # The largest free sizes ever reported are the empty buffers; some builds hold one less than [OPT:] says.
         self._planner_room = max(self._planner_room, report.planner_free)
@@ -337,10 +337,10 @@ class GrblSession:
         self.counts.resets += 1
         lost, unsent = self._drop_lines()
         # A reset that has not left yet is not needed any more.
-        self._realtime = self._realtime.replace(SOFT_RESET, b"")
+        self.withdraw(SOFT_RESET)
         self.awaiting_banner = False
         self.paused = False
-        self._wco_mm = (0.0, 0.0, 0.0)
+        self.wco_mm = None
         self.last_report_at = now
         return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]
 

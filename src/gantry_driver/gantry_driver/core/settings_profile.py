@@ -63,6 +63,12 @@ def parse_profile(lines: Iterable[str]) -> dict[int, float]:
     return profile
 
 
+def profile_text(found: Mapping[int, str]) -> str:
+    """Return a profile of a board's settings; those that are no numbers (texts of grblHAL) are comments in it."""
+    lines = [f"${number}={value}" for number, value in sorted(found.items())]
+    return "".join(f"{line}\n" if _LINE.match(line) else f"; {line}\n" for line in lines)
+
+
 def _equal(text: str, value: float) -> bool:
     try:
         return math.isclose(float(text), value, rel_tol=1e-5, abs_tol=6e-4)  # boards print three decimals

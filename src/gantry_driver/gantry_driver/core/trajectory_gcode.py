@@ -6,12 +6,14 @@ Each refusal is a :class:`TrajectoryError` that names the point, the joint, the 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gantry_driver.core.machine_config import DriverConfig
 from icu_common.core.frames import JOINTS
 
+_M_WORD, _S_WORD = re.compile(r"M(\d+)"), re.compile(r"S([\d.]+)")
 _ROUNDING_M = 1e-6
 """Readings this far outside are rounding, not intent, and are clipped."""
 MODES = "G21G90G94"
@@ -112,12 +114,17 @@ def lift_lines(config: DriverConfig) -> tuple[str, ...]:
     return (MODES, f"F{_number(config.stylus_feed_m_s * 60_000.0)}Z{_number(top)}G53G1", SYNCHRONISE)
 
 
-def lifts(line: str, config: DriverConfig) -> bool:
-    """Return whether a line that begins with an M word takes a stylus without a Z axis off the panel, or ends it."""
-    stylus = config.stylus
-    if stylus.kind == "solenoid_m8":
-        return not line.startswith(("M8", "M7"))
-    return not line.startswith(("M3", "M4")) or line == f"M3S{_number(stylus.servo_up)}"
+def may_be_down_after(line: str, config: DriverConfig) -> bool | None:
+    """Return whether a stylus without a Z axis may be down after a line; None for a line that does not touch it."""
+    codes = {int(number) for number in _M_WORD.findall(line)}
+    if config.stylus.kind == "solenoid_m8":
+        return bool(codes & {7, 8}) if codes & {2, 7, 8, 9, 30} else None
+    speed = _S_WORD.search(line)
+    if speed is None and not codes & {2, 3, 4, 5, 30}:
+        return None
+    # Only this is surely up: without power, as after M5, a servo stays where it is pushed.
+    up = speed is not None and abs(float(speed[1]) - config.stylus.servo_up) < 1e-3 and bool(codes & {3, 4})
+    return not up or bool(codes & {2, 30})
 
 
 def mpos_mm(reading_m: tuple[float, float, float], config: DriverConfig) -> tuple[float, float, float]:
@@ -147,6 +154,8 @@ def _target(
         raise TrajectoryError(
             f"point {number}: velocities {point.velocities_m_s} or time {point.time_s} are not finite"
         )
+    if point.time_s < 0:
+        raise TrajectoryError(f"point {number}: time_from_start {point.time_s:g} s is negative")
     target = list(here)
     for axis, (place, limit) in enumerate(zip(order, config.limits_m())):
         if place < 0:
@@ -186,7 +195,8 @@ def _seconds(
         stylus = way[2] / config.stylus_feed_m_s if axes == 3 else 0.0
         return max(math.hypot(*way[:2]) / config.feed_m_s, stylus)
     for axis in range(axes):
-        rate, limit = way[axis] / seconds * 60_000.0 if seconds else 0.0, config.machine.max_rate_mm_min[axis]
+        rate = way[axis] / seconds * 60_000.0 if seconds else way[axis] and math.inf
+        limit = config.machine.max_rate_mm_min[axis]
         if rate > limit * 1.001:
             raise TrajectoryError(f"point {number}: {JOINTS[axis]} at {rate:.0f} mm/min is above {limit:g} mm/min")
     return seconds

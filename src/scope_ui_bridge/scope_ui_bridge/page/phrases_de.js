@@ -68,6 +68,7 @@ export const PHRASES_DE = [
   ["writing the settings", "die Einstellungen geschrieben wurden"],
   ["it has these settings", "sie hat diese Einstellungen schon"],
   ["the board has no settings", "die Platine hat keine Einstellungen"],
+  ["the board has not told its work offset (WCO) yet", "die Platine hat ihren Werkstückversatz (WCO) noch nicht gemeldet"],
   ["the configuration", "die Konfiguration"],
   ["the profile has no setting", "das Profil hat keine Einstellung"],
   ["{} cannot be written", "{} kann nicht geschrieben werden"],
@@ -129,6 +130,7 @@ export const PHRASES_DE = [
   ["point {}: {} = {} m is outside 0 to {} m", "Punkt {}: {} = {} m liegt außerhalb von 0 bis {} m"],
   ["point {}: {} at {} mm/min is above {} mm/min", "Punkt {}: {} mit {} mm/min ist schneller als {} mm/min"],
   ["point {}: time_from_start {} s does not follow {} s", "Punkt {}: time_from_start {} s folgt nicht auf {} s"],
+  ["point {}: time_from_start {} s is negative", "Punkt {}: time_from_start {} s ist negativ"],
 
   // Platine: GRBL
   ["ALARM:{} ({})", "ALARM:{} ({})"],
