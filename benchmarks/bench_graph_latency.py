@@ -78,7 +78,7 @@ class GoodFeatures:
 class PeerNode(CornersNode):
     def _use(self, config: HarrisConfig) -> None:
         cv2.setNumThreads(1)
-        self._fast: Any = GoodFeatures()
+        self._corner_detector: Any = GoodFeatures()
 
 
 def publish(count: int) -> int:

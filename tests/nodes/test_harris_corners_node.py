@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +36,9 @@ def square(encoding: str = "mono8") -> np.ndarray:
 class Rig:
     """A corners node, a publisher of pictures and the lists of what came out."""
 
-    def __init__(self, ros: Any, parameters: dict[str, Any] | None = None) -> None:
+    def __init__(self, ros: Any, parameters: dict[str, Any] | None = None, made_by: Any = CornersNode) -> None:
         self.ros = ros
-        self.node = ros.node(CornersNode, parameters)
+        self.node = ros.node(made_by, parameters)
         self.probe = ros.plain()
         self.clouds: list[PointCloud2] = ros.collect(self.probe, PointCloud2, "corners", qos.RESULTS)
         self.images = self.probe.create_publisher(Image, "image_raw", qos.IMAGES)
@@ -46,13 +47,17 @@ class Rig:
 
     def corners_of(self, message: Image) -> np.ndarray:
         """Publish and return (N, 3) u, v, response of the answer with this stamp."""
+        return cloud_array(self.cloud_of(message), ("u", "v", "response"))
+
+    def cloud_of(self, message: Image) -> PointCloud2:
+        """Publish and return the answer with this stamp."""
         self.images.publish(message)
         stamp = stamp_ns(message.header.stamp)
         cloud = self.ros.spin_until(
             lambda: next((c for c in self.clouds if stamp_ns(c.header.stamp) == stamp), None), 10.0
         )
         assert cloud.header.frame_id == message.header.frame_id
-        return cloud_array(cloud, ("u", "v", "response"))
+        return cloud
 
 
 def pixels(values: np.ndarray) -> list[tuple[float, float]]:
@@ -257,7 +262,12 @@ def test_outlines_see_colors_of_one_lightness(ros: Any) -> None:
     labels: list[Image] = ros.collect(rig.probe, Image, "edges", qos.IMAGES)
     ros.spin_until(lambda: rig.node.count_subscribers("edges") == 1, 10.0)
     ros.spin_until(lambda: rig.probe.count_publishers("edges") == 1, 10.0)
-    for stamp, encoding, seen in ((1, "bgr8", picture), (2, "rgb8", np.ascontiguousarray(picture[:, :, ::-1]))):
+    turned = np.ascontiguousarray(picture[:, :, ::-1])
+    for stamp, encoding, seen in (
+        (1, "bgr8", picture),
+        (2, "rgb8", turned),
+        (3, "rgb16", turned.astype(np.uint16) * 16),
+    ):
         rig.corners_of(image_message(seen, encoding, header(stamp, "c")))
         found = image_array(ros.spin_until(lambda n=stamp: len(labels) == n and labels[-1], 10.0)) == 128
         assert found.any(axis=1).all() and np.abs(np.nonzero(found)[1] - 39.5).max() < 1.0, encoding
@@ -290,10 +300,42 @@ def test_repeatable_corners_stand_out_from_the_noise(ros: Any, edge_method: str)
     assert len(rig.corners_of(image_message(noisy, "mono8", header(3, "c")))) > 20
 
 
+def test_corners_over_scales_have_the_scale_of_what_they_are_of(ros: Any) -> None:
+    y, x = np.indices((240, 300))
+    at, radius = np.array([(70.0, 80.0), (200.0, 150.0)]), np.array([2.5, 6.4])
+    spots = [180 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * r**2)) for (u, v), r in zip(at, radius)]
+    picture = (30 + sum(spots)).astype(np.uint8)
+    rig = Rig(ros, {"corner_method": "scales", "gradient": "gaussian", "window": "gaussian"})
+    found = cloud_array(rig.cloud_of(image_message(picture, "mono8", header(1, "c"))), ("u", "v", "scale"))
+    scales = [found[np.linalg.norm(found[:, :2] - centre, axis=1) < 2.5, 2] for centre in at]
+    print(scales)
+    assert np.median(scales[1]) / np.median(scales[0]) == pytest.approx(2.5, rel=0.3)
+    refused = rig.node.set_parameters([Parameter("scales.factor", value=1.0)])[0]
+    assert not refused.successful and "1.05" in refused.reason and "value: 1.0" in refused.reason
+    assert rig.node.set_parameters([Parameter("scales.levels", value=1)])[0].successful
+    cloud = rig.cloud_of(image_message(picture, "mono8", header(2, "c")))
+    assert (cloud_array(cloud, ("scale",)) == 1.0).all() and cloud.width > 0
+    assert rig.node.set_parameters([Parameter("corner_method", value="fast")])[0].successful
+    cloud = rig.cloud_of(image_message(picture, "mono8", header(3, "c")))
+    assert [field.name for field in cloud.fields] == ["u", "v", "response"]
+
+
+def test_the_benchmarks_peer_is_this_node_with_the_corners_of_opencv(ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    threads = cv2.getNumThreads()
+    monkeypatch.setattr(cv2, "setNumThreads", lambda count: None)
+    rig = Rig(ros, made_by=importlib.import_module("bench_graph_latency").PeerNode)
+    noisy = np.random.default_rng(3).integers(0, 255, (60, 80)).astype(np.uint8)
+    found = rig.corners_of(image_message(noisy, "mono8", header(1, "c")))
+    expected = cv2.goodFeaturesToTrack(noisy, 2000, 0.01, 0, blockSize=3, useHarrisDetector=True, k=0.04)
+    np.testing.assert_array_equal(found[:, :2], expected.reshape(-1, 2))
+    assert len(found) > 50 and cv2.getNumThreads() == threads
+
+
 def test_parameter_file_names_every_setting_and_holds_the_defaults() -> None:
     path = Path(__file__).parents[2] / "config" / "params" / "corners.yaml"
     values = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
-    nested = ("repeatable", "combined", "edges")
+    nested = ("scales", "repeatable", "combined", "edges")
     edges = {f"{part}.{name}": value for part in nested for name, value in values.pop(part).items()}
     assert values | edges == to_mapping(CornersNodeConfig())
     assert from_mapping(CornersNodeConfig, values | edges) == CornersNodeConfig()

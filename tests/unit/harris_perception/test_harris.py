@@ -369,6 +369,22 @@ def test_pixels_that_are_not_finite_only_hide_their_surroundings(config: HarrisC
             assert far(whole) == far(holed)
 
 
+@pytest.mark.parametrize(("gradient", "window"), [("deriche", "box"), ("harris", "deriche"), ("deriche", "deriche")])
+def test_one_unknown_pixel_hides_as_much_of_recursive_filters_as_of_direct_ones(gradient: str, window: str) -> None:
+    picture = texture(2, 90, 200, np.float32)
+    detector = HarrisDetector(HarrisConfig(gradient=gradient, window=window))
+    whole = detector.response(picture)
+    picture[40, 60] = np.nan
+    holed = detector.response(picture)
+    reach = detector.margin_px
+    unknown = np.zeros(whole.shape, bool)
+    unknown[40 - reach : 41 + reach, 60 - reach : 61 + reach] = True
+    np.testing.assert_array_equal(np.isnan(holed), unknown)
+    beside = 6 * reach  # what is known is as without the hole, but for what recursion brings from farther away
+    assert np.abs(holed - whole)[:, 60 + beside :].max() < 1e-5 * np.abs(whole).max()
+    assert len(detector.detect(picture)) > 10
+
+
 @pytest.mark.parametrize(
     ("picture", "word"),
     [

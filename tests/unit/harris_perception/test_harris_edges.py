@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -14,6 +15,8 @@ from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edges as edges_module
 from harris_perception.core.edges import CORNER, EDGE, FLAT, CombinedDetector, EdgeConfig, EdgeDetector
 from harris_perception.core.harris import HarrisConfig, HarrisDetector, gaussian_taps
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.repeatable import RepeatableDetector
 
 
 def halves(angle_deg: float, offset: float, size: int = 90) -> tuple[np.ndarray, np.ndarray]:
@@ -244,6 +247,9 @@ def test_chains_end_where_lines_end_branch_or_reach_a_corner(seed: int, density:
     for chain in found.chains:
         for x, y in chain[1:-1].tolist():
             assert ways(x, y) == 2 and (x, y) not in at_corners, (x, y)
+    steps = [frozenset(pair) for chain in found.chains for pair in pairwise(map(tuple, chain.tolist()))]
+    assert len(set(steps)) == len(steps), "each step in one chain"
+    assert 2 * len(steps) == sum(ways(x, y) for x, y in lines), "and none left out, also between two corners"
 
 
 @settings(max_examples=60, deadline=None)
@@ -324,7 +330,7 @@ def test_edge_pixels_of_the_corners_pass_are_those_of_the_definition(
     detector = HarrisDetector(HarrisConfig(border_px=border), bands=bands)
     high = 1.7 * least
     corners, bits = detector.detect_with_edges(picture, least, high)
-    expected = naive_edge_pixels(picture, 0.99 * least, border)
+    expected = naive_edge_pixels(picture, 0.99 * least, 3)  # the border is for corners
     for places, limit in zip(places_of(bits, picture), (least, high), strict=True):
         # Float32 may fall on the other side of a threshold.
         assert places >= {place for place, value in expected.items() if value > 1.001 * limit}
@@ -357,6 +363,72 @@ def test_combined_detector_finds_the_square_with_either_kernels(config: HarrisCo
     assert (reached[sides > 0] <= 2.5).mean() > 0.97
     at = {tuple(place) for place in np.rint(corners.xy).astype(int).tolist()}
     assert [{tuple(c[0].tolist()), tuple(c[-1].tolist())} <= at for c in edges.chains] == [True] * 4, "four sides"
+
+
+def test_corners_of_noise_cut_no_edges() -> None:
+    rng = np.random.default_rng(6)
+    disc = np.zeros((480, 480), np.uint8)
+    cv2.circle(disc, (240, 240), 160, 120, -1)
+    picture = cv2.resize(disc, (120, 120), interpolation=cv2.INTER_AREA) + rng.normal(60, 2, (120, 120))
+    corners, edges = CombinedDetector().detect(np.rint(picture).astype(np.uint8))
+    assert len(corners) > 300, "a disc has no corner, so the strongest is noise"
+    assert [len(chain) > 200 and (chain[0] == chain[-1]).all() for chain in edges.chains] == [True]
+    assert np.abs(np.hypot(*(edges.points - 59.6).T) - 40.0).max() < 1.5
+    x, y = np.rint(corners.xy).astype(int).T
+    assert (edges.labels[y, x] == CORNER).all()
+    strengths = HarrisDetector().strengths_of(corners.response)
+    outlines = EdgeDetector().detect(np.rint(picture).astype(np.uint8), corners.xy, strengths)
+    near = np.abs(np.hypot(*(np.unique(outlines.points, axis=0) - 59.6).T) - 40.0) < 1.5
+    assert near.sum() > 210, "of 226; a corner of noise or two may be as strong"
+    assert len(EdgeDetector().detect(np.rint(picture).astype(np.uint8), corners.xy).points) < 100
+    assert (outlines.labels[y, x] == CORNER).all()
+
+
+EVERY_LEVEL = HarrisLaplaceConfig(detector=HarrisConfig(relative_threshold=0.0), levels=3, select=False)
+
+
+@pytest.mark.parametrize("detector", [HarrisLaplaceDetector(EVERY_LEVEL), RepeatableDetector()])
+def test_corners_of_noise_by_other_detectors_cut_no_edges(
+    detector: HarrisLaplaceDetector | RepeatableDetector,
+) -> None:
+    rng = np.random.default_rng(6)
+    disc = np.zeros((480, 480), np.uint8)
+    cv2.circle(disc, (240, 240), 160, 120, -1)
+    noisy = cv2.resize(disc, (120, 120), interpolation=cv2.INTER_AREA) + rng.normal(60, 2, (120, 120))
+    picture = np.rint(noisy).astype(np.uint8)
+    corners = detector.detect(picture)
+    strengths = detector.strengths_of(corners.response)
+    assert len(corners) > 100
+    for found, cut in (
+        (CombinedDetector().detect(picture, corners.xy, *told)[1] for told in ((strengths,), ())),
+        (EdgeDetector().detect(picture, corners.xy, *told) for told in ((strengths,), ())),
+    ):
+        near = [np.abs(np.hypot(*(np.unique(e.points, axis=0) - 59.6).T) - 40.0) < 1.5 for e in (found, cut)]
+        print([each.sum() for each in near])
+        assert near[0].sum() > 210 > 2 * near[1].sum(), "of 226"
+        x, y = np.rint(corners.xy).astype(int).T
+        assert (found.labels[y, x] == CORNER).all()
+
+
+@pytest.mark.parametrize("response", ["harris", "shi_tomasi", "noble", "geometric"])
+@pytest.mark.parametrize("gradient", ["sobel", "gaussian"])
+def test_strengths_of_corners_are_in_grey_levels_per_pixel(response: str, gradient: str) -> None:
+    detector = HarrisDetector(HarrisConfig(response=response, gradient=gradient))
+    strengths = [
+        float(detector.strengths_of(detector.detect(gain * square().astype(np.float32)).response).mean())
+        for gain in (1.0, 3.0)
+    ]
+    assert strengths[1] == pytest.approx(3.0 * strengths[0], rel=1e-4)
+    step = float(np.ptp(square()))
+    assert 0.1 * step < strengths[0] < 0.7 * step, "as steep as a step is seen by these kernels"
+
+
+@pytest.mark.parametrize("gradient", ["harris", "gaussian"])
+def test_border_without_corners_has_edges(gradient: str) -> None:
+    picture = square()
+    corners, edges = CombinedDetector(HarrisConfig(gradient=gradient, border_px=35)).detect(picture)
+    assert len(corners) == 0
+    assert (edges.labels[30:70, 28:32] == EDGE).any(axis=1).all()
 
 
 @pytest.mark.parametrize(("kind", "lines"), [("T", 3), ("Y", 3), ("X", 4)])

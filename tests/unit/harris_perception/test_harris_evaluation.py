@@ -6,6 +6,8 @@ import csv
 import json
 import os
 import re
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
+from harris_perception.cli import harris_evaluate
 from harris_perception.cli.harris import main
 from harris_perception.core.repeatability import (
     Pair,
@@ -39,6 +42,18 @@ def test_rate_counts_pairs_within_epsilon_one_to_one() -> None:
     assert (rate.rates, rate.count) == ((0.25, 0.5, 0.75), 4)
     doubled = np.vstack((second, second + 0.1))  # duplicates must not repeat twice
     assert repeatability(pair(h), np.vstack((first, first[:1])), doubled, (0.3,)).rates[0] < 0.5
+
+
+@pytest.mark.parametrize("scale", [1e-12, -1e-9, 1e3, -7e6])
+def test_homographies_of_any_scale_say_the_same(scale: float) -> None:
+    h = np.array([[0.9, 0.1, 20.0], [-0.05, 1.1, 5.0], [2e-4, -1e-4, 1.0]])
+    rng = np.random.default_rng(2)
+    first = rng.uniform((0, 0), (300, 200), (60, 2))
+    second = mapped(first, h) + rng.normal(0.0, 1.0, first.shape)
+    expected = repeatability(pair(h), first, second)
+    assert expected.count > 30 and expected.rates[-1] > 0.9
+    found = repeatability(pair(scale * h), first, second)
+    assert (found.rates, found.chance, found.count) == (expected.rates, expected.chance, expected.count)
 
 
 def test_only_the_common_part_counts() -> None:
@@ -245,34 +260,65 @@ def test_evaluate_reads_sequences_and_writes_tables_and_curves(
     assert {r["change"] for r in rows} == {"turned"} and {r["amount"] for r in rows} == {2.0, 3.0}
     assert len(rows) == len(names) * 2 * 6 == len(list(csv.DictReader((out / "repeatability.csv").open())))
     assert cv2.imread(str(out / "turned.png")) is not None
+    fewest = min(len(find(made.first, 80)) for find in (our_detectors() | peer_detectors()).values())
+    assert fewest < max(r["points"] for r in rows)
+    assert main(["evaluate", str(tmp_path / "seq"), "-o", str(out), "--count", "80", "--equal-counts"]) == 0
+    rows = json.loads((out / "repeatability.json").read_text())
+    assert 0 < max(r["points"] for r in rows) <= fewest
+    assert "as many of each as the fewest" in capsys.readouterr().out
+
+
+def test_evaluate_keeps_no_more_than_one_pair_of_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a.png", "b.png"):
+        cv2.imwrite(str(tmp_path / name), photograph())
+    made, most = 0, 0
+
+    def counted(*arguments: Any) -> Iterator[Pair]:
+        nonlocal made
+        for each in islice(warps(*arguments), 2):
+            made += 1
+            yield each
+
+    def measured(*arguments: Any) -> Any:
+        nonlocal most, made
+        most, made = max(most, made), 0
+        return repeatability(*arguments)
+
+    monkeypatch.setattr(harris_evaluate, "warps", counted)
+    monkeypatch.setattr(harris_evaluate, "repeatability", measured)
+    for find in ("our_detectors", "peer_detectors"):
+        monkeypatch.setattr(harris_evaluate, find, lambda find=find: {find: lambda picture, count: np.zeros((0, 2))})
+    assert main(["evaluate", str(tmp_path), "-o", str(tmp_path / "out")]) == 0
+    assert most == 1
 
 
 def test_setting_is_chosen_on_one_half_and_reported_on_the_other(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = list(warps(photograph(), np.random.default_rng(0)))
-    for name, kept in (("a", made[0]), ("b", made[20])):
+    for name, kept, names in (("b", made[20], "img{}.png H1to2p"), ("i_a", made[0], "{}.ppm H_1_2")):
         folder = tmp_path / "seq" / name
         folder.mkdir(parents=True)
-        cv2.imwrite(str(folder / "img1.png"), kept.first)
-        cv2.imwrite(str(folder / "img2.png"), kept.second)
-        np.savetxt(folder / "H1to2p", kept.homography)
+        picture, homography = names.split()
+        cv2.imwrite(str(folder / picture.format(1)), cv2.merge([kept.first] * 3))
+        cv2.imwrite(str(folder / picture.format(2)), cv2.merge([kept.second] * 3))
+        np.savetxt(folder / homography, kept.homography)
     out = tmp_path / "out"
     assert main(["evaluate", str(tmp_path / "seq"), "-o", str(out), "--count", "80"]) == 0
     rows = json.loads((out / "repeatability.json").read_text())
-    assert {(r["change"], r["half"]) for r in rows} == {("a", "chosen on"), ("b", "reported")}
+    assert {(r["change"], r["half"]) for r in rows} == {("b", "chosen on"), ("HPatches light", "reported")}
     at = [r for r in rows if r["epsilon_px"] == 1.5]
     best = max(
-        (r for r in at if r["change"] == "a" and r["detector"] in our_detectors()), key=lambda r: r["repeatability"]
+        (r for r in at if r["change"] == "b" and r["detector"] in our_detectors()), key=lambda r: r["repeatability"]
     )
     printed = capsys.readouterr().out.splitlines()
     chosen = [line for line in printed if line.startswith("* ")]
     assert len(chosen) == 1 and chosen[0][2:].startswith(best["detector"])
     mine, peer = (
-        max(r["repeatability"] for r in at if r["change"] == "b" and test(r["detector"]))
+        max(r["repeatability"] for r in at if r["change"] == "HPatches light" and test(r["detector"]))
         for test in (lambda n: n == best["detector"], lambda n: n in peer_detectors())
     )
-    assert any(line.startswith("not first on b: ") for line in printed) == (peer > mine)
+    assert any(line.startswith("not first on HPatches light: ") for line in printed) == (peer > mine)
 
 
 def test_best_on_average_weighs_every_change_alike() -> None:

@@ -131,6 +131,17 @@ def test_no_corners_no_matches(descriptor: str) -> None:
         assert found.pairs.shape == (0, 2) and found.model is None and found.tentative == 0
 
 
+@pytest.mark.parametrize("descriptor", ["patch", "orb", "sift"])
+def test_pictures_without_pixels_have_no_descriptors_and_deep_ones_are_refused(descriptor: str) -> None:
+    config = MatchConfig(descriptor=descriptor)
+    for shape in ((0, 0), (0, 9), (9, 0)):
+        found = describe(np.zeros(shape, np.uint8), np.empty((0, 2)), config)
+        assert found.xy.shape == (0, 2) and len(found.index) == len(found.vectors) == 0
+    for picture in (np.zeros((60, 60), np.uint16), np.zeros((60, 60), np.float32), np.zeros((60, 60, 3), np.uint8)):
+        with pytest.raises(ValueError, match=rf"uint8 is needed, not \(60, 60(, 3)?\) {picture.dtype}"):
+            describe(picture, [(30.0, 30.0)], config)
+
+
 def test_orientation_points_to_the_bright_side() -> None:
     y, x = np.indices((80, 80))
     for angle in (0, 45, 90, 200, 300):

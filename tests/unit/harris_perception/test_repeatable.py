@@ -76,6 +76,22 @@ def test_gain_and_offset_change_nothing(gain: float) -> None:
     assert (distance.min(axis=1) < 0.05).sum() >= len(plain) - 1
 
 
+@pytest.mark.parametrize("seed", [11, 13])
+def test_a_lamp_on_one_side_does_not_take_all_corners_there(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    blocks = cv2.GaussianBlur(np.kron(rng.uniform(20.0, 120.0, (30, 100)), np.ones((12, 12))), (0, 0), 0.8)
+    pictures = [np.float32(blocks), np.float32(blocks * np.linspace(0.3, 2.0, 1200)[None])]
+    strongest = RepeatableDetector(RepeatableConfig(max_corners=300))
+    everything = RepeatableDetector(RepeatableConfig(max_corners=0))
+    ranked = [strongest.detect(each).xy for each in pictures]
+    largest = [everything.detect(each).xy[:300] for each in pictures]
+    again = [(np.linalg.norm(a[:, None] - b[None], axis=2).min(axis=1) < 1.5).mean() for a, b in (ranked, largest)]
+    dark = [(lit[:, 0] < 600).mean() for _, lit in (ranked, largest)]
+    print(again, dark)
+    assert len(ranked[0]) == len(ranked[1]) == len(largest[0]) == len(largest[1]) == 300
+    assert again[0] > again[1] + 0.1 and dark[0] > dark[1] + 0.05
+
+
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (30, 7), (60, 60)])
 def test_pictures_without_corners(shape: tuple[int, int]) -> None:
     for value in (9.0, np.nan):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -62,29 +64,57 @@ def _read(path: Path, how: int) -> npt.NDArray[Any]:
     return np.asarray(picture)
 
 
-def sequences(folder: Path) -> Iterator[tuple[str, list[Path], list[npt.NDArray[np.float64]]]]:
-    """Yield name, pictures 1 to n and homographies 1 to 2..n of each sequence below a folder (img1..6, H1to2p).
+_LAYOUTS = (("img", "H1to{}p"), ("", "H_1_{}"))
+"""Names of pictures and homographies: sequences of K. Mikolajczyk, and HPatches (V. Balntas et al., CVPR 2017)."""
+_HPATCHES = {"i_": "HPatches light", "v_": "HPatches viewpoint"}
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """Pictures of one plane: what changes, the first, and by number the others and second_from_first (3, 3) of each."""
+
+    change: str
+    first: Path
+    others: dict[int, Path]
+    homographies: dict[int, npt.NDArray[np.float64]]
+
+    def pairs(self) -> Iterator[Pair]:
+        """Read the pairs 1-2 to 1-n; their amount is the picture's number. All share one first picture."""
+        first = read_gray(self.first)
+        for number, path in self.others.items():
+            yield Pair(self.change, float(number), first, read_gray(path), self.homographies[number])
+
+
+def sequences(folder: Path) -> Iterator[Sequence]:
+    """Yield the sequences below a folder: img1.., H1to2p.., or as HPatches 1.., H_1_2...
+
+    What changes is a sequence's name; those of HPatches count together as light (i_...) and viewpoint (v_...).
 
     Raises
     ------
     ValueError
         If of a picture and its homography one is missing, or a homography is none.
     """
-    for first in sorted(p for p in folder.rglob("img1.*") if p.suffix.lower() in SUFFIXES):
-        known = {int(p.name[4:-1]) for p in first.parent.glob("H1to*p") if p.name[4:-1].isdecimal()}
-        pictures = {
-            int(p.stem[3:]): p
-            for p in sorted(first.parent.glob("img*.*"))
-            if p.suffix.lower() in SUFFIXES and p.stem[3:].isdecimal()
-        }
-        if not known:
-            continue
-        for number in sorted(known ^ (set(pictures) - {1})):
-            missing = f"H1to{number}p" if number in pictures else f"img{number}.*"
-            raise ValueError(f"{first.parent / missing} is missing")
-        numbers = sorted(known)
-        homographies = [_homography(first.with_name(f"H1to{number}p")) for number in numbers]
-        yield first.resolve().parent.name, [first, *(pictures[n] for n in numbers)], homographies
+    for prefix, form in _LAYOUTS:
+        for first in sorted(p for p in folder.rglob(f"{prefix}1.*") if p.suffix.lower() in SUFFIXES):
+            beside = sorted(first.parent.iterdir())
+            known = _numbered(form, {p.name: p for p in beside})
+            pictures = _numbered(f"{prefix}{{}}", {p.stem: p for p in beside if p.suffix.lower() in SUFFIXES})
+            if not known:
+                continue
+            for number in sorted(known.keys() ^ (pictures.keys() - {1})):
+                missing = form.format(number) if number in pictures else f"{prefix}{number}.*"
+                raise ValueError(f"{first.parent / missing} is missing")
+            name = first.resolve().parent.name
+            change = name if prefix else _HPATCHES.get(name[:2], name)
+            homographies = {number: _homography(known[number]) for number in sorted(known)}
+            yield Sequence(change, first, {number: pictures[number] for number in homographies}, homographies)
+
+
+def _numbered(form: str, files: dict[str, Path]) -> dict[int, Path]:
+    """Return those files of which the name is ``form`` with a number at {}, by that number."""
+    matches = ((re.fullmatch(re.escape(form).replace(r"\{\}", "([0-9]+)"), name), path) for name, path in files.items())
+    return {int(match[1]): path for match, path in matches if match}
 
 
 def _homography(path: Path) -> npt.NDArray[np.float64]:
@@ -95,10 +125,3 @@ def _homography(path: Path) -> npt.NDArray[np.float64]:
     if values.shape != (9,) or not np.isfinite(values).all() or np.linalg.matrix_rank(values.reshape(3, 3)) < 3:
         raise ValueError(f"{path} is no homography: 3 x 3 finite numbers are needed, and an inverse")
     return values.reshape(3, 3)
-
-
-def pairs_of_sequence(name: str, pictures: list[Path], homographies: list[npt.NDArray[np.float64]]) -> Iterator[Pair]:
-    """Yield the pairs 1-2 to 1-n; what changed is the sequence's name, the amount is the picture's number."""
-    first = read_gray(pictures[0])
-    for path, homography in zip(pictures[1:], homographies):
-        yield Pair(name, float(path.stem[3:]), first, read_gray(path), homography)

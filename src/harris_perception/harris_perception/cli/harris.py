@@ -64,21 +64,24 @@ def detect(options: argparse.Namespace) -> int:
     drawn = bgr_of_gray(gray)
     edges: Edges | None = None
     corners: Corners | ScaledCorners
-    scales: tuple[Any, ...] = ()
+    of_corners: HarrisDetector | HarrisLaplaceDetector | RepeatableDetector
     if options.scales:
-        corners = HarrisLaplaceDetector(_over_scales(options)).detect(gray)
-        scales = (corners.scale,)
+        of_corners = HarrisLaplaceDetector(_over_scales(options))
     elif options.repeatable:
-        corners = RepeatableDetector(_settings(RepeatableConfig, options.set)).detect(gray)
-    elif options.edges == "combined":
+        of_corners = RepeatableDetector(_settings(RepeatableConfig, options.set))
+    else:
+        of_corners = HarrisDetector(_settings(HarrisConfig, options.set))
+    if options.edges == "combined":
         traced = _settings(TracingConfig, options.set_edges)
         corners, edges = CombinedDetector(_settings(HarrisConfig, options.set), traced).detect(gray)
     else:
-        corners = HarrisDetector(_settings(HarrisConfig, options.set)).detect(gray)
+        corners = of_corners.detect(gray)
+    scales = (corners.scale,) if isinstance(corners, ScaledCorners) else ()
     if options.edges == "outlines":
         detector = EdgeDetector(_settings(EdgeConfig, options.set_edges))
         # What is not known would be black, and have edges, in a picture of 8 bits.
-        edges = detector.detect(read_bgr(options.picture) if np.isfinite(gray).all() else gray, corners.xy)
+        picture = read_bgr(options.picture) if np.isfinite(gray).all() else gray
+        edges = detector.detect(picture, corners.xy, of_corners.strengths_of(corners.response))
     if edges is not None:
         drawn[edges.labels == EDGE] = EDGE_COLOR
     draw_corners(drawn, corners.xy)
@@ -207,11 +210,14 @@ def _parser() -> argparse.ArgumentParser:
         "sources",
         type=Path,
         nargs="+",
-        help="folders of sequences (img1.., H1to2p..), or photographs; folders of pictures with drawn boundaries "
-        "(<name>.mat as in BSDS500) for edges",
+        help="folders of sequences (img1.., H1to2p.., or as HPatches 1.., H_1_2..), or photographs; folders of "
+        "pictures with drawn boundaries (<name>.mat as in BSDS500) for edges",
     )
     many.add_argument("-o", "--output", type=Path, required=True, help="folder for tables and curves")
     many.add_argument("--count", type=int, default=1000, help="strongest so many points of each picture")
+    many.add_argument(
+        "--equal-counts", action="store_true", help="only as many points of each as the detector with the fewest has"
+    )
     many.add_argument("--epsilon", type=float, default=1.5, choices=EPSILONS_PX, help="for the printed table, px")
     many.add_argument("--seed", type=int, default=1, help="of the noise in the warps")
     many.set_defaults(run=evaluate)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harris_perception.adapters.boundary_files import drawn_pictures, read_drawn
-from harris_perception.adapters.picture_files import SUFFIXES, pairs_of_sequence, read_gray, sequences
+from harris_perception.adapters.picture_files import SUFFIXES, read_gray, sequences
 from harris_perception.cli.tables import progress, write_table
 from harris_perception.core.boundary_evaluation import (
     THRESHOLDS,
@@ -22,8 +25,10 @@ from harris_perception.core.boundary_evaluation import (
 )
 from harris_perception.core.repeatability import (
     EPSILONS_PX,
+    WARPS,
     Detect,
     Pair,
+    Points,
     best_on_average,
     means,
     our_detectors,
@@ -59,36 +64,70 @@ def evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _pairs(sources: Iterable[Path], seed: int) -> Iterator[list[Pair]]:
-    """Yield the pairs of each sequence below the folders, and of the warps of each photograph."""
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Pairs that belong together: how many, and what reads or makes them one by one (many do not fit into memory)."""
+
+    count: int
+    pairs: Callable[[], Iterator[Pair]]
+
+
+def _groups(sources: Iterable[Path], seed: int) -> Iterator[_Group]:
+    """Yield a group for each sequence below the folders, and for the warps of each photograph."""
     for source in sources:
         if source.is_dir():
             known = list(sequences(source))
             for sequence in known:
-                yield list(pairs_of_sequence(*sequence))
+                yield _Group(len(sequence.others), sequence.pairs)
             photographs = [p for p in sorted(source.glob("*")) if p.suffix.lower() in SUFFIXES] if not known else []
             if not known and not photographs:
-                raise ValueError(f"{source} has neither sequences (img1, H1to2p) nor pictures")
+                raise ValueError(f"{source} has neither sequences (img1, H1to2p, or 1, H_1_2) nor pictures")
         else:
             photographs = [source]
         for photograph in photographs:
-            picture = read_gray(photograph)
-            if min(picture.shape) < _LEAST_PX:
-                size = f"{picture.shape[1]} x {picture.shape[0]} px"
-                raise ValueError(f"{photograph}: {size}, at least {_LEAST_PX} each way are needed to be warped")
-            yield list(warps(picture, np.random.default_rng(seed)))
+            _to_be_warped(photograph)  # what is wrong with one shall be told before hours of work
+            yield _Group(sum(map(len, WARPS.values())), partial(_warps, photograph, seed))
+
+
+def _warps(photograph: Path, seed: int) -> Iterator[Pair]:
+    return warps(_to_be_warped(photograph), np.random.default_rng(seed))
+
+
+def _to_be_warped(path: Path) -> npt.NDArray[np.uint8]:
+    picture = read_gray(path)
+    if min(picture.shape) < _LEAST_PX:
+        size = f"{picture.shape[1]} x {picture.shape[0]} px"
+        raise ValueError(f"{path}: {size}, at least {_LEAST_PX} each way are needed to be warped")
+    return picture
+
+
+def _found(
+    detectors: Mapping[str, Detect], pair: Pair, options: argparse.Namespace, known: dict[str, Points]
+) -> Iterator[tuple[str, Points, Points]]:
+    """Yield each detector's points in both pictures of a pair; ``known`` are those in the first, if known."""
+    first = known or {name: find(pair.first, options.count) for name, find in detectors.items()}
+    known |= first
+    second = {name: find(pair.second, options.count) for name, find in detectors.items()}
+    limits = [min(map(len, each.values())) if options.equal_counts else options.count for each in (first, second)]
+    for name in detectors:
+        yield name, first[name][: limits[0]], second[name][: limits[1]]
 
 
 def _points(sources: list[Path], options: argparse.Namespace) -> None:
     ours, peers = our_detectors(), peer_detectors()
     detectors: dict[str, Detect] = ours | peers
     # The first, third, ... sequence or photograph is for choosing one of our settings, the others are reported.
-    groups = list(_pairs(sources, options.seed))
-    tasks = [("chosen on" if i % 2 == 0 else "reported", pair) for i, group in enumerate(groups) for pair in group]
+    groups = list(_groups(sources, options.seed))
+    halves = (
+        ("chosen on" if i % 2 == 0 else "reported", pair) for i, group in enumerate(groups) for pair in group.pairs()
+    )
     rows: list[dict[str, Any]] = []
-    for half, pair in progress(tasks, "evaluate"):
-        for name, find in detectors.items():
-            rate = repeatability(pair, find(pair.first, options.count), find(pair.second, options.count))
+    last, known = None, dict[str, Points]()
+    for half, pair in progress(halves, sum(group.count for group in groups), "evaluate"):
+        if pair.first is not last:  # pictures of a sequence share their first
+            last, known = pair.first, {}
+        for name, first, second in _found(detectors, pair, options, known):
+            rate = repeatability(pair, first, second)
             for epsilon, value, chance in zip(EPSILONS_PX, rate.rates, rate.chance):
                 rows.append(
                     {"half": half, "change": pair.change, "amount": pair.amount, "detector": name}
@@ -108,15 +147,17 @@ def _report(rows: Sequence[dict[str, Any]], ours: list[str], peers: list[str], o
     chosen = best_on_average([r for r in rows if r["half"] == "chosen on"], ours)
     rates, chances = (means(reported, key) for key in ("repeatability", "chance"))
     changes = list(dict.fromkeys(r["change"] for r in reported))
-    print(f"repeatability (chance) in %, epsilon {options.epsilon} px, strongest {options.count}")
+    counts = "as many of each as the fewest" if options.equal_counts else f"strongest {options.count}"
+    print(f"repeatability (chance) in %, epsilon {options.epsilon} px, {counts}")
     if reported is rows:
         print("one sequence or photograph only: chosen and reported on the same one")
     else:
         print("chosen (*) on the first, third, ... sequence or photograph, reported on the others")
-    print(f"{'':<26}" + "".join(f"{c:>16}" for c in changes))
+    width = max(16, 2 + max(map(len, changes)))
+    print(f"{'':<26}" + "".join(f"{c:>{width}}" for c in changes))
     for name in (*ours, *peers):
         cells = [f"{100 * rates[c, name]:9.1f} ({100 * chances[c, name]:4.1f})" for c in changes]
-        print(f"{'* ' if name == chosen else '  '}{name:<24}" + "".join(f"{c:>16}" for c in cells))
+        print(f"{'* ' if name == chosen else '  '}{name:<24}" + "".join(f"{c:>{width}}" for c in cells))
     for change in changes:
         first = max(peers, key=lambda name: rates[change, name])
         behind = 100 * (rates[change, first] - rates[change, chosen])
@@ -164,7 +205,7 @@ def _boundaries(folders: list[Path], output: Path) -> None:
     pictures = [pair for folder in folders for pair in drawn_pictures(folder)]
     counts = np.zeros((len(named), len(pictures), len(THRESHOLDS), 4), np.int64)
     rows = []
-    for p, (path, truth) in enumerate(progress(pictures, "evaluate")):
+    for p, (path, truth) in enumerate(progress(pictures, len(pictures), "evaluate")):
         picture, drawings = read_drawn(path, truth)
         for number, ((name, sigma), finder) in enumerate(named.items()):
             counts[number, p] = counts_of(finder, picture, drawings)

@@ -89,7 +89,10 @@ def stereo() -> int:
         return main(sys.argv[2:])
     from harris_perception.nodes.stereo_node import main as node  # needs ROS, which evaluating does not
 
-    return node()
+    code = node()
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print("\n`stereo evaluate FOLDER` compares disparities with ground truth instead; it has a --help of its own.")
+    return code
 
 
 if __name__ == "__main__":

@@ -5,23 +5,23 @@ from __future__ import annotations
 import csv
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 T = TypeVar("T")
 
 
-def progress(items: Sequence[T], what: str) -> Iterator[T]:
+def progress(items: Iterable[T], count: int, what: str) -> Iterator[T]:
     """Yield the items while a bar on standard error tells how far it is; silent where nobody sees it."""
     shown = sys.stderr.isatty()
     for i, item in enumerate(items):
         if shown:
-            done = 30 * i // len(items)
-            print(f"\r{what} [{'#' * done}{'.' * (30 - done)}] {i}/{len(items)}", end="", file=sys.stderr, flush=True)
+            done = 30 * i // count
+            print(f"\r{what} [{'#' * done}{'.' * (30 - done)}] {i}/{count}", end="", file=sys.stderr, flush=True)
         yield item
     if shown:
-        print(f"\r{what} [{'#' * 30}] {len(items)}/{len(items)}", file=sys.stderr)
+        print(f"\r{what} [{'#' * 30}] {count}/{count}", file=sys.stderr)
 
 
 def check_table(path: Path) -> None:

@@ -116,7 +116,7 @@ def _filter_columns(source: F32, ahead: F32, back: F32, poles: F32, lag: int, re
 def filtered(picture: F32, along_x: RecursiveFilter, along_y: RecursiveFilter) -> F32:
     """Return a picture (H, W) float32 filtered in both directions, (H, W) float32.
 
-    Beside the picture its border pixels go on. A value that is not finite spoils its row and its column.
+    Beside the picture its border pixels go on. A value that is not finite spoils the whole picture.
     """
     result = np.empty(picture.shape, np.float32)
     if picture.size == 0:

@@ -444,6 +444,7 @@ def _link(
             clear(listed, here)
             links += 2
             nodes += 1
+    parted = nodes
     for i in range(odds):
         here = odd[i]
         if not (has(bits, here) and has(listed, here)):  # removed, or a second time
@@ -454,6 +455,8 @@ def _link(
             node_places[nodes], patterns[nodes] = here, pattern
             links += max(_COUNT[pattern], 1)
             nodes += 1
+    for i in range(parted):  # here lines end, too, but what lies between two of them is not linked already
+        put(listed, node_places[i])
     turns = (np.append(steps, 0) * 16 + np.arange(9)).astype(np.int32)[_ONWARD].reshape(8, 512)
     # At most; what is not written costs nothing.
     chain = np.empty((2 * most + 2 * links + 2, 2), np.int32)
@@ -463,6 +466,7 @@ def _link(
         node, pattern = node_places[i], patterns[i]
         x, y = node % stride - MARGIN, node // stride - 1
         labels[y, x] = EDGE
+        clear(listed, node)
         if pattern == 0:
             chain[filled, 0], chain[filled, 1] = x, y
             filled += 1
@@ -471,7 +475,8 @@ def _link(
         while pattern:
             way = _FIRST[pattern]
             pattern &= pattern - 1
-            if has(linked, node + steps[way]):  # already, from its other end
+            beside = node + steps[way]
+            if has(linked, beside) and not has(listed, beside):  # already, from its other end
                 continue
             chain[filled, 0], chain[filled, 1] = x, y
             filled = _follow(words, linked, labels, chain, filled + 1, stride, turns, way)

@@ -49,6 +49,10 @@ _BENT = 12
 """Grey levels from which on a bend counts no more: texture, not contrast."""
 
 
+_ABOVE_NOISE = 1.5
+"""Corners end an outline that are so many times as strong as what starts one; those of a noise of 2 hardly are."""
+
+
 _STARTS = "Strength that starts an edge; node and command count the largest value of more than 8 bits as 255"
 
 
@@ -61,7 +65,13 @@ class TracingConfig(Config):
 
     high: float = setting(20.0, _STARTS, minimum=0.0, maximum=1e5, unit="grey levels per px")
     low_of_high: float = setting(0.5, "Strength that continues an edge, as a fraction", minimum=0.0, maximum=1.0)
-    min_length_px: int = setting(10, "Smaller connected pieces are removed", minimum=1, maximum=10_000, unit="px")
+    min_length_px: int = setting(
+        10,
+        "Connected pieces of fewer pixels are removed, before they are thinned",
+        minimum=1,
+        maximum=10_000,
+        unit="px",
+    )
     max_spur_px: int = setting(3, "Branches up to this length are removed", minimum=0, maximum=100, unit="px")
     max_gap_px: float = setting(
         5.0, "Free ends this near to a corner are led to it", minimum=0.0, maximum=50.0, unit="px"
@@ -97,7 +107,13 @@ class EdgeConfig(TracingConfig):
     color: float = setting(5.0, "Weight of the Lab colors a and b in color pictures", minimum=0.0, maximum=20.0)
     high: float = setting(3.0, _STARTS, minimum=0.0, maximum=1e5, unit="grey levels per px")
     low_of_high: float = setting(0.3, "Strength that continues an edge, as a fraction", minimum=0.0, maximum=1.0)
-    min_length_px: int = setting(20, "Smaller connected pieces are removed", minimum=1, maximum=10_000, unit="px")
+    min_length_px: int = setting(
+        20,
+        "Connected pieces of fewer pixels are removed, before they are thinned",
+        minimum=1,
+        maximum=10_000,
+        unit="px",
+    )
     min_weight_px: float = setting(
         30.0,
         "Pieces are removed whose strengths add up to less than so many pixels of the strength 'high'",
@@ -215,7 +231,9 @@ class EdgeDetector:
         dtype = np.uint8 if picture.dtype == np.uint8 else np.float32
         return [(np.ascontiguousarray(checked(picture), dtype), 1.0)]
 
-    def detect(self, picture: npt.NDArray[Any], corners_xy: npt.ArrayLike = ()) -> Edges:
+    def detect(
+        self, picture: npt.NDArray[Any], corners_xy: npt.ArrayLike = (), strengths: npt.ArrayLike | None = None
+    ) -> Edges:
         """Return the edges of a picture.
 
         Parameters
@@ -224,20 +242,26 @@ class EdgeDetector:
             Grey (H, W) uint8, uint16 or float32, or color (H, W, 3) uint8, BGR.
         corners_xy
             (N, 2) px of corners that edges shall end at, for example of ``HarrisDetector.detect``.
+        strengths
+            (N,) of the corners, as of ``HarrisDetector.strengths_of``: those below 1.5 times ``high`` end no edge, for
+            they may be noise. Without these all do.
 
         Raises
         ------
         ValueError
             For another shape or dtype, or a corner outside the picture.
         """
-        return self.edges_of(self.thinned(picture), corners_xy)
+        return self.edges_of(self.thinned(picture), corners_xy, strengths)
 
-    def edges_of(self, thinned: npt.NDArray[Any], corners_xy: npt.ArrayLike = ()) -> Edges:
+    def edges_of(
+        self, thinned: npt.NDArray[Any], corners_xy: npt.ArrayLike = (), strengths: npt.ArrayLike | None = None
+    ) -> Edges:
         """Do the second half of ``detect``, from what ``thinned`` has returned."""
         config, values = self.config, np.ascontiguousarray(thinned, np.float32)
         bits = bitmap.blank(2, *values.shape)
         tracing.candidates(values, config.low_of_high * config.high, config.high, bits)
-        return traced(bits, values.shape, config, corners_xy, values, config.min_weight_px * config.high)
+        ends = None if strengths is None else np.asarray(strengths) >= _ABOVE_NOISE * config.high
+        return traced(bits, values.shape, config, corners_xy, ends, values, config.min_weight_px * config.high)
 
 
 class CombinedDetector:
@@ -268,16 +292,25 @@ class CombinedDetector:
             self.detect(checks.astype(dtype))
 
     def detect(
-        self, gray: npt.NDArray[Any], corners_xy: npt.ArrayLike | None = None, grey_level: float = 1.0
+        self,
+        gray: npt.NDArray[Any],
+        corners_xy: npt.ArrayLike | None = None,
+        strengths: npt.ArrayLike | None = None,
+        grey_level: float = 1.0,
     ) -> tuple[Corners, Edges]:
         """Return corners and edges of a picture; the corners are those of ``HarrisDetector``.
+
+        Edges end at those corners alone that are at least as strong as the weakest edge: where a picture has no
+        others, even the strongest are noise, and so many that of the edges between them nothing would be left.
 
         Parameters
         ----------
         gray
             (H, W) uint8, uint16 or float32.
         corners_xy
-            (N, 2) px of other corners that edges shall end at.
+            (N, 2) px of other corners that edges shall end at instead.
+        strengths
+            (N,) of these, as of their detector's ``strengths_of``. Without it edges end at all of them.
         grey_level
             What the settings of edges count as one grey level, in values of the picture.
 
@@ -287,8 +320,12 @@ class CombinedDetector:
             For another shape or dtype, a response other than ``harris``, or a corner outside the picture.
         """
         config, high = self.edges, self.edges.high * grey_level
-        corners, bits = self._detector.detect_with_edges(gray, config.low_of_high * high, high)
-        return corners, traced(bits, gray.shape, config, corners.xy if corners_xy is None else corners_xy)
+        low = config.low_of_high * high
+        corners, bits = self._detector.detect_with_edges(gray, low, high)
+        if corners_xy is None:
+            corners_xy, strengths = corners.xy, self._detector.strengths_of(corners.response)
+        ends = None if strengths is None else np.asarray(strengths) >= low
+        return corners, traced(bits, gray.shape, config, corners_xy, ends)
 
 
 def traced(
@@ -296,10 +333,14 @@ def traced(
     shape: tuple[int, ...],
     config: TracingConfig,
     corners_xy: npt.ArrayLike,
+    ends: npt.NDArray[np.bool_] | None = None,
     strength: npt.NDArray[np.float32] = _NO_STRENGTH,
     weight: float = 0.0,
 ) -> Edges:
-    """Return the edges of a picture of a shape (H, W) from its thinned pixels, as ``tracing.trace``."""
+    """Return the edges of a picture of a shape (H, W) from its thinned pixels, as ``tracing.trace``.
+
+    All corners (N, 2) are labelled; edges end at those that are set in ``ends`` (N,), or at all.
+    """
     height, width = shape
     labels = np.zeros(shape, np.uint8)  # all flat
     if 0 in shape:
@@ -309,7 +350,11 @@ def traced(
         raise ValueError(f"a corner lies outside the picture of {width} x {height} px")
     limits = (config.min_length_px, weight, config.max_spur_px)
     words = bitmap.wide(bits[0])
-    points, starts = tracing.trace(bits.view(np.uint64), words, strength, *limits, corners, config.max_gap_px, labels)
+    others = ends is not None and not ends.all()
+    at = corners[ends] if others else corners
+    points, starts = tracing.trace(bits.view(np.uint64), words, strength, *limits, at, config.max_gap_px, labels)
+    if others:
+        labels[corners[:, 1], corners[:, 0]] = CORNER
     return Edges(labels, points, starts)
 
 

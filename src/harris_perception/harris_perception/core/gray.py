@@ -41,7 +41,7 @@ def gray_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[Any]:
     native = picture.astype(picture.dtype.newbyteorder("="), copy=False)
     if encoding in ("mono8", "mono16", "8UC1", "16UC1"):
         return native
-    name = encoding.removesuffix("16") + "8" if encoding.endswith("16") else encoding
+    name = _with_eight_bits(encoding)
     code = (_COLOR_TO_GRAY | _BAYER_TO_GRAY).get(name)
     if code is None:
         known = ", ".join(("mono8", *_COLOR_TO_GRAY, *_BAYER_TO_GRAY))
@@ -64,7 +64,9 @@ _TO_BGR = {
 
 
 def bgr_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[np.uint8]:
-    """Return the picture in colour, (H, W, 3) uint8, of what :func:`gray_of` takes; 16-bit ones become grey.
+    """Return the picture in colour, (H, W, 3) uint8, of what :func:`gray_of` takes.
+
+    The largest value of one with 16 bits becomes 255.
 
     Raises
     ------
@@ -73,22 +75,36 @@ def bgr_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[np.uint8]:
     """
     if encoding == "bgr8":
         return picture
-    if encoding not in _TO_BGR:
+    if not has_color(encoding):
         return bgr_of_gray(gray_of(picture, encoding))
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(picture), _TO_BGR[encoding]), np.uint8)
+    native = np.ascontiguousarray(picture, picture.dtype.newbyteorder("="))
+    if native.size == 0:
+        return np.zeros((*picture.shape[:2], 3), np.uint8)
+    name = _with_eight_bits(encoding)
+    return _eight_bits(native if name == "bgr8" else cv2.cvtColor(native, _TO_BGR[name]))
 
 
 def has_color(encoding: str) -> bool:
     """Tell whether pictures of an encoding that :func:`bgr_of` takes have color."""
-    return encoding == "bgr8" or encoding in _TO_BGR
+    name = _with_eight_bits(encoding)
+    return name == "bgr8" or name in _TO_BGR
+
+
+def _with_eight_bits(encoding: str) -> str:
+    return encoding.removesuffix("16") + "8" if encoding.endswith("16") else encoding
+
+
+def _eight_bits(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Return 8 bits of each value; of other types the largest becomes 255, and what is not finite 0."""
+    if picture.dtype == np.uint8:
+        return picture
+    finite = np.nan_to_num(picture.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    return np.asarray(np.clip(finite / np.float32(grey_level_of(picture)), 0.0, 255.0), np.uint8)
 
 
 def bgr_of_gray(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     """Return (H, W, 3) uint8 to draw on; 16-bit and float pictures are stretched to their largest value."""
-    if gray.dtype != np.uint8:
-        finite = np.nan_to_num(gray.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-        gray = np.clip(finite / np.float32(grey_level_of(gray)), 0.0, 255.0).astype(np.uint8)
-    return np.repeat(gray[:, :, None], 3, axis=2)
+    return np.repeat(_eight_bits(gray)[:, :, None], 3, axis=2)
 
 
 def grey_level_of(gray: npt.NDArray[Any]) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, overload
@@ -184,6 +184,15 @@ class HarrisDetector:
         thresholds: tuple[Any, ...] = (config.absolute_threshold, config.relative_threshold, config.subpixel)
         return self._selected([kernels.peaks_of(response, border, *rows, *thresholds)])
 
+    def strengths_of(self, response: F32) -> F32:
+        """Return how strong corners of this response are in the unit of edges, (N,) float32 grey levels per px.
+
+        (R / k)^(1/4) by the gain of kernels and window, as (-R / k)^(1/4) is an edge's; the root of other responses.
+        """
+        if self.config.response == "harris":
+            return np.asarray((response / self.config.k) ** 0.25 / self._gain, np.float32)
+        return np.asarray(np.sqrt(response) / self._gain, np.float32)
+
     def _response(self, picture: npt.NDArray[Any]) -> tuple[F32, F32, F32]:
         """Return the response, and the sums of gx^2 and gy^2 without the frame of ``margin_px``."""
         result = np.zeros(picture.shape, np.float32)
@@ -219,6 +228,8 @@ class HarrisDetector:
             structure_of(rows, derivative[1:], smooth, window, a, b, c)
             return a, b, c
         source = from_lowest(gray)
+        unknown = ~np.isfinite(source)
+        source[unknown] = 0.0  # recursion would spread them over the whole picture
         if config.gradient == "deriche":
             soft, slope = (deriche.recursive_filter(config.sigma_d_px, order) for order in (False, True))
             gx, gy = deriche.filtered(source, slope, soft), deriche.filtered(source, soft, slope)
@@ -232,6 +243,9 @@ class HarrisDetector:
             a, b, c = (deriche.filtered(p, soft, soft)[inside] for p in products)
         else:
             a, b, c = (cv2.sepFilter2D(p, cv2.CV_32F, self._window, self._window)[inside] for p in products)
+        if unknown.any():
+            near = cv2.dilate(unknown.astype(np.uint8), np.ones(2 * (2 * margin + 1,), np.uint8))[inside] > 0
+            a[near] = b[near] = c[near] = np.nan
         return a, b, c
 
     @overload
@@ -286,6 +300,9 @@ class HarrisDetector:
         """
         if self.config.response != "harris":
             raise ValueError(f"response = {self.config.response!r}: edges need 'harris'")
+        if self.config.border_px > self.margin_px + 1:  # which is for corners alone
+            whole = HarrisDetector(replace(self.config, border_px=0), bands=self._bands, run=self._run)
+            return self.detect(gray), whole.detect_with_edges(gray, low, high)[1]
         # On a straight edge R = -k trace^2, and the trace is the squared gradient times the gain of kernels and window.
         weak, strong = (-self.config.k * (self._gain * max(least, 1e-6)) ** 4 for least in (low, max(low, high)))
         picture = checked(gray)

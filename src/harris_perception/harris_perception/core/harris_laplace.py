@@ -21,14 +21,20 @@ F32 = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HarrisLaplaceConfig(Config):
-    """The pyramid, and the detector on each of its levels (its ``max_corners`` is for all levels together)."""
+class PyramidConfig(Config):
+    """The scales, and how one of them is chosen."""
 
-    detector: HarrisConfig = nested(HarrisConfig)
     levels: int = setting(8, "Levels of the pyramid", minimum=1, maximum=30)
     factor: float = setting(1.26, "Ratio of two neighbouring scales", minimum=1.05, maximum=2.0)
     select: bool = setting(True, "Keep a corner only at the scale at which the Laplacian answers most; else at all")
     laplacian_px: float = setting(1.5, "Scale of the Laplacian on each level", minimum=0.5, maximum=10.0, unit="px")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HarrisLaplaceConfig(PyramidConfig):
+    """The pyramid, and the detector on each of its levels (its ``max_corners`` is for all levels together)."""
+
+    detector: HarrisConfig = nested(HarrisConfig)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +75,14 @@ class HarrisLaplaceDetector:
     def __init__(self, config: HarrisLaplaceConfig | None = None) -> None:
         self.config = config if config is not None else HarrisLaplaceConfig()
         self._detector = HarrisDetector(self.config.detector)
+
+    def warm(self) -> None:
+        """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
+        self._detector.warm()
+
+    def strengths_of(self, response: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return how strong corners of this response are, as ``HarrisDetector.strengths_of``."""
+        return self._detector.strengths_of(response)
 
     def detect(self, gray: npt.NDArray[Any]) -> ScaledCorners:
         """Return the corners of (H, W) uint8, uint16 or float32; if selected, where the Laplacian is largest.

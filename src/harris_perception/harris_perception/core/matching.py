@@ -89,22 +89,30 @@ class Matches:
 
 def orientations_deg(gray: npt.NDArray[np.uint8], xy: npt.ArrayLike, radius_px: int = 15) -> F32:
     """Return the direction from each corner to the intensity centroid of a disc, (N,) degrees in 0 to 360, y down."""
+    points = np.asarray(xy, np.float32).reshape(1, -1, 2)
+    if points.size == 0:
+        return np.empty(0, np.float32)
     y, x = np.mgrid[-radius_px : radius_px + 1, -radius_px : radius_px + 1]
     disc = (x * x + y * y <= radius_px * radius_px).astype(np.float32)
     moments = [
         cv2.filter2D(gray.astype(np.float32), cv2.CV_32F, disc * weight, borderType=cv2.BORDER_REPLICATE)
         for weight in (x.astype(np.float32), y.astype(np.float32))
     ]
-    points = np.asarray(xy, np.float32).reshape(1, -1, 2)
-    if points.size == 0:
-        return np.empty(0, np.float32)
     at = points[..., 0], points[..., 1]
     mx, my = (sampled(m, *at)[0] for m in moments)
     return np.asarray(np.rad2deg(np.arctan2(my, mx)) % 360.0, np.float32)
 
 
 def describe(gray: npt.NDArray[np.uint8], xy: npt.ArrayLike, config: MatchConfig) -> Described:
-    """Describe the corners ``xy`` (N, 2) px of a grey picture (H, W) uint8."""
+    """Describe the corners ``xy`` (N, 2) px of a grey picture (H, W) uint8.
+
+    Raises
+    ------
+    ValueError
+        For another shape or dtype.
+    """
+    if gray.ndim != 2 or gray.dtype != np.uint8:
+        raise ValueError(f"a grey picture (H, W) uint8 is needed, not {gray.shape} {gray.dtype}")
     points = np.asarray(xy, np.float32).reshape(-1, 2)
     if config.descriptor == "patch":
         return _patches(gray, points, config.patch_px)
@@ -157,8 +165,8 @@ def _patches(gray: npt.NDArray[np.uint8], points: F32, side: int) -> Described:
     return Described(at[good], index[good], values[good] / length[good, None])
 
 
-def match(first: Described, second: Described, config: MatchConfig, *, seed: int = 0) -> Matches:
-    """Return the matches that pass the checks; ``seed`` is for the random samples of the geometric one."""
+def match(first: Described, second: Described, config: MatchConfig) -> Matches:
+    """Return the matches that pass the checks; the samples of the geometric one are the same each time."""
     if len(first.xy) == 0 or len(second.xy) == 0:
         return Matches(_EMPTY_PAIRS, None, 0)
     count = len(first.xy)
@@ -181,7 +189,7 @@ def match(first: Described, second: Described, config: MatchConfig, *, seed: int
     if config.ratio < 1.0:
         good &= nearest < config.ratio * other
     pairs = np.column_stack((rows, best))[good]
-    inliers, model = _agreeing(first.xy[pairs[:, 0]], second.xy[pairs[:, 1]], config, seed)
+    inliers, model = _agreeing(first.xy[pairs[:, 0]], second.xy[pairs[:, 1]], config)
     kept = pairs[inliers]
     return Matches(np.column_stack((first.index[kept[:, 0]], second.index[kept[:, 1]])), model, len(pairs))
 
@@ -193,15 +201,12 @@ def _distances(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> F32:
     return np.asarray(np.sqrt(np.maximum(2.0 - 2.0 * (a @ b.T), 0.0)), np.float32)
 
 
-def _agreeing(
-    a: F32, b: F32, config: MatchConfig, seed: int
-) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.float64] | None]:
+def _agreeing(a: F32, b: F32, config: MatchConfig) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.float64] | None]:
     least = {"none": 0, "homography": 4, "epipolar": 8}[config.geometry]
     if config.geometry == "none":
         return np.ones(len(a), bool), None
     if len(a) < least:
         return np.zeros(len(a), bool), None
-    cv2.setRNGSeed(seed)
     if config.geometry == "homography":
         model, mask = cv2.findHomography(a, b, cv2.USAC_MAGSAC, config.tolerance_px, maxIters=5000, confidence=0.999)
     else:

@@ -31,6 +31,15 @@ _EDGE_PX = (
 )
 _SHIFT_PX = np.array([23.0, 17.0])
 
+WARPS: dict[str, tuple[float, ...]] = {
+    "rotation": (15.0, 30.0, 45.0, 60.0, 90.0, 135.0, 180.0),
+    "scale": (1.2, 1.5, 2.0, 2.5, 3.0),
+    "light": (0.3, 0.5, 0.7, 1.4, 0.0),
+    "viewpoint": (15.0, 30.0, 45.0, 55.0),
+    "noise": (2.0, 5.0, 10.0, 20.0),
+}
+"""What ``warps`` changes, by how much: degrees, times smaller, gain (0: a ramp), degrees, grey levels."""
+
 
 # Not in every OpenCV: version 5 moved them to its contributed modules. Thresholds low enough for as many as are wanted.
 _FURTHER_PEERS: dict[str, dict[str, Any]] = {
@@ -62,10 +71,12 @@ class Pair:
 
 
 def mapped(points: Points, homography: npt.NDArray[Any]) -> Points:
-    """Map (N, 2) px by a homography."""
-    if len(points) == 0:
-        return np.empty((0, 2))
-    return np.asarray(cv2.perspectiveTransform(np.asarray(points, np.float64)[None], homography)[0])
+    """Map (N, 2) px by a homography (3, 3) of any scale; what goes to infinity is not finite."""
+    # OpenCV takes what is below 1e-7 for zero, also where the whole homography is as small.
+    places = np.asarray(points, np.float64).reshape(-1, 2)
+    ends = np.column_stack((places, np.ones(len(places)))) @ np.asarray(homography, np.float64).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(ends[:, :2] / ends[:, 2:])
 
 
 def repeatability(pair: Pair, first: Points, second: Points, epsilons_px: Sequence[float] = EPSILONS_PX) -> Rate:
@@ -102,12 +113,17 @@ def _shifted(points: Points, picture: Gray) -> Points:
 
 def _paired_distances(a: Points, b: Points, farthest: float) -> npt.NDArray[np.float64]:
     """Pair nearest first, one to one. The order does not depend on epsilon, so smaller ones are a prefix."""
-    distance = np.linalg.norm(a[:, None] - b[None], axis=2)
-    rows, columns = np.nonzero(distance <= farthest)
-    values = distance[rows, columns]
+    by_x = np.argsort(b[:, 0], kind="stable")
+    low = np.searchsorted(b[by_x, 0], a[:, 0] - farthest, "left")
+    counts = np.searchsorted(b[by_x, 0], a[:, 0] + farthest, "right") - low
+    rows = np.repeat(np.arange(len(a)), counts)  # all that are no farther apart in x
+    columns = by_x[np.arange(len(rows)) + np.repeat(low - (np.cumsum(counts) - counts), counts)]
+    values = np.linalg.norm(a[rows] - b[columns], axis=1)
+    near = values <= farthest
+    rows, columns, values = rows[near], columns[near], values[near]
     free_a, free_b = np.ones(len(a), bool), np.ones(len(b), bool)
     taken = []
-    for k in np.argsort(values, kind="stable"):
+    for k in np.lexsort((columns, rows, values)):
         i, j = rows[k], columns[k]
         if free_a[i] and free_b[j]:
             free_a[i] = free_b[j] = False
@@ -151,22 +167,21 @@ def warps(photograph: Gray, rng: np.random.Generator, *, noise: float = 2.0) -> 
     def same(p: Any) -> Any:
         return p
 
-    for angle in (15.0, 30.0, 45.0, 60.0, 90.0, 135.0, 180.0):
+    for angle in WARPS["rotation"]:
         yield pair("rotation", angle, _similar(centre, angle, 1.0), same, noise)
-    for scale in (1.2, 1.5, 2.0, 2.5, 3.0):
+    for scale in WARPS["scale"]:
         # Shrinking needs a blur first, or the small picture aliases.
         soft = cv2.GaussianBlur(photograph, (0, 0), 0.5 * np.sqrt(scale * scale - 1.0))
         h = _similar(centre, 0.0, 1.0 / scale)
         small = cv2.warpPerspective(soft, h, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         noisy = [np.clip(p + rng.normal(0, noise, p.shape), 0, 255).astype(np.uint8) for p in (photograph, small)]
         yield Pair("scale", scale, noisy[0], noisy[1], h)
-    for gain in (0.3, 0.5, 0.7, 1.4):
-        yield pair("light", gain, np.eye(3), partial(np.multiply, gain), noise)
     ramp = np.linspace(0.4, 1.3, width)[None]
-    yield pair("light", 0.0, np.eye(3), partial(np.multiply, ramp), noise)
-    for tilt in (15.0, 30.0, 45.0, 55.0):
+    for gain in WARPS["light"]:
+        yield pair("light", gain, np.eye(3), partial(np.multiply, gain or ramp), noise)
+    for tilt in WARPS["viewpoint"]:
         yield pair("viewpoint", tilt, _tilted(width, height, tilt), same, noise)
-    for sigma in (2.0, 5.0, 10.0, 20.0):
+    for sigma in WARPS["noise"]:
         yield pair("noise", sigma, np.eye(3), same, sigma)
 
 

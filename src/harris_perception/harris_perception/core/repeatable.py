@@ -27,7 +27,13 @@ _MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 """Zero on whatever is linear in x or y; of white noise it makes six times its standard deviation."""
 
 _EVEN = 0.2
-"""Corners rank by response / mean around to this power: a lamp on one side does not take all of them there."""
+"""Corners rank by response / mean response around to this power, so that one rough place does not take all of them."""
+
+_EVEN_LIGHT = 1.0
+"""And by the light around to this power (its square would undo any), so that a lamp on one side does not, either."""
+
+_LIGHT_PX = 400.0
+"""Standard deviation of the Gaussian that tells how far around the light is averaged."""
 
 _LOWER_HALF = 0.3246
 """Mean of the lower half of the absolute values of a standard normal distribution."""
@@ -59,7 +65,8 @@ class RepeatableDetector:
 
     The picture is diffused where its gradients are as weak as its noise. Derivatives and window are Gaussians of 0.9
     and 0.85 px, the response is the geometric mean of the eigenvalues, lessened on edges. Corners are those that stand
-    out from the noise and from their surroundings; if these are too few, those that do so the most.
+    out from the noise and from their surroundings; if these are too few, those that do so the most. If they are too
+    many, those are kept that have the largest response for the light and the roughness around them.
 
     Examples
     --------
@@ -92,6 +99,10 @@ class RepeatableDetector:
         for dtype in (np.uint8, np.uint16, np.float32):
             self.detect(noisy.astype(dtype))
 
+    def strengths_of(self, response: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return how strong corners of this response are, as ``HarrisDetector.strengths_of``."""
+        return self._detector.strengths_of(response)
+
     def detect(self, gray: npt.NDArray[Any]) -> Corners:
         """Return the corners of (H, W) uint8, uint16 or float32, by falling response.
 
@@ -107,12 +118,19 @@ class RepeatableDetector:
         known = np.where(np.isfinite(response), response, np.float32(0.0))
         around = mean_around(known, config.around_px)[y, x]
         clear = corners.response > np.maximum(config.above_noise * noise**2, config.above_around * around)
-        kept = _best(clear, corners.response / around**_EVEN, config.max_corners or len(corners))
+        even = around**_EVEN * (_light(gray)[y, x] + noise) ** _EVEN_LIGHT
+        kept = _best(clear, corners.response / even, config.max_corners or len(corners))
         missing = math.ceil(config.least * config.max_corners) - len(kept)
         # By the geometric mean of how far they stand out from the noise, which is one for all, and from what is around.
         others = _best(~clear, corners.response / np.sqrt(around), max(missing, 0))
         kept = np.union1d(kept, others)
         return Corners(corners.xy[kept], corners.response[kept])
+
+
+def _light(gray: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """Return the mean light around each pixel, 0 or more; what is not finite counts as dark."""
+    values = np.nan_to_num(gray.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    return mean_around(values - np.minimum(values.min(initial=0.0), np.float32(0.0)), _LIGHT_PX)
 
 
 def _best(among: npt.NDArray[np.bool_], rank: npt.NDArray[Any], limit: int) -> npt.NDArray[np.int64]:

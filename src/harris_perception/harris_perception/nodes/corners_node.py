@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,12 @@ from harris_perception.core import edge_lines
 from harris_perception.core.edges import CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
 from harris_perception.core.gray import bgr_of, bgr_of_gray, gray_of, grey_level_of, has_color
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
+from harris_perception.core.harris_laplace import (
+    HarrisLaplaceConfig,
+    HarrisLaplaceDetector,
+    PyramidConfig,
+    ScaledCorners,
+)
 from harris_perception.core.overlay import draw_corners
 from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
 from icu_common.core.config import ConfigError, nested, setting
@@ -32,21 +38,25 @@ from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
 COLUMNS = ("u", "v", "response")
+SCALE = "scale"
+"""A further column of corners over scales: how many times coarser than the picture is the level that has them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CornersNodeConfig(HarrisConfig):
-    """The detectors' settings (two ways to corners), and those of the edges (two ways) found while somebody looks.
+    """The detectors' settings (three ways to corners), and those of the edges (two ways) found while somebody looks.
 
     Strengths of edges are in grey levels of 8 bits; the largest value of a picture of more counts as 255.
     """
 
     corner_method: str = setting(
         "fast",
-        "Corners of the detector of 1988 by the settings beside this (fast), or those that stand out from noise and "
-        "surroundings (repeatable), which takes several times as long",
-        choices=("fast", "repeatable"),
+        "Corners of the detector of 1988 by the settings beside this (fast), by the same over a pyramid with their "
+        "scale (scales, Harris-Laplace), or those that stand out from noise and surroundings (repeatable); the last "
+        "two take several times as long",
+        choices=("fast", "scales", "repeatable"),
     )
+    scales: PyramidConfig = nested(PyramidConfig)
     repeatable: RepeatableConfig = nested(RepeatableConfig)
     edge_method: str = setting(
         "combined",
@@ -83,8 +93,8 @@ class CornersNode(Node):
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
 
     def _use(self, config: CornersNodeConfig) -> None:
-        self._fast, self._repeatable = HarrisDetector(config), RepeatableDetector(config.repeatable)
-        (self._fast if config.corner_method == "fast" else self._repeatable).warm()
+        self._corner_detector = _corner_detector(config)
+        self._corner_detector.warm()
         self._combined = CombinedDetector(config, config.combined)
         self._outlines = EdgeDetector(config.edges)
         (self._combined if config.edge_method == "combined" else self._outlines).warm()
@@ -105,25 +115,30 @@ class CornersNode(Node):
         self._found = len(corners)
         self._busy_s += time.perf_counter() - start
 
-    def _found_in(self, gray: npt.NDArray[Any], message: Image) -> tuple[Corners, Edges | None]:
+    def _found_in(self, gray: npt.NDArray[Any], message: Image) -> tuple[Corners | ScaledCorners, Edges | None]:
         config = self._live.config
         looked_at = self._labels.get_subscription_count() + self._lines.get_subscription_count() > 0
         fast, combined = config.corner_method == "fast", config.edge_method == "combined"
         if looked_at and fast and combined:
             return self._combined.detect(gray, grey_level=grey_level_of(gray))
-        corners = (self._fast if fast else self._repeatable).detect(gray)
+        corners = self._corner_detector.detect(gray)
         if not looked_at:
             return corners, None
+        level, strengths = grey_level_of(gray), self._corner_detector.strengths_of(corners.response)
         if combined:
-            return corners, self._combined.detect(gray, corners.xy, grey_level_of(gray))[1]
+            return corners, self._combined.detect(gray, corners.xy, strengths, level)[1]
+        strengths = strengths / np.float32(level)
         if has_color(message.encoding) and gray.size > 0:
-            return corners, self._outlines.detect(bgr_of(image_array(message), message.encoding), corners.xy)
-        leveled = gray if gray.dtype == np.uint8 else gray.astype(np.float32) / np.float32(grey_level_of(gray))
-        return corners, self._outlines.detect(leveled, corners.xy)
+            color = bgr_of(image_array(message), message.encoding)
+            return corners, self._outlines.detect(color, corners.xy, strengths)
+        leveled = gray if gray.dtype == np.uint8 else gray.astype(np.float32) / np.float32(level)
+        return corners, self._outlines.detect(leveled, corners.xy, strengths)
 
-    def _publish(self, corners: Corners, gray: npt.NDArray[Any], message: Image) -> None:
-        values = np.column_stack((corners.xy, corners.response))
-        self._corners.publish(cloud_message(COLUMNS, values, message.header))
+    def _publish(self, corners: Corners | ScaledCorners, gray: npt.NDArray[Any], message: Image) -> None:
+        columns, values = [*COLUMNS], [corners.xy, corners.response]
+        if isinstance(corners, ScaledCorners):
+            columns, values = [*columns, SCALE], [*values, corners.scale]
+        self._corners.publish(cloud_message(columns, np.column_stack(values), message.header))
         if self._picture.get_subscription_count() > 0:
             drawn = bgr_of_gray(gray)
             draw_corners(drawn, corners.xy)
@@ -151,6 +166,15 @@ class CornersNode(Node):
         status = diagnostic_status(self.get_fully_qualified_name(), "ok" if new else "warn", text, values)
         head = header(self.get_clock().now().nanoseconds, "")
         self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))
+
+
+def _corner_detector(config: CornersNodeConfig) -> HarrisDetector | HarrisLaplaceDetector | RepeatableDetector:
+    if config.corner_method == "repeatable":
+        return RepeatableDetector(config.repeatable)
+    if config.corner_method == "fast":
+        return HarrisDetector(config)
+    pyramid = {item.name: getattr(config.scales, item.name) for item in fields(PyramidConfig)}
+    return HarrisLaplaceDetector(HarrisLaplaceConfig(detector=config, **pyramid))
 
 
 def _gray(message: Image) -> npt.NDArray[Any]:
