@@ -189,6 +189,7 @@ class SyntheticScope(Node):
             points = pose.apply(corners) - (np.array([0.12, 0, 0]) if side == "right" else 0)
             warp = cv2.getPerspectiveTransform(source, model.project(points).astype(np.float32))
             picture = cv2.warpPerspective(face, warp, (1280, 720), borderValue=(52, 48, 44))
+            picture[-16:, -16:] = round(20 * self.phase) % 256  # no two pictures are alike, whatever the scope shows
             if side == "left":
                 u, v = model.project(tip)[0]
                 cv2.circle(picture, (round(u), round(v)), 6, (255, 0, 255), -1, cv2.LINE_AA)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -128,6 +129,108 @@ def speaks_german_for_the_graph(operator: Operator) -> None:
     others = "async (action) => (await import('/page/command_log.js')).actionText({ action })"
     said = operator.page.evaluate(others, "move to (0.1, 0.2, 0) m in base_link")
     assert said == "fahren nach (0.1, 0.2, 0) m in base_link", "where somebody else's goal goes"
+
+
+def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, instrument: Instrument) -> None:
+    """A held key and a double click are one press, an empty field is no zero, a held picture is not the live one."""
+    page = operator.page
+    rows = page.locator("#log tr").count()
+    page.focus("[data-control=CH1_SCALE]")
+    page.keyboard.down("Enter")
+    operator.sees("#selection-name", "Channel 1 scale")
+    focused = lambda: page.evaluate("document.activeElement.dataset.act ?? ''")  # noqa: E731
+    operator.until(lambda: focused() == "turn", 5.0, lambda: f"focus on {focused()!r}, not on Turn")
+    for _ in range(3):
+        page.keyboard.down("Enter")  # repeats, as a keyboard does while the key stays down
+    page.keyboard.up("Enter")
+    page.dblclick("[data-call=home]")
+    assert page.inner_text("[data-call=home]") == "Confirm: home"
+    for field, gesture in (("#set-degrees", "set"), ("#click-count", "click")):
+        page.fill(field, "")
+        page.click(f"[data-act={gesture}] >> nth=0")
+        operator.sees("#refusal", "Enter a number first")
+    page.click("#freeze")
+    page.click("[data-control=MENU]")
+    operator.sees("#refusal", "lies over the live one")
+    assert page.inner_text("#selection-name") == "Channel 1 scale"
+    page.click("#freeze")
+    assert page.locator("#log tr").count() == rows, page.inner_text("#log")
+    # What is refused during a command is not said any more after it.
+    operator.selects("RUN_STOP", "Run / Stop")
+    operator.confirms()
+    page.click("[data-control=CH1_IN]", force=True)
+    operator.sees("#refusal", "connector and is never touched")
+    operator.sees("#selection-name", "Nothing selected")
+    operator.logs("Press Run / Stop.*done", 10.0)
+    operator.until(lambda: not page.inner_text("#refusal"), 5.0, lambda: page.inner_text("#refusal"))
+    # A page that is closed or loaded anew is not a hidden one; STOP, and nothing else, is hit while the help is open.
+    operator.selects("MENU", "Menu")
+    operator.confirms()
+    operator.sees("#chip-driver", "Moving")
+    page.reload()
+    operator.logs("STOP.*the operator’s page was closed", 10.0)
+    operator.takes_control()
+    page.keyboard.press("?")
+    assert page.is_visible("#help")
+    operator.shoots("help")
+    box = page.locator("[data-call=enable]").bounding_box()
+    page.mouse.click(box["x"] + 5, box["y"] + 5)
+    assert "Enable" not in page.inner_text("#log"), "what is shaded is not operated"
+    box = page.locator("#stop").bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    operator.logs(r"STOP\s*✓done\s*Operator", 5.0)
+    page.click("#reset")
+    operator.sees("#chip-driver", "Idle")
+
+
+def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrument: Instrument) -> None:
+    person = Operator(browser, instrument.new_address())
+    page = person.page
+    full = {"type": "answer", "seq": None, "ok": False, "code": "too_many_viewers", "values": {"limit": 24}}
+    whole, hung = False, 0
+
+    def control(route: Any) -> None:
+        if whole:
+            route.connect_to_server()
+            lines.append(route)
+            return
+        route.send(json.dumps(full))
+        route.close()
+
+    def video(route: Any) -> None:
+        """Pass pictures on, but for the first connections: once these hang, they do so for ever."""
+        pictures.append(route)
+        number, server = len(pictures), route.connect_to_server()
+        route.on_message(server.send)
+        server.on_message(lambda m: route.send(m) if number > hung else None)
+
+    lines: list[Any] = []
+    pictures: list[Any] = []
+    page.route_web_socket(re.compile("/control$"), control)
+    page.route_web_socket(re.compile("/video$"), video)
+    page.reload()
+    person.sees("#banner", "All 24 places are taken")
+    whole = True
+    person.sees_controls()
+    person.sees("#banner", "Viewing")
+    whole, hung = False, len(pictures)
+    page.route("**/stop*", lambda route: route.abort())
+    lines[-1].close()
+    person.sees("#banner", "The link to the bridge is lost. This page’s STOP may not arrive")
+    page.click("#stop")
+    person.sees("#banner", "STOP has not got through. Use the wired emergency stop")
+    page.unroute("**/stop*")
+    page.click("#stop")
+    whole = True
+    person.sees("#banner", "STOPPED", within_s=10.0)
+    person.until(lambda: len(pictures) > hung, 10.0, lambda: "the picture is asked for anew")
+    before = person.picture_sum()
+    person.until(lambda: person.picture_sum() != before, 10.0, lambda: "the picture is live again")
+    page.click("#lease-take")
+    person.until(lambda: page.is_enabled("#reset"), 5.0, lambda: page.inner_text("#lease-text"))
+    page.click("#reset")
+    person.sees("#chip-driver", "Idle")
+    person.leaves()
 
 
 def test_zoom_pan_and_a_click_in_the_zoomed_picture(operator: Operator) -> None:

@@ -125,9 +125,15 @@ def answer(effects: list[Effect]) -> dict[str, Any]:
     return dict(found)
 
 
+def shown_selections(effects: list[Effect]) -> list[Any]:
+    """Return what the pages are told of the selection."""
+    return [e.message["selection"] for e in of_type(effects, Broadcast) if e.message["type"] == "selection"]
+
+
 def refusal(effects: list[Effect]) -> str:
-    """Return the refusal's code, after checking that nothing else came of it."""
-    assert len(effects) == 1, effects
+    """Return the refusal's code, after checking that nothing else came of it, but that nothing is selected now."""
+    assert len(effects) - len(shown_selections(effects)) == 1, effects
+    assert not any(shown_selections(effects)), effects
     found = answer(effects)
     assert found["ok"] is False
     return str(found["code"])

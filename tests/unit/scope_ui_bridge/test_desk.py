@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
-from unit.scope_ui_bridge.desk_rig import BOOT, Rig, answer, logged, of_type, pose, refusal
+from unit.scope_ui_bridge.desk_rig import BOOT, Rig, answer, logged, of_type, pose, refusal, shown_selections
 
 from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.gesture import Gesture, Point, parse_gesture
@@ -129,6 +130,18 @@ def test_a_click_on_a_picture_that_was_never_sent_is_refused() -> None:
     assert refusal(Rig().select(control="RUN_STOP", stamp="123")) == "frame_unknown"
 
 
+def test_a_picture_from_the_future_is_refused_since_its_age_is_not_known() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    ahead = rig.now.ros_ns + 150_000_000
+    rig.desk.machine.frame_offered("left", ahead)
+    answered = answer(rig.act(stamp=str(ahead)))
+    assert (answered["code"], answered["values"]) == ("frame_ahead", {"ahead_ms": 150, "limit_ms": 100})
+    slightly = rig.now.ros_ns + 50_000_000
+    rig.desk.machine.frame_offered("left", slightly)
+    assert of_type(rig.act(stamp=str(slightly)), SendCommand), "clocks never agree wholly"
+
+
 def test_a_selection_can_be_confirmed_later_but_only_on_a_fresh_picture() -> None:
     rig = Rig()
     rig.select(control="RUN_STOP")
@@ -150,6 +163,40 @@ def test_a_panel_that_moved_since_the_selection_voids_it() -> None:
     answered = answer(rig.act())
     assert (answered["code"], answered["values"]) == ("panel_moved", {"moved_mm": 2.5, "limit_mm": 2.0})
     assert refusal(rig.act()) == "selection_gone"
+
+
+@pytest.mark.parametrize(
+    ("choice", "code"),
+    [
+        ({"control": "CH1_IN"}, "not_operable"),
+        ({"u": 5.0, "v": 5.0}, "off_panel"),
+        ({"control": "CH1_SCALE", "stamp": "1"}, "frame_unknown"),
+    ],
+)
+def test_a_click_that_is_refused_leaves_nothing_selected(choice: dict[str, Any], code: str) -> None:
+    """Who has just clicked on something else and confirms does not mean what was selected before."""
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    effects = rig.select(**choice)
+    assert answer(effects)["code"] == code
+    assert shown_selections(effects) == [None]
+    assert refusal(rig.act()) == "selection_gone"
+    assert shown_selections(rig.select(**choice)) == [], "said once"
+
+
+def test_pages_are_told_that_the_selection_is_void_since_the_panel_has_moved() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    rig.desk.scene.place_panel(pose(0.0025))
+    assert shown_selections(rig.act()) == [None]
+
+
+@pytest.mark.parametrize("u, v", [(1e9, -1e9), (-1.0, 300.0), (640.0, 720.0), (592.0, -1.6e9)])
+def test_a_point_outside_the_picture_is_refused(u: float, v: float) -> None:
+    rig = Rig()
+    answered = answer(rig.select(u=u, v=v))
+    assert (answered["code"], answered["values"]) == ("off_picture", {"u": u, "v": v, "width": 1280, "height": 720})
+    assert answer(rig.select(u=u, v=v, to_u=600.0, to_v=300.0))["code"] == "off_picture"
 
 
 @pytest.mark.parametrize(

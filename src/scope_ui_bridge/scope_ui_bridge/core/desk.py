@@ -154,6 +154,7 @@ class Desk:
     def message(self, viewer: str, text: str | bytes, now: Now) -> list[Effect]:
         """Take one text of a page and return what is to be done; anything bad is answered, nothing moves."""
         seq: int | None = None
+        selected = self._selection
         try:
             message = wire.decode(text)
             seq = message.seq
@@ -165,7 +166,10 @@ class Desk:
         except Refusal as refusal:
             if refusal.code == "rate_limited" and not self._may_tell_rate(viewer, now):
                 return []
-            return [Send(viewer=viewer, message={"type": "answer", "seq": seq, "ok": False, **refusal.message()})]
+            gone = selected is not None and self._selection is None
+            told: list[Effect] = [_selection_shown(None)] if gone else []
+            answer = {"type": "answer", "seq": seq, "ok": False, **refusal.message()}
+            return [*told, Send(viewer=viewer, message=answer)]
 
     def _admit(self, viewer: str, message: wire.Message, now: Now) -> None:
         state = self._viewers[viewer]
@@ -341,7 +345,7 @@ class Desk:
     def _clear_selection(self) -> list[Effect]:
         had = self._selection is not None
         self._selection = None
-        return [Broadcast(message={"type": "selection", "selection": None})] if had else []
+        return [_selection_shown(None)] if had else []
 
     def still_wanted(self, order: Order) -> bool:
         """Tell whether an order may still go out: no stop and no change of hands since it was made."""
@@ -352,11 +356,13 @@ class Desk:
     def _select(self, message: wire.Select, now: Now) -> list[Effect]:
         if not message.control and message.point_px is None and message.line_m is None:
             return self._clear_selection()
+        # A click that is refused leaves nothing selected: a confirmation after it would not mean what was before.
+        self._selection = None
         self.machine.check_frame(message.camera, message.stamp_ns, self.config, now)
         pose = self.machine.check_recognition(self.scene.camera_from_panel, self.config, now)
         self._selection = make_selection(self._selection_count + 1, message, self.scene, pose, self.panel.seen)
         self._selection_count += 1
-        return [Broadcast(message={"type": "selection", "selection": self._selection.message()})]
+        return [_selection_shown(self._selection)]
 
     def _act(self, viewer: str, message: wire.Act, now: Now) -> list[Effect]:
         selection = self._selection
@@ -615,3 +621,7 @@ class Desk:
 
     def _name(self, viewer: str) -> str:
         return self._viewers[viewer].name if viewer in self._viewers else ""
+
+
+def _selection_shown(selection: Selection | None) -> Broadcast:
+    return Broadcast(message={"type": "selection", "selection": selection.message() if selection else None})

@@ -12,6 +12,7 @@ from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import Now
 from scope_ui_bridge.core.refusal import Refusal
 
+_MOST_AHEAD_S = 0.1
 _MOVING = {
     "driver": {"moving", "homing"},
     "controller": {"moving", "looking", "touching"},
@@ -95,10 +96,12 @@ class MachineView:
     # --- checks ----------------------------------------------------------------------------------------------------
 
     def check_frame(self, camera: str, stamp_ns: int, config: BridgeConfig, now: Now) -> None:
-        """Refuse unless the picture was shown and is young: ``frame_unknown``, ``frame_old``."""
+        """Refuse unless the picture was shown and is young: ``frame_unknown``, ``frame_old``, ``frame_ahead``."""
         if stamp_ns not in self._frames[camera]:
             raise Refusal("frame_unknown", stamp=str(stamp_ns))
         age_s = (now.ros_ns - stamp_ns) / 1e9
+        if age_s < -_MOST_AHEAD_S:  # another machine's clock: by how much it really is old cannot be known
+            raise Refusal("frame_ahead", ahead_ms=round(-age_s * 1e3), limit_ms=round(_MOST_AHEAD_S * 1e3))
         if age_s > config.frame_max_age_s:
             raise Refusal("frame_old", age_ms=round(age_s * 1e3), limit_ms=round(config.frame_max_age_s * 1e3))
 

@@ -83,8 +83,8 @@ def make_selection(
     Raises
     ------
     Refusal
-        ``unknown_control``, ``not_operable``, ``point_needs_left``, ``panel_not_seen``, ``off_panel``, or of a line
-        ``line_off_screen``, ``line_leaves_screen``, ``line_short``.
+        ``unknown_control``, ``not_operable``, ``point_needs_left``, ``off_picture``, ``panel_not_seen``,
+        ``off_panel``, or of a line ``line_off_screen``, ``line_leaves_screen``, ``line_short``.
     """
     control, kind, label, size = "", "point", "", (0.0, 0.0)
     pixels: tuple[tuple[float, float], ...] = ()
@@ -132,6 +132,11 @@ def _gestures(kind: str, seen: ControlSeen | None) -> tuple[str, ...]:
 def _on_panel(camera: str, pixel: tuple[float, float], scene: Scene, height_m: float = 0.0) -> Array:
     if camera != "left":  # a pixel goal has no other frame than the left camera's
         raise Refusal("point_needs_left")
+    if scene.left is not None:
+        width, height = scene.left.size
+        # Beyond the picture the distortion's polynomial means nothing; there may be no number at all.
+        if not (-0.5 <= pixel[0] <= width - 0.5 and -0.5 <= pixel[1] <= height - 0.5):
+            raise Refusal("off_picture", u=pixel[0], v=pixel[1], width=width, height=height)
     point = scene.panel_point(pixel, height_m)
     if point is None:
         raise Refusal("panel_not_seen")

@@ -6,20 +6,30 @@ import { wireGestures } from "./gestures.js";
 import { t } from "./strings.js";
 
 const ARMED_MS = 4000;
+const STOP_ANSWER_MS = 1000;
 
 export function stop() {
   // Two ways at once: the open connection, and a plain request that needs nothing but the sign-in.
   // The bridge knows by the press that it is one stop.
   const press = Math.random().toString(36).slice(2);
-  const way = desk.link.ask("stop", { press });
-  const other = fetch(`/stop?press=${press}`, { method: "POST", keepalive: true }).then((answer) => answer.ok, () => false);
-  Promise.all([way, other]).then(([first, second]) => {
-    if (!first.ok && !second) say(t("link_down"), true);
-  });
+  let through = false;
+  const arrived = ({ ok }) => {
+    if (!ok) return;
+    through = true;
+    desk.unstopped = false;
+  };
+  desk.link.ask("stop", { press }).then(arrived);
+  fetch(`/stop?press=${press}`, { method: "POST", keepalive: true }).then(arrived, () => {});
+  // Neither is given up: on a link that hangs it may still arrive. But who pressed must know that it has not.
+  setTimeout(() => {
+    if (through) return;
+    desk.unstopped = true;
+    say(t("banner_stop_failed"), true);
+  }, STOP_ANSWER_MS);
 }
 
 export async function choose({ byKey, ...what }) {
-  const good = await desk.ask("select", { ...desk.seen, ...what });
+  const good = await desk.select(what);
   if (!good || !byKey) return;
   const able = [...find("confirm").querySelectorAll("button:not([disabled])")];
   able.find((button) => button.offsetParent !== null)?.focus();
@@ -38,7 +48,7 @@ function wireStop() {
 }
 
 function wireSelection() {
-  find("clear").addEventListener("click", () => desk.ask("select", desk.seen));
+  find("clear").addEventListener("click", () => desk.select({}));
   find("chooser").addEventListener("change", (event) => {
     if (event.target.value) choose({ control: event.target.value, byKey: false });
   });
@@ -54,7 +64,8 @@ function wireCalls() {
       delete button.dataset.armed;
       button.textContent = t(`call_${service}`);
     };
-    button.addEventListener("click", () => {
+    button.addEventListener("click", (event) => {
+      if ("armed" in button.dataset && event.detail > 1) return; // a double click is one
       if ("twice" in button.dataset && !("armed" in button.dataset)) {
         button.dataset.armed = "";
         button.textContent = t(`confirm_${service}`);
@@ -75,7 +86,7 @@ function wireKeys() {
     "<": () => document.querySelector('[data-act="click"][data-sign="-1"]').click(),
     ">": () => document.querySelector('[data-act="click"][data-sign="1"]').click(),
     d: () => find("draw").offsetParent && find("draw").click(),
-    "?": () => find("help").showModal(),
+    "?": openHelp,
   };
   document.addEventListener(
     "keydown",
@@ -86,14 +97,33 @@ function wireKeys() {
         if (!event.repeat) stop();
         return;
       }
-      if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
+      // A key that is held down is one press: its repeats must not confirm what it has just selected.
+      if (event.repeat && event.key === "Enter" && event.target.closest("button")) event.preventDefault();
+      if (event.ctrlKey || event.altKey || event.metaKey || event.repeat || find("help").open) return;
       if (event.target.closest("input, select, textarea")) return;
-      keys[event.key]?.();
+      keys[event.key.toLowerCase()]?.();
     },
     true,
   );
-  find("help-open").addEventListener("click", () => find("help").showModal());
+  find("help-open").addEventListener("click", openHelp);
   find("help-close").addEventListener("click", () => find("help").close());
+  find("help").addEventListener("close", () => shut(false));
+  find("help").addEventListener("focusout", ({ relatedTarget: next }) => {
+    if (next && !find("help").contains(next)) find("help").close();
+  });
+}
+
+function shut(on) {
+  document.querySelector("main").inert = on;
+}
+
+/** Not modal, and below the head: STOP can be hit while it is open, and nothing else. */
+function openHelp() {
+  shut(true);
+  const help = find("help");
+  const bottoms = [document.querySelector(".top"), find("banner")].map((part) => part.getBoundingClientRect().bottom);
+  help.style.setProperty("--top", `${Math.max(...bottoms)}px`);
+  help.show();
 }
 
 export function wireActions() {

@@ -16,9 +16,11 @@ class Desk {
   state = null;
   selection = null;
   problem = "";
+  problemAt = 0;
   replay = false;
   frozen = false; // the picture before is held over the live one
   teaching = false; // the picture that a panel is pointed at in lies over the live one
+  unstopped = false; // STOP was pressed here and has not got through
   changed = () => {};
 
   get mine() {
@@ -55,8 +57,15 @@ class Desk {
     return this.report(await this.link.ask(type, fields));
   }
 
+  /** Select something of the picture that is being looked at, which is not the live one while another lies over it. */
+  async select(what) {
+    const held = (this.frozen && "frozen_no_action") || (this.teaching && "teaching_no_action");
+    return held ? this.report({ ok: false, code: held }) : this.ask("select", { ...this.seen, ...what });
+  }
+
   report(answer) {
     this.problem = answer.ok ? "" : t(answer.code, explained(answer.values));
+    this.problemAt = performance.now();
     if (this.problem) say(this.problem, true);
     this.changed();
     return answer.ok;

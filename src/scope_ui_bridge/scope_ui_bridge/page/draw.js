@@ -24,7 +24,7 @@ function show(active) {
 
 async function choose(line) {
   show(false);
-  await desk.ask("select", { ...desk.seen, ...line });
+  await desk.select(line);
 }
 
 function wirePicture(overlay) {
@@ -86,7 +86,9 @@ export function wireDraw(overlay) {
 export function renderDraw(controls) {
   const { selection } = desk;
   const may = controls.some((control) => control.kind === "touch_area");
-  find("draw-card").hidden = !may || !desk.mine || !["touch_area", "point", "line"].includes(selection?.kind);
+  // A refused line leaves nothing selected; its numbers stay, to be put right.
+  const fits = selection ? ["touch_area", "point", "line"].includes(selection.kind) : find("line-form").parentElement.open;
+  find("draw-card").hidden = !may || !desk.mine || !fits;
   find("draw").disabled = desk.whyNoMotion !== "" || desk.video.camera !== "left";
   if (on && (find("draw-card").hidden || find("draw").disabled)) show(false);
   if (selection?.kind !== "touch_area" || selection.number === screen) return;

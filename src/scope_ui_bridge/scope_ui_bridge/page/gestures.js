@@ -12,7 +12,7 @@ let dialOf = 0; // the selection whose angle the dial was set to
 function wanted(button) {
   const gesture = button.dataset.act;
   const sign = Number(button.dataset.sign ?? 1);
-  const value = (id) => find(id).valueAsNumber || Number(find(id).value);
+  const value = (id) => (find(id).value === "" ? NaN : Number(find(id).value)); // Number("") would be zero
   if (gesture === "hold") return { argument: value("hold-seconds") };
   if (gesture === "turn") return { argument: sign * value("turn-degrees") };
   if (gesture === "click") return { argument: sign * value("click-count") };
@@ -26,12 +26,17 @@ function wanted(button) {
 function act(button) {
   const gesture = button.dataset.act;
   if (!desk.selection?.gestures.includes(gesture) || desk.whyNot !== "") return;
+  const fields = wanted(button);
+  if (Number.isNaN(fields.argument)) {
+    desk.report({ ok: false, code: "no_number" });
+    return;
+  }
   if (collecting()) {
-    collect(gesture, wanted(button));
+    collect(gesture, fields);
     return;
   }
   document.dispatchEvent(new Event("acting")); // the picture before is kept for comparing
-  desk.ask("act", { gesture, selection: desk.selection.number, ...desk.seen, ...wanted(button) });
+  desk.ask("act", { gesture, selection: desk.selection.number, ...desk.seen, ...fields });
 }
 
 // --- the dial: where a knob's marker stands, and where it shall stand; degrees counter-clockwise from up ---------------

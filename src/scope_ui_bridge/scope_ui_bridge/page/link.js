@@ -59,6 +59,11 @@ export class Link extends EventTarget {
     if (this.open) this.#send("hidden", {});
   }
 
+  /** The page goes away, and is not only hidden: the closed connection says so at once. */
+  leave() {
+    this.#socket?.close();
+  }
+
   #send(type, fields) {
     this.#seq += 1;
     this.#socket.send(JSON.stringify({ type, seq: this.#seq, boot: this.#boot, epoch: this.epoch, ...fields }));

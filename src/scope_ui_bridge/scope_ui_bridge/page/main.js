@@ -23,6 +23,7 @@ import { renderTools, wireTools } from "./tools.js";
 import { COMPUTED } from "./video.js";
 
 const KEEP_ALIVE_MS = 200;
+const READ_MS = 1000;
 
 startLanguage();
 const { link, video } = desk;
@@ -33,11 +34,15 @@ let lastBoot = "";
 let restarted = false;
 let lostControl = false;
 let wasMine = false;
+let turnedAway = "";
+let declinedBy = ""; // who has control and keeps it, though this page has asked
 desk.changed = render;
 
 // --- what comes from the bridge ------------------------------------------------------------------------------------
 
 link.addEventListener("hello", ({ detail }) => {
+  if (lastBoot) video.renew(); // where this connection hung, that of the picture hangs as well
+  turnedAway = "";
   restarted = lastBoot !== "" && lastBoot !== detail.boot;
   lastBoot = detail.boot;
   desk.me = detail.you;
@@ -72,10 +77,15 @@ link.addEventListener("log", ({ detail: { entry } }) => {
   if (entry.action !== "stop") showLast(entry);
   if (entry.action === "teach" && ["failed", "no_answer"].includes(entry.status)) taught({ ok: false, reason: spoken(entry) });
   if (["sent", "accepted"].includes(entry.status)) return;
+  // What was refused while it was at work is over with it, once there was time to read it.
+  if (performance.now() - desk.problemAt > READ_MS) desk.problem = "";
   addError(entry);
   say(spoken(entry), entry.action === "stop" || ["aborted", "failed", "no_answer"].includes(entry.status));
 });
-link.addEventListener("answer", ({ detail }) => desk.report(detail));
+link.addEventListener("answer", ({ detail }) => {
+  desk.report(detail);
+  if (!link.open) turnedAway = desk.problem; // nobody is let in
+});
 link.addEventListener("lost", () => {
   if (desk.state) desk.state.lease = { ...desk.state.lease, holder: "", holder_name: "" };
   render();
@@ -96,10 +106,14 @@ function showChoices() {
 }
 
 function setState(next) {
+  const before = desk.state?.lease.requester;
   desk.state = next;
   const mine = next.lease.holder === desk.me.id;
   if (mine) restarted = lostControl = false;
   if (wasMine && !mine) lostControl = true;
+  const { holder, requester } = next.lease;
+  if (before === desk.me.id && requester === "" && holder !== desk.me.id) declinedBy = holder;
+  if (requester === desk.me.id || holder !== declinedBy) declinedBy = "";
   wasMine = mine;
   render();
 }
@@ -193,6 +207,7 @@ function renderLease() {
   const asked = mine && requester;
   const may = me.role !== "viewer" && !desk.replay;
   let text = mine ? t("lease_mine") : holder ? t("lease_other", { name }) : t("lease_free");
+  if (declinedBy) text = t("lease_declined", { name });
   if (asked) text = t("lease_asked", { name: asking });
   if (requester === me.id && me.id) text = t("lease_waiting", { name });
   put(find("lease-text"), text);
@@ -251,8 +266,11 @@ function renderAge() {
   const rtt = link.rttMs === null ? "–" : Math.round(link.rttMs);
   chip("chip-link", silent ? "bad" : "good", silent ? t("link_lost") : t("link_ok", { rtt }));
   const { state: driver, reason } = state?.driver ?? {};
+  if (driver === "stopped" && !silent) desk.unstopped = false;
   banner(find("banner"), [
-    { when: silent, look: "bad", text: t("banner_link") },
+    { when: desk.unstopped, look: "bad", text: t("banner_stop_failed") },
+    { when: turnedAway, look: "bad", text: turnedAway },
+    { when: silent, look: "bad", text: t(wasMine ? "banner_link" : "banner_link_viewer") },
     { when: desk.replay, look: "waiting", text: t("banner_replay") },
     { when: driver === "alarm", look: "bad", text: t("banner_alarm", { reason: said(reason) }) },
     { when: driver === "stopped", look: "bad", text: state && stopBanner(state) },
@@ -292,6 +310,7 @@ function beat(now) {
   requestAnimationFrame(beat);
 }
 
+window.addEventListener("pagehide", () => link.leave()); // before it is hidden
 // A hidden page has no animation frames any more; it says so, that the reason of the stop can be told.
 document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && link.hide());
 

@@ -69,8 +69,9 @@ function disarm() {
   delete find("sequence-start").dataset.armed;
 }
 
-async function start() {
+async function start(event) {
   const button = find("sequence-start");
+  if ("armed" in button.dataset && event.detail > 1) return; // a double click is one
   if (!("armed" in button.dataset)) {
     button.dataset.armed = "";
     timer = setTimeout(disarm, ARMED_MS);

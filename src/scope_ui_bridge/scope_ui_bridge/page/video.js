@@ -1,6 +1,7 @@
 // The live picture: newest frame only. A frame is acknowledged once it is drawn, so a slow or hidden page gets fewer.
 
 export const COMPUTED = ["corners", "edges"]; // layers that are found in each picture, only while somebody looks
+const SILENT_MS = 1000;
 
 export class Video extends EventTarget {
   #socket = null;
@@ -8,6 +9,8 @@ export class Video extends EventTarget {
   #context;
   #wish = { camera: "left", corners: false, edges: false };
   #retryMs = 300;
+  #retry = 0;
+  #heard = 0;
   #pending = null;
   #decoding = false;
   #link;
@@ -28,6 +31,7 @@ export class Video extends EventTarget {
 
   connect() {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
+    clearTimeout(this.#retry);
     const socket = new WebSocket(`${scheme}://${location.host}/video`);
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
@@ -36,15 +40,24 @@ export class Video extends EventTarget {
       this.#send(this.#wish);
     });
     socket.addEventListener("message", (event) => {
-      if (typeof event.data === "string") return;
+      if (typeof event.data === "string" || socket !== this.#socket) return;
+      this.#heard = performance.now();
       this.#pending = { data: event.data, arrived: performance.now(), socket };
       this.#decode();
     });
     socket.addEventListener("close", () => {
       if (socket !== this.#socket) return;
-      setTimeout(() => this.connect(), this.#retryMs);
+      this.#retry = setTimeout(() => this.connect(), this.#retryMs);
       this.#retryMs = Math.min(2 * this.#retryMs, 5000);
     });
+  }
+
+  /** Ask anew where nothing has come for a while: no close event may ever come of a connection that hangs. */
+  renew() {
+    if (performance.now() - this.#heard < SILENT_MS) return;
+    const before = this.#socket;
+    this.connect();
+    before?.close();
   }
 
   look(wish) {
