@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import urllib.error
 import urllib.request
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -13,9 +14,11 @@ from ros_rig import Ros
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
+from harris_perception.cli.stereo import stereo
 from icu_common.core.config import ConfigError
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import header, image_message
+from scope_bench.nodes import beds_node
 from scope_bench.nodes.beds_node import BedsNode
 
 
@@ -52,6 +55,18 @@ def test_two_beds_on_one_page(ros: Ros) -> None:
     for path in ("/", "/state", "/wrong/state", "/wrong/bed_1.jpg"):
         with pytest.raises(urllib.error.HTTPError, match="404"):
             get(f"http://{port}{path}")
+
+
+@pytest.mark.parametrize("program", [beds_node.main, stereo])
+def test_who_asks_a_node_for_help_gets_it_and_no_node(
+    program: Callable[[], int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["ros2_ws/lib/scope_bench/beds", "--help"])
+    monkeypatch.setattr("icu_common.nodes.runtime.ros_session", lambda arguments: pytest.fail("a node was started"))
+    assert program() == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("usage: beds --ros-args") and "ros2 param describe" in shown
+    assert ("shows them on one page" in shown) if program is beds_node.main else ("stereo evaluate FOLDER" in shown)
 
 
 def test_wrong_names_are_refused(ros: Ros) -> None:

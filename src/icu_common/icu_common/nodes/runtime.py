@@ -9,11 +9,13 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
+import inspect
 import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
+from pathlib import Path
 from types import FrameType
 from typing import Protocol
 
@@ -109,7 +111,19 @@ def run(make_node: Callable[..., Node], arguments: Sequence[str] | None = None) 
     if _collected is not None:
         _collected.append(make_node)
         return 0
+    if arguments is None and {"-h", "--help"} & set(sys.argv[1:]):
+        print(_help(make_node))
+        return 0
     return _run([make_node], arguments)
+
+
+def _help(make_node: Callable[..., Node]) -> str:
+    name = Path(sys.argv[0]).name
+    return f"""usage: {name} --ros-args [-p NAME:=VALUE] [--params-file YAML] [-r FROM:=TO]
+
+{inspect.getdoc(inspect.getmodule(make_node))}
+
+While it runs, `ros2 param list` names its parameters and `ros2 param describe NODE NAME` tells meaning and range."""
 
 
 def run_together(programs: Sequence[tuple[Callable[[], int], Sequence[str]]]) -> int:
