@@ -9,6 +9,8 @@ import random
 import pytest
 from unit.gantry_driver.mock_rig import Rig
 
+from gantry_driver.mock.motion import Limits, Motion, MotionEvent
+
 OK = b"ok\r\n"
 
 
@@ -205,3 +207,32 @@ def test_nothing_moves_when_a_line_is_wrong() -> None:
     for line in (b"G1X-300\n", b"G0X-300I1\n", b"$J=X-400F100\n", b"G2X-300F100\n"):
         assert rig.send(line, 1.0).startswith(b"error:")
         assert rig.report() == ("Idle", (-359.0, -219.0, -1.0))
+
+
+def test_a_hold_in_the_last_deceleration_comes_to_rest_when_more_is_planned_behind() -> None:
+    """The hold then ends where one block meets the next, at a speed that is zero but for rounding."""
+    limits = Limits(
+        steps_per_mm=(80.0, 80.0, 400.0),
+        max_rate=(150.0, 150.0, 30.0),
+        acceleration=(1500.0, 1500.0, 500.0),
+        junction_deviation=0.01,
+    )
+    rng = random.Random(1928)
+    held = 0
+    for _ in range(2000):
+        motion, now = Motion(limits), rng.uniform(0.0, 50.0)
+        blocks = rng.randint(2, 12)
+        for index in range(blocks):
+            motion.add((94 * (index + 1), 0, 0), now, rate=150.0)
+        motion.start(now)
+        hold = now + rng.uniform(0.0, 0.2)
+        while (due := motion.due()) is not None and due < hold:
+            motion.step(due)
+        if not motion.running:
+            continue
+        motion.hold(hold)
+        motion.add((94 * (blocks + 1), 0, 0), hold, rate=150.0)
+        events = [motion.step(due) for due in itertools.takewhile(bool, (motion.due() for _ in range(50)))]
+        assert events[-1] is MotionEvent.HELD and motion.due() is None
+        held += 1
+    assert held > 500

@@ -239,7 +239,9 @@ class Motion:
             self._rest = block.position(block.length)
             self.blocks.popleft()
             self._done = 0.0
-        held = self.stopping and self._speed < 1e-6
+        # A speed that rounding has left over, too small for a phase of the next block, is none.
+        least = 2.0 * _TINY_S * self.blocks[0].acceleration if self.blocks else 0.0
+        held = self.stopping and self._speed < max(1e-6, least)
         if held or not self.blocks:
             self.running = self.stopping = False
             self._speed = 0.0
