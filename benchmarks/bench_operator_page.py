@@ -238,11 +238,9 @@ def render(folder: Path) -> Path:
     """Return a picture of the bench: what the camera would see, with its detail and noise."""
     import subprocess
 
-    from nodes.grbl_board import python_environment
-
     picture = folder / "bench.png"
     command = [sys.executable, "-m", "scope_bench.cli.render", "--out", str(picture)]
-    subprocess.run(command, env=python_environment(), check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return picture
 
 

@@ -25,6 +25,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -41,7 +42,7 @@ from gantry_driver.core.trajectory_gcode import Waypoint, write_motion
 from icu_common.core.frames import JOINTS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from nodes.grbl_board import GrblBoard, LinkRig, python_environment
+from nodes.grbl_board import GrblBoard, LinkRig
 
 WIRE_BYTES_S = 11_520.0
 MOVES, PEER_MOVES = 1500, 300
@@ -181,7 +182,7 @@ def run_node(port: str, holds: str) -> int:
     from icu_common.nodes.runtime import prepare_transport
 
     ask_for_real_time()
-    prepare_transport()
+    prepare_transport(shared_memory=False)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -241,7 +242,9 @@ def stops(count: int) -> list[Row]:
         end = time.monotonic() + within_s
         while not condition():
             if time.monotonic() > end:
-                raise RuntimeError(f"not within {within_s} s: the driver said {states[-5:]}")
+                raise RuntimeError(
+                    f"not within {within_s} s: the driver said {[name for name, _ in groupby(states)][-12:]}")
+                )
             executor.spin_once(timeout_sec=0.01)
 
     def call(name: str) -> None:
@@ -252,7 +255,7 @@ def stops(count: int) -> list[Row]:
         ask_for_real_time(mock.process.pid)
         until(lambda: len(seen) > 20, 60.0)
         command = [sys.executable, __file__, "--node", str(mock.port), holds.name]
-        child = subprocess.Popen(command, env=python_environment(), stderr=subprocess.DEVNULL)
+        child = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         try:
             until(lambda: all(service.service_is_ready() for service in services.values()))
             until(lambda: topic.get_subscription_count() and trajectory.get_subscription_count())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import re
 import runpy
 import sys
@@ -159,3 +160,17 @@ def test_ros2_launch_starts_the_graph_that_bring_up_starts(
         assert (given["name"], given["namespace"]) == (program.name, program.namespace)
         assert given["parameters"] == [*map(str, program.parameter_files), dict(program.parameters)]
         assert given["remappings"] == list(program.remappings)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem)
+def test_benchmarks_find_what_they_import_of_the_project(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests do not run them, and some imports wait inside functions."""
+    own = {p.stem for p in [*path.parent.glob("*.py"), *(ROOT / "tests").iterdir()]} | {p.name for p in PACKAGES}
+    monkeypatch.syspath_prepend(str(path.parent))
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in own:
+            module = importlib.import_module(str(node.module))
+            for alias in node.names:
+                assert hasattr(module, alias.name) or importlib.util.find_spec(f"{node.module}.{alias.name}"), (
+                    alias.name
+                )
