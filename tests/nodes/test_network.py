@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
 from importlib import resources
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from ros_rig import Ros, domain_of_worker
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import prepare_transport
@@ -21,9 +25,10 @@ def domain() -> int:
     return domain_of_worker(1, 9)
 
 
-def own_udp_sockets() -> list[tuple[str, int]]:
+def udp_sockets(process: int) -> list[tuple[str, int]]:
+    """Return address and port of a process's UDP sockets."""
     inodes = set()
-    for link in Path("/proc/self/fd").iterdir():
+    for link in Path(f"/proc/{process}/fd").iterdir():
         try:
             inodes.add(str(link.readlink()).removeprefix("socket:[").removesuffix("]"))
         except OSError:
@@ -48,11 +53,30 @@ def test_dds_hears_on_loopback_alone(ros: Ros) -> None:
     with Path("/proc/sys/net/ipv4/ip_local_port_range").open() as stream:
         least = int(stream.read().split()[0])
     assert first + 250 <= least
-    ports = [(address, port) for address, port in own_udp_sockets() if first <= port < first + 250]
+    ports = [(address, port) for address, port in udp_sockets(os.getpid()) if first <= port < first + 250]
     assert ports and {address for address, _ in ports} == {"127.0.0.1"}, ports
     # What else is open is for sending: nobody reads there, and its ports are chosen by the system.
-    others = [(a, p) for a, p in own_udp_sockets() if a != "127.0.0.1" and p < least]
+    others = [(a, p) for a, p in udp_sockets(os.getpid()) if a != "127.0.0.1" and p < least]
     assert others == []
+
+
+def test_the_driver_shares_no_memory_and_hears_on_loopback_alone(ros: Ros) -> None:
+    """A process that is stopped or killed while it holds a lock in shared memory holds up all who share it, for 1 s."""
+    command = [sys.executable, "-m", "gantry_driver.nodes.serial_driver_node", "--ros-args", "-p", "port:=/dev/null"]
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id())}
+    driver = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        node = ros.plain("asker")
+        stop = node.create_client(Trigger, "stop")
+        ros.spin_until(stop.service_is_ready, 20.0)  # found, though this side has shared memory and another range
+        answer = stop.call_async(Trigger.Request())
+        ros.spin_until(answer.done, 5.0)
+        assert "/dev/shm/fastrtps_" in Path("/proc/self/maps").read_text()
+        assert "/dev/shm/fastrtps_" not in Path(f"/proc/{driver.pid}/maps").read_text()
+        assert {address for address, _ in udp_sockets(driver.pid)} == {"127.0.0.1"}
+    finally:
+        driver.kill()
+        driver.wait(5.0)
 
 
 @pytest.mark.parametrize(
@@ -70,6 +94,30 @@ def test_only_a_wish_opens_the_network(monkeypatch: pytest.MonkeyPatch, name: st
     monkeypatch.setenv(name, value)
     prepare_transport()
     assert Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).name == profile
+
+
+@pytest.mark.parametrize(("wanted", "kept"), [("LOCALHOST", "SYSTEM_DEFAULT"), ("SUBNET", "SUBNET")])
+def test_a_program_that_must_not_wait_has_no_shared_memory(
+    monkeypatch: pytest.MonkeyPatch, wanted: str, kept: str
+) -> None:
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", wanted)
+    prepare_transport()  # as its parent does
+    prepare_transport(shared_memory=False)
+    profile = ElementTree.parse(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"])
+    name = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
+    assert [element.text for element in profile.findall(f".//{name}type")] == ["UDPv4"]
+    assert [element.text for element in profile.findall(f".//{name}userTransports/{name}transport_id")] == ["udp"]
+    assert (profile.find(f".//{name}interfaceWhiteList") is not None) == (wanted == "LOCALHOST")
+    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == kept  # with LOCALHOST rmw would add shared memory
+
+
+def test_the_users_own_profile_stays(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(tmp_path / "own.xml"))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    prepare_transport(shared_memory=False)
+    assert os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(tmp_path / "own.xml")
+    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
 
 
 def test_the_profiles_differ_in_the_interface_alone() -> None:

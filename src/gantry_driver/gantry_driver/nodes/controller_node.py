@@ -206,7 +206,7 @@ def _tip(message: PointStamped) -> msg.Event:
 
 
 def main() -> int:
-    return run(ControllerNode)
+    return run(ControllerNode, shared_memory=False)
 
 
 if __name__ == "__main__":

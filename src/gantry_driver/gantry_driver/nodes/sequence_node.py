@@ -123,7 +123,7 @@ class SequenceNode(Node):
 
 
 def main() -> int:
-    return run(SequenceNode)
+    return run(SequenceNode, shared_memory=False)
 
 
 if __name__ == "__main__":

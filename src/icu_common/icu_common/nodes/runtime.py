@@ -29,6 +29,7 @@ from icu_common.core.config import ConfigError
 from icu_common.nodes import in_step
 
 _READY_VARIABLE = "ICU_READY_FD"
+_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
@@ -38,16 +39,25 @@ class Closable(Protocol):
     def close(self) -> None: ...
 
 
-def prepare_transport() -> None:
+def prepare_transport(shared_memory: bool = True) -> None:
     """Choose the transport profile, loopback alone, and a malloc that keeps picture-sized blocks.
 
     What the user has set in the environment stays. Another discovery range than LOCALHOST, named peers or a discovery
     server open the network; see docs/decisions/several-machines.md.
+
+    Parameters
+    ----------
+    shared_memory
+        False for a program that must not wait for another one: see docs/decisions/transport.md.
     """
     opened = [name for name in ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER") if os.environ.get(name)]
     local = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST") == "LOCALHOST" and not opened
-    profile = resources.files("icu_common") / ("fastdds_local_profile.xml" if local else "fastdds_profile.xml")
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+    folder = Path(str(resources.files("icu_common"))).resolve()
+    name = "fastdds_" + "local_" * local + "sockets_" * (not shared_memory) + "profile.xml"
+    if Path(os.environ.get(_PROFILE_VARIABLE, folder / name)).resolve().parent == folder:  # else it is the user's own
+        os.environ[_PROFILE_VARIABLE] = str(folder / name)
+        if local and not shared_memory:  # for LOCALHOST rmw adds shared memory; the profile keeps to the loopback
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     # mallopt(3): without it each picture is mapped and unmapped anew (1080p: 6.9 instead of 0.4 ms to serialise).
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL(None)
@@ -89,9 +99,9 @@ class Session:
 
 
 @contextlib.contextmanager
-def ros_session(arguments: Sequence[str] | None = None) -> Iterator[Session]:
+def ros_session(arguments: Sequence[str] | None = None, shared_memory: bool = True) -> Iterator[Session]:
     """Start rclpy with the graph's transport, and shut it down at the end."""
-    prepare_transport()
+    prepare_transport(shared_memory)
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         yield Session()
@@ -102,11 +112,11 @@ def ros_session(arguments: Sequence[str] | None = None) -> Iterator[Session]:
 _collected: list[Callable[..., Node]] | None = None
 
 
-def run(make_node: Callable[..., Node], arguments: Sequence[str] | None = None) -> int:
+def run(make_node: Callable[..., Node], arguments: Sequence[str] | None = None, *, shared_memory: bool = True) -> int:
     """Start rclpy, make the node, spin until SIGINT or SIGTERM, close it, and return the exit code.
 
     The node's ``close`` (if it has one) runs while topics still work, so that a last state can be published.
-    ``make_node`` takes options for ``rclpy.node.Node``.
+    ``make_node`` takes options for ``rclpy.node.Node``; ``shared_memory`` is for :func:`prepare_transport`.
     """
     if _collected is not None:
         _collected.append(make_node)
@@ -114,7 +124,7 @@ def run(make_node: Callable[..., Node], arguments: Sequence[str] | None = None) 
     if arguments is None and {"-h", "--help"} & set(sys.argv[1:]):
         print(_help(make_node))
         return 0
-    return _run([make_node], arguments)
+    return _run([make_node], arguments, shared_memory)
 
 
 def _help(make_node: Callable[..., Node]) -> str:
@@ -156,8 +166,8 @@ def _tell_ready() -> None:
         os.close(pipe)
 
 
-def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None) -> int:
-    with ros_session(arguments) as session:
+def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None, shared_memory: bool = True) -> int:
+    with ros_session(arguments, shared_memory) as session:
         nodes: list[Node] = []
         try:
             for make in makers:
