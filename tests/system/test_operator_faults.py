@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+import subprocess
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -86,6 +88,15 @@ def room(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Roo
         rig.close()
 
 
+@contextlib.contextmanager
+def standing_still(process: subprocess.Popen[bytes]) -> Iterator[None]:
+    process.send_signal(signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        process.send_signal(signal.SIGCONT)
+
+
 def check(name: str, begin_s: float, halted_s: float) -> None:
     print(f"{name}: halted after {1e3 * (halted_s - begin_s):.0f} ms")
     assert 0 <= halted_s - begin_s < HALT_S
@@ -159,24 +170,22 @@ def test_the_link_is_cut(room: Room) -> None:
 def test_the_camera_stalls(room: Room) -> None:
     since = room.moves()
     begin = time.monotonic()
-    room.rig.camera.send_signal(signal.SIGSTOP)
-    check("camera stalled", begin, room.rig.halted_s(since))
-    room.operator.logs("STOP.*no camera picture came while something moved", 5.0)
-    room.operator.sees("#banner", r"STOPPED – no camera picture came.*nothing for 0\.\d s")
-    room.witness.sees("#banner", "GESTOPPT – während einer Bewegung kam kein Kamerabild")
-    room.operator.sees("#stale", "STALE")
-    assert not room.operator.page.is_enabled("#go")
-    room.rig.camera.send_signal(signal.SIGCONT)
+    with standing_still(room.rig.camera):
+        check("camera stalled", begin, room.rig.halted_s(since))
+        room.operator.logs("STOP.*no camera picture came while something moved", 5.0)
+        room.operator.sees("#banner", r"STOPPED – no camera picture came.*nothing for 0\.\d s")
+        room.witness.sees("#banner", "GESTOPPT – während einer Bewegung kam kein Kamerabild")
+        room.operator.sees("#stale", "STALE")
+        assert not room.operator.page.is_enabled("#go")
     room.resets()
 
 
 def test_the_server_hangs(room: Room) -> None:
     since = room.moves()
     begin = time.monotonic()
-    room.rig.bridge.send_signal(signal.SIGSTOP)
-    check("server stopped", begin, room.rig.halted_s(since))
-    room.operator.sees("#banner", "link to the bridge is lost", within_s=5.0)
-    room.rig.bridge.send_signal(signal.SIGCONT)
+    with standing_still(room.rig.bridge):
+        check("server stopped", begin, room.rig.halted_s(since))
+        room.operator.sees("#banner", "link to the bridge is lost", within_s=5.0)
     room.operator.sees("#banner", "STOPPED.*heartbeat", within_s=10.0)
     room.resets()
 
