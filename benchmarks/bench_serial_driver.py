@@ -242,9 +242,8 @@ def stops(count: int) -> list[Row]:
         end = time.monotonic() + within_s
         while not condition():
             if time.monotonic() > end:
-                raise RuntimeError(
-                    f"not within {within_s} s: the driver said {[name for name, _ in groupby(states)][-12:]}")
-                )
+                said = [name for name, _ in groupby(states)][-12:]
+                raise RuntimeError(f"not within {within_s} s: the driver said {said}")
             executor.spin_once(timeout_sec=0.01)
 
     def call(name: str) -> None:
