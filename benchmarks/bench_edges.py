@@ -34,7 +34,7 @@ def quality(folder: Path, limit: int) -> list[Row]:
     pictures = [read_drawn(*paths) for paths in drawn_pictures(folder)[:limit]]
     rows = []
     for half, part in (("held out", pictures[1::2]), ("used for the choice", pictures[::2])):
-        rows += _rows(f"{len(part)} pictures {half}", part)
+        rows += _rows(f"{len(part)} pictures {half}", part) if part else []
     return rows
 
 
