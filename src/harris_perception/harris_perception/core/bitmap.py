@@ -53,6 +53,15 @@ def lowest(word: np.uint64) -> int:
 
 
 @called
+def ones(word: np.uint64) -> int:
+    """Return how many bits are set (H. Warren, "Hacker's Delight", 5-1)."""
+    word -= (word >> _ONE) & np.uint64(0x5555555555555555)
+    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return int((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@called
 def window(words: Array, here: int, row: int) -> np.uint64:
     """Return the bits of a window of 3x3, in the order of rows; ``row`` is the bytes of one."""
     before = np.uint64(here - 1)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.bitmap import MARGIN, clear, has, lowest, pack, put, window
-from harris_perception.core.compiled import called, compiled
+from harris_perception.core.bitmap import MARGIN, clear, has, lowest, ones, pack, put, window
+from harris_perception.core.compiled import called, compiled, inlined
 
 Array = npt.NDArray[Any]
 
@@ -74,11 +74,10 @@ def _pattern(words: Array, here: int, row: int) -> np.uint8:
 @called
 def _connected(
     bits: Array, words: Array, strong: Array, strength: Array, steps: Array, least: int, weight: float
-) -> tuple[int, Array, int, Array]:
+) -> tuple[int, Array]:
     """Clear all pixels but those of connected pieces with a strong one.
 
-    Returns how many are left; of these the places of free ends and of those that may be needless, a list that can grow,
-    and its length; and the same as a bitmap.
+    Returns how many are left, and of these the places of free ends, branches and those that may be needless.
     """
     stride = steps[2]
     row = stride >> 3
@@ -86,7 +85,7 @@ def _connected(
     others = ~(1 << (_FIRST ^ 4)) & 255  # all neighbours but the one that a first step comes from
     # Growing lists would make the flood slower, counting the candidates first, too; what is not written costs nothing.
     most = 64 * len(bits)
-    kept, odd = np.empty(most, np.int32), np.empty(2 * most, np.int32)
+    kept, odd = np.empty(most, np.int32), np.empty(most, np.int32)
     ahead = np.empty(most, np.uint8)  # where a line may go on: what is left is mostly one way, well predicted
     seen = np.zeros(len(bits), np.uint64)
     count = odds = 0
@@ -124,31 +123,18 @@ def _connected(
                 count, odds = first, first_odd
     for i in range(left_out, len(kept)):
         clear(seen, kept[i])
-    listed = seen
     for i in range(len(bits)):  # an assignment to a slice moves them one by one
-        bits[i], seen[i] = seen[i], 0
-    for i in range(odds):
-        put(listed, odd[i])
-    return count, odd, odds, listed
+        bits[i] = seen[i]
+    return count, odd[:odds]
 
 
 @called
-def _add(bits: Array, listed: Array, odd: Array, odds: int, here: int) -> int:
-    """List a pixel, if it is one of an edge and not listed; return the length of the list."""
-    if has(bits, here) and not has(listed, here):
-        put(listed, here)
-        odd[odds] = here
-        odds += 1
-    return odds
-
-
-@called
-def _thin_out(bits: Array, words: Array, places: Array, count: int, row: int) -> None:
-    """Remove needless pixels among the first ``count`` places, until there are none."""
+def _thin_out(bits: Array, words: Array, places: Array, row: int) -> None:
+    """Remove needless pixels among these places, until there are none."""
     changed = True
     while changed:
         changed = False
-        for i in range(count):
+        for i in range(len(places)):
             here = places[i]
             if _NEEDLESS[_pattern(words, here, row)] and has(bits, here):
                 clear(bits, here)
@@ -174,13 +160,10 @@ def _branch(words: Array, end: int, steps: Array, path: Array) -> tuple[int, int
 
 
 @called
-def _prune(
-    bits: Array, words: Array, listed: Array, odd: Array, odds: int, most: int, steps: Array, longest: int
-) -> int:
+def _prune(bits: Array, words: Array, odd: Array, most: int, steps: Array, longest: int) -> None:
     """Remove branches of up to ``longest`` pixels that end freely, shortest first, and what becomes needless then.
 
-    The ends are among the first ``odds`` of ``odd``; there may be ``most``. Where branches were is added to that list,
-    whose length is returned.
+    All ends and branches are among ``odd``; there may be ``most`` ends.
     """
     row = steps[2] >> 3
     path = np.empty(longest + 1, np.int32)
@@ -188,7 +171,7 @@ def _prune(
     ends, lengths = np.empty(most, np.int32), np.empty(most, np.int32)
     marked = np.zeros(len(bits), np.uint64)
     count = 0
-    for i in range(odds):  # ends are many, branches few: seen from there, most ends need no look
+    for i in range(len(odd)):  # ends are many, branches few: seen from there, most ends need no look
         branch = odd[i]
         pattern = _pattern(words, branch, row)
         if _COUNT[pattern] < 3 or not has(bits, branch):
@@ -205,7 +188,7 @@ def _prune(
                 if ahead == 0 or ahead & (ahead - 1):
                     break
                 way = _FIRST[ahead]
-    for i in range(odds):
+    for i in range(len(odd)):
         if has(marked, odd[i]):
             clear(marked, odd[i])
             ends[count], (lengths[count], _) = odd[i], _branch(words, odd[i], steps, path)
@@ -231,159 +214,153 @@ def _prune(
                 pattern &= pattern - 1
                 near += 1
             beside[near] = branch
-            _thin_out(bits, words, beside, near + 1, row)
+            _thin_out(bits, words, beside[: near + 1], row)
             for j in range(near + 1):
-                odds = _add(bits, listed, odd, odds, beside[j])
                 alive = has(bits, beside[j])
                 if count < len(ends) and alive and _COUNT[_pattern(words, beside[j], row)] == 1:
                     ends[count], lengths[count] = beside[j], 0
                     count += 1
-    return odds
+
+
+@inlined
+def _counted(one: Any, other: Any, third: Any, fourth: Any) -> tuple[Any, Any, Any]:
+    """Return which bits of four words are set at least once, twice, and more often."""
+    either, both, neither, all_of = one | other, one & other, third | fourth, third & fourth
+    return either | neither, both | all_of | (either & neither), (both & neither) | (either & all_of)
+
+
+@inlined
+def _classified_row(above: Any, here: Any, below: Any, ends: bool, result: Any, n: int) -> None:
+    first, last = np.uint64(1), np.uint64(63)
+    for i in range(1, n):
+        north, middle, south = above[i], here[i], below[i]
+        west, east = (middle << first) | (here[i - 1] >> last), (middle >> first) | (here[i + 1] << last)
+        nw, ne = (north << first) | (above[i - 1] >> last), (north >> first) | (above[i + 1] << last)
+        sw, se = (south << first) | (below[i - 1] >> last), (south >> first) | (below[i + 1] << last)
+        if not ends:
+            nw, ne = nw & ~(north | west), ne & ~(north | east)
+            sw, se = sw & ~(south | west), se & ~(south | east)
+        once, twice, often = _counted(west, east, north, south)
+        aslant, two, more = _counted(nw, ne, sw, se)
+        both = twice | two | (once & aslant)
+        result[i] = middle & ~both if ends else middle & (~both | often | more | (twice & aslant) | (once & two))
 
 
 @called
-def _cut(words: Array, corners: Array, row: int, radius: float, farthest: float) -> tuple[Array, Array, int]:
-    """Clear what lies within a radius of a corner (N, 2) px.
+def _classified(bits: Array, row: int, ends: bool, result: Array) -> None:
+    """Set ``result`` to the pixels with at most one neighbour, or to those that a line does not just go through.
 
-    Returns what else there is up to the radius ``farthest``, as the bits of some rows around a corner, one after the
-    other, as many as make a word; where each word begins, its corner, x, y; and how many columns a row has in it.
+    Of the latter the steps to other pixels are counted, without the needless diagonal ones: other than two. 64 pixels
+    are looked at in one go. ``row`` is the words of one; the first word of each row is margin.
     """
-    height = len(words) // row - 2
-    reach = int(farthest)
+    for y in range(1, len(bits) // row - 2):
+        above, here, below, out = bits[(y - 1) * row :], bits[y * row :], bits[(y + 1) * row :], result[y * row :]
+        if ends:
+            _classified_row(above, here, below, True, out, row)
+        else:
+            _classified_row(above, here, below, False, out, row)
+
+
+# Columns of which a word that begins at a byte holds every one.
+_BLOCK = 57
+
+
+@called
+def _disc(radius: float) -> Array:
+    """Return the rows of a disc, (2 R + 1, N): bit i of block j is the column 57 j + i - R."""
+    reach = int(radius)
     side = 2 * reach + 1
-    parts = (side + 56) // 57  # a word that begins at a byte has at least so many of the bits wanted
-    columns = (side + parts - 1) // parts
-    rows = 64 // columns
-    across, down = np.arange(64) % columns, np.arange(64) // columns
-    inner, outer = np.zeros((2, parts, (side + rows - 1) // rows), np.uint64)
-    for part in range(parts):
-        for group in range(inner.shape[1]):
-            for bit in range(rows * columns):
-                x, y = part * columns + across[bit] - reach, group * rows + down[bit] - reach
-                if x * x + y * y <= radius * radius:
-                    inner[part, group] |= _ONE << np.uint64(bit)
-                elif x * x + y * y <= farthest * farthest:
-                    outer[part, group] |= _ONE << np.uint64(bit)
-    begins, remains = np.empty((len(corners), 3), np.int32), np.empty(len(corners), np.uint64)
-    mask = ~np.uint64(0) >> np.uint64(64 - columns)
-    count = 0
-    for i in range(len(corners)):
-        for part in range(parts):
-            left = corners[i, 0] - reach + part * columns
-            shift = np.uint64((left + MARGIN) & 7)
-            for group in range(inner.shape[1]):
-                top = corners[i, 1] - reach + group * rows
-                low, high = max(top, 0), min(top + rows, height)
-                word = np.uint64(0)
-                for y in range(low, high):
-                    place = np.uint64((y + 1) * row + ((left + MARGIN) >> 3))
-                    word |= ((words[place] >> shift) & mask) << np.uint64((y - top) * columns)
-                if word == 0:
-                    continue
-                if count == len(remains):
-                    begins, remains = np.concatenate((begins, begins)), np.concatenate((remains, remains))
-                begins[count, 0], begins[count, 1], begins[count, 2] = i, left, top
-                remains[count] = word & outer[part, group]
-                count += remains[count] != 0
-                word &= inner[part, group]
-                for y in range(low, high if word else low):
-                    place = np.uint64((y + 1) * row + ((left + MARGIN) >> 3))
-                    words[place] &= ~(((word >> np.uint64((y - top) * columns)) & mask) << shift)
-    return remains[:count], begins[:count], columns
+    rows = np.zeros((side, (side + _BLOCK - 1) // _BLOCK), np.uint64)
+    for y in range(side):
+        for x in range(side):
+            if (x - reach) ** 2 + (y - reach) ** 2 <= radius * radius:
+                rows[y, x // _BLOCK] |= _ONE << np.uint64(x % _BLOCK)
+    return rows
 
 
 @called
-def _ends_near(
-    bits: Array,
-    words: Array,
-    listed: Array,
-    odd: Array,
-    odds: int,
-    cut: tuple[Array, Array, int],
-    corners: Array,
-    row: int,
-    radius: float,
-) -> tuple[Array, int]:
-    """Return pairs (N, 2) of a free end within a radius of a corner, and that corner, the nearest pairs first.
+def _cut(words: Array, corners: Array, row: int, radius: float) -> None:
+    """Clear what lies within a radius of a corner (N, 2) px."""
+    height = len(words) // row - 2
+    disc = _disc(radius)
+    reach = len(disc) // 2
+    for i in range(len(corners)):
+        x, y = corners[i, 0] - reach + MARGIN, corners[i, 1] - reach
+        for block in range(disc.shape[1]):
+            left = x + block * _BLOCK
+            for j in range(max(-y, 0), min(height - y, len(disc))):
+                words[np.uint64((y + j + 1) * row + (left >> 3))] &= ~(disc[j, block] << np.uint64(left & 7))
 
-    ``cut`` is from ``_cut``; these pixels are added to the list ``odd``, whose length is returned, too.
-    """
-    remains, begins, columns = cut
-    across, down = np.arange(64) % columns, np.arange(64) // columns
-    most = int(radius * radius)
-    found = np.empty((4096, 3), np.int32)
-    starts = np.zeros(most + 2, np.int32)
+
+@called
+def _near(words: Array, corners: Array, row: int, radius: float) -> Array:
+    """Return pairs (N, 2) of a place that is set within a radius of a corner, and that corner; the nearest first."""
+    height = len(words) // row - 2
+    disc = _disc(radius)
+    reach = len(disc) // 2
+    most = len(corners) * disc.size  # what is not written costs nothing, a list that grows much
+    remains, begins = np.empty(most, np.uint64), np.empty((most, 3), np.int32)
+    count = filled = 0
+    for i in range(len(corners)):
+        x, y = corners[i, 0] - reach, corners[i, 1] - reach
+        for block in range(disc.shape[1]):
+            left = x + block * _BLOCK
+            shift, first = np.uint64((left + MARGIN) & 7), (y + 1) * row + ((left + MARGIN) >> 3)
+            for j in range(max(-y, 0), min(height - y, len(disc))):
+                word = (words[np.uint64(first + j * row)] >> shift) & disc[j, block]
+                if word:
+                    remains[filled] = word
+                    begins[filled, 0], begins[filled, 1], begins[filled, 2] = i, left, y + j
+                    filled += 1
+                    count += ones(word)
+    found, squares = np.empty((count, 2), np.int32), np.empty(count, np.int32)
+    starts = np.zeros(int(radius * radius) + 2, np.int32)
     count = 0
-    for number in range(len(remains)):
-        i, left, top = begins[number]
+    for number in range(filled):
+        i, left, y = begins[number]
         word = remains[number]
         while word:
-            bit = lowest(word)
+            x = left + lowest(word)
             word &= word - _ONE
-            x, y = left + across[bit], top + down[bit]
-            here = (y + 1) * 8 * row + x + MARGIN
-            if not has(bits, here):  # cut at another corner
-                continue
-            odds = _add(bits, listed, odd, odds, here)
-            square = (x - corners[i, 0]) ** 2 + (y - corners[i, 1]) ** 2
-            if square > most or _COUNT[_pattern(words, here, row)] > 1:
-                continue
-            if count == len(found):
-                found = np.concatenate((found, found))
-            found[count, 0], found[count, 1], found[count, 2] = here, i, square
+            found[count, 0], found[count, 1] = (y + 1) * 8 * row + x + MARGIN, i
+            squares[count] = (x - corners[i, 0]) ** 2 + (y - corners[i, 1]) ** 2
+            starts[squares[count] + 1] += 1
             count += 1
-            starts[square + 1] += 1
-    for square in range(most):
-        starts[square + 1] += starts[square]
+    for square in range(1, len(starts)):
+        starts[square] += starts[square - 1]
     pairs = np.empty((count, 2), np.int32)
     for i in range(count):
-        square = found[i, 2]
-        pairs[starts[square]] = found[i, :2]
-        starts[square] += 1
-    return pairs, odds
+        at = starts[squares[i]]
+        pairs[at, 0], pairs[at, 1] = found[i, 0], found[i, 1]
+        starts[squares[i]] += 1
+    return pairs
 
 
 @called
 def _lead(
-    bits: Array,
-    words: Array,
-    listed: Array,
-    odd: Array,
-    odds: int,
-    corners: Array,
-    steps: Array,
-    farthest: float,
-) -> int:
+    bits: Array, words: Array, spare: Array, spare_words: Array, corners: Array, row: int, farthest: float
+) -> None:
     """Draw lines from free ends to the nearest corner (N, 2) px within reach.
 
     Edges round corners off on the outside, so what passes within three quarters of the reach is cut first, but no more
-    than a corner rounds off. All pairs are seen from the corners, which are fewer than pixels. Pixels with new
-    neighbours are added to the list ``odd``, whose length is returned.
+    than a corner rounds off. All pairs are seen from the corners, which are fewer than pixels. ``spare`` is a bitmap
+    that is written over, ``spare_words`` its memory.
     """
-    stride = steps[2]
-    row = stride >> 3
-    radius = min(0.75 * farthest, _ROUNDED_OFF)
-    # With all neighbours of what is cut, and of what is drawn, which lie at most 0.593 px farther than its end.
-    cut = _cut(words, corners, row, radius, max(farthest + 0.6, radius + 1.5))
-    pairs, odds = _ends_near(bits, words, listed, odd, odds, cut, corners, row, farthest)
-    led = np.zeros(len(bits), np.uint64)
+    stride = 8 * row
+    _cut(words, corners, row, min(0.75 * farthest, _ROUNDED_OFF))
+    _classified(bits, row >> 3, True, spare)
+    pairs = _near(spare_words, corners, row, farthest)
     for i in range(len(pairs)):
         start, corner = pairs[i, 0], corners[pairs[i, 1]]
-        if has(led, start):  # to a nearer one
+        if not has(spare, start):  # led to a nearer one
             continue
-        put(led, start)
+        clear(spare, start)
         x0, y0 = start % stride - MARGIN, start // stride - 1
         dx, dy = corner[0] - x0, corner[1] - y0
         length = max(abs(dx), abs(dy))
         for j in range(1, length + 1):
             x, y = x0 + int(np.rint(dx * j / length)), y0 + int(np.rint(dy * j / length))
-            here = (y + 1) * stride + x + MARGIN
-            if not has(bits, here):
-                put(bits, here)
-                put(listed, here)
-                odd[np.uint64(odds)] = here
-                odds += 1
-    return odds
+            put(bits, (y + 1) * stride + x + MARGIN)
 
 
 @called
@@ -414,25 +391,19 @@ def _follow(
 
 
 @called
-def _link(
-    bits: Array,
-    words: Array,
-    listed: Array,
-    labels: Array,
-    most: int,
-    odd: Array,
-    odds: int,
-    corners: Array,
-    steps: Array,
-) -> tuple[Array, Array]:
+def _link(bits: Array, words: Array, spare: Array, labels: Array, corners: Array, steps: Array) -> tuple[Array, Array]:
     """Return chains of neighbouring pixels between ends, branches and corners: points (N, 2) x, y, starts (M + 1,).
 
-    All pixels that may have other than two neighbours are among the first ``odds`` of ``odd``. Of all there are at most
-    ``most``. Each is told in ``labels``.
+    Each pixel is told in ``labels``. ``spare`` is a bitmap that is written over.
     """
     stride = steps[2]
     row = stride >> 3
     linked = np.zeros(len(bits), np.uint64)
+    _classified(bits, row >> 3, False, spare)
+    most = odds = 0
+    for i in range(len(bits)):
+        most += ones(bits[i])
+        odds += ones(spare[i])
     nodes = links = 0
     node_places, patterns = np.empty(len(corners) + odds, np.int32), np.empty(len(corners) + odds, np.uint8)
     for i in range(len(corners)):  # a line that goes through a corner is two
@@ -441,22 +412,19 @@ def _link(
         if _COUNT[pattern] == 2 and has(bits, here) and not has(linked, here):
             node_places[nodes], patterns[nodes] = here, pattern
             put(linked, here)
-            clear(listed, here)
             links += 2
             nodes += 1
     parted = nodes
-    for i in range(odds):
-        here = odd[i]
-        if not (has(bits, here) and has(listed, here)):  # removed, or a second time
-            continue
-        clear(listed, here)
-        pattern = _STEPS[window(words, here, row)]
-        if _COUNT[pattern] != 2:
+    for i in range(len(spare)):
+        while spare[i]:
+            here = 64 * i + lowest(spare[i])
+            spare[i] &= spare[i] - _ONE
+            pattern = _STEPS[window(words, here, row)]
             node_places[nodes], patterns[nodes] = here, pattern
             links += max(_COUNT[pattern], 1)
             nodes += 1
     for i in range(parted):  # here lines end, too, but what lies between two of them is not linked already
-        put(listed, node_places[i])
+        put(spare, node_places[i])
     turns = (np.append(steps, 0) * 16 + np.arange(9)).astype(np.int32)[_ONWARD].reshape(8, 512)
     # At most; what is not written costs nothing.
     chain = np.empty((2 * most + 2 * links + 2, 2), np.int32)
@@ -466,7 +434,7 @@ def _link(
         node, pattern = node_places[i], patterns[i]
         x, y = node % stride - MARGIN, node // stride - 1
         labels[y, x] = EDGE
-        clear(listed, node)
+        clear(spare, node)
         if pattern == 0:
             chain[filled, 0], chain[filled, 1] = x, y
             filled += 1
@@ -476,7 +444,7 @@ def _link(
             way = _FIRST[pattern]
             pattern &= pattern - 1
             beside = node + steps[way]
-            if has(linked, beside) and not has(listed, beside):  # already, from its other end
+            if has(linked, beside) and not has(spare, beside):  # already, from its other end
                 continue
             chain[filled, 0], chain[filled, 1] = x, y
             filled = _follow(words, linked, labels, chain, filled + 1, stride, turns, way)
@@ -499,55 +467,69 @@ def _link(
 def trace(
     bits: Array,
     words: Array,
+    strong_words: Array,
     strength: Array,
     least: int,
     weight: float,
     longest: int,
-    corners: Array,
+    corners_xy: Array,
+    ends: Array,
     farthest: float,
     labels: Array,
-) -> tuple[Array, Array]:
+) -> tuple[bool, Array, Array]:
     """Link thinned pixels to chains.
 
     Parameters
     ----------
     bits
-        (2, H + 3, B) uint64, bitmaps (see bitmap.py) of the pixels where an edge may be, which is changed, and of
-        strong ones among them: what is connected with one of these is kept.
-    words
-        The memory of the first, as words of 64 bits that begin at every byte.
+        (2, H + 3, B) uint64, bitmaps (see bitmap.py) of the pixels where an edge may be, and of strong ones among them:
+        what is connected with one of these is kept. Both are written over.
+    words, strong_words
+        The memory of both, as words of 64 bits that begin at every byte.
     strength
         (H, W) float32, looked at for ``weight`` only.
     least, weight
         Pieces of fewer pixels, or whose strengths add up to less than ``weight``, are left out.
     longest
         Branches of up to so many px that end freely are removed.
-    corners
-        (M, 2) int32 px inside the picture.
+    corners_xy
+        (M, 2) float32 px.
+    ends
+        (M,) bool, at which of these edges end.
     farthest
-        Free ends this near to a corner are led to it, px; 0 for none.
+        Free ends this near to such a corner are led to it, px; 0 for none.
     labels
         (H, W) uint8 zeros, which become 128 on edges, 255 at corners.
 
     Returns
     -------
     tuple
-        Points (K, 2) int32 x, y; starts (C + 1,): chain i is points[starts[i]:starts[i + 1]], a closed one repeats its
-        first point.
+        Whether all corners lie inside the picture, else nothing is traced; points (K, 2) int32 x, y; starts (C + 1,):
+        chain i is points[starts[i]:starts[i + 1]], a closed one repeats its first point.
     """
+    corners, places = np.empty((len(corners_xy), 2), np.int32), np.empty((len(corners_xy), 2), np.int32)
+    count = 0
+    for i in range(len(corners_xy)):
+        x, y = np.rint(corners_xy[i, 0]), np.rint(corners_xy[i, 1])
+        if not (x >= 0 and x < labels.shape[1] and y >= 0 and y < labels.shape[0]):
+            return False, corners[:0], np.zeros(1, np.int64)
+        places[i, 0], places[i, 1] = x, y
+        corners[count, 0], corners[count, 1] = x, y
+        count += ends[i]
+    corners = corners[:count]
     flat, strong = bits[0].reshape(bits[0].size), bits[1].reshape(bits[1].size)
     stride = 64 * bits.shape[2]
     steps = (_DY * stride + _DX).astype(np.int32)
-    count, odd, odds, listed = _connected(flat, words, strong, strength, steps, least, weight)
-    _thin_out(flat, words, odd, odds, stride >> 3)
+    count, odd = _connected(flat, words, strong, strength, steps, least, weight)
+    _thin_out(flat, words, odd, stride >> 3)
     if longest > 0:
-        odds = _prune(flat, words, listed, odd, odds, count + 1, steps, longest)
+        _prune(flat, words, odd, count + 1, steps, longest)
     if farthest > 0.0 and len(corners) > 0:
-        odds = _lead(flat, words, listed, odd, odds, corners, steps, farthest)
-    points, starts = _link(flat, words, listed, labels, count + odds, odd, odds, corners, steps)
-    for i in range(len(corners)):
-        labels[corners[i, 1], corners[i, 0]] = CORNER
-    return points, starts
+        _lead(flat, words, strong, strong_words, corners, stride >> 3, farthest)
+    points, starts = _link(flat, words, strong, labels, corners, steps)
+    for i in range(len(places)):
+        labels[places[i, 1], places[i, 0]] = CORNER
+    return True, points, starts
 
 
 @compiled

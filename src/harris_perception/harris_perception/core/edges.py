@@ -322,9 +322,11 @@ class CombinedDetector:
         config, high = self.edges, self.edges.high * grey_level
         low = config.low_of_high * high
         corners, bits = self._detector.detect_with_edges(gray, low, high)
+        ends: npt.NDArray[np.bool_] | None
         if corners_xy is None:
-            corners_xy, strengths = corners.xy, self._detector.strengths_of(corners.response)
-        ends = None if strengths is None else np.asarray(strengths) >= low
+            corners_xy, ends = corners.xy, corners.response >= np.float64(self._detector.response_of(low))
+        else:
+            ends = None if strengths is None else np.asarray(strengths) >= low
         return corners, traced(bits, gray.shape, config, corners_xy, ends)
 
 
@@ -341,20 +343,25 @@ def traced(
 
     All corners (N, 2) are labelled; edges end at those that are set in ``ends`` (N,), or at all.
     """
-    height, width = shape
     labels = np.zeros(shape, np.uint8)  # all flat
     if 0 in shape:
         return Edges(labels, np.empty((0, 2), np.int32), np.zeros(1, np.int64))
-    corners = np.rint(np.asarray(corners_xy, np.float64).reshape(-1, 2)).astype(np.int32)
-    if ((corners < 0) | (corners >= (width, height))).any():
-        raise ValueError(f"a corner lies outside the picture of {width} x {height} px")
-    limits = (config.min_length_px, weight, config.max_spur_px)
-    words = bitmap.wide(bits[0])
-    others = ends is not None and not ends.all()
-    at = corners[ends] if others else corners
-    points, starts = tracing.trace(bits.view(np.uint64), words, strength, *limits, at, config.max_gap_px, labels)
-    if others:
-        labels[corners[:, 1], corners[:, 0]] = CORNER
+    xy = np.asarray(corners_xy, np.float32).reshape(-1, 2)
+    inside, points, starts = tracing.trace(
+        bits.view(np.uint64),
+        bitmap.wide(bits[0]),
+        bitmap.wide(bits[1]),
+        strength,
+        config.min_length_px,
+        weight,
+        config.max_spur_px,
+        xy,
+        np.ones(len(xy), np.bool_) if ends is None else ends,
+        config.max_gap_px,
+        labels,
+    )
+    if not inside:
+        raise ValueError(f"a corner lies outside the picture of {shape[1]} x {shape[0]} px")
     return Edges(labels, points, starts)
 
 

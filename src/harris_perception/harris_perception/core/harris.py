@@ -193,6 +193,10 @@ class HarrisDetector:
             return np.asarray((response / self.config.k) ** 0.25 / self._gain, np.float32)
         return np.asarray(np.sqrt(response) / self._gain, np.float32)
 
+    def response_of(self, strength: float) -> float:
+        """Return which response a corner of such a strength has (``harris`` alone), and, negative, an edge."""
+        return float(self.config.k * (self._gain * strength) ** 4)
+
     def _response(self, picture: npt.NDArray[Any]) -> tuple[F32, F32, F32]:
         """Return the response, and the sums of gx^2 and gy^2 without the frame of ``margin_px``."""
         result = np.zeros(picture.shape, np.float32)
@@ -304,7 +308,7 @@ class HarrisDetector:
             whole = HarrisDetector(replace(self.config, border_px=0), bands=self._bands, run=self._run)
             return self.detect(gray), whole.detect_with_edges(gray, low, high)[1]
         # On a straight edge R = -k trace^2, and the trace is the squared gradient times the gain of kernels and window.
-        weak, strong = (-self.config.k * (self._gain * max(least, 1e-6)) ** 4 for least in (low, max(low, high)))
+        weak, strong = (-self.response_of(max(least, 1e-6)) for least in (low, max(low, high)))
         picture = checked(gray)
         bits = bitmap.blank(2, *picture.shape)
         if self._fused:
