@@ -29,13 +29,14 @@ _ROUNDED_OFF = 6.0
 EDGE, CORNER = 128, 255
 
 _ONE, _LAST = np.uint64(1), np.uint64(63)
+_OUTERMOST = _ONE | (_ONE << _LAST)
 
 
 def _tables() -> tuple[npt.NDArray[Any], ...]:
-    """Return for each pattern of neighbours (bit i is the i-th) their number, the first, and two properties.
+    """Return for each pattern of neighbours (bit i is the i-th) their number, the first, and whether it is needless.
 
     A pixel is needless when at least two neighbours are set and they stay in one piece without it (Yokoi's number,
-    8-connected), so that no end or connection is lost; it is odd when it is needless, may become so, or is an end.
+    8-connected), so that no end or connection is lost.
     Then a table tells the next direction of a line from the one before, straight on first, by (direction, pattern).
     """
     full = np.array([[pattern >> i & 1 for i in range(8)] for pattern in range(256)])
@@ -53,10 +54,10 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
     direct = full.copy()
     direct[:, 1::2] &= empty[:, 0::2] & np.roll(empty, -2, axis=1)[:, 0::2]
     steps = (direct << np.arange(8)).sum(axis=1).astype(np.uint8)
-    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, needless | (count != 2), ahead, steps
+    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, ahead, steps
 
 
-_COUNT, _FIRST, _NEEDLESS, _ODD, _AHEAD, _DIRECT = _tables()
+_COUNT, _FIRST, _NEEDLESS, _AHEAD, _DIRECT = _tables()
 
 # The neighbours in circular order by the nine bits of a window of 3x3, in the order of rows.
 _NEIGHBOURS = (((np.arange(512)[:, None] >> (3 * _DY + _DX + 4)) & 1) << np.arange(8)).sum(axis=1).astype(np.uint8)
@@ -72,60 +73,133 @@ def _pattern(words: Array, here: int, row: int) -> np.uint8:
 
 
 @called
-def _connected(
-    bits: Array, words: Array, strong: Array, strength: Array, steps: Array, least: int, weight: float
-) -> tuple[int, Array]:
-    """Clear all pixels but those of connected pieces with a strong one.
+def _connected(bits: Array, strong: Array, strength: Array, row: int, least: int, weight: float) -> int:
+    """Clear all pixels but those of connected pieces with a strong one; return how many are left.
 
-    Returns how many are left, and of these the places of free ends, branches and those that may be needless.
+    A piece grows by words of 64 pixels, of which ``row`` make a row.
     """
-    stride = steps[2]
-    row = stride >> 3
-    first_steps = steps[_FIRST]
-    others = ~(1 << (_FIRST ^ 4)) & 255  # all neighbours but the one that a first step comes from
-    # Growing lists would make the flood slower, counting the candidates first, too; what is not written costs nothing.
-    most = 64 * len(bits)
-    kept, odd = np.empty(most, np.int32), np.empty(most, np.int32)
-    ahead = np.empty(most, np.uint8)  # where a line may go on: what is left is mostly one way, well predicted
-    seen = np.zeros(len(bits), np.uint64)
-    count = odds = 0
-    left_out = len(kept)  # these are listed from the end on
+    # Growing lists would make the flood slower, counting the pixels first, too; what is not written costs nothing.
+    places, reached = np.empty(64 * len(bits), np.int32), np.empty(64 * len(bits), np.uint64)
+    kept = np.zeros(len(bits), np.uint64)
+    left = 0
     for i in range(len(strong)):
-        while strong[i] & ~seen[i]:
-            first, done, first_odd = count, count, odds
-            kept[count] = 64 * i + lowest(strong[i] & ~seen[i])
-            ahead[count] = 255
-            put(seen, kept[count])
-            count += 1
+        while strong[i] & bits[i]:
+            seeds = strong[i] & bits[i]
+            places[0], reached[0] = i, seeds & (~seeds + _ONE)
+            count, done, size, total = 1, 0, 0, 0.0
             while done < count:
-                here = kept[np.uint64(done)]
-                pattern = _pattern(words, here, row)
-                odd[np.uint64(odds)] = here
-                odds += _ODD[np.uint64(pattern)]
-                ways = np.uint64(pattern) & np.uint64(ahead[np.uint64(done)])
+                here, seeds = int(places[done]), reached[done]
+                free = bits[here] | seeds
+                found = seeds | (free & ~(free + seeds))  # up by what a sum carries, down step by step
+                more = free & (found >> _ONE) & ~found
+                while more:
+                    found |= more
+                    more = free & (more >> _ONE)
+                bits[here] = free & ~found
+                reached[done] = found
                 done += 1
-                while ways:
-                    place = np.uint64(here + first_steps[ways])
-                    word, bit = seen[place >> np.uint64(6)], _ONE << (place & _LAST)
-                    if word & bit == 0:
-                        seen[place >> np.uint64(6)] = word | bit
-                        kept[np.uint64(count)], ahead[np.uint64(count)] = place, others[ways]
+                size += ones(found)
+                wide = found | (found << _ONE) | (found >> _ONE)
+                for beside in (here - row, here + row):
+                    more = wide & bits[beside]
+                    if more:
+                        bits[beside] &= ~more
+                        places[count], reached[count] = beside, more
                         count += 1
-                    ways &= ways - _ONE
-            total = 0.0
+                if found & _OUTERMOST:
+                    for side in range(2):
+                        edge = found >> _LAST if side else found & _ONE
+                        there = edge << np.uint64(0 if side else 63)
+                        for beside in range(here - row + 2 * side - 1, here + row + 2 * side, row):
+                            more = there & bits[beside]
+                            if more:
+                                bits[beside] &= ~more
+                                places[count], reached[count] = beside, more
+                                count += 1
             if weight > 0.0:
-                for j in range(first, count):
-                    total += strength[kept[j] // stride - 1, kept[j] % stride - MARGIN]
-            if count - first < least or total < weight:
-                for j in range(first, count):
-                    left_out -= 1
-                    kept[left_out] = kept[j]
-                count, odds = first, first_odd
-    for i in range(left_out, len(kept)):
-        clear(seen, kept[i])
-    for i in range(len(bits)):  # an assignment to a slice moves them one by one
-        bits[i] = seen[i]
-    return count, odd[:odds]
+                for j in range(count):
+                    found = reached[j]
+                    while found:
+                        x = 64 * (places[j] % row) + lowest(found) - MARGIN
+                        total += strength[places[j] // row - 1, x]
+                        found &= found - _ONE
+            if size >= least and total >= weight:
+                left += size
+                for j in range(count):
+                    kept[places[j]] |= reached[j]
+    for i in range(len(bits)):
+        bits[i] = kept[i]
+    return left
+
+
+_CROWDED, _ENDS, _NODES = range(3)
+
+
+@inlined
+def _counted(one: Any, other: Any, third: Any, fourth: Any) -> tuple[Any, Any, Any]:
+    """Return which bits of four words are set at least once, twice, and more often."""
+    either, both, neither, all_of = one | other, one & other, third | fourth, third & fourth
+    return either | neither, both | all_of | (either & neither), (both & neither) | (either & all_of)
+
+
+@inlined
+def _classified_row(above: Any, here: Any, below: Any, kind: int, result: Any, n: int) -> None:
+    first, last = np.uint64(1), np.uint64(63)
+    for i in range(1, n):
+        north, middle, south = above[i], here[i], below[i]
+        west, east = (middle << first) | (here[i - 1] >> last), (middle >> first) | (here[i + 1] << last)
+        nw, ne = (north << first) | (above[i - 1] >> last), (north >> first) | (above[i + 1] << last)
+        sw, se = (south << first) | (below[i - 1] >> last), (south >> first) | (below[i + 1] << last)
+        # Yokoi's number, as for the table of needless ones.
+        pieces, parted, _ = _counted(
+            ~east & (se | south), ~south & (sw | west), ~west & (nw | north), ~north & (ne | east)
+        )
+        if kind == _NODES:
+            nw, ne = nw & ~(north | west), ne & ~(north | east)
+            sw, se = sw & ~(south | west), se & ~(south | east)
+        once, twice, often = _counted(west, east, north, south)
+        aslant, two, more = _counted(nw, ne, sw, se)
+        both, many = twice | two | (once & aslant), often | more | (twice & aslant) | (once & two)
+        if kind == _ENDS:
+            result[i] = middle & ~both
+        elif kind == _CROWDED:
+            result[i] = middle & (many | (both & pieces & ~parted))
+        else:
+            result[i] = middle & (~both | many)
+
+
+@called
+def _classified(bits: Array, row: int, kind: int, result: Array) -> None:
+    """Set ``result`` to the pixels of a kind, 64 of them at a time; ``row`` is the words of one, the first is margin.
+
+    Crowded ones have three neighbours or more, or are needless; ends have at most one. Nodes are where a line does not
+    just go through: of steps to other pixels, without the needless diagonal ones, they have other than two.
+    """
+    for y in range(1, len(bits) // row - 2):
+        above, here, below, out = bits[(y - 1) * row :], bits[y * row :], bits[(y + 1) * row :], result[y * row :]
+        if kind == _CROWDED:
+            _classified_row(above, here, below, _CROWDED, out, row)
+        elif kind == _ENDS:
+            _classified_row(above, here, below, _ENDS, out, row)
+        else:
+            _classified_row(above, here, below, _NODES, out, row)
+
+
+@called
+def _places(bits: Array) -> Array:
+    """Return the places of all pixels that are set, (N,) int32."""
+    count = 0
+    for i in range(len(bits)):
+        count += ones(bits[i])
+    places = np.empty(count, np.int32)
+    count = 0
+    for i in range(len(bits)):
+        word = bits[i]
+        while word:
+            places[count] = 64 * i + lowest(word)
+            word &= word - _ONE
+            count += 1
+    return places
 
 
 @called
@@ -160,10 +234,10 @@ def _branch(words: Array, end: int, steps: Array, path: Array) -> tuple[int, int
 
 
 @called
-def _prune(bits: Array, words: Array, odd: Array, most: int, steps: Array, longest: int) -> None:
+def _prune(bits: Array, words: Array, crowded: Array, most: int, steps: Array, longest: int) -> None:
     """Remove branches of up to ``longest`` pixels that end freely, shortest first, and what becomes needless then.
 
-    All ends and branches are among ``odd``; there may be ``most`` ends.
+    All that may branch are among ``crowded``; there may be ``most`` ends.
     """
     row = steps[2] >> 3
     path = np.empty(longest + 1, np.int32)
@@ -171,8 +245,8 @@ def _prune(bits: Array, words: Array, odd: Array, most: int, steps: Array, longe
     ends, lengths = np.empty(most, np.int32), np.empty(most, np.int32)
     marked = np.zeros(len(bits), np.uint64)
     count = 0
-    for i in range(len(odd)):  # ends are many, branches few: seen from there, most ends need no look
-        branch = odd[i]
+    for i in range(len(crowded)):  # ends are many, branches few: seen from there, most ends need no look
+        branch = crowded[i]
         pattern = _pattern(words, branch, row)
         if _COUNT[pattern] < 3 or not has(bits, branch):
             continue
@@ -183,16 +257,13 @@ def _prune(bits: Array, words: Array, odd: Array, most: int, steps: Array, longe
             for _ in range(longest):
                 here += steps[way]
                 ahead = _pattern(words, here, row) & ~(1 << (way ^ 4))
-                if ahead == 0:
+                if ahead == 0 and not has(marked, here):
                     put(marked, here)
+                    ends[count], (lengths[count], _) = here, _branch(words, here, steps, path)
+                    count += 1
                 if ahead == 0 or ahead & (ahead - 1):
                     break
                 way = _FIRST[ahead]
-    for i in range(len(odd)):
-        if has(marked, odd[i]):
-            clear(marked, odd[i])
-            ends[count], (lengths[count], _) = odd[i], _branch(words, odd[i], steps, path)
-            count += 1
     # Short branches first: of two at the end of a line the longer one continues it.
     for shortest in range(1, longest + 1):
         i = 0
@@ -220,45 +291,6 @@ def _prune(bits: Array, words: Array, odd: Array, most: int, steps: Array, longe
                 if count < len(ends) and alive and _COUNT[_pattern(words, beside[j], row)] == 1:
                     ends[count], lengths[count] = beside[j], 0
                     count += 1
-
-
-@inlined
-def _counted(one: Any, other: Any, third: Any, fourth: Any) -> tuple[Any, Any, Any]:
-    """Return which bits of four words are set at least once, twice, and more often."""
-    either, both, neither, all_of = one | other, one & other, third | fourth, third & fourth
-    return either | neither, both | all_of | (either & neither), (both & neither) | (either & all_of)
-
-
-@inlined
-def _classified_row(above: Any, here: Any, below: Any, ends: bool, result: Any, n: int) -> None:
-    first, last = np.uint64(1), np.uint64(63)
-    for i in range(1, n):
-        north, middle, south = above[i], here[i], below[i]
-        west, east = (middle << first) | (here[i - 1] >> last), (middle >> first) | (here[i + 1] << last)
-        nw, ne = (north << first) | (above[i - 1] >> last), (north >> first) | (above[i + 1] << last)
-        sw, se = (south << first) | (below[i - 1] >> last), (south >> first) | (below[i + 1] << last)
-        if not ends:
-            nw, ne = nw & ~(north | west), ne & ~(north | east)
-            sw, se = sw & ~(south | west), se & ~(south | east)
-        once, twice, often = _counted(west, east, north, south)
-        aslant, two, more = _counted(nw, ne, sw, se)
-        both = twice | two | (once & aslant)
-        result[i] = middle & ~both if ends else middle & (~both | often | more | (twice & aslant) | (once & two))
-
-
-@called
-def _classified(bits: Array, row: int, ends: bool, result: Array) -> None:
-    """Set ``result`` to the pixels with at most one neighbour, or to those that a line does not just go through.
-
-    Of the latter the steps to other pixels are counted, without the needless diagonal ones: other than two. 64 pixels
-    are looked at in one go. ``row`` is the words of one; the first word of each row is margin.
-    """
-    for y in range(1, len(bits) // row - 2):
-        above, here, below, out = bits[(y - 1) * row :], bits[y * row :], bits[(y + 1) * row :], result[y * row :]
-        if ends:
-            _classified_row(above, here, below, True, out, row)
-        else:
-            _classified_row(above, here, below, False, out, row)
 
 
 # Columns of which a word that begins at a byte holds every one.
@@ -348,7 +380,7 @@ def _lead(
     """
     stride = 8 * row
     _cut(words, corners, row, min(0.75 * farthest, _ROUNDED_OFF))
-    _classified(bits, row >> 3, True, spare)
+    _classified(bits, row >> 3, _ENDS, spare)
     pairs = _near(spare_words, corners, row, farthest)
     for i in range(len(pairs)):
         start, corner = pairs[i, 0], corners[pairs[i, 1]]
@@ -399,13 +431,14 @@ def _link(bits: Array, words: Array, spare: Array, labels: Array, corners: Array
     stride = steps[2]
     row = stride >> 3
     linked = np.zeros(len(bits), np.uint64)
-    _classified(bits, row >> 3, False, spare)
-    most = odds = 0
+    _classified(bits, row >> 3, _NODES, spare)
+    most = 0
     for i in range(len(bits)):
         most += ones(bits[i])
-        odds += ones(spare[i])
+    others = _places(spare)
     nodes = links = 0
-    node_places, patterns = np.empty(len(corners) + odds, np.int32), np.empty(len(corners) + odds, np.uint8)
+    node_places = np.empty(len(corners) + len(others), np.int32)
+    patterns = np.empty(len(node_places), np.uint8)
     for i in range(len(corners)):  # a line that goes through a corner is two
         here = (corners[i, 1] + 1) * stride + corners[i, 0] + MARGIN
         pattern = _STEPS[window(words, here, row)]
@@ -415,14 +448,12 @@ def _link(bits: Array, words: Array, spare: Array, labels: Array, corners: Array
             links += 2
             nodes += 1
     parted = nodes
-    for i in range(len(spare)):
-        while spare[i]:
-            here = 64 * i + lowest(spare[i])
-            spare[i] &= spare[i] - _ONE
-            pattern = _STEPS[window(words, here, row)]
-            node_places[nodes], patterns[nodes] = here, pattern
-            links += max(_COUNT[pattern], 1)
-            nodes += 1
+    for i in range(len(others)):
+        clear(spare, others[i])
+        pattern = _STEPS[window(words, others[i], row)]
+        node_places[nodes], patterns[nodes] = others[i], pattern
+        links += max(_COUNT[pattern], 1)
+        nodes += 1
     for i in range(parted):  # here lines end, too, but what lies between two of them is not linked already
         put(spare, node_places[i])
     turns = (np.append(steps, 0) * 16 + np.arange(9)).astype(np.int32)[_ONWARD].reshape(8, 512)
@@ -520,10 +551,12 @@ def trace(
     flat, strong = bits[0].reshape(bits[0].size), bits[1].reshape(bits[1].size)
     stride = 64 * bits.shape[2]
     steps = (_DY * stride + _DX).astype(np.int32)
-    count, odd = _connected(flat, words, strong, strength, steps, least, weight)
-    _thin_out(flat, words, odd, stride >> 3)
+    left = _connected(flat, strong, strength, stride >> 6, least, weight)
+    _classified(flat, stride >> 6, _CROWDED, strong)
+    crowded = _places(strong)
+    _thin_out(flat, words, crowded, stride >> 3)
     if longest > 0:
-        _prune(flat, words, odd, count + 1, steps, longest)
+        _prune(flat, words, crowded, left + 1, steps, longest)
     if farthest > 0.0 and len(corners) > 0:
         _lead(flat, words, strong, strong_words, corners, stride >> 3, farthest)
     points, starts = _link(flat, words, strong, labels, corners, steps)
