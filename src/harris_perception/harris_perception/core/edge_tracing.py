@@ -62,8 +62,8 @@ _COUNT, _FIRST, _NEEDLESS, _AHEAD, _DIRECT = _tables()
 # The neighbours in circular order by the nine bits of a window of 3x3, in the order of rows.
 _NEIGHBOURS = (((np.arange(512)[:, None] >> (3 * _DY + _DX + 4)) & 1) << np.arange(8)).sum(axis=1).astype(np.uint8)
 _STEPS = _DIRECT[_NEIGHBOURS]
-# The next direction of a line by (direction, window), one behind the other; 8 where a line does not go on by itself.
-_ONWARD = np.where(_COUNT[_STEPS] == 2, _AHEAD[:, _STEPS], 8).reshape(-1)
+# The next direction of a line by (direction, window); 8 where a line does not go on by itself.
+_ONWARD = np.where(_COUNT[_STEPS] == 2, _AHEAD[:, _STEPS], 8).astype(np.uint8)
 
 
 @called
@@ -186,12 +186,9 @@ def _classified(bits: Array, row: int, kind: int, result: Array) -> None:
 
 
 @called
-def _places(bits: Array) -> Array:
-    """Return the places of all pixels that are set, (N,) int32."""
-    count = 0
-    for i in range(len(bits)):
-        count += ones(bits[i])
-    places = np.empty(count, np.int32)
+def _places(bits: Array, most: int) -> Array:
+    """Return the places of all pixels that are set, (N,) int32; there may be ``most``."""
+    places = np.empty(most, np.int32)
     count = 0
     for i in range(len(bits)):
         word = bits[i]
@@ -199,7 +196,7 @@ def _places(bits: Array) -> Array:
             places[count] = 64 * i + lowest(word)
             word &= word - _ONE
             count += 1
-    return places
+    return places[:count]
 
 
 @called
@@ -371,8 +368,8 @@ def _near(words: Array, corners: Array, row: int, radius: float) -> Array:
 @called
 def _lead(
     bits: Array, words: Array, spare: Array, spare_words: Array, corners: Array, row: int, farthest: float
-) -> None:
-    """Draw lines from free ends to the nearest corner (N, 2) px within reach.
+) -> int:
+    """Draw lines from free ends to the nearest corner (N, 2) px within reach; return how many pixels, at most.
 
     Edges round corners off on the outside, so what passes within three quarters of the reach is cut first, but no more
     than a corner rounds off. All pairs are seen from the corners, which are fewer than pixels. ``spare`` is a bitmap
@@ -382,6 +379,7 @@ def _lead(
     _cut(words, corners, row, min(0.75 * farthest, _ROUNDED_OFF))
     _classified(bits, row >> 3, _ENDS, spare)
     pairs = _near(spare_words, corners, row, farthest)
+    drawn = 0
     for i in range(len(pairs)):
         start, corner = pairs[i, 0], corners[pairs[i, 1]]
         if not has(spare, start):  # led to a nearer one
@@ -390,52 +388,54 @@ def _lead(
         x0, y0 = start % stride - MARGIN, start // stride - 1
         dx, dy = corner[0] - x0, corner[1] - y0
         length = max(abs(dx), abs(dy))
+        drawn += length
         for j in range(1, length + 1):
             x, y = x0 + int(np.rint(dx * j / length)), y0 + int(np.rint(dy * j / length))
             put(bits, (y + 1) * stride + x + MARGIN)
+    return drawn
 
 
 @called
-def _follow(
-    words: Array, linked: Array, labels: Array, chain: Array, filled: int, stride: int, turns: Array, way: int
-) -> int:
-    """Append to ``chain`` (x, y), whose last pixel is the first of ``filled``, up to a node or what is linked already.
+def _follow(bits: Array, linked: Array, chain: Array, filled: int, steps: Array, way: int) -> int:
+    """Append to ``chain``, whose last pixel is the first of ``filled``, up to a node or what is linked already.
 
-    ``way`` is the direction of the first step; ``turns`` tells the next one by direction and window, and, times
-    sixteen, how far away it lies; 8 for a node. Returns the new ``filled``.
+    ``way`` is the direction of the first step. Returns the new ``filled``.
     """
-    row = stride >> 3
-    x, y = chain[filled - 1, 0], chain[filled - 1, 1]
-    here = (y + 1) * stride + x + MARGIN
-    to = np.uint64(way)
-    here += _DY[to] * stride + _DX[to]
+    row, seven = np.uint64(steps[2] >> 6), np.uint64(7)
+    here, to = np.int64(chain[filled - 1]), np.uint64(way)
     while True:
-        x, y = x + _DX[to], y + _DY[to]
-        chain[np.uint64(filled), 0], chain[np.uint64(filled), 1] = x, y
-        labels[np.uint64(y), np.uint64(x)] = EDGE
+        here += steps[to]
+        chain[np.uint64(filled)] = here
         filled += 1
-        turn = turns[to, window(words, here, row)]
-        if turn == 8 or has(linked, here):
+        # The window of 3x3, mostly of three whole words: each pixel waits for the one before.
+        before = np.uint64(here - 1)
+        shift, at = before & _LAST, before >> np.uint64(6)
+        above, beside, below = bits[at - row] >> shift, bits[at] >> shift, bits[at + row] >> shift
+        if shift > np.uint64(61):
+            rest = np.uint64(64) - shift
+            above |= bits[at - row + _ONE] << rest
+            beside |= bits[at + _ONE] << rest
+            below |= bits[at + row + _ONE] << rest
+        seen = (above & seven) | ((beside & seven) << np.uint64(3)) | ((below & seven) << np.uint64(6))
+        to = np.uint64(_ONWARD[to, seen])
+        if to == 8 or has(linked, here):
             return filled
         put(linked, here)
-        here += turn >> 4
-        to = np.uint64(turn & 7)
 
 
 @called
-def _link(bits: Array, words: Array, spare: Array, labels: Array, corners: Array, steps: Array) -> tuple[Array, Array]:
+def _link(
+    bits: Array, words: Array, most: int, spare: Array, labels: Array, corners: Array, steps: Array
+) -> tuple[Array, Array]:
     """Return chains of neighbouring pixels between ends, branches and corners: points (N, 2) x, y, starts (M + 1,).
 
-    Each pixel is told in ``labels``. ``spare`` is a bitmap that is written over.
+    Each pixel, of which there may be ``most``, is told in ``labels``. ``spare`` is a bitmap that is written over.
     """
     stride = steps[2]
     row = stride >> 3
     linked = np.zeros(len(bits), np.uint64)
     _classified(bits, row >> 3, _NODES, spare)
-    most = 0
-    for i in range(len(bits)):
-        most += ones(bits[i])
-    others = _places(spare)
+    others = _places(spare, most)
     nodes = links = 0
     node_places = np.empty(len(corners) + len(others), np.int32)
     patterns = np.empty(len(node_places), np.uint8)
@@ -456,18 +456,14 @@ def _link(bits: Array, words: Array, spare: Array, labels: Array, corners: Array
         nodes += 1
     for i in range(parted):  # here lines end, too, but what lies between two of them is not linked already
         put(spare, node_places[i])
-    turns = (np.append(steps, 0) * 16 + np.arange(9)).astype(np.int32)[_ONWARD].reshape(8, 512)
     # At most; what is not written costs nothing.
-    chain = np.empty((2 * most + 2 * links + 2, 2), np.int32)
-    starts = np.empty(most + links + 2, np.int64)
+    chain, starts = np.empty(2 * most + 2 * links + 2, np.int32), np.empty(most + links + 2, np.int64)
     filled = chains = starts[0] = 0
     for i in range(nodes):
         node, pattern = node_places[i], patterns[i]
-        x, y = node % stride - MARGIN, node // stride - 1
-        labels[y, x] = EDGE
         clear(spare, node)
         if pattern == 0:
-            chain[filled, 0], chain[filled, 1] = x, y
+            chain[filled] = node
             filled += 1
             chains += 1
             starts[chains] = filled
@@ -477,21 +473,27 @@ def _link(bits: Array, words: Array, spare: Array, labels: Array, corners: Array
             beside = node + steps[way]
             if has(linked, beside) and not has(spare, beside):  # already, from its other end
                 continue
-            chain[filled, 0], chain[filled, 1] = x, y
-            filled = _follow(words, linked, labels, chain, filled + 1, stride, turns, way)
+            chain[filled] = node
+            filled = _follow(bits, linked, chain, filled + 1, steps, way)
             chains += 1
             starts[chains] = filled
         put(linked, node)
     for i in range(len(bits)):  # what is left are closed lines without branches
         while bits[i] & ~linked[i]:
-            start = 64 * i + lowest(bits[i] & ~linked[i])
-            put(linked, start)
-            chain[filled, 0], chain[filled, 1] = start % stride - MARGIN, start // stride - 1
-            way = _FIRST[_pattern(words, start, row)]
-            filled = _follow(words, linked, labels, chain, filled + 1, stride, turns, way)
+            chain[filled] = 64 * i + lowest(bits[i] & ~linked[i])
+            put(linked, chain[filled])
+            way = _FIRST[_pattern(words, chain[filled], row)]
+            filled = _follow(bits, linked, chain, filled + 1, steps, way)
             chains += 1
             starts[chains] = filled
-    return chain[:filled], starts[: chains + 1]
+    points = np.empty((filled, 2), np.int32)
+    share = 1.0 / stride
+    for i in range(filled):
+        y = np.int32((chain[i] + 0.5) * share)  # a division of whole numbers takes longer
+        points[i, 0], points[i, 1] = chain[i] - y * stride - MARGIN, y - 1
+    for i in range(filled):
+        labels[np.uint64(points[i, 1]), np.uint64(points[i, 0])] = EDGE
+    return points, starts[: chains + 1]
 
 
 @compiled
@@ -551,15 +553,15 @@ def trace(
     flat, strong = bits[0].reshape(bits[0].size), bits[1].reshape(bits[1].size)
     stride = 64 * bits.shape[2]
     steps = (_DY * stride + _DX).astype(np.int32)
-    left = _connected(flat, strong, strength, stride >> 6, least, weight)
+    most = _connected(flat, strong, strength, stride >> 6, least, weight)
     _classified(flat, stride >> 6, _CROWDED, strong)
-    crowded = _places(strong)
+    crowded = _places(strong, most)
     _thin_out(flat, words, crowded, stride >> 3)
     if longest > 0:
-        _prune(flat, words, crowded, left + 1, steps, longest)
+        _prune(flat, words, crowded, most, steps, longest)
     if farthest > 0.0 and len(corners) > 0:
-        _lead(flat, words, strong, strong_words, corners, stride >> 3, farthest)
-    points, starts = _link(flat, words, strong, labels, corners, steps)
+        most += _lead(flat, words, strong, strong_words, corners, stride >> 3, farthest)
+    points, starts = _link(flat, words, most, strong, labels, corners, steps)
     for i in range(len(places)):
         labels[places[i, 1], places[i, 0]] = CORNER
     return True, points, starts
