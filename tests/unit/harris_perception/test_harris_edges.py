@@ -187,6 +187,63 @@ def test_hysteresis_keeps_weak_pixels_only_with_a_strong_one_and_drops_small_pie
     assert not kept(12.1).any()
 
 
+@pytest.mark.parametrize("end", [(100, 20), (100, 0), (100, 40), (64, 0), (65, 40), (63, 0)])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_one_strong_pixel_keeps_a_weak_line_of_any_direction_whole(end: tuple[int, int], backwards: bool) -> None:
+    points = np.linspace((28, 20), end, end[0] - 27).round().astype(int)
+    thinned = np.zeros((41, 130), np.float32)
+    thinned[points[:, 1], points[:, 0]] = 3.0
+    x, y = points[0 if backwards else -1]
+    thinned[y, x] = 9.0
+    config = EdgeConfig(high=8.0, low_of_high=0.25, min_length_px=len(points), min_weight_px=0.0, max_spur_px=0)
+    np.testing.assert_array_equal(EdgeDetector(config).edges_of(thinned).labels == EDGE, thinned > 0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 100_000),
+    density=st.floats(0.02, 0.7),
+    length=st.integers(1, 12),
+    height=st.integers(1, 30),
+    width=st.integers(1, 210),
+)
+def test_pieces_are_kept_as_connected_components_tell(
+    seed: int, density: float, length: int, height: int, width: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    strength = np.where(rng.random((height, width)) < density, rng.uniform(2, 9, (height, width)), 0.0)
+    thinned, weight_px = strength.astype(np.float32), float(rng.choice([0.0, rng.uniform(1.0, 6.0)]))
+    _, pieces = cv2.connectedComponents((thinned > 0).astype(np.uint8), connectivity=8)
+    sizes, sums = np.bincount(pieces.ravel()), np.bincount(pieces.ravel(), thinned.ravel())
+    strong = np.isin(np.arange(len(sizes)), pieces[thinned >= 8.0])
+    wanted = strong & (sizes >= length) & (sums >= 8.0 * weight_px) & (np.arange(len(sizes)) > 0)
+
+    config = EdgeConfig(high=8.0, low_of_high=0.25, min_length_px=length, min_weight_px=weight_px, max_spur_px=0)
+    labels = EdgeDetector(config).edges_of(thinned).labels
+    np.testing.assert_array_equal(np.unique(pieces[labels == EDGE]), np.flatnonzero(wanted))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    start=st.integers(60, 90),
+    row=st.integers(0, 59),
+    x=st.integers(0, 149),
+    y=st.integers(0, 59),
+    gap=st.floats(3.0, 50.0),
+)
+def test_free_ends_within_the_gap_are_led_to_the_corner(start: int, row: int, x: int, y: int, gap: float) -> None:
+    thinned = np.zeros((60, 150), np.float32)
+    thinned[row, start : start + 30] = 9.0
+    config = EdgeConfig(high=2.0, min_length_px=1, min_weight_px=0.0, max_spur_px=0, max_gap_px=gap)
+    found = EdgeDetector(config).edges_of(thinned, [(x, y)])
+    left = np.array([at for at in range(start, start + 30) if np.hypot(at - x, row - y) > min(0.75 * gap, 6.0)])
+    ends = [at for at in left if np.hypot(at - x, row - y) <= gap and not {at - 1, at + 1} <= set(left.tolist())]
+    _, pieces = cv2.connectedComponents((found.labels != FLAT).astype(np.uint8), connectivity=8)
+    assert (found.labels[row, left] != FLAT).all()
+    assert [bool(pieces[row, at] == pieces[y, x]) for at in ends] == [True] * len(ends)
+    assert ends or (found.labels == EDGE).sum() == len(left) - ((y == row) & (left == x)).sum(), "nothing is drawn"
+
+
 def test_spur_is_removed_and_the_branch_of_a_t_stays() -> None:
     mask = np.zeros((50, 60), np.float32)
     mask[20, 5:55] = 10.0
@@ -208,7 +265,7 @@ def test_closed_line_is_one_chain_that_ends_where_it_starts() -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 100_000), density=st.floats(0.02, 0.6), height=st.integers(1, 25), width=st.integers(1, 25))
+@given(seed=st.integers(0, 100_000), density=st.floats(0.02, 0.6), height=st.integers(1, 25), width=st.integers(1, 150))
 def test_chains_hold_every_edge_pixel_in_steps_of_one(seed: int, density: float, height: int, width: int) -> None:
     rng = np.random.default_rng(seed)
     thinned = np.where(rng.random((height, width)) < density, rng.uniform(1, 9, (height, width)), 0.0).astype(
@@ -230,8 +287,8 @@ def test_chains_hold_every_edge_pixel_in_steps_of_one(seed: int, density: float,
 @given(seed=st.integers(0, 100_000), density=st.floats(0.02, 0.4), gap=st.floats(0.0, 12.0))
 def test_chains_end_where_lines_end_branch_or_reach_a_corner(seed: int, density: float, gap: float) -> None:
     rng = np.random.default_rng(seed)
-    thinned = np.where(rng.random((40, 50)) < density, 9.0, 0.0).astype(np.float32)
-    corners = np.column_stack((rng.integers(0, 50, 8), rng.integers(0, 40, 8)))
+    thinned = np.where(rng.random((20, 140)) < density, 9.0, 0.0).astype(np.float32)
+    corners = np.column_stack((rng.integers(0, 140, 8), rng.integers(0, 20, 8)))
     config = EdgeConfig(
         high=2.0, min_length_px=2, min_weight_px=0.0, max_spur_px=int(rng.integers(0, 4)), max_gap_px=gap
     )
@@ -256,7 +313,7 @@ def test_chains_end_where_lines_end_branch_or_reach_a_corner(seed: int, density:
 @given(seed=st.integers(0, 100_000), density=st.floats(0.1, 0.8))
 def test_skeleton_keeps_the_pieces_together(seed: int, density: float) -> None:
     rng = np.random.default_rng(seed)
-    mask = rng.random((20, 22)) < density
+    mask = rng.random((20, 140)) < density
     before = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[0]
     config = EdgeConfig(high=0.1, min_length_px=1, min_weight_px=0.0, max_spur_px=0)
     thin = EdgeDetector(config).edges_of(mask.astype(np.float32)).labels == EDGE
