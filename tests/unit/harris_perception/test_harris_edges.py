@@ -321,6 +321,25 @@ def test_skeleton_keeps_the_pieces_together(seed: int, density: float) -> None:
     assert cv2.connectedComponents(thin.astype(np.uint8), connectivity=8)[0] == before
 
 
+@pytest.mark.parametrize("kind", ["stairs", "ribbon of 2 px", "ribbon of 3 px", "slanting ribbon"])
+@pytest.mark.parametrize("mirror", [np.s_[:, :], np.s_[::-1], np.s_[:, ::-1], np.s_[::-1, ::-1]])
+@pytest.mark.parametrize("upright", [False, True])
+def test_lines_wider_than_a_pixel_keep_their_length(kind: str, mirror: tuple[slice, ...], upright: bool) -> None:
+    mask, step = np.zeros((60, 100), np.uint8), np.arange(30)
+    if kind == "stairs":
+        mask[10 + step, 20 + step] = mask[10 + step, 21 + step] = 1
+    elif kind == "slanting ribbon":
+        cv2.line(mask, (10, 10), (41, 25), 1, 2)
+    else:
+        mask[10 : 10 + int(kind[10]), 20:51] = 1
+    drawn = (mask.T if upright else mask)[mirror]
+    config = EdgeConfig(high=2.0, min_length_px=1, min_weight_px=0.0, max_spur_px=3, max_gap_px=0.0)
+    found = EdgeDetector(config).edges_of(np.ascontiguousarray(drawn, np.float32) * 9)
+    assert len(found.chains) == 1
+    assert np.ptp(found.points, axis=0).max() >= 29
+    assert cv2.distanceTransform((found.labels == FLAT).astype(np.uint8), cv2.DIST_L2, 5)[drawn > 0].max() <= 2.0
+
+
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (2, 40), (30, 30)])
 @pytest.mark.parametrize("value", [0.0, 77.0, np.nan, np.inf])
 def test_pictures_without_edges(shape: tuple[int, int], value: float) -> None:

@@ -33,10 +33,11 @@ _OUTERMOST = _ONE | (_ONE << _LAST)
 
 
 def _tables() -> tuple[npt.NDArray[Any], ...]:
-    """Return for each pattern of neighbours (bit i is the i-th) their number, the first, and whether it is needless.
+    """Return for each pattern of neighbours (bit i is the i-th) their number, the first, and two properties.
 
     A pixel is needless when at least two neighbours are set and they stay in one piece without it (Yokoi's number,
-    8-connected), so that no end or connection is lost.
+    8-connected), so that no connection is lost. It is certain to be so when it is not the end of a line that is wider
+    than a pixel, which has two neighbours side by side: as long as there are others, these would go one by one.
     Then a table tells the next direction of a line from the one before, straight on first, by (direction, pattern).
     """
     full = np.array([[pattern >> i & 1 for i in range(8)] for pattern in range(256)])
@@ -45,6 +46,7 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
     pieces = (sides - sides * after * beyond).sum(axis=1)
     count = full.sum(axis=1)
     needless = (count >= 2) & (pieces == 1)
+    certain = needless & ((count > 2) | (full[:, 0::2].sum(axis=1) == 2))
     ahead = np.zeros((8, 256), np.uint8)
     for way in range(8):
         for turn in (-3, 3, -2, 2, -1, 1, 0):  # the later the better
@@ -54,10 +56,10 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
     direct = full.copy()
     direct[:, 1::2] &= empty[:, 0::2] & np.roll(empty, -2, axis=1)[:, 0::2]
     steps = (direct << np.arange(8)).sum(axis=1).astype(np.uint8)
-    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, ahead, steps
+    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, certain, ahead, steps
 
 
-_COUNT, _FIRST, _NEEDLESS, _AHEAD, _DIRECT = _tables()
+_COUNT, _FIRST, _NEEDLESS, _CERTAIN, _AHEAD, _DIRECT = _tables()
 
 # The neighbours in circular order by the nine bits of a window of 3x3, in the order of rows.
 _NEIGHBOURS = (((np.arange(512)[:, None] >> (3 * _DY + _DX + 4)) & 1) << np.arange(8)).sum(axis=1).astype(np.uint8)
@@ -150,10 +152,6 @@ def _classified_row(above: Any, here: Any, below: Any, kind: int, result: Any, n
         west, east = (middle << first) | (here[i - 1] >> last), (middle >> first) | (here[i + 1] << last)
         nw, ne = (north << first) | (above[i - 1] >> last), (north >> first) | (above[i + 1] << last)
         sw, se = (south << first) | (below[i - 1] >> last), (south >> first) | (below[i + 1] << last)
-        # Yokoi's number, as for the table of needless ones.
-        pieces, parted, _ = _counted(
-            ~east & (se | south), ~south & (sw | west), ~west & (nw | north), ~north & (ne | east)
-        )
         if kind == _NODES:
             nw, ne = nw & ~(north | west), ne & ~(north | east)
             sw, se = sw & ~(south | west), se & ~(south | east)
@@ -163,7 +161,7 @@ def _classified_row(above: Any, here: Any, below: Any, kind: int, result: Any, n
         if kind == _ENDS:
             result[i] = middle & ~both
         elif kind == _CROWDED:
-            result[i] = middle & (many | (both & pieces & ~parted))
+            result[i] = middle & (many | ((west | east) & (north | south)))
         else:
             result[i] = middle & (~both | many)
 
@@ -201,15 +199,17 @@ def _places(bits: Array, most: int) -> Array:
 
 @called
 def _thin_out(bits: Array, words: Array, places: Array, row: int) -> None:
-    """Remove needless pixels among these places, until there are none."""
+    """Remove needless pixels among these places, the last first; of two equal ones the first stays, as of maxima."""
     changed = True
     while changed:
         changed = False
-        for i in range(len(places)):
-            here = places[i]
-            if _NEEDLESS[_pattern(words, here, row)] and has(bits, here):
-                clear(bits, here)
+        for i in range(len(places) - 1, -1, -1):
+            if _CERTAIN[_pattern(words, places[i], row)] and has(bits, places[i]):
+                clear(bits, places[i])
                 changed = True
+    for i in range(len(places) - 1, -1, -1):
+        if _NEEDLESS[_pattern(words, places[i], row)] and has(bits, places[i]):
+            clear(bits, places[i])
 
 
 @called
