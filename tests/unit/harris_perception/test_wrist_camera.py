@@ -90,6 +90,21 @@ def test_wrong_poses_are_left_out() -> None:
     assert apart(result.gripper_from_camera, X)[1] < 0.001
 
 
+@pytest.mark.parametrize(("count", "wrong"), [(8, 2), (15, 3), (20, 6)])
+def test_wrong_poses_that_agree_with_one_another_are_left_out(count: int, wrong: int) -> None:
+    """A chessboard that is found from its other end: the same wrong target, turned by half, each time."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        grippers, targets = motions(count, rng, 0.002, 0.0005)
+        from_the_end = sorted(rng.choice(count, wrong, replace=False).tolist())
+        for i in from_the_end:
+            targets[i] = targets[i] @ turned((0.0, 0.0, np.pi), (0.2, 0.15, 0.0))
+        result = calibrate_wrist(grippers, targets)
+        assert np.flatnonzero(~result.used).tolist() == from_the_end, seed
+        angle, shift = apart(result.gripper_from_camera, X)
+        assert angle < 0.01 and shift < 0.005, (seed, angle, shift)
+
+
 def test_what_cannot_be_solved_is_refused_with_the_motion_that_helps() -> None:
     grippers, targets = motions(8, np.random.default_rng(4))
     with pytest.raises(DegenerateError, match="2 poses, 3 are needed: turn the wrist"):

@@ -11,6 +11,8 @@ F. Dornaika, "Hand-eye calibration" (1995); K. Daniilidis, "Hand-eye calibration
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,6 +25,8 @@ from icu_common.core.geometry import Array, Transform, nearest_rotation
 
 METHODS = ("park", "horaud", "daniilidis")
 _MAX_PAIRS = 2000
+_SUBSETS = 100
+"""Triples of poses that are tried: with three of ten poses wrong, a third of them are right."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +92,7 @@ def calibrate_wrist(
         raise DegenerateError(f"{count} gripper poses and {len(camera_from_target)} target poses do not pair")
     a, b = list(base_from_gripper), list(camera_from_target)
     check_turns(a, config)
-    used = np.ones(count, dtype=bool)
+    used = _consensus(a, b, config)
     for _ in range(10):
         result = _solve([t for t, u in zip(a, used) if u], [t for t, u in zip(b, used) if u], used)
         again = _fitting(a, b, result, config)
@@ -264,9 +268,38 @@ def _slopes(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Tra
     return np.column_stack(columns)
 
 
+def _consensus(a: list[Transform], b: list[Transform], config: WristConfig) -> npt.NDArray[np.bool_]:
+    """Return which poses agree with the best of many triples: wrong poses that agree with one another hide in a mean.
+
+    Least median of squares, as :func:`harris_perception.core.hand_eye._consensus`; of turns and shifts, which have no
+    common unit, the product of both medians counts.
+    """
+    step = -(-math.comb(len(a), 3) // _SUBSETS)
+    best, used = np.inf, np.ones(len(a), dtype=bool)
+    for triple in itertools.islice(itertools.combinations(range(len(a)), 3), 0, None, step):
+        some_a, some_b = [a[i] for i in triple], [b[i] for i in triple]
+        try:
+            check_turns(some_a, config)
+        except DegenerateError:
+            continue
+        x = closed_form("park", some_a, some_b)
+        size = _misfit(a, b, x, _mean([p @ x @ q for p, q in zip(some_a, some_b)]))
+        middle = float(np.prod(np.maximum(np.median(size, axis=0), 1e-9)))
+        if middle < best:
+            best, used = middle, _near(size, config)
+    return used
+
+
 def _fitting(a: list[Transform], b: list[Transform], result: WristCamera, config: WristConfig) -> npt.NDArray[np.bool_]:
-    error = _residuals(a, b, result.gripper_from_camera, result.base_from_target).reshape(-1, 2, 3)
-    size = np.linalg.norm(error, axis=2)
+    return _near(_misfit(a, b, result.gripper_from_camera, result.base_from_target), config)
+
+
+def _misfit(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Transform) -> Array:
+    """Return (N, 2): by how much each pose turns (rad) and shifts (m) away from Z."""
+    return np.asarray(np.linalg.norm(_residuals(a, b, x, z).reshape(-1, 2, 3), axis=2))
+
+
+def _near(size: Array, config: WristConfig) -> npt.NDArray[np.bool_]:
     # The median of a three-dimensional normal's length is 1.538 of its standard deviation.
     sigma = np.maximum(np.median(size, axis=0) / 1.538, (1e-9, 1e-9))
     return np.asarray((size <= config.outlier_sigmas * 1.5 * sigma).all(axis=1))
