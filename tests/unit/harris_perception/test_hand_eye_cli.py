@@ -49,6 +49,13 @@ def test_poses_become_both_transforms(fixed: bool, tmp_path: Path, capsys: pytes
         ("\n".join(rows(turn=0.01)), "10 are needed: without turns"),
         (rows()[0] + "\n1,2,3", "line 2: 3 values, 14 are needed"),
         (rows()[0] + "\n" + rows()[1].replace("0.", "x.", 1), "line 2: could not convert"),
+        (rows()[0].replace("0.", "O.", 1) + "\n" + "\n".join(rows()[1:]), "line 1: could not convert"),
+        (
+            rows()[0]
+            + "\n"
+            + ",".join(rows()[1].split(",")[3:7] + rows()[1].split(",")[:3] + rows()[1].split(",")[7:]),
+            r"line 2: quaternion .* has length 1\.015, 1 to within 0\.01 is needed: the order is x, y, z in metres",
+        ),
         (",".join(["0"] * 14), "line 1: quaternion .* has no direction"),
     ],
 )

@@ -17,9 +17,10 @@ import yaml
 from harris_perception.core.hand_eye import DegenerateError
 from harris_perception.core.wrist_camera import WristCamera, WristConfig, calibrate_wrist
 from icu_common.core.config import ConfigError
-from icu_common.core.geometry import Transform
+from icu_common.core.geometry import Array, Transform
 
 COLUMNS = 14
+_UNIT = 0.01
 
 
 def read_poses(path: Path) -> tuple[list[Transform], list[Transform]]:
@@ -37,20 +38,40 @@ def read_poses(path: Path) -> tuple[list[Transform], list[Transform]]:
             cells = [cell.strip() for cell in row]
             if not any(cells) or cells[0].startswith("#"):
                 continue
+            if not grippers and not any(_is_number(cell) for cell in cells):
+                continue  # names
             try:
                 values = np.array([float(cell) for cell in cells])
             except ValueError as error:
-                if not grippers:
-                    continue  # names
                 raise ValueError(f"{path}, line {number}: {error}") from error
             if len(values) != COLUMNS:
                 raise ValueError(f"{path}, line {number}: {len(values)} values, {COLUMNS} are needed")
             try:
-                grippers.append(Transform.from_quaternion(values[3:7], values[:3]))
-                targets.append(Transform.from_quaternion(values[10:14], values[7:10]))
+                grippers.append(_pose(values[:7]))
+                targets.append(_pose(values[7:]))
             except ValueError as error:
                 raise ValueError(f"{path}, line {number}: {error}") from error
     return grippers, targets
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _pose(values: Array) -> Transform:
+    """Return the pose of x, y, z and a quaternion; one that is not of length 1 is most likely something else."""
+    pose = Transform.from_quaternion(values[3:], values[:3])
+    length = float(np.linalg.norm(values[3:]))
+    if abs(length - 1) > _UNIT:
+        raise ValueError(
+            f"quaternion {values[3:].tolist()} has length {length:.3f}, 1 to within {_UNIT:g} is needed: "
+            "the order is x, y, z in metres, then the quaternion's x, y, z, w"
+        )
+    return pose
 
 
 def parser() -> argparse.ArgumentParser:
