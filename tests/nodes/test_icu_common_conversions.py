@@ -147,16 +147,40 @@ def test_the_same_camera_is_known_whatever_the_header_says() -> None:
     assert not cv.same_camera(None, later)
 
 
-@pytest.mark.parametrize("field", ["width", "height", "distortion_model", "d", "k", "r", "p"])
+@pytest.mark.parametrize("field", ["width", "height", "distortion_model", "d", "k", "r", "p", "binning_x", "roi"])
 def test_another_camera_is_known_by_each_of_its_values(field: str) -> None:
     other = camera_info()
     if field == "distortion_model":
         other.distortion_model = "fisheye"
-    elif field in ("width", "height"):
+    elif field in ("width", "height", "binning_x"):
         setattr(other, field, 640)
+    elif field == "roi":
+        other.roi.x_offset = 8
     else:
         getattr(other, field)[0] += 1e-3
     assert not cv.same_camera(camera_info(), other)
+
+
+def test_a_region_of_interest_and_binning_move_the_pixels() -> None:
+    """CameraInfo tells the whole picture's matrices; the picture that comes is a part of it, in larger pixels."""
+    info = camera_info()
+    whole = cv.camera_model(info)
+    info.d[0], info.p[3] = -0.1, -1700.0 * 0.12
+    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 320, 120, 640, 480
+    info.binning_x, info.binning_y = 2, 4
+    part = cv.camera_model(info)
+    assert part.size == (320, 120)
+    points = np.array([[0.02, -0.03, 0.6], [-0.05, 0.01, 0.7]])
+    seen = dataclasses.replace(whole, d=np.array(info.d)).project(points)
+    # The first pixel's centre is (0, 0), so its upper left corner (-0.5, -0.5), in both.
+    np.testing.assert_allclose(part.project(points), (seen + 0.5 - (320, 120)) / (2, 4) - 0.5, atol=1e-9)
+    np.testing.assert_allclose(part.rays(part.project(points)), points / points[:, 2:], atol=1e-9)
+    assert part.p[0, 3] / part.p[0, 0] == pytest.approx(-0.12)
+    info.roi.width = 1000
+    with pytest.raises(
+        ValueError, match="region of interest 1000 x 480 at 320, 120 px leaves the picture of 1280 x 720"
+    ):
+        cv.camera_model(info)
 
 
 def test_another_frame_than_expected_is_refused_by_name() -> None:

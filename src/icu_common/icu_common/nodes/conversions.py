@@ -205,31 +205,45 @@ def camera_info_message(model: CameraModel, head: Header) -> CameraInfo:
 
 
 def camera_model(info: CameraInfo, name: str = "camera") -> CameraModel:
-    """Unpack a camera model.
+    """Unpack a camera model, of the pictures as they come: of the region of interest, after binning.
 
     Raises
     ------
     ValueError
-        If the camera is not calibrated or has another distortion model than plumb_bob.
+        If the camera is not calibrated, has another distortion model than plumb_bob, or a region outside its picture.
     """
     if info.distortion_model != "plumb_bob" or len(info.d) != 5:
         raise ValueError(f"distortion {info.distortion_model!r} with {len(info.d)} values: plumb_bob with 5 is needed")
+    # The message tells the size and the matrices of the whole picture, the region before binning, and 0 is "whole".
+    roi, binning = info.roi, (max(info.binning_x, 1), max(info.binning_y, 1))
+    width, height = roi.width or info.width, roi.height or info.height
+    if roi.x_offset + width > info.width or roi.y_offset + height > info.height:
+        raise ValueError(
+            f"region of interest {width} x {height} at {roi.x_offset}, {roi.y_offset} px leaves the picture of "
+            f"{info.width} x {info.height} px"
+        )
+    # A binned pixel covers several, and centres are at whole numbers in both.
+    scale = np.diag([1 / binning[0], 1 / binning[1], 1.0])
+    scale[:2, 2] = [(0.5 - start) / b - 0.5 for start, b in zip((roi.x_offset, roi.y_offset), binning)]
     return CameraModel(
         name=name,
-        width=info.width,
-        height=info.height,
-        k=np.array(info.k).reshape(3, 3),
+        width=width // binning[0],
+        height=height // binning[1],
+        k=scale @ np.array(info.k).reshape(3, 3),
         d=np.array(info.d),
         r=np.array(info.r).reshape(3, 3),
-        p=np.array(info.p).reshape(3, 4),
+        p=scale @ np.array(info.p).reshape(3, 4),
     )
+
+
+_CAMERA_FIELDS = ("width", "height", "distortion_model", "binning_x", "binning_y", "roi")
 
 
 def same_camera(known: CameraInfo | None, info: CameraInfo) -> bool:
     """Return whether two messages hold the same calibration; unpacking each anew costs more than comparing them."""
     return (
         known is not None
-        and (known.width, known.height, known.distortion_model) == (info.width, info.height, info.distortion_model)
+        and all(getattr(known, name) == getattr(info, name) for name in _CAMERA_FIELDS)
         and all(np.array_equal(getattr(known, name), getattr(info, name)) for name in "dkrp")
     )
 
