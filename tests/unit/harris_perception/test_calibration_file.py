@@ -82,6 +82,18 @@ def test_other_cameras_and_machines_are_refused(
         check_fits(stored(), left, right, machine)
 
 
+def test_a_change_is_seen_in_a_picture_whose_corners_the_distortion_does_not_reach() -> None:
+    wide = {"d": np.array([-0.2, 0.0, 0.0, 0.0, 0.0])}
+    check_fits(stored(left=camera(focal=768.0, **wide)), camera(focal=768.0, **wide), None, "bench")
+    with pytest.raises(CalibrationFileError, match="left camera's calibration has changed by"):
+        check_fits(
+            stored(left=camera(focal=768.0, **wide)),
+            camera(focal=768.0, d=np.array([-0.21, 0, 0, 0, 0])),
+            None,
+            "bench",
+        )
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [

@@ -87,6 +87,29 @@ def test_project_is_opencv_and_rays_undo_it() -> None:
     assert np.isnan(model.project([[0, 0, -1]])).all()
 
 
+def test_pixels_that_the_distortion_does_not_reach_have_no_ray() -> None:
+    """Its polynomial bends back 0.86 focal lengths from the centre, and the corners are 0.96 from it."""
+    model = camera(k=[[768, 0, 639.5], [0, 768, 359.5], [0, 0, 1]], d=[-0.2, 0, 0, 0, 0])
+    pixels = np.array([[639.5, 359.5], [100.0, 359.5], [0.0, 0.0], [1279.0, 719.0]])
+    with np.errstate(all="raise"):
+        rectified = model.rectify(pixels)
+    assert np.isnan(rectified).all(axis=1).tolist() == [False, False, True, True]
+    np.testing.assert_allclose(model.project(model.rays(pixels[:2])), pixels[:2], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"r": np.zeros((3, 3))}, r"camera test: r \[\[0\.0, .* is not a rotation"),
+        ({"p": np.zeros((3, 4))}, r"camera test: p has focal length 0\.0, 0\.0, above 0 is needed"),
+    ],
+)
+def test_half_filled_calibrations_are_refused(change: dict[str, object], message: str) -> None:
+    """Drivers that know K only leave R or P at zero: every pixel would become NaN."""
+    with pytest.raises(ValueError, match=message):
+        camera(**change)
+
+
 def test_triangulation_undoes_projection() -> None:
     print("seed", SEED)
     rng = np.random.default_rng(SEED)
@@ -99,6 +122,8 @@ def test_triangulation_undoes_projection() -> None:
     np.testing.assert_allclose(rebuilt, points, atol=1e-8)
     with pytest.raises(ValueError, match="baseline"):
         StereoModel(left=camera(), right=camera())
+    with pytest.raises(ValueError, match=r"rows differ: .*360\.0\] left and .*358\.0\] px right"):
+        StereoModel(left=camera(), right=camera(p=[right_p[0], [0, 1680, 358, 0], right_p[2]]))
 
 
 def test_calibration_file_round_trip(tmp_path: Path) -> None:
@@ -115,3 +140,7 @@ def test_calibration_file_round_trip(tmp_path: Path) -> None:
     path.write_text("image_width: 3\n")
     with pytest.raises(ValueError, match=r"camera\.yaml: not a camera calibration"):
         CameraModel.load(path)
+    for content in (b"%YAML:1.0\n---\nimage_width: 640\n", b"camera_matrix: [1, 2\n", b"\xff\xfe"):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"camera\.yaml: not a camera calibration"):
+            CameraModel.load(path)

@@ -18,6 +18,9 @@ import yaml
 
 from icu_common.core.geometry import Array
 
+_STANDS_STILL = 1e-4
+"""Tangent of a ray's angle; about a tenth of a pixel."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraModel:
@@ -57,6 +60,12 @@ class CameraModel:
             object.__setattr__(self, field_name, value)
         if not (self.k[0, 0] > 0 and self.k[1, 1] > 0):
             raise ValueError(f"camera {self.name} is not calibrated: focal length {self.k[0, 0]}, {self.k[1, 1]}")
+        if np.abs(self.r @ self.r.T - np.eye(3)).max() > 1e-3 or np.linalg.det(self.r) < 0:
+            raise ValueError(f"camera {self.name}: r {self.r.tolist()} is not a rotation; of a single camera it is 1")
+        if not (self.p[0, 0] > 0 and self.p[1, 1] > 0):
+            raise ValueError(
+                f"camera {self.name}: p has focal length {self.p[0, 0]}, {self.p[1, 1]}, above 0 is needed"
+            )
 
     @property
     def size(self) -> tuple[int, int]:
@@ -64,7 +73,10 @@ class CameraModel:
         return self.width, self.height
 
     def rectify(self, raw_px: npt.ArrayLike) -> Array:
-        """Map raw pixels (N, 2) to rectified pixels (N, 2)."""
+        """Map raw pixels (N, 2) to rectified pixels (N, 2); NaN where the distortion has no ray for a pixel.
+
+        That is so in the picture's corners where its polynomial bends back before it reaches them.
+        """
         xy = self._undistort(np.asarray(raw_px, dtype=np.float64).reshape(-1, 2))
         turned = np.column_stack([xy, np.ones(len(xy))]) @ self.r.T @ self.p[:, :3].T
         return np.asarray(turned[:, :2] / turned[:, 2:])
@@ -75,11 +87,13 @@ class CameraModel:
         target: Array = (raw_px - self.k[:2, 2]) / (self.k[0, 0], self.k[1, 1])
         target[:, 0] -= self.k[0, 1] / self.k[0, 0] * target[:, 1]
         xy: Array = target.copy()
-        for _ in range(50):
-            step = target - self._distort(xy)
-            xy = xy + step
-            if not step.size or np.abs(step).max() < 1e-12:
-                break
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(50):
+                step = target - self._distort(xy)
+                xy = xy + step
+                if not step.size or np.nanmax(np.abs(step), initial=0.0) < 1e-12:
+                    break
+            xy[~(np.abs(step).max(axis=1) < _STANDS_STILL)] = np.nan
         return xy
 
     def _distort(self, xy: Array) -> Array:
@@ -122,12 +136,11 @@ class CameraModel:
         Raises
         ------
         ValueError
-            If the file lacks a key, a matrix has the wrong size, or the distortion model is not plumb_bob.
+            If it is no YAML, lacks a key, a matrix has the wrong size, or the distortion model is not plumb_bob.
         """
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
         try:
-            return cls.from_mapping(document)
-        except (KeyError, TypeError, ValueError) as error:
+            return cls.from_mapping(yaml.safe_load(path.read_text(encoding="utf-8")))
+        except (KeyError, TypeError, ValueError, yaml.YAMLError) as error:
             raise ValueError(f"{path}: not a camera calibration: {error!r}") from error
 
     @classmethod
@@ -178,7 +191,7 @@ class StereoModel:
     Raises
     ------
     ValueError
-        If the projections do not belong to one rectified pair (focal lengths differ, no baseline).
+        If the projections do not belong to one rectified pair (focal lengths or rows differ, no baseline).
     """
 
     left: CameraModel
@@ -187,6 +200,9 @@ class StereoModel:
     def __post_init__(self) -> None:
         if abs(self.left.p[0, 0] - self.right.p[0, 0]) > 1e-6 * self.left.p[0, 0]:
             raise ValueError(f"focal lengths differ: {self.left.p[0, 0]} and {self.right.p[0, 0]} px")
+        rows = [model.p[1, 1:3].tolist() for model in (self.left, self.right)]
+        if np.abs(np.subtract(*rows)).max() > 0.01:
+            raise ValueError(f"rows differ: fy and cy of P are {rows[0]} left and {rows[1]} px right")
         if not self.baseline > 0:
             raise ValueError(f"baseline {self.baseline} m: the right camera's P[0, 3] must be negative")
 
