@@ -94,6 +94,34 @@ def test_folders_give_the_pair_with_its_truth(tmp_path: Path, form: str) -> None
     assert half.left.shape == (60, 120) and np.nanmax(half.truth) == 7.5
 
 
+@pytest.mark.parametrize(("scale", "order"), [("-1", "<"), ("-0.003922", "<"), ("1.0", ">")])
+def test_the_size_of_a_float_map_s_scale_means_nothing(tmp_path: Path, scale: str, order: str) -> None:
+    """Middlebury's files of 2014 have -0.003922, and their values are pixels."""
+    known = scene()
+    known.truth[5, 7] = NAN
+    cv2.imwrite(str(tmp_path / "im0.png"), known.left)
+    cv2.imwrite(str(tmp_path / "im1.png"), known.right)
+    rows = np.where(np.isfinite(known.truth), known.truth, np.inf)[::-1]
+    (tmp_path / "disp0.pfm").write_bytes(f"Pf\n240 120\n{scale}\n".encode() + rows.astype(f"{order}f4").tobytes())
+    (found,) = scenes(tmp_path)
+    np.testing.assert_array_equal(found.truth, known.truth)
+    (tmp_path / "disp0.pfm").write_bytes(b"Pf\n240 120\n-1\n" + bytes(100))
+    with pytest.raises(ValueError, match=r"disp0\.pfm is no disparity that can be read"):
+        list(scenes(tmp_path))
+
+
+def test_each_pair_has_a_name_of_its_own(tmp_path: Path, monkeypatch: Any) -> None:
+    """Tables and pictures are filed by it: two pairs in one folder came out as one."""
+    for folder, prefix in (("both", "first"), ("both", "second"), ("more/both", ""), ("alone", "x")):
+        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(tmp_path / folder / f"{prefix}_left.png"), scene().left)
+        cv2.imwrite(str(tmp_path / folder / f"{prefix}_right.png"), scene().right)
+        np.save(tmp_path / folder / f"{prefix}_disp.npy", scene().truth)
+    assert [s.name for s in scenes(tmp_path)] == ["alone", "both_first", "both_second", "more_both"]
+    monkeypatch.chdir(tmp_path / "alone")
+    assert [s.name for s in scenes(Path())] == ["alone"]
+
+
 def test_the_command_prints_and_writes_what_it_found(tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
     write_scene(tmp_path / "one", "npz", scene())
     monkeypatch.setattr("sys.argv", ["stereo", "evaluate", str(tmp_path / "one"), "-o", str(tmp_path / "out")])

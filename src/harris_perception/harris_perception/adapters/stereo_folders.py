@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -38,7 +40,7 @@ def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterat
     """
     if not 0.05 <= scale <= 1.0:
         raise ValueError(f"scale {scale:g}: from 0.05 to 1 is possible")
-    found = False
+    found: list[tuple[str, Path, Path, Path]] = []
     for left in sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES):
         for first, second, known in FORMS:
             if not left.stem.endswith(first):
@@ -47,14 +49,19 @@ def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterat
             right = next((p for s in SUFFIXES if (p := left.with_name(stem + second + s)).is_file()), None)
             truth = next((p for s in _TRUTH_SUFFIXES if (p := left.with_name(stem + known + s)).is_file()), None)
             if right is not None and truth is not None:
-                found = True
-                yield _scene(left, right, truth, truth_scale, scale)
+                found.append((stem, left, right, truth))
     if not found:
         forms = "; ".join(f"*{a}, *{b}, *{c}" for a, b, c in FORMS)
         raise ValueError(f"{folder} has no pair with known disparity: {forms}")
+    folders = Counter(left.resolve().parent.name for _, left, _, _ in found)
+    for stem, left, right, truth in found:
+        name = left.resolve().parent.name
+        if folders[name] > 1:  # results are filed by name: several pairs in one folder, or folders of one name
+            name = "_".join(part for part in (*left.relative_to(folder).parent.parts, stem.rstrip("_")) if part)
+        yield _scene(name, left, right, truth, truth_scale, scale)
 
 
-def _scene(left: Path, right: Path, truth: Path, truth_scale: float, scale: float) -> StereoScene:
+def _scene(name: str, left: Path, right: Path, truth: Path, truth_scale: float, scale: float) -> StereoScene:
     pictures = [read_gray(path) for path in (left, right)]
     disparity = _disparity(truth) * np.float32(truth_scale)
     if scale < 1.0:
@@ -62,7 +69,7 @@ def _scene(left: Path, right: Path, truth: Path, truth_scale: float, scale: floa
         factor = np.float32(size[0] / pictures[0].shape[1])
         pictures = [np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.uint8) for p in pictures]
         disparity = np.asarray(cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST), np.float32) * factor
-    return StereoScene(name=left.parent.name, left=pictures[0], right=pictures[1], truth=disparity)
+    return StereoScene(name=name, left=pictures[0], right=pictures[1], truth=disparity)
 
 
 def _disparity(path: Path) -> npt.NDArray[np.float32]:
@@ -72,6 +79,8 @@ def _disparity(path: Path) -> npt.NDArray[np.float32]:
         if path.suffix == ".npz":
             with np.load(path) as file:
                 values = file[file.files[0]]
+        elif path.suffix == ".pfm":
+            values = _pfm(path.read_bytes())
         elif path.suffix == ".npy":
             values = np.load(path)
         else:
@@ -82,3 +91,17 @@ def _disparity(path: Path) -> npt.NDArray[np.float32]:
         raise ValueError(f"{path} is no disparity picture of one channel")
     disparity = values.astype(np.float32)
     return np.where(np.isfinite(disparity) & (disparity > 0), disparity, np.float32(np.nan))
+
+
+def _pfm(content: bytes) -> npt.NDArray[np.float32]:
+    """Return (H, W) float32 of a portable float map, which begins with the lowest row.
+
+    The scale's sign tells the order of the bytes and its size nothing (vision.middlebury.edu/stereo/submit3,
+    upload-format.html); OpenCV divides by it, which makes Middlebury's own disparities 255 times as large.
+    """
+    head = re.match(rb"Pf\s+(\d+)\s+(\d+)\s+(\S+)\s", content)
+    if head is None:
+        raise ValueError("no portable float map of one channel")
+    width, height, scale = int(head[1]), int(head[2]), float(head[3])
+    values = np.frombuffer(content, "<f4" if scale < 0 else ">f4", width * height, head.end())
+    return values.reshape(height, width)[::-1].astype(np.float32)
