@@ -89,14 +89,15 @@ class Rig:
             self.out[f"{side}/camera_info"].publish(camera_info_message(model, header(1, "")))
         self.ros.spin_until(lambda: self.node._matcher is not None, WITHIN_S)
 
-    def show(self, stamp: int, *, right_late_ns: int = 0, without: str = "") -> None:
+    def show(self, stamp: int, *, right_late_ns: int = 0, without: str = "", deep: bool = False) -> None:
         """Publish one moment: corners first, as nothing promises an order."""
         for i, side in enumerate(("left", "right")):
             head = header(stamp + right_late_ns * i, f"camera_{side}_optical_frame")
             cloud = np.column_stack([CORNERS[i], np.ones(len(CORNERS[i]))])
             if without != f"{side}/corners":
                 self.out[f"{side}/corners"].publish(cloud_message(("u", "v", "response"), cloud, head))
-            self.out[f"{side}/image_raw"].publish(image_message(PICTURES[i], "mono8", head))
+            picture, encoding = (PICTURES[i].astype(np.uint16) * 16, "mono16") if deep else (PICTURES[i], "mono8")
+            self.out[f"{side}/image_raw"].publish(image_message(picture, encoding, head))
 
     def said(self) -> list[str]:
         return [s.message for d in self.diagnostics for s in d.status if s.name == "stereo"]
@@ -125,6 +126,19 @@ def test_points_and_plane_of_a_known_panel(ros: Any) -> None:
     ros.spin_until(lambda: rig.values().get("plane_share"), WITHIN_S)
     assert float(rig.values()["plane_share"]) > 0.85 and int(rig.values()["points"]) == len(xyz)
     ros.spin_until(lambda: "no pictures with corners in the last second" in rig.said()[-1], WITHIN_S, rig.said)
+
+
+def test_pictures_of_12_bits_give_the_points_of_those_of_8(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.calibrate()
+    for number, deep in enumerate((False, True), start=1):
+        rig.show(number * 1_000_000_000, deep=deep)
+        ros.spin_until(lambda n=number: len(rig.points) == n, WITHIN_S, rig.said)
+    shallow, deep_points = (cloud_array(cloud, ("x", "y", "z")) for cloud in rig.points)
+    assert abs(len(deep_points) - len(shallow)) <= 0.05 * len(shallow)
+    ros.spin_until(lambda: len(rig.planes) == 2, WITHIN_S, rig.said)
+    apart = [p.pose.position.z for p in rig.planes]
+    assert apart[0] == pytest.approx(apart[1], abs=0.0001)
 
 
 def test_pairs_are_thinned_by_their_own_stamps(ros: Any) -> None:

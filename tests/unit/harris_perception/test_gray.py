@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harris_perception.core.gray import bgr_of, gray_of, has_color
+from harris_perception.core.gray import bgr_of, eight_bits, gray_of, has_color
 
 BGR = np.array([(200, 30, 60), (10, 255, 90)], np.uint8)
 """Two pixels; the largest value is that of 8 bits, so that deep pictures are the same."""
@@ -32,6 +32,13 @@ def test_colors_are_the_same_of_8_and_of_16_bits(
 def test_a_bayer_pattern_of_one_color_is_that_color(encoding: str) -> None:
     mosaic = np.tile(np.array([[255, 90], [90, 10]]), (5, 6)).astype(np.uint8 if encoding.endswith("8") else np.uint16)
     np.testing.assert_array_equal(bgr_of(mosaic, encoding)[2:-2, 2:-2], np.full((6, 8, 3), (10, 90, 255)))
+
+
+def test_deep_grey_becomes_8_bits_whatever_part_of_16_the_camera_fills() -> None:
+    seen = np.array([[0, 51], [102, 255]], np.uint8)
+    for factor in (4, 16, 257):
+        np.testing.assert_array_equal(eight_bits(seen.astype(np.uint16) * np.uint16(factor)), seen)
+    assert eight_bits(seen) is seen
 
 
 def test_what_is_grey_is_repeated_and_what_is_unknown_refused() -> None:

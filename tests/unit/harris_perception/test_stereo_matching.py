@@ -139,6 +139,8 @@ def test_rectified_pictures_and_rectified_corners_agree() -> None:
         assert (box * rows).sum() / box.sum() + round(v) == pytest.approx(v, abs=0.1)
     with pytest.raises(ValueError, match=r"\(480, 800\)"):
         Rectifier(stereo.left)(raw[:100])
+    with pytest.raises(ValueError, match=r"\(480, 800\) uint16: \(480, 800\) uint8 is calibrated"):
+        Rectifier(stereo.left)(raw.astype(np.uint16))  # type: ignore[arg-type]
 
 
 def test_settings_that_contradict_are_refused() -> None:

@@ -41,7 +41,7 @@ def gray_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[Any]:
     native = picture.astype(picture.dtype.newbyteorder("="), copy=False)
     if encoding in ("mono8", "mono16", "8UC1", "16UC1"):
         return native
-    name = _with_eight_bits(encoding)
+    name = _witheight_bits(encoding)
     code = (_COLOR_TO_GRAY | _BAYER_TO_GRAY).get(name)
     if code is None:
         known = ", ".join(("mono8", *_COLOR_TO_GRAY, *_BAYER_TO_GRAY))
@@ -80,22 +80,25 @@ def bgr_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[np.uint8]:
     native = np.ascontiguousarray(picture, picture.dtype.newbyteorder("="))
     if native.size == 0:
         return np.zeros((*picture.shape[:2], 3), np.uint8)
-    name = _with_eight_bits(encoding)
-    return _eight_bits(native if name == "bgr8" else cv2.cvtColor(native, _TO_BGR[name]))
+    name = _witheight_bits(encoding)
+    return eight_bits(native if name == "bgr8" else cv2.cvtColor(native, _TO_BGR[name]))
 
 
 def has_color(encoding: str) -> bool:
     """Tell whether pictures of an encoding that :func:`bgr_of` takes have color."""
-    name = _with_eight_bits(encoding)
+    name = _witheight_bits(encoding)
     return name == "bgr8" or name in _TO_BGR
 
 
-def _with_eight_bits(encoding: str) -> str:
+def _witheight_bits(encoding: str) -> str:
     return encoding.removesuffix("16") + "8" if encoding.endswith("16") else encoding
 
 
-def _eight_bits(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """Return 8 bits of each value; of other types the largest becomes 255, and what is not finite 0."""
+def eight_bits(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Return 8 bits of each value; of other types the picture's largest becomes 255, and what is not finite 0.
+
+    Not the upper 8 bits: most deep cameras fill 10 or 12 of the 16.
+    """
     if picture.dtype == np.uint8:
         return picture
     finite = np.nan_to_num(picture.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
@@ -104,7 +107,7 @@ def _eight_bits(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 
 def bgr_of_gray(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     """Return (H, W, 3) uint8 to draw on; 16-bit and float pictures are stretched to their largest value."""
-    return np.repeat(_eight_bits(gray)[:, :, None], 3, axis=2)
+    return np.repeat(eight_bits(gray)[:, :, None], 3, axis=2)
 
 
 def grey_level_of(gray: npt.NDArray[Any]) -> float:

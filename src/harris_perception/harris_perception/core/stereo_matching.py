@@ -118,10 +118,11 @@ class Rectifier:
         Raises
         ------
         ValueError
-            If the picture's size is not the calibrated one.
+            If the picture's size is not the calibrated one, or it is not 8 bits deep.
         """
-        if gray.shape != (self._model.height, self._model.width):
-            raise ValueError(f"picture {gray.shape}: {(self._model.height, self._model.width)} is calibrated")
+        if gray.shape != (self._model.height, self._model.width) or gray.dtype != np.uint8:
+            calibrated = self._model.height, self._model.width
+            raise ValueError(f"picture {gray.shape} {gray.dtype}: {calibrated} uint8 is calibrated")
         return np.asarray(cv2.remap(gray, self._maps[0], self._maps[1], cv2.INTER_LINEAR), np.uint8)
 
 

@@ -14,7 +14,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from harris_perception.core.dense_stereo import DELTA_PX, F32, DenseConfig, DenseStereo, SemiGlobalConfig, warm
-from harris_perception.core.gray import bgr_of, gray_of
+from harris_perception.core.gray import bgr_of, eight_bits, gray_of
 from harris_perception.core.pairing import Pairing
 from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
 from icu_common.core import frames
@@ -117,7 +117,7 @@ class DenseStereoNode(Node):
 
     def _match(self, stereo: DenseStereo, left: Image, right: Image) -> None:
         start = time.perf_counter()
-        disparity = stereo.disparity(*(gray_of(image_array(i), i.encoding) for i in (left, right)))
+        disparity = stereo.disparity(*(eight_bits(gray_of(image_array(i), i.encoding)) for i in (left, right)))
         head = header(stamp_ns(left.header.stamp), frames.CAMERA_LEFT)
         if self._disparity.get_subscription_count() > 0:
             searched = stereo.least_px, stereo.largest_px

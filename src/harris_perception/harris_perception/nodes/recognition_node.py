@@ -19,7 +19,7 @@ from std_msgs.msg import Float32, String
 from visualization_msgs.msg import MarkerArray
 
 from harris_perception.core.fiducials import MarkerFinder, SeenMarker
-from harris_perception.core.gray import bgr_of, gray_of
+from harris_perception.core.gray import bgr_of, eight_bits, gray_of
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, with_plane
@@ -231,7 +231,7 @@ class RecognitionNode(Node):
         start = time.perf_counter()
         sighting = None
         try:
-            gray = _eight_bits(gray_of(image_array(message), message.encoding))
+            gray = eight_bits(gray_of(image_array(message), message.encoding))
             self._with_corners += corners is not None
             xy = corners if corners is not None else self._detector.detect(gray).xy
             camera = self._camera[1]
@@ -329,10 +329,6 @@ def _designated(config: RecognitionNodeConfig) -> tuple[PanelLayout, npt.NDArray
     if picture is None:
         raise ConfigError(f"template: {config.template} is not a picture that can be read")
     return layout, picture
-
-
-def _eight_bits(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    return gray if gray.dtype == np.uint8 else (gray >> 8).astype(np.uint8)
 
 
 def main() -> int:

@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
-from harris_perception.core.gray import gray_of
+from harris_perception.core.gray import eight_bits, gray_of
 from harris_perception.core.pairing import Pairing
 from harris_perception.core.plane_fit import PlaneConfig, PlaneFit, fit_plane
 from harris_perception.core.stereo_matching import (
@@ -69,7 +69,8 @@ class Matcher:
     def points(self, images: tuple[Image, Image], corners: tuple[PointCloud2, PointCloud2]) -> Array:
         """Return (N, 4): x, y, z and the depth's standard deviation, metres, left rectified frame."""
         models = (self._stereo.left, self._stereo.right)
-        left, right = (rectify(gray_of(image_array(i), i.encoding)) for rectify, i in zip(self._rectify, images))
+        grays = (eight_bits(gray_of(image_array(i), i.encoding)) for i in images)
+        left, right = (rectify(gray) for rectify, gray in zip(self._rectify, grays))
         left_px, right_px = (m.rectify(cloud_array(cloud, ("u", "v"))) for m, cloud in zip(models, corners))
         matches = match_corners(left, right, left_px, right_px, self._limits, self._config.matching)
         return triangulated(self._stereo, matches)
