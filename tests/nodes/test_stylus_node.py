@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
@@ -34,10 +36,10 @@ def test_the_tip_is_published_where_it_is_certain(ros: Any) -> None:
     matched = [*images.values(), *infos.values()]
     ros.spin_until(lambda: all(p.get_subscription_count() for p in matched) and probe.count_publishers("tip"), WITHIN_S)
 
-    def show(stamp: int, pictures: list[Any]) -> None:
+    def show(stamp: int, pictures: list[Any], encoding: str = "bgr8") -> None:
         for side, picture in zip(models, pictures):
             infos[side].publish(camera_info_message(models[side], header(stamp, f"camera_{side}_optical_frame")))
-            images[side].publish(image_message(picture, "bgr8", header(stamp, f"camera_{side}_optical_frame")))
+            images[side].publish(image_message(picture, encoding, header(stamp, f"camera_{side}_optical_frame")))
 
     def said() -> list[str]:
         return [s.message for d in diagnostics for s in d.status if s.name == "stylus_tracker"]
@@ -61,6 +63,11 @@ def test_the_tip_is_published_where_it_is_certain(ros: Any) -> None:
     ros.spin_until(lambda: any("(100, 800, 3)" in text for text in said()), WITHIN_S, said)
     ros.spin_until(lambda: "no pairs of pictures in the last second" in said()[-1], WITHIN_S, said)
     assert len(tips) == 2
+    show(6_000_000_000, [cv2.cvtColor(picture, cv2.COLOR_BGR2BGRA) for picture in second], "bgra8")
+    ros.spin_until(lambda: len(tips) == 3, WITHIN_S, said)
+    assert point_array(tips[2]) == pytest.approx(point_array(tips[1]), abs=1e-9)
+    show(7_000_000_000, [picture[:, :, 0] for picture in second], "mono8")
+    ros.spin_until(lambda: any("'mono8' has no color" in text for text in said()), WITHIN_S, said)
 
 
 def test_the_parameter_file_has_the_settings_names() -> None:

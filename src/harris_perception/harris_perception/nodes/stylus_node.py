@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 
+from harris_perception.core.gray import bgr_of, has_color
 from harris_perception.core.pairing import Pairing
 from harris_perception.core.stylus import Search, StylusConfig, StylusTracker
 from harris_perception.nodes.stereo_calibration import StereoCalibration
@@ -49,7 +52,7 @@ class StylusNode(Node):
         if pair is None or self._tracker is None:
             return
         try:
-            self._last = self._tracker.find(image_array(pair[0]), image_array(pair[1]))
+            self._last = self._tracker.find(_color(pair[0]), _color(pair[1]))
         except ValueError as error:
             self._last = Search(tip=None, reason=str(error))
         self._seen, self._missed = self._seen + (self._last.tip is not None), self._missed + (self._last.tip is None)
@@ -74,6 +77,12 @@ class StylusNode(Node):
         self._diagnostics.publish(
             DiagnosticArray(header=header(self.get_clock().now().nanoseconds, ""), status=[status])
         )
+
+
+def _color(image: Image) -> npt.NDArray[np.uint8]:
+    if not has_color(image.encoding):
+        raise ValueError(f"encoding {image.encoding!r} has no color, by which the ball is found")
+    return bgr_of(image_array(image), image.encoding)
 
 
 def main() -> int:
