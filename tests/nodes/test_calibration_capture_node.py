@@ -29,7 +29,7 @@ def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Pa
         folder.mkdir()
     collection, lines = ViewCollection(BOARD, wanted=2), []
     topics = [f"/stereo/{side}/image_raw" for side in ("left", "right")]
-    ros.node(lambda **o: CalibrationCaptureNode(topics, folders, collection, lines.append, **o))
+    node = ros.node(lambda **o: CalibrationCaptureNode(topics, folders, collection, lines.append, **o))
     probe = ros.plain()
     reports = ros.collect(probe, DiagnosticArray, "/diagnostics")
     coverage = ros.collect(probe, String, "calibration/camera_coverage", qos.LATCHED)
@@ -66,3 +66,17 @@ def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Pa
     publishers[1].publish(image_message(np.full_like(shown[0], 90), "mono8", header(stamp + 400_000_000, "camera")))
     ros.spin_until(lambda: any("not seen by both" in line for line in lines), 20, lambda: lines)
     assert len(lines) == count + 1 and len(collection.kept) == 2
+
+    # Cameras that run freely never give one, and a deep picture is looked at as one of 8 bits.
+    for number in range(12):
+        for side, late in enumerate((0, 3_200_000)):
+            taken = stamp + 500_000_000 + number * 33_000_000 + late
+            publishers[side].publish(image_message(shown[0], "mono8", header(taken, "camera")))
+            ros.spin_until(lambda s=side, t=taken: (node._newest[s] or (0,))[0] == t, 20)
+    apart = "both cameras' pictures are 3.2 ms apart, at most 2 are one moment"
+    ros.spin_until(lambda: any(apart in line for line in lines), 20, lambda: lines)
+    before = len(lines)
+    for publisher in publishers:
+        deep = shown[0].astype(np.uint16) * 16
+        publisher.publish(image_message(deep, "mono16", header(stamp + 2_000_000_000, "camera")))
+    ros.spin_until(lambda: len(lines) > before and "hold the board still" in lines[-1], 20, lambda: lines)

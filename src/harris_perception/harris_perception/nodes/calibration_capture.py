@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,13 +20,15 @@ from std_msgs.msg import String
 
 from harris_perception.core.board import Board
 from harris_perception.core.board_detection import BoardDetector
-from harris_perception.core.gray import gray_of
+from harris_perception.core.gray import eight_bits, gray_of
 from harris_perception.core.view_collection import ViewCollection
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import diagnostic_status, header, image_array, stamp_ns
 from icu_common.nodes.runtime import prepare_transport
 
 _MAX_APART_NS = 2_000_000
+_MANY = 10
+"""So many pictures without a partner are no accident."""
 
 
 class CalibrationCaptureNode(Node):
@@ -60,6 +63,7 @@ class CalibrationCaptureNode(Node):
         self._detector = BoardDetector(collection.board, quick=True)
         self._folders = [Path(folder) for folder in folders]
         self._newest: list[tuple[int, npt.NDArray[np.uint8]] | None] = [None] * len(topics)
+        self._apart_ns: deque[int] = deque(maxlen=30)
         self._coverage = self.create_publisher(String, "calibration/camera_coverage", qos.LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         self.create_timer(1.0, self._report)
@@ -68,16 +72,23 @@ class CalibrationCaptureNode(Node):
 
     def _on_image(self, side: int, message: Image) -> None:
         try:
-            gray = np.array(gray_of(image_array(message), message.encoding))
+            gray = np.array(eight_bits(gray_of(image_array(message), message.encoding)))
         except ValueError as error:
             self._hint = f"picture refused: {error}"
             return
         self._newest[side] = stamp_ns(message.header.stamp), gray
         moment = [item for item in self._newest if item is not None]
         stamps = [stamp for stamp, _ in moment]
-        if len(moment) == len(self._newest) and max(stamps) - min(stamps) <= _MAX_APART_NS:
+        if len(moment) < len(self._newest):
+            return
+        self._apart_ns.append(max(stamps) - min(stamps))
+        if self._apart_ns[-1] <= _MAX_APART_NS:
             self._newest = [None] * len(self._newest)
+            self._apart_ns.clear()
             self._look([gray for _, gray in moment])
+        elif len(self._apart_ns) >= _MANY:
+            best, most = min(self._apart_ns) / 1e6, _MAX_APART_NS / 1e6
+            self._hint = f"both cameras' pictures are {best:.1f} ms apart, at most {most:g} are one moment"
 
     def _look(self, pictures: Sequence[npt.NDArray[np.uint8]]) -> None:
         number = len(self.collection.kept)
