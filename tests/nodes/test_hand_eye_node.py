@@ -191,6 +191,15 @@ def test_run_is_refused_with_what_is_missing(ros: Any) -> None:
     assert rig.goals == []
 
 
+def test_a_run_that_could_only_fail_moves_nothing(ros: Any) -> None:
+    rig = Rig(ros, **{"run.y_max_m": 0.05})
+    rig.cameras()
+    rig.say_driver("idle")
+    done, why = rig.call("run")
+    assert not done and why.startswith("the run's places do not tell the calibration: the samples"), why
+    assert "at least 60 mm" in why and rig.goals == []
+
+
 def test_samples_by_hand(ros: Any) -> None:
     rig = Rig(ros)
     rig.cameras()

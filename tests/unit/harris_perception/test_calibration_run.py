@@ -22,9 +22,10 @@ from harris_perception.core.calibration_run import (
     SendGoal,
     StillConfig,
     StillWatch,
+    check_plan,
     plan,
 )
-from harris_perception.core.hand_eye import HandEyeConfig
+from harris_perception.core.hand_eye import DegenerateError, HandEyeConfig
 from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Transform
 from icu_common.core.results import GoalResult, Outcome
@@ -262,8 +263,35 @@ def test_still_watch_wants_a_resting_machine_and_a_steady_tip() -> None:
         ({"y_max_m": 0.02}, r"y_max_m = 0\.02 is not above y_min_m = 0\.03"),
         ({"heights_m": ()}, "at least one height"),
         ({"heights_m": (0.01,)}, "above its maximum 0 m"),
+        ({"columns": 2, "rows": 2}, "columns = 2, rows = 2: at least 3 of one are needed, for two held-out places"),
     ],
 )
 def test_impossible_plans_are_refused(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         RunConfig(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("run", "solver", "message"),
+    [
+        ({"y_max_m": 0.08}, {}, r"\(300 mm long, 50\.0 mm across\)"),
+        ({"x_max_m": 0.06, "y_max_m": 0.06}, {}, r"too close together \(.* mm\): move at least 60 mm in x and in y"),
+        ({}, {"min_samples": 25}, "24 samples, 25 are needed"),
+        ({"mounting": "carriage"}, {"min_samples": 13}, "12 samples, 13 are needed"),
+    ],
+)
+def test_a_plan_that_cannot_be_solved_is_refused_before_it_moves(
+    run: dict[str, Any], solver: dict[str, Any], message: str
+) -> None:
+    check_plan(RunConfig(), HandEyeConfig())
+    with pytest.raises(DegenerateError, match=message):
+        check_plan(RunConfig(**run), HandEyeConfig(**solver))
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(2, 3), (3, 3), (4, 3), (5, 4), (2, 11)])
+def test_as_many_places_are_held_out_as_are_asked_for(columns: int, rows: int) -> None:
+    between = (columns - 1) * (rows - 1)
+    for held_out in (2, 4, 6, 12):
+        stops = plan(RunConfig(columns=columns, rows=rows, held_out=held_out))
+        places = {(s.x, s.y) for s in stops if s.purpose is Purpose.CHECK}
+        assert len(places) == min(held_out, between)

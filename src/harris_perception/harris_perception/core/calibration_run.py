@@ -21,7 +21,16 @@ from harris_perception.core.carriage_camera import (
     held_out_on_carriage,
     origin_place,
 )
-from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Place, Sample, calibrate, tip_place
+from harris_perception.core.hand_eye import (
+    DegenerateError,
+    HandEye,
+    HandEyeConfig,
+    Place,
+    Sample,
+    calibrate,
+    checked,
+    tip_place,
+)
 from harris_perception.core.planar_pose import FacePoints
 from icu_common.core.camera_model import StereoModel
 from icu_common.core.config import Config, ConfigError, setting
@@ -61,7 +70,7 @@ class RunConfig(Config):
         maximum=0.0,
         unit="m",
     )
-    held_out: int = setting(4, "Places between the others that check the result", minimum=2, maximum=50)
+    held_out: int = setting(4, "Places between the others, if there are so many, that check it", minimum=2, maximum=50)
     held_out_height_m: float = setting(-0.006, "Their height", minimum=-0.5, maximum=0.0, unit="m")
     backlash_places: int = setting(
         2, "Places at the lower end of each axis, entered from above, that tell the backlash", minimum=0, maximum=20
@@ -84,6 +93,8 @@ class RunConfig(Config):
                 raise ConfigError(f"{axis}_max_m = {high} is not above {axis}_min_m = {low}")
         if not self.heights_m:
             raise ConfigError("heights_m = (): at least one height is needed")
+        if self.columns == self.rows == 2:
+            raise ConfigError("columns = 2, rows = 2: at least 3 of one are needed, for two held-out places between")
 
 
 class StillWatch:
@@ -194,13 +205,26 @@ def plan(config: RunConfig) -> list[Stop]:
             stops += [Stop(float(x), float(y), z, Purpose.FIT) for z in heights]
     between = [(float(x), float(y)) for y in (ys[1:] + ys[:-1]) / 2 for x in (xs[1:] + xs[:-1]) / 2]
     # Places at the golden ratio's steps are spread evenly however many are wanted.
-    chosen = sorted({int(i * 0.618034 * len(between)) % len(between) for i in range(config.held_out)})
-    for x, y in (between[i] for i in chosen):
+    spread = [int(i * 0.618034 * len(between)) % len(between) for i in range(config.held_out)]
+    chosen = list(dict.fromkeys([*spread, *range(len(between))]))[: config.held_out]
+    for x, y in (between[i] for i in sorted(chosen)):
         stops.append(Stop(x - back, y - back, 0.0, Purpose.APPROACH))
         stops.append(Stop(x, y, config.held_out_height_m, Purpose.CHECK))
     stops += _from_both_sides(config)
     last = stops[-1]
     return [*stops, Stop(last.x, last.y, 0.0, Purpose.PARK)]
+
+
+def check_plan(config: RunConfig, solver: HandEyeConfig) -> None:
+    """Refuse a plan from which nothing could be solved, before anything moves.
+
+    Raises
+    ------
+    DegenerateError
+        As the solver would at the end of the run.
+    """
+    readings = [np.array([s.x, s.y, -s.z]) for s in plan(config) if s.purpose is Purpose.FIT]
+    checked([Sample(reading=r, tip=r, covariance=np.zeros((3, 3))) for r in readings], "the tip", solver)
 
 
 def _from_both_sides(config: RunConfig) -> list[Stop]:

@@ -36,6 +36,7 @@ from harris_perception.core.calibration_run import (
     SendGoal,
     StillConfig,
     StillWatch,
+    check_plan,
 )
 from harris_perception.core.carriage_camera import (
     MAX_CONTACTS,
@@ -418,6 +419,10 @@ class HandEyeNode(Node):
             raise _Refused(f"the driver says {self._driver!r}: connected, homed and idle is needed")
         cameras = self._pair()
         config = self._live.config
+        try:
+            check_plan(config.run, config.solver)
+        except DegenerateError as error:
+            raise _Refused(f"the run's places do not tell the calibration: {error}") from error
         self._samples.clear()
         self._panels.clear()
         # The controller still turns goals into readings with the calibration that it has.

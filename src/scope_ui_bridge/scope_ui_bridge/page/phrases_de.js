@@ -414,6 +414,7 @@ export const PHRASES_DE = [
   ["the calibration in use is refused: {}", "die benutzte Kalibrierung wird abgelehnt: {}"],
   ["the stored calibration is refused: {}", "die gespeicherte Kalibrierung wird abgelehnt: {}"],
   ["the calibration could not be saved: {}", "die Kalibrierung konnte nicht gesichert werden: {}"],
+  ["the run's places do not tell the calibration: {}", "die Orte des Laufs ergeben keine Kalibrierung: {}"],
   ["no camera_info of the {} camera has arrived", "von der {} Kamera kam keine camera_info"],
   ["camera_info: {}", "camera_info: {}"],
   ["focal lengths differ: {} and {} px", "die Brennweiten sind verschieden: {} und {} px"],
