@@ -166,6 +166,10 @@ def test_mixed_picture_sizes_are_refused() -> None:
 
 def test_swapped_and_stacked_cameras_are_refused() -> None:
     given = pairs(7)
+    with pytest.raises(
+        CalibrationError, match=r"come out 0\.000 mm apart, at least 1 mm .* pictures of the same camera"
+    ):
+        calibrate_stereo(BOARD, [(a, a) for a, _ in given], CONFIG)
     with pytest.raises(CalibrationError, match="swapped"):
         calibrate_stereo(BOARD, [(b, a) for a, b in given], CONFIG)
     rng = np.random.default_rng(7)

@@ -22,6 +22,7 @@ from icu_common.core.geometry import Array
 
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
 _MIN_SPREAD_DEG = 6.0
+_LEAST_BASELINE_M = 0.001
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-10)
 
 
@@ -425,6 +426,12 @@ def calibrate_stereo(
 
 def _require_side_by_side(shift: Array) -> None:
     x, y, _ = shift
+    apart = float(np.linalg.norm(shift))
+    if apart < _LEAST_BASELINE_M:
+        raise CalibrationError(
+            f"the cameras come out {apart * 1e3:.3f} mm apart, at least {_LEAST_BASELINE_M * 1e3:g} mm are needed: "
+            "do both sides have pictures of the same camera?"
+        )
     if abs(y) > abs(x):
         raise CalibrationError(
             f"the right camera is {abs(y):.3f} m above or below the left one and {abs(x):.3f} m beside it: "
