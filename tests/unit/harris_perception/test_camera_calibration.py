@@ -164,6 +164,25 @@ def test_mixed_picture_sizes_are_refused() -> None:
         calibrate_camera(BOARD, given, CONFIG)
 
 
+def test_pairs_count_that_show_the_same_part_of_the_board() -> None:
+    """Of a charuco board each camera may see another part; what both see may be one column, or nothing."""
+    board, rng = Board(kind="charuco", columns=5, rows=8, square_m=0.03, marker_m=0.02), np.random.default_rng(3)
+    where = poses(rng, board, 9)
+    right = pair_poses(where, np.eye(3), np.array([-0.1, 0.0, 0.0]))
+    given = list(zip(exact(board, camera(), where, rng, 0.1), exact(board, camera("right"), right, rng, 0.1)))
+
+    def part(view: BoardView, which: Any) -> BoardView:
+        return replaced(view, ids=view.ids[which], xy=view.xy[which])
+
+    (a, b), column = given[4], given[4][0].ids % 5
+    given[4] = part(a, column <= 2), part(b, column >= 2)
+    result = calibrate_stereo(board, given, CONFIG)
+    assert len(result.views) == 8 and result.stereo.baseline == pytest.approx(0.1, rel=0.01)
+    apart = [(part(a, a.ids < 20), part(b, b.ids >= 20)) for a, b in given[:4] + given[5:]]
+    with pytest.raises(CalibrationError, match="see the same part of the board in 0 of 8 pairs of pictures, at least"):
+        calibrate_stereo(board, apart, CONFIG)
+
+
 def test_swapped_and_stacked_cameras_are_refused() -> None:
     given = pairs(7)
     with pytest.raises(

@@ -38,6 +38,12 @@ class BoardView:
     xy: Array
 
 
+def are_enough(board: Board, ids: npt.NDArray[np.int64]) -> bool:
+    """Return whether corners of these numbers (N,) tell where the board is: 8 or more, not all on one line of it."""
+    rows, columns = np.divmod(ids, board.columns)
+    return len(ids) >= _MIN_CORNERS and bool(np.ptp(rows) > 0 and np.ptp(columns) > 0)
+
+
 class BoardDetector:
     """Finds one board.
 
@@ -70,8 +76,7 @@ class BoardDetector:
         if found is None:
             return None
         ids, xy = found
-        rows, columns = np.divmod(ids, self._board.columns)
-        if len(ids) < _MIN_CORNERS or np.ptp(rows) == 0 or np.ptp(columns) == 0:
+        if not are_enough(self._board, ids):
             return None
         size = (gray.shape[1], gray.shape[0])
         return BoardView(name=name, size=size, ids=ids, xy=self._refined(gray, xy))

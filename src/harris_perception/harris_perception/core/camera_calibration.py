@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from harris_perception.core.board import Board
-from harris_perception.core.board_detection import BoardView
+from harris_perception.core.board_detection import BoardView, are_enough
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import Config, setting
 from icu_common.core.geometry import Array
@@ -373,7 +373,12 @@ def calibrate_stereo(
         If the pairs cannot be calibrated from, or the cameras are swapped or above each other.
     """
     matched = [common_corners(board, left, right) for left, right in pairs]
-    matched = [pair for pair in matched if len(pair[0].ids) >= 8]
+    matched = [pair for pair in matched if are_enough(board, pair[0].ids)]
+    if len(matched) < config.min_views and len(matched) < len(pairs):
+        raise CalibrationError(
+            f"both cameras see the same part of the board in {len(matched)} of {len(pairs)} pairs of pictures, at "
+            f"least {config.min_views} are needed: hold the board where both see most of it"
+        )
 
     def once(kept: Sequence[tuple[BoardView, BoardView]], left_out: tuple[ViewError, ...]) -> StereoCalibration:
         alone = CalibrationConfig(
