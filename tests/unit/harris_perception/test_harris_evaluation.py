@@ -358,6 +358,11 @@ def test_best_on_average_weighs_every_change_alike() -> None:
         (["detect", "PICTURE", "--select"], "--select needs --scales"),
         (["detect", "PICTURE", "--edges", "--labels", "l.jpg"], "l.jpg: the name must end in one of .png"),
         (["match", "PICTURE", "PICTURE", "-o", "/nowhere/m.png", "--table", "x.txt"], "x.txt: the name must end in"),
+        (["detect", "HUGE"], "CV_IO_MAX_IMAGE_PIXELS"),
+        (["detect", "PICTURE", "-o", "PICTURE"], "p.png: the same file is read"),
+        (["match", "NARROW", "PICTURE", "-o", "PICTURE"], "p.png: the same file is read"),
+        (["detect", "PICTURE", "--edges", "-o", "x.png", "--labels", "./x.png"], "is written by --output"),
+        (["detect", "PICTURE", "--edges", "--table", "x.csv", "--chains", "x.csv"], "is written by --table"),
         (["evaluate", "CUT", "-o", "OUT"], "H1to3p is missing"),
         (["evaluate", "FLAT", "-o", "OUT"], "H1to2p is no homography"),
     ],
@@ -366,6 +371,9 @@ def test_mistakes_end_with_one_line(
     arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cv2.imwrite(str(tmp_path / "p.png"), photograph())
+    whole = (tmp_path / "p.png").read_bytes()
+    # Its header says 65535 x 65535; OpenCV looks at that before the rest.
+    (tmp_path / "h.pgm").write_bytes(b"P5 65535 65535 255 ")
     cv2.imwrite(str(tmp_path / "n.png"), np.full((1, 300), 90, np.uint8))
     for folder, pictures, homography in (("EMPTY", 0, ""), ("CUT", 3, "1 0 0 0 1 0 0 0 1"), ("FLAT", 2, "1 0 0 0 1 0")):
         (tmp_path / folder).mkdir()
@@ -374,6 +382,8 @@ def test_mistakes_end_with_one_line(
         if pictures:
             (tmp_path / folder / "H1to2p").write_text(homography)
     names = {"PICTURE": "p.png", "NARROW": "n.png", "OUT": "out", "EMPTY": "EMPTY", "CUT": "CUT", "FLAT": "FLAT"}
+    names["HUGE"] = "h.pgm"
     assert main([str(tmp_path / names[a]) if a in names else a for a in arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and words in error and error.count("\n") == 1
+    assert (tmp_path / "p.png").read_bytes() == whole

@@ -23,7 +23,7 @@ def read_gray(path: Path) -> npt.NDArray[np.uint8]:
     Raises
     ------
     ValueError
-        If the file is missing or no picture.
+        If the file is missing, no picture, or has more pixels than OpenCV reads.
     """
     return _eight_bits(read_deep_gray(path))
 
@@ -58,7 +58,10 @@ def _eight_bits(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 def _read(path: Path, how: int) -> npt.NDArray[Any]:
     if not path.exists():
         raise ValueError(f"{path} does not exist")
-    picture = cv2.imread(str(path), how) if path.is_file() else None
+    try:
+        picture = cv2.imread(str(path), how) if path.is_file() else None
+    except cv2.error as error:  # more pixels than OpenCV reads
+        raise ValueError(f"{path} cannot be read: {error.err} does not hold") from error
     if picture is None:
         raise ValueError(f"{path} is no picture that can be read")
     return np.asarray(picture)

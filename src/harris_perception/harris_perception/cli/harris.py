@@ -224,12 +224,26 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _check_files(options: argparse.Namespace) -> None:
+    """Refuse to write over a picture that is read, or two results into one file."""
+    given = vars(options)
+    taken = {given[name].resolve(): "is read" for name in ("picture", "first", "second") if name in given}
+    for name in ("output", "table", "labels", "chains"):
+        path = given.get(name)
+        if path is None:
+            continue
+        if path.resolve() in taken:
+            raise ValueError(f"--{name} {path}: the same file {taken[path.resolve()]}, another name is needed")
+        taken[path.resolve()] = f"is written by --{name}"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; errors in what the user gave end with code 2 and one line."""
     options = _parser().parse_args(arguments)
     try:
         if options.run is detect and options.edges is None and (options.labels or options.chains or options.set_edges):
             raise ValueError("--labels, --chains and --set-edges need --edges")
+        _check_files(options)
         for table in (getattr(options, "table", None), getattr(options, "chains", None)):
             if table is not None:
                 check_table(table)
