@@ -83,6 +83,36 @@ def test_what_does_not_make_a_panel_is_refused(
     assert code == 1 and words in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (["--model", "../elsewhere"], "model '../elsewhere': a letter, then up to 40"),
+        (["--size-mm", "inf", "150"], "inf x 600 px at 4 px/mm: sides from 48 to 8192 px"),
+        (["--size-mm", "320", "nan"], "1280 x nan px at 4 px/mm: sides from 48 to 8192 px"),
+        (["--px-per-mm", "inf"], "inf x inf px at inf px/mm: sides from 48 to 8192 px"),
+        (["--corners", "1,2,3", "2,2", "3,3", "4,4"], "--corners 1,2,3 2,2 3,3 4,4: pixels u,v are needed"),
+        (["missing.png"], "missing.png does not exist"),
+    ],
+)
+def test_what_is_out_of_bounds_ends_with_one_line_and_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: list[str], words: str
+) -> None:
+    path, corners, pointed = photo(tmp_path)
+    out = tmp_path / "scopes"
+    given = ["--model", "m", "--size-mm", "320", "150", "--corners", *corners, *pointed, "-o", str(out)]
+    source = [] if changes == ["missing.png"] else [str(path)]
+    assert main(["picture", *source, *given, *changes]) == 1
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
+    assert not out.exists() and [p.name for p in tmp_path.iterdir()] == ["photo.png"]
+
+
+def test_a_drawing_of_an_unknown_kind_ends_with_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(scene.LAYOUT), "--drawing", str(tmp_path / "face.xyz")]) == 1
+    error = capsys.readouterr().err
+    assert "face.xyz cannot be written" in error and error.count("\n") == 1
+
+
 def request(folder: Path, **changes: object) -> dict[str, object]:
     """Return what the page would send for the same picture."""
     _, corners, pointed = photo(folder)
@@ -124,6 +154,8 @@ def test_with_its_calibration_the_cameras_distortion_does_not_stay_in_the_layout
         ({"controls": [["A", "lever", 1, 2, 3, 4, 5]]}, "kind 'lever' is none of"),
         ({"controls": [["A", "button", 1, 2]]}, "not understood"),
         ({"size_mm": "big"}, "not understood"),
+        ({"stamp": float("inf")}, "not understood"),
+        ({"size_mm": [10**400, 150]}, "not understood"),
     ],
 )
 def test_a_request_that_makes_no_panel_is_refused(tmp_path: Path, changes: dict[str, object], words: str) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.adapters.panel_files import how_to_start, write_panel
+from harris_perception.adapters.picture_files import read_bgr
 from harris_perception.core.panel_teaching import Lesson, TeachingError, parse_pointed, teach
 from harris_perception.core.panel_template import draw_panel
 from harris_perception.core.recognition import PanelRecogniser
@@ -58,11 +59,9 @@ def _check(given: argparse.Namespace) -> int:
 
 
 def _picture(given: argparse.Namespace) -> int:
-    photo = cv2.imread(str(given.picture), cv2.IMREAD_COLOR)
-    if photo is None:
-        raise TeachingError(f"{given.picture} is not a picture that can be read")
+    photo = read_bgr(given.picture)
     try:
-        corners = [[float(n) for n in text.split(",")] for text in given.corners]
+        corners = [(float(u), float(v)) for u, v in (text.split(",") for text in given.corners)]
     except ValueError:
         raise TeachingError(f"--corners {' '.join(given.corners)}: pixels u,v are needed") from None
     lesson = Lesson(
@@ -73,7 +72,7 @@ def _picture(given: argparse.Namespace) -> int:
         controls=tuple(parse_pointed(text) for text in given.control),
         px_per_mm=given.px_per_mm,
     )
-    taught = teach(np.asarray(photo, np.uint8), lesson)
+    taught = teach(photo, lesson)
     _say_that_it_is_recognisable(taught.layout)
     layout, template = write_panel(taught, given.out, given.picture.name)
     print(f"wrote {layout} and {template}; start with:\n  {how_to_start(taught, template)}")
@@ -89,7 +88,11 @@ def _say_that_it_is_recognisable(layout: PanelLayout) -> None:
 
 
 def _write(path: Path, picture: npt.NDArray[np.uint8]) -> None:
-    if not cv2.imwrite(str(path), picture):
+    try:
+        written = cv2.imwrite(str(path), picture)
+    except cv2.error as error:
+        raise TeachingError(f"{path} cannot be written: {error.err}") from error
+    if not written:
         raise TeachingError(f"{path} cannot be written")
 
 

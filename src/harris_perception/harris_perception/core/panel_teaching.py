@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -97,9 +98,10 @@ def mm_from_pixel(corners_px: npt.ArrayLike, size_mm: tuple[float, float]) -> Ar
 
 def straight_on(picture: Picture, to_mm: Array, size_mm: tuple[float, float], px_per_mm: float) -> Picture:
     """Return the face seen straight on, from edge to edge: what recognition takes as ``template``."""
-    width, height = (round(side * px_per_mm) for side in size_mm)
-    if not (min(width, height) >= 48 and max(width, height) <= 8192):
-        raise TeachingError(f"{width} x {height} px at {px_per_mm:g} px/mm: sides from 48 to 8192 px are needed")
+    wide, high = (side * px_per_mm for side in size_mm)
+    if not all(math.isfinite(side) and 48 <= round(side) <= 8192 for side in (wide, high)):
+        raise TeachingError(f"{wide:.0f} x {high:.0f} px at {px_per_mm:g} px/mm: sides from 48 to 8192 px are needed")
+    width, height = round(wide), round(high)
     picture_from_template = inverse(to_mm) @ inverse(px_from_mm(height, px_per_mm))
     flags = cv2.INTER_AREA | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpPerspective(picture, picture_from_template, (width, height), flags=flags), np.uint8)
@@ -126,7 +128,13 @@ def layout_text(model: str, title: str, size_mm: tuple[float, float], controls: 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lesson:
-    """What makes a panel: its names and size (mm), its corners (4, 2) and controls in the picture (raw pixels)."""
+    """What makes a panel: its names and size (mm), its corners (4, 2) and controls in the picture (raw pixels).
+
+    Raises
+    ------
+    TeachingError
+        If the model cannot be a file's name.
+    """
 
     model: str
     title: str
@@ -134,6 +142,10 @@ class Lesson:
     corners_px: Array
     controls: tuple[Pointed, ...]
     px_per_mm: float = 4.0
+
+    def __post_init__(self) -> None:
+        if not _MODEL.match(self.model):
+            raise TeachingError(f"model {self.model!r}: a letter, then up to 40 letters, digits and '_' are needed")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,16 +181,11 @@ def parse_request(text: str) -> Request:
             corners_px=np.array(given["corners"], dtype=np.float64),
             controls=tuple(pointed),
         )
-        request = Request(goal_id=str(given["id"]), stamp_ns=int(given["stamp"]), lesson=lesson)
+        return Request(goal_id=str(given["id"]), stamp_ns=int(given["stamp"]), lesson=lesson)
     except TeachingError:
         raise
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise TeachingError(f"the request is not understood: {type(error).__name__}: {error}") from error
-    if not _MODEL.match(request.lesson.model):
-        raise TeachingError(
-            f"model {request.lesson.model!r}: a letter, then up to 40 letters, digits and '_' are needed"
-        )
-    return request
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
