@@ -57,6 +57,17 @@ def test_two_beds_on_one_page(ros: Ros) -> None:
             get(f"http://{port}{path}")
 
 
+@pytest.mark.parametrize("encoding", ["rgb8", "rgba8"])
+def test_a_bed_has_its_colours_whatever_its_camera_sends(ros: Ros, encoding: str) -> None:
+    node = ros.node(BedsNode, {"beds": ["bed_1"], "port": 0})
+    pixels = np.full((72, 128, len(encoding) - 1), 255, np.uint8)
+    pixels[..., :3] = (200, 60, 20)
+    node._pictures["bed_1"] = image_message(pixels, encoding, header(1, "eye"))
+    picture = cv2.imdecode(np.frombuffer(get(f"{node.server.address}bed_1.jpg"), np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (72, 128, 3)
+    assert np.abs(picture.mean(axis=(0, 1)) - (20, 60, 200)).max() < 4
+
+
 @pytest.mark.parametrize("program", [beds_node.main, stereo])
 def test_who_asks_a_node_for_help_gets_it_and_no_node(
     program: Callable[[], int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

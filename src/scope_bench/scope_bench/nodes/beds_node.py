@@ -23,6 +23,7 @@ from scope_bench.adapters.beds_server import BedsServer
 
 STATES = {"controller": "gantry/state", "driver": "gantry/driver_state", "calibration": "calibration/state"}
 _WIDTH = 640
+_TO_BGR = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR}
 _BED = re.compile(r"(?P<name>[a-zA-Z]\w*)(=(?P<url>https?://\S+))?")
 
 
@@ -79,6 +80,8 @@ class BedsNode(Node):
         pixels = image_array(message)
         scale = min(1.0, _WIDTH / pixels.shape[1])
         small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        if message.encoding in _TO_BGR:
+            small = cv2.cvtColor(small, _TO_BGR[message.encoding])
         done, data = cv2.imencode(".jpg", np.ascontiguousarray(small))
         return data.tobytes() if done else b""
 
