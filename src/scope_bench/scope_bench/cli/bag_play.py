@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import os
 import select
 import sys
@@ -20,6 +21,7 @@ from pathlib import Path
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic
+from scope_bench.cli.bounds import check_bounds
 from scope_bench.cli.progress import ProgressLine
 from scope_bench.core.play_clock import PlayClock, progress_bar
 from scope_bench.nodes.bag_player import ASIDE, MOVING, BagPlayer
@@ -170,12 +172,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     split = given.index("--ros-args") if "--ros-args" in given else len(given)
     options = parser().parse_args(given[:split])
+    most = math.inf
+    try:
+        check_bounds(options, start_offset=(0, most), duration=(0, most), clock=(0, 1e4), wait=(0, most))
+        check_bounds(options, in_step=(0, most), patience=(0, most))
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     if options.in_step:
         os.environ.pop(in_step.VARIABLE, None)  # the player counts the others
     try:
-        with BagReader(options.bag) as bag, ros_session(given[split:]) as session, single_keys():
-            playing = Playing(bag, options, session)
-            playing.run()
+        with BagReader(options.bag) as bag:
+            if options.start_offset > (whole_s := bag.duration_ns / 1e9):
+                raise ValueError(f"--start-offset {options.start_offset:g}: the bag has {whole_s:.2f} s")
+            with ros_session(given[split:]) as session, single_keys():
+                playing = Playing(bag, options, session)
+                playing.run()
     except (BagError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+import re
 import sys
 import time
 from collections.abc import Sequence
@@ -13,8 +15,9 @@ from icu_common.nodes.runtime import ros_session
 from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import STORAGES, BagError, BagWriter
+from scope_bench.cli.bounds import check_bounds
 from scope_bench.cli.progress import ProgressLine
-from scope_bench.nodes.bag_recorder import BagRecorder
+from scope_bench.nodes.bag_recorder import BagRecorder, check_names
 
 
 def parser() -> argparse.ArgumentParser:
@@ -37,8 +40,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     split = given.index("--ros-args") if "--ros-args" in given else len(given)
     options = parser().parse_args(given[:split])
     path = options.output or Path(f"bag_{datetime.now():%Y_%m_%d-%H_%M_%S}")
-    keep_free = round(options.keep_free * 1e6)
     try:
+        check_bounds(options, duration=(0.0, math.inf), keep_free=(0.0, 1e9))
+        check_names(options.topics)
+        _check_pattern(options.exclude)
+        keep_free = round(options.keep_free * 1e6)
         codec = PictureCodec(options.compress, options.quality) if options.compress else None
         sink = BagSink(lambda: BagWriter(path, options.storage, keep_free=keep_free), codec)
     except (BagError, ValueError) as error:
@@ -52,6 +58,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if sink.failure:
         print(f"error: the recording has ended: {sink.failure}", file=sys.stderr)
     return 1 if sink.failure else 0
+
+
+def _check_pattern(exclude: str) -> None:
+    try:
+        re.compile(exclude)
+    except re.error as error:
+        raise ValueError(f"--exclude {exclude!r} is no regular expression: {error}") from error
 
 
 def _record(sink: BagSink, path: Path, options: argparse.Namespace, ros_arguments: Sequence[str]) -> None:

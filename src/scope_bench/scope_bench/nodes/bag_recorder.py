@@ -6,13 +6,24 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
+from rclpy.validate_topic_name import validate_topic_name
 
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagTopic
 from scope_bench.nodes.bag_qos import listening_qos, message_class, recorded_qos
 
 _LOOK_S = 0.1
+
+
+def check_names(topics: Sequence[str]) -> None:
+    """Raise ``ValueError`` for the first that cannot be a topic's name."""
+    for name in topics:
+        try:
+            validate_topic_name(name)
+        except InvalidTopicNameException as error:
+            raise ValueError(f"topic {name!r}: {str(error).splitlines()[0]}") from error
 
 
 class BagRecorder(Node):

@@ -1,0 +1,21 @@
+"""Bounds of numbers on a command line."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+
+def check_bounds(options: argparse.Namespace, **bounds: tuple[float, float]) -> None:
+    """Check options by name against their least and greatest value, both allowed.
+
+    Raises
+    ------
+    ValueError
+        If one lies outside or is no number; the text names it, its value and the bounds.
+    """
+    for name, (least, most) in bounds.items():
+        value = getattr(options, name)
+        if not least <= value <= most:
+            allowed = f"{least:g} or more" if math.isinf(most) else f"{least:g} to {most:g}"
+            raise ValueError(f"--{name.replace('_', '-')} {value:g}: {allowed} is needed")
