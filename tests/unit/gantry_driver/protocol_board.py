@@ -48,6 +48,7 @@ class Board:
 
     def __init__(self, *, locked: bool = True) -> None:
         self.settings = dict(SETTINGS)
+        self.startup = ["", ""]
         self.mpos = [0.0, 0.0, 0.0]
         self.homed = HOMED
         self.state = "Alarm" if locked else "Idle"
@@ -191,6 +192,9 @@ class Board:
         elif text == "$$":
             for number, value in self.settings.items():
                 self.say(f"${number}={value}")
+        elif text == "$N":
+            for number, line in enumerate(self.startup):
+                self.say(f"$N{number}={line}")
         elif match := re.fullmatch(r"\$(\d+)=(.+)", text):
             if int(match[1]) not in self.stubborn:
                 self.settings[int(match[1])] = f"{float(match[2]):.3f}"

@@ -21,7 +21,7 @@ from icu_common.core.frames import JOINTS
 def test_connects_checks_settings_and_waits_unhomed() -> None:
     rig = Rig().connect()
     assert rig.states == ["disconnected: not opened yet", "connecting", "unhomed"]
-    assert rig.board.received == ["$I", "$$"]
+    assert rig.board.received == ["$I", "$$", "$N"]
     assert rig.machine.session.rx_bytes == 128
     assert rig.positions == []
 
@@ -287,6 +287,30 @@ def test_a_stop_without_a_link_is_remembered() -> None:
     assert rig.states[-1] == "stopped: stop requested" and rig.trace[0][1].startswith(b"!")
     rig.machine.reset(rig.now)
     assert rig.state == "unhomed"
+
+
+def test_a_line_that_the_board_runs_after_a_reset_blocks_until_it_is_gone() -> None:
+    board = Board()
+    board.startup[1] = "G91 G0 X5"
+    rig = Rig(board=board).connect()
+    said = "$N1 runs 'G91 G0 X5' after each reset, it must be empty: unlock by $X, then send $N1="
+    assert rig.states[-1] == f"mismatch: {said}"
+    assert "mismatch" in rig.machine.home(rig.now)
+    assert rig.machine.write_settings(rig.now) == f"nothing to write: it has these settings; {said}"
+    assert "$H" not in board.received
+
+    board.startup[1] = ""
+    rig.machine.closed("unplugged", rig.now)
+    rig.machine.opened(rig.now)
+    rig.until(lambda: rig.state == "unhomed")
+
+
+def test_a_firmware_without_startup_lines_connects_and_the_refusal_is_told() -> None:
+    board = Board()
+    board.refuse["$N"] = 3
+    rig = Rig(board=board).connect()
+    assert rig.state == "unhomed" and rig.machine.connects == 1
+    assert any(isinstance(event, Note) and "'$N'" in event.text for event in rig.events)
 
 
 def test_settings_mismatch_blocks_until_accepted_and_holds_for_these_only() -> None:

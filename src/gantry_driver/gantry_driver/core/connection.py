@@ -42,6 +42,8 @@ TICK_S = 0.05
 READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
 """Directions, homing corner, pull-off, steps and travel: with others a calibration of the readings is void."""
 
+READ_SETTINGS, READ_STARTUP = "$$", "$N"
+
 Reading = tuple[float, float, float]
 
 
@@ -74,6 +76,7 @@ class Connection:
         self.connects = 0
         self.reading_m: tuple[float, float, float] | None = None
         self._settings: dict[int, str] = {}
+        self._startup: dict[int, str] = {}
         self._profile: dict[int, float] = {}
         self._latched = ""
         self._mismatch = ""
@@ -265,7 +268,8 @@ class Connection:
         wanted = dict(profile if profile is not None else self.config.expected_settings())
         lines = lines_to_write(self._settings, wanted) if self._settings else []
         if not lines:
-            return "nothing to write: " + ("it has these settings" if self._settings else "the board has no settings")
+            known = "it has these settings" if self._settings else "the board has no settings"
+            return "; ".join([f"nothing to write: {known}", *self._startup_lines()])
         self._forget_position()
         self._profile = wanted
         self._enter(Phase.WRITING, now, f"writing {', '.join(text.partition('=')[0] for text in lines)}")
@@ -274,12 +278,24 @@ class Connection:
         return ""
 
     def _read_settings(self, now: float, reason: str) -> None:
-        self._settings = {}
+        self._settings, self._startup = {}, {}
         self._enter(Phase.SETTINGS, now, reason)
-        self._marker = self.session.queue("$$").number
+        self._marker = self.session.queue(READ_SETTINGS).number
+
+    def _read_startup(self) -> None:
+        self._marker = self.session.queue(READ_STARTUP).number
+
+    def _startup_lines(self) -> list[str]:
+        """Return a sentence for each line that the board runs by itself after a reset, with which a stop ends."""
+        return [
+            f"$N{number} runs {text!r} after each reset, it must be empty: unlock by $X, then send $N{number}="
+            for number, text in sorted(self._startup.items())
+            if text
+        ]
 
     def _check_settings(self, now: float) -> None:
-        self._mismatch = "; ".join(differences(self._settings, self.config.expected_settings()))
+        wrong = differences(self._settings, self.config.expected_settings())
+        self._mismatch = "; ".join([*wrong, *self._startup_lines()])
         profile, self._profile = self._profile, {}
         for text in differences(self._settings, profile, "what was written"):
             self._events.append(Note(level="error", text=f"the board did not keep a setting: {text}"))

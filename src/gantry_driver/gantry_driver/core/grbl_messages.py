@@ -97,6 +97,14 @@ class SettingValue(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class StartupLine(Message):
+    """One line of ``$N``: what the board runs after a reset; ``text`` is empty for nothing."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BuildOptions(Message):
     """``[OPT:flags,planner,rx]``; sizes are 0 where the firmware names none."""
 
@@ -159,6 +167,7 @@ _ALARM = re.compile(r"ALARM:\s*(\d{1,3})\Z", re.IGNORECASE)
 _GRBL = re.compile(r"Grbl(HAL)? (\d[\w.]*)(.*)", re.IGNORECASE)
 _MARLIN = re.compile(r"(?:echo:)?\s*Marlin\s+([\w.-]+)")
 _SETTING = re.compile(r"\$(\d{1,4})=([^\s()]*)")
+_STARTUP = re.compile(r"\$N(\d)=(.*)\Z")
 _FEEDBACK = re.compile(r"\[([A-Za-z][A-Za-z0-9]*):(.*)\]\Z")
 _STATES = {"Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool"}
 
@@ -188,6 +197,8 @@ def parse_line(raw: bytes) -> Message:
         return _report(text) or _banner(text) or Garbage(raw=raw)
     if match := _SETTING.match(text):
         return SettingValue(number=int(match[1]), text=match[2])
+    if match := _STARTUP.match(text):
+        return StartupLine(number=int(match[1]), text=match[2].strip())
     if match := _FEEDBACK.match(text):
         return _feedback(match[1], match[2])
     if "FIRMWARE_NAME:Marlin" in text:

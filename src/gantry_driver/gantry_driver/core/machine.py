@@ -9,7 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from gantry_driver.core.connection import ASK_ALONE_S, HOLD_REPEAT_S, OLD_HOLDS, Connection, Goal, Reading
+from gantry_driver.core.connection import (
+    ASK_ALONE_S,
+    HOLD_REPEAT_S,
+    OLD_HOLDS,
+    READ_SETTINGS,
+    READ_STARTUP,
+    Connection,
+    Goal,
+    Reading,
+)
 from gantry_driver.core.gcode_check import Bounds, GcodeError, ProgramChecker
 from gantry_driver.core.grbl_messages import (
     Alarm,
@@ -19,6 +28,7 @@ from gantry_driver.core.grbl_messages import (
     Message,
     Report,
     SettingValue,
+    StartupLine,
     alarm_text,
     error_text,
 )
@@ -372,6 +382,8 @@ class Machine(Connection):
             self._on_count_broken(message, now)
         elif isinstance(message, SettingValue):
             self._settings[message.number] = message.text
+        elif isinstance(message, StartupLine):
+            self._startup[message.number] = message.text
         elif isinstance(message, Firmware):
             self._on_firmware(message, now)
         elif isinstance(message, Feedback) and message.key == "MSG" and "reset to continue" in message.text.lower():
@@ -415,6 +427,8 @@ class Machine(Connection):
             self._read_settings(now, self.reason)
         elif self.phase is Phase.WRITING:
             self._read_settings(now, "")
+        elif self.phase is Phase.SETTINGS and event.line.text == READ_SETTINGS:
+            self._read_startup()
         elif self.phase is Phase.SETTINGS:
             self._check_settings(now)
         elif self.phase in (Phase.HOMING, Phase.LIFTING):
@@ -432,6 +446,8 @@ class Machine(Connection):
             self._enter(Phase.STOPPED, now, f"{self.reason}; the stylus was not lifted: {text}")
         elif self.phase is Phase.WRITING and event.line.number == self._marker:
             self._read_settings(now, "")
+        elif self.phase is Phase.SETTINGS and event.line.text == READ_STARTUP:
+            self._check_settings(now)  # a firmware that does not know the question has no such lines
         elif self.phase in (Phase.IDENTIFY, Phase.SETTINGS) and event.line.number == self._marker:
             self._close(f"{event.line.text} was refused: {text}", now)
 
