@@ -289,6 +289,16 @@ def test_a_stop_without_a_link_is_remembered() -> None:
     assert rig.state == "unhomed"
 
 
+@pytest.mark.parametrize("delay", ["255", "25", None])
+def test_motors_that_let_go_between_touches_are_told(delay: str | None) -> None:
+    board = Board()
+    board.settings |= {1: delay} if delay else {}
+    rig = Rig(board=board).connect()
+    told = [event.text for event in rig.events if isinstance(event, Note)]
+    wanted = ["$1 is 25: motors that let go can be pushed unnoticed, 255 keeps them on"] if delay == "25" else []
+    assert rig.state == "unhomed" and told == wanted
+
+
 def test_a_line_that_the_board_runs_after_a_reset_blocks_until_it_is_gone() -> None:
     board = Board()
     board.startup[1] = "G91 G0 X5"

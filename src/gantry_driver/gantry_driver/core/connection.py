@@ -42,6 +42,8 @@ TICK_S = 0.05
 READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
 """Directions, homing corner, pull-off, steps and travel: with others a calibration of the readings is void."""
 
+IDLE_DELAY, STAYS_ON = 1, "255"
+"""Milliseconds after a motion at which the motors let go, and what stands for never."""
 READ_SETTINGS, READ_STARTUP = "$$", "$N"
 
 Reading = tuple[float, float, float]
@@ -296,6 +298,9 @@ class Connection:
     def _check_settings(self, now: float) -> None:
         wrong = differences(self._settings, self.config.expected_settings())
         self._mismatch = "; ".join([*wrong, *self._startup_lines()])
+        if (idle := self._settings.get(IDLE_DELAY)) is not None and idle.partition(".")[0] != STAYS_ON:
+            text = f"${IDLE_DELAY} is {idle}: motors that let go can be pushed unnoticed, {STAYS_ON} keeps them on"
+            self._events.append(Note(level="warn", text=text))
         profile, self._profile = self._profile, {}
         for text in differences(self._settings, profile, "what was written"):
             self._events.append(Note(level="error", text=f"the board did not keep a setting: {text}"))

@@ -76,6 +76,7 @@ export const PHRASES_DE = [
   ["line {}: {} is not $number=value", "Zeile {}: {} ist nicht von der Form $Nummer=Wert"],
   ["line {}: ${} is given twice", "Zeile {}: ${} steht zweimal da"],
   ["${} is {}, {} says {}", "${0} ist {1}, {2} sagt {3}"],
+  ["${} is {}: motors that let go can be pushed unnoticed, {} keeps them on", "${0} ist {1}: Motoren, die loslassen, können unbemerkt verschoben werden, {2} lässt sie eingeschaltet"],
   ["$N{} runs {} after each reset, it must be empty: unlock by $X, then send $N{}=", "$N{0} führt nach jedem Reset {1} aus, muss aber leer sein: mit $X entsperren, dann $N{2}= senden"],
   ["the board holds {} bytes, {} are under way: an answer came that belongs to no line", "die Platine hält {} Byte, {} sind unterwegs: eine Antwort gehört zu keiner Zeile"],
   ["no answer to {} within {} s although the board is idle", "keine Antwort auf {} innerhalb von {} s, obwohl die Platine ruht"],
