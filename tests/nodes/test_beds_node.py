@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import urllib.error
 import urllib.request
 from collections.abc import Callable
@@ -52,6 +53,9 @@ def test_two_beds_on_one_page(ros: Ros) -> None:
     assert 'id="bed_1"' in page and 'href="http://127.0.0.1:8081"' in page
     port = node.server.address.split("/")[2]
     assert port.startswith("127.0.0.1:")
+    with socket.create_connection(("127.0.0.1", int(port.partition(":")[2])), 10.0) as raw:
+        raw.sendall("GET /wr\xf6ng/state HTTP/1.0\r\n\r\n".encode("latin-1"))
+        assert raw.recv(100).split()[1] == b"404"
     for path in ("/", "/state", "/wrong/state", "/wrong/bed_1.jpg"):
         with pytest.raises(urllib.error.HTTPError, match="404"):
             get(f"http://{port}{path}")

@@ -95,7 +95,7 @@ class BedsServer:
             def do_GET(self) -> None:
                 path = self.path.partition("?")[0]
                 name = path.rpartition("/")[2]
-                if not secrets.compare_digest(path.rpartition("/")[0], "/" + secret):
+                if not secrets.compare_digest(path.rpartition("/")[0].encode(), f"/{secret}".encode()):
                     self.send_error(HTTPStatus.NOT_FOUND)
                 elif not name:
                     self._answer("text/html; charset=utf-8", page)

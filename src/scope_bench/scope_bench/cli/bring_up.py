@@ -24,6 +24,7 @@ IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "http://", "https:
 """Lines with one of these are shown without --verbose."""
 WAIT_S = 60.0
 """So long a program waits for the simulated device that it belongs to."""
+_SETTING = re.compile(r"\w+\.[\w.]+=.*", re.DOTALL)
 
 
 def configuration_folder() -> Path:
@@ -111,6 +112,9 @@ class BringUp:
             return self._run_programs(programs, Path(temporary))
 
     def _check_names(self, programs: list[Program]) -> None:
+        for text in self.options.set:
+            if not _SETTING.fullmatch(text):
+                raise GraphError(f"--set {text}: PROGRAM.PARAMETER=VALUE is needed")
         names = {p.name for p in programs}
         given = {*self.options.only, *self.options.without, *(text.partition(".")[0] for text in self.options.set)}
         if given - names:

@@ -1,0 +1,31 @@
+"""What bring_up refuses before it starts anything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from scope_bench.cli import bring_up
+
+CONFIG = Path(__file__).parents[3] / "config"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--set", "recognition.rate_hz"], "error: --set recognition.rate_hz: PROGRAM.PARAMETER=VALUE is needed"),
+        (["--set", "recognition=5"], "error: --set recognition=5: PROGRAM.PARAMETER=VALUE is needed"),
+        (["--set", "nobody.rate_hz=5"], "error: no program nobody; there are "),
+        (["--only", "nobody"], "error: no program nobody; there are "),
+    ],
+)
+def test_what_names_no_setting_or_program_is_refused(
+    given: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = ["--config", str(CONFIG), "--state", str(tmp_path / "state"), "--run-dir", str(tmp_path / "run")]
+    monkeypatch.setattr("sys.argv", ["bring_up", *folders, *given])
+    monkeypatch.setattr("signal.signal", lambda *_: None)  # the test keeps its own
+    assert bring_up.main() == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith(said) and "started" not in captured.out
