@@ -39,5 +39,5 @@ def test_state_and_counts_are_shown(ros: Any, tmp_path: Path) -> None:
         board.close()
     assert process.returncode == 0
     last = output.splitlines()[-1]
-    pattern = r"unhomed  \|  no position  \|  sent 2  acknowledged 2  .*refused 0  lost 0  \|  \d+ B/s, answer in"
+    pattern = r"unhomed  \|  no position  \|  sent 3  acknowledged 3  .*refused 0  lost 0  \|  \d+ B/s, answer in"
     assert re.match(pattern, last), output
