@@ -165,6 +165,23 @@ def test_markers_that_contradict_the_print_raise_an_alarm_until_they_confirm_it(
     ros.spin_until(lambda: alarms[-1].data == "", 10.0)
 
 
+def test_a_panel_whose_markers_have_not_been_seen_once_is_not_used(ros: Any, tmp_path: Path) -> None:
+    text = scene.LAYOUT.read_text() + (
+        "markers:\n  - {dictionary: 4X4_50, id: 7, position_mm: [156.5, 12.0], size_mm: 12.0}\n"
+    )
+    file = tmp_path / "marked.yaml"
+    file.write_text(text)
+    rig = Rig(ros, layout=str(file), **{"recognition.agreement.frames": 1})
+    alarms: list[String] = ros.collect(rig.probe, String, "alarm", qos.LATCHED)
+    assert rig.show(picture(), 1) == 0.0, "a sibling without markers, or all of them are hidden"
+    ros.spin_until(lambda: alarms and alarms[-1].data == "none of the panel's markers has been seen yet", 10.0)
+    assert not rig.poses
+    marked = scene.picture(parse_layout(text), CAMERA, scene.pose(parse_layout(text)), scene.Look(), 1)
+    assert rig.show(marked, 2) > 0.8
+    ros.spin_until(lambda: alarms[-1].data == "", 10.0)
+    assert rig.show(picture(), 3) > 0.8, "once confirmed, a hand may hide them"
+
+
 def test_without_published_corners_it_finds_its_own(ros: Any) -> None:
     rig = Rig(ros, **{"recognition.agreement.frames": 1, "corners_wait_s": 0.02})
     assert rig.show(picture(), 1, with_corners=False) > 0.85

@@ -116,7 +116,7 @@ class RecognitionNode(Node):
         self._tip: tuple[int, Array] | None = None
         self._plane: tuple[int, Transform, Array] | None = None
         self._improved = 0
-        self._alarm = ""
+        self._alarm, self._confirmed = "", not self._layout.markers
         self._alarm_out = self.create_publisher(String, "alarm", qos.LATCHED)
         self._alarm_out.publish(String(data=""))
         self._pose = self.create_publisher(PoseStamped, "pose", qos.LATCHED)
@@ -252,14 +252,20 @@ class RecognitionNode(Node):
         self._busy_s += time.perf_counter() - start
 
     def _compare(self, markers: list[SeenMarker], sighting: Sighting | None) -> None:
-        """Raise the alarm when the markers contradict the print; only markers that confirm it end it."""
+        """Raise the alarm when the markers contradict the print; only markers that confirm it end it.
+
+        Until they have done so once, the print alone does not tell the panel from one with other labels.
+        """
         if sighting is None:
             return
         assert self._camera is not None
         pose, bound_mm = sighting.camera_from_panel, self._live.config.marker_bound_mm
         text = self._markers.disagreement(markers, pose, self._camera[1], bound_mm)
+        if text is None and not (self._confirmed or self._alarm):
+            text = "none of the panel's markers has been seen yet"
         if text is None or text == self._alarm:
             return
+        self._confirmed = self._confirmed or not text
         if text:
             self.get_logger().error(text, throttle_duration_sec=5.0)
         self._alarm = text

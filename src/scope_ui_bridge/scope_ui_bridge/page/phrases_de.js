@@ -301,6 +301,7 @@ export const PHRASES_DE = [
   ["white", "weiß"],
   ["at {} degrees", "bei {} Grad"],
   ["by marker {} the panel is {} mm from where its print is, {} mm are allowed", "nach Marke {} ist die Front {} mm von ihrem Aufdruck entfernt, {} mm sind erlaubt"],
+  ["none of the panel's markers has been seen yet", "noch keine der Marken der Front ist gesehen worden"],
   ["marker {} {} is where the layout has {}", "Marke {} {} ist, wo die Beschreibung {} hat"],
 
   // Gesten und Abläufe
