@@ -1,9 +1,9 @@
 """From the pixels of thinned edges to chains: hysteresis, a skeleton, spurs, corners, links; compiled by numba.
 
-Everything here works on lists of edge pixels and on bitmaps, which are framed by empty pixels, so that neighbours are
-constant distances and need no test for the border. Which of the eight neighbours belong to edges is read from three
-words as the bits of a byte; ends, branches, needless pixels and the way ahead are then one look at a table of 256
-patterns.
+Everything here works on bitmaps, which are framed by empty pixels, so that neighbours are constant distances and need
+no test for the border. Pieces grow by words of 64 pixels, and crowded pixels, ends and nodes are counted in the bits of
+whole rows. Where single pixels are looked at, their eight neighbours are read from three words as the bits of a byte,
+and what follows from them is one look at a table of 256 patterns.
 """
 
 from __future__ import annotations
