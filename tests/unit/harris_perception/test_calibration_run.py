@@ -26,6 +26,7 @@ from harris_perception.core.calibration_run import (
     plan,
 )
 from harris_perception.core.hand_eye import DegenerateError, HandEyeConfig
+from harris_perception.core.planar_pose import FacePoints
 from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Transform
 from icu_common.core.results import GoalResult, Outcome
@@ -254,6 +255,20 @@ def test_still_watch_wants_a_resting_machine_and_a_steady_tip() -> None:
     watch.reading(2100 * MS, np.array([0.1001, 0.1, 0.0]))
     assert isinstance(watch.sample(2150 * MS), str)
     assert watch.sample(9000 * MS) == "no joint_states arrive"
+
+
+def test_still_watch_forgets_a_panel_that_is_not_seen_any_more() -> None:
+    watch = StillWatch(StillConfig(panels=3, settle_s=0.3, fresh_s=1.0))
+    watch.reading(1000 * MS, np.array([0.1, 0.1, 0.0]))
+    for k in range(3):
+        watch.panel((1400 + 200 * k) * MS, POSE, FacePoints.joined([]))
+    for now in (1900, 5000):
+        watch.reading(now * MS, np.array([0.1, 0.1, 0.0]))
+        sample = watch.panel_sample(now * MS)
+        assert not isinstance(sample, str)
+        np.testing.assert_allclose(sample.camera_from_panel.translation, POSE.translation)
+    watch.reading(9000 * MS, np.array([0.1, 0.1, 0.0]))
+    assert watch.panel_sample(9000 * MS) == "the panel was seen 0 of 3 times while the machine stood still"
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,10 @@ class RunConfig(Config):
             raise ConfigError("columns = 2, rows = 2: at least 3 of one are needed, for two held-out places between")
 
 
+_PANEL_S = 2.0
+"""The panel is seen at least so often where it is looked at; recognition may be slow."""
+
+
 class StillWatch:
     """Collects sightings of the tip, and of the panel, while the readings do not change."""
 
@@ -105,7 +109,7 @@ class StillWatch:
         self._reading: Array | None = None
         self._reading_ns = self._since_ns = 0
         self._tips: deque[tuple[int, Array]] = deque(maxlen=config.tips)
-        self._panels: deque[tuple[Transform, FacePoints]] = deque(maxlen=config.panels)
+        self._panels: deque[tuple[int, Transform, FacePoints]] = deque(maxlen=config.panels)
 
     def restart(self, now_ns: int) -> None:
         """Forget what was seen before ``now_ns``."""
@@ -128,18 +132,20 @@ class StillWatch:
     def panel(self, stamp_ns: int, camera_from_panel: Transform, points: FacePoints) -> None:
         """Take a pose of the panel of ``stamp_ns``, and what was measured for it; as for the tip."""
         if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
-            self._panels.append((camera_from_panel, points))
+            self._panels.append((stamp_ns, camera_from_panel, points))
 
     def panel_sample(self, now_ns: int) -> PanelSample | str:
         """Return the mean of the poses and all their points, or why there is none yet."""
-        if self._reading is None or now_ns - self._reading_ns > self._config.fresh_s * 1e9:
+        config = self._config
+        if self._reading is None or now_ns - self._reading_ns > config.fresh_s * 1e9:
             return "no joint_states arrive"
-        poses = [pose for pose, _ in self._panels]
-        if len(poses) < self._config.panels:
-            return f"the panel was seen {len(poses)} of {self._config.panels} times while the machine stood still"
-        rotation = nearest_rotation(np.mean([p.rotation for p in poses], axis=0))
-        pose = Transform(rotation, np.mean([p.translation for p in poses], axis=0))
-        points = FacePoints.joined([points for _, points in self._panels])
+        oldest_ns = now_ns - int((config.fresh_s + config.panels * _PANEL_S) * 1e9)
+        fresh = [(pose, points) for stamp, pose, points in self._panels if stamp >= oldest_ns]
+        if len(fresh) < config.panels:
+            return f"the panel was seen {len(fresh)} of {config.panels} times while the machine stood still"
+        rotation = nearest_rotation(np.mean([pose.rotation for pose, _ in fresh], axis=0))
+        pose = Transform(rotation, np.mean([pose.translation for pose, _ in fresh], axis=0))
+        points = FacePoints.joined([points for _, points in fresh])
         return PanelSample(reading=self._reading, camera_from_panel=pose, points=points)
 
     def sample(self, now_ns: int) -> Sample | str:
