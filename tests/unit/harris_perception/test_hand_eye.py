@@ -110,6 +110,16 @@ def test_wrong_detections_are_left_out(wrong: int) -> None:
         np.testing.assert_allclose(result.camera_from_base.translation, TRUE_POSE.translation, atol=0.0004)
 
 
+def test_the_misfit_is_that_of_the_fit_that_is_used() -> None:
+    for seed in range(5):
+        data = samples(grid(), np.random.default_rng(seed))
+        fit = calibrate(data, CAMERAS).fit
+        design = np.column_stack([grid(), np.ones(len(grid()))])
+        off = (np.array([s.tip for s in data]) - design @ fit.regression)[fit.used]
+        freedom = off.size - fit.regression.size
+        assert fit.rms_m == pytest.approx(np.sqrt(3 * np.sum(off**2) / freedom), rel=1e-9), seed
+
+
 def line(count: int, step: tuple[float, float, float]) -> np.ndarray:
     return np.array([0.1, 0.05, 0.0]) + np.arange(count)[:, None] * np.array(step)
 

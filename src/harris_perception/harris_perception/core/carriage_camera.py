@@ -25,6 +25,7 @@ from harris_perception.core.hand_eye import (
     checked,
     extension_design,
     fit_tip,
+    misfit_rms,
     robust_fit,
     split_axes,
 )
@@ -139,10 +140,12 @@ def calibrate_on_carriage(
     fit = robust_fit(design, points, shape, config)
     views = [p.points for p, used in zip(panels, fit.used) if used]
     rotation, regression, spread = refine_panel(views, design[fit.used], rotation, fit.regression, cameras.left)
+    points = np.array([_origin(p, rotation).tip for p in panels])
     fit = dataclasses.replace(
         fit,
         regression=regression,
         spread=spread,
+        rms_m=misfit_rms(design[fit.used], points[fit.used], regression),
         # What is seen of the panel is in the middle of the picture, wherever its origin is.
         common=RayError(eye=None, across_m=config.panel_sigma_m, along_m=config.panel_depth_sigma_m),
     )

@@ -311,6 +311,7 @@ def fit_tip(design: Array, samples: Sequence[Sample], places: int, cameras: Ster
         regression=regression,
         spread=spread,
         sigma_px=sigma,
+        rms_m=misfit_rms(design[used], tips[used], regression),
         common=RayError(
             eye=np.array([0.5 * cameras.baseline, 0.0, 0.0]),
             across_m=float(np.hypot(config.common_error, config.place_error * np.sqrt(0.5 / places)))
@@ -378,7 +379,7 @@ def robust_fit(design: Array, points: Array, shape: Array, config: HandEyeConfig
     freedom = 3 * (int(used.sum()) - design.shape[1])
     # The covariance's size is what the residuals show (a posteriori variance of unit weight).
     factor = float(np.einsum("ni,ij,nj->", residuals, np.linalg.inv(shape), residuals)) / max(freedom, 1)
-    rms = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)) * 3 * int(used.sum()) / max(freedom, 1)))
+    rms = misfit_rms(design[used], points[used], regression)
     if rms > config.max_rms_m:
         raise DegenerateError(
             f"the samples miss one another by {rms * 1e3:.2f} mm rms, {config.max_rms_m * 1e3:.2f} mm are accepted: "
@@ -393,6 +394,12 @@ def robust_fit(design: Array, points: Array, shape: Array, config: HandEyeConfig
         rms_m=rms,
         used=used,
     )
+
+
+def misfit_rms(design: Array, points: Array, regression: Array) -> float:
+    """Return how far points (N, 3) m are from design (N, P) @ regression (P, 3), rms over what is left free."""
+    squared = float(np.sum((points - design @ regression) ** 2))
+    return float(np.sqrt(3.0 * squared / max(points.size - regression.size, 1)))
 
 
 def _design(readings: Array, with_stylus: bool) -> Array:
