@@ -47,7 +47,7 @@ def axe(operator: Operator) -> list[str]:
     """Return what axe-core finds wrong: rule, and where."""
     # Through the debugger, which the page's own security policy does not hinder.
     operator.page.evaluate(AXE.read_text() + "; null")
-    found = operator.page.evaluate("(tags) => axe.run(document, {runOnly: tags})", WCAG)
+    found = operator.page.evaluate("(t) => axe.run(document, {runOnly: t, resultTypes: ['violations']})", WCAG)
     return [f"{v['id']}: {[node['target'] for node in v['nodes']][:3]}" for v in found["violations"]]
 
 
