@@ -268,6 +268,7 @@ def test_dialects_are_told_apart_and_driven_alike(tmp_path: Path, dialect: str, 
     try:
         rig.home()
         assert (rig.machine.dialect.value, rig.machine.session.rx_bytes) == (dialect, told)
+        assert rig.machine.counts.refused == 0, "each question is one that the dialect knows"
         rig.go(*[(0.0005 * k, 0.0, 0.0) for k in range(1, 301)])
         rig.until(lambda: "reached" in rig.outcomes(), 30.0)
         assert board.counters().get("bytes_lost", 0) == 0 and told <= buffer

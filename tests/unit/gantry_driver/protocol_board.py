@@ -49,6 +49,8 @@ class Board:
     def __init__(self, *, locked: bool = True) -> None:
         self.settings = dict(SETTINGS)
         self.startup = ["", ""]
+        self.macros: dict[str, str] = {}
+        self.spoilt: dict[str, float] = {}
         self.mpos = [0.0, 0.0, 0.0]
         self.homed = HOMED
         self.state = "Alarm" if locked else "Idle"
@@ -104,8 +106,13 @@ class Board:
         return f"<{self.state}|MPos:{x:.3f},{y:.3f},{z:.3f}|{room}|FS:0,0|WCO:0,0,0>"
 
     def say(self, text: str) -> None:
+        """Send a line, or noise in its place as often as ``spoilt`` says."""
+        data = text.encode()
+        if self.spoilt.get(text, 0) > 0:
+            self.spoilt[text] -= 1
+            data = b"\xf8\x81" + data[2:]
         if not self.mute:
-            self.out += text.encode() + b"\r\n"
+            self.out += data + b"\r\n"
 
     def reset(self) -> None:
         """0x18, or the power: locked when it moved."""
@@ -195,6 +202,8 @@ class Board:
         elif text == "$N":
             for number, line in enumerate(self.startup):
                 self.say(f"$N{number}={line}")
+        elif text in self.macros:
+            self.say(f"{text}={self.macros[text]}")
         elif match := re.fullmatch(r"\$(\d+)=(.+)", text):
             if int(match[1]) not in self.stubborn:
                 self.settings[int(match[1])] = f"{float(match[2]):.3f}"

@@ -315,6 +315,62 @@ def test_a_line_that_the_board_runs_after_a_reset_blocks_until_it_is_gone() -> N
     rig.until(lambda: rig.state == "unhomed")
 
 
+@pytest.mark.parametrize("spoilt", [{"$N1=G91 G0 X5": 1}, {"$N0=": 1, "$N1=G91 G0 X5": 2}])
+def test_a_startup_line_that_noise_has_spoilt_is_asked_for_again(spoilt: dict[str, float]) -> None:
+    board = Board()
+    board.startup[1], board.spoilt = "G91 G0 X5", dict(spoilt)
+    rig = Rig(board=board).connect()
+    assert rig.states[-1].startswith("mismatch: $N1 runs 'G91 G0 X5' after each reset")
+    assert board.received == ["$I", "$$", *["$N"] * (1 + int(max(spoilt.values())))]
+
+    board.startup[1], board.spoilt = "", {"$N0=": 1, "$N1=": 1}
+    rig.machine.closed("unplugged", rig.now)
+    assert rig.connect().state == "unhomed"
+
+
+def test_startup_lines_that_cannot_be_read_block() -> None:
+    board = Board()
+    board.spoilt = {"$N0=": math.inf}
+    rig = Rig(board=board).connect()
+    said = "$N0 could not be read, is there noise on the line? What the board runs after each reset is not known"
+    assert rig.states[-1] == f"mismatch: {said}: connect it anew"
+    assert "mismatch" in rig.machine.home(rig.now) and board.received.count("$N") == 5
+    board.spoilt.clear()
+    rig.machine.closed("unplugged", rig.now)
+    assert rig.connect().state == "unhomed"
+
+
+def test_a_startup_line_that_the_board_could_not_read_is_asked_for_again() -> None:
+    """Error:7 stands in the line's place, before the ``ok``; GRBL empties the line then."""
+    board = Board()
+    board.startup[1] = "G91 G0 X5"
+    board.refuse["$N"] = 7
+    board.hooks["$N"] = lambda: board.hooks.update({"$N": lambda: board.refuse.clear()})
+    rig = Rig(board=board).connect()
+    assert rig.states[-1].startswith("mismatch: $N1 runs 'G91 G0 X5'") and board.received[2:] == ["$N", "$N"]
+
+
+FLUIDNC_MACROS = ("$/macros/startup_line0", "$/macros/startup_line1", "$/macros/after_reset")
+
+
+@pytest.mark.parametrize("known", [3, 2])
+def test_fluidnc_is_asked_for_its_macros(known: int, monkeypatch: Any) -> None:
+    """It has no ``$N`` any more: there it lists all settings with an n in their names."""
+    monkeypatch.setattr(protocol_board, "BANNER", b"\r\nGrbl 3.7 [FluidNC v3.7]\r\nALARM:14\r\n")
+    board = Board()
+    board.macros = dict.fromkeys(FLUIDNC_MACROS[:known], "")
+    board.spoilt = {f"{FLUIDNC_MACROS[0]}=": 1}
+    rig = Rig(board=board).connect()
+    assert rig.state == "unhomed" and board.received == ["$I", "$$", *FLUIDNC_MACROS, FLUIDNC_MACROS[0]]
+
+    board.macros[FLUIDNC_MACROS[1]] = "G91 G0 X5"
+    rig.machine.closed("unplugged", rig.now)
+    said = (
+        f"{FLUIDNC_MACROS[1]} runs 'G91 G0 X5' after a reset, it must be empty: take it out of the board's config file"
+    )
+    assert rig.connect().states[-1] == f"mismatch: {said}"
+
+
 def test_a_firmware_without_startup_lines_connects_and_the_refusal_is_told() -> None:
     board = Board()
     board.refuse["$N"] = 3

@@ -44,7 +44,11 @@ READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
 
 IDLE_DELAY, STAYS_ON = 1, "255"
 """Milliseconds after a motion at which the motors let go, and what stands for never."""
-READ_SETTINGS, READ_STARTUP = "$$", "$N"
+READ_SETTINGS = "$$"
+_MACROS = ("$/macros/startup_line0", "$/macros/startup_line1", "$/macros/after_reset")
+READ_STARTUP = {"$N": ("$N0", "$N1"), **{name: (name,) for name in _MACROS}}
+"""What asks for the lines that a board runs by itself, and the names in the answer; FluidNC calls them macros."""
+STARTUP_TRIES = 5
 
 Reading = tuple[float, float, float]
 
@@ -78,7 +82,8 @@ class Connection:
         self.connects = 0
         self.reading_m: tuple[float, float, float] | None = None
         self._settings: dict[int, str] = {}
-        self._startup: dict[int, str] = {}
+        self._startup: dict[str, str] = {}
+        self._startup_tries = 0
         self._profile: dict[int, float] = {}
         self._latched = ""
         self._mismatch = ""
@@ -280,20 +285,43 @@ class Connection:
         return ""
 
     def _read_settings(self, now: float, reason: str) -> None:
-        self._settings, self._startup = {}, {}
+        self._settings, self._startup, self._startup_tries = {}, {}, 0
         self._enter(Phase.SETTINGS, now, reason)
         self._marker = self.session.queue(READ_SETTINGS).number
 
-    def _read_startup(self) -> None:
-        self._marker = self.session.queue(READ_STARTUP).number
+    def _startup_missing(self) -> list[str]:
+        names = _MACROS if self.dialect is Dialect.FLUIDNC else READ_STARTUP["$N"]
+        return [name for name in names if name not in self._startup]
+
+    def _read_startup(self, now: float) -> None:
+        """Ask for what is still missing of the lines that the board runs by itself; noise may have spoilt an answer."""
+        missing = self._startup_missing()
+        if not missing or self._startup_tries == STARTUP_TRIES:
+            self._check_settings(now)
+            return
+        self._startup_tries += 1
+        for question, names in READ_STARTUP.items():
+            if not set(names).isdisjoint(missing):
+                self._marker = self.session.queue(question).number
 
     def _startup_lines(self) -> list[str]:
-        """Return a sentence for each line that the board runs by itself after a reset, with which a stop ends."""
-        return [
-            f"$N{number} runs {text!r} after each reset, it must be empty: unlock by $X, then send $N{number}="
-            for number, text in sorted(self._startup.items())
-            if text
-        ]
+        """Return a sentence for what the board runs by itself after a reset, with which a stop ends."""
+        found = []
+        for name, text in sorted(self._startup.items()):
+            if text and name in _MACROS:
+                found.append(
+                    f"{name} runs {text!r} after a reset, it must be empty: take it out of the board's config file"
+                )
+            elif text:
+                found.append(
+                    f"{name} runs {text!r} after each reset, it must be empty: unlock by $X, then send {name}="
+                )
+        if missing := ", ".join(self._startup_missing()):
+            found.append(
+                f"{missing} could not be read, is there noise on the line? "
+                "What the board runs after each reset is not known: connect it anew"
+            )
+        return found
 
     def _check_settings(self, now: float) -> None:
         wrong = differences(self._settings, self.config.expected_settings())

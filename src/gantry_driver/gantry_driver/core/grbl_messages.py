@@ -98,9 +98,9 @@ class SettingValue(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartupLine(Message):
-    """One line of ``$N``: what the board runs after a reset; ``text`` is empty for nothing."""
+    """What the board runs after a reset, by its name (``$N0``); ``text`` is empty for nothing."""
 
-    number: int
+    name: str
     text: str
 
 
@@ -167,7 +167,7 @@ _ALARM = re.compile(r"ALARM:\s*(\d{1,3})\Z", re.IGNORECASE)
 _GRBL = re.compile(r"Grbl(HAL)? (\d[\w.]*)(.*)", re.IGNORECASE)
 _MARLIN = re.compile(r"(?:echo:)?\s*Marlin\s+([\w.-]+)")
 _SETTING = re.compile(r"\$(\d{1,4})=([^\s()]*)")
-_STARTUP = re.compile(r"\$N(\d)=(.*)\Z")
+_STARTUP = re.compile(r"(\$(?:N\d|/macros/\w+))=(.*)\Z")
 _FEEDBACK = re.compile(r"\[([A-Za-z][A-Za-z0-9]*):(.*)\]\Z")
 _STATES = {"Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool"}
 
@@ -198,7 +198,7 @@ def parse_line(raw: bytes) -> Message:
     if match := _SETTING.match(text):
         return SettingValue(number=int(match[1]), text=match[2])
     if match := _STARTUP.match(text):
-        return StartupLine(number=int(match[1]), text=match[2].strip())
+        return StartupLine(name=match[1], text=match[2].strip())
     if match := _FEEDBACK.match(text):
         return _feedback(match[1], match[2])
     if "FIRMWARE_NAME:Marlin" in text:

@@ -13,7 +13,6 @@ from gantry_driver.core.connection import (
     ASK_ALONE_S,
     HOLD_REPEAT_S,
     OLD_HOLDS,
-    READ_SETTINGS,
     READ_STARTUP,
     Connection,
     Goal,
@@ -60,6 +59,8 @@ from icu_common.core.results import GoalResult, Outcome
 BANNER_TIMEOUT_S = 5.0
 CRITICAL_ALARM_PAUSE_S = 0.6
 """After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
+EEPROM_READ_FAILED = 7
+"""Of a startup line; GRBL and grblHAL empty it then, go on with the other one, and answer ``ok`` besides."""
 HOMING_WANTED = {Dialect.GRBLHAL: 11, Dialect.FLUIDNC: 14}
 """The alarm with which a firmware says after each reset that it has not been homed."""
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
@@ -383,7 +384,7 @@ class Machine(Connection):
         elif isinstance(message, SettingValue):
             self._settings[message.number] = message.text
         elif isinstance(message, StartupLine):
-            self._startup[message.number] = message.text
+            self._startup[message.name] = message.text
         elif isinstance(message, Firmware):
             self._on_firmware(message, now)
         elif isinstance(message, Feedback) and message.key == "MSG" and "reset to continue" in message.text.lower():
@@ -427,10 +428,8 @@ class Machine(Connection):
             self._read_settings(now, self.reason)
         elif self.phase is Phase.WRITING:
             self._read_settings(now, "")
-        elif self.phase is Phase.SETTINGS and event.line.text == READ_SETTINGS:
-            self._read_startup()
         elif self.phase is Phase.SETTINGS:
-            self._check_settings(now)
+            self._read_startup(now)
         elif self.phase in (Phase.HOMING, Phase.LIFTING):
             self._marker_done = True
             self.session.poll_now()
@@ -446,8 +445,11 @@ class Machine(Connection):
             self._enter(Phase.STOPPED, now, f"{self.reason}; the stylus was not lifted: {text}")
         elif self.phase is Phase.WRITING and event.line.number == self._marker:
             self._read_settings(now, "")
-        elif self.phase is Phase.SETTINGS and event.line.text == READ_STARTUP:
-            self._check_settings(now)  # a firmware that does not know the question has no such lines
+        elif self.phase is Phase.SETTINGS and event.line.text in READ_STARTUP:
+            if event.code != EEPROM_READ_FAILED:  # a firmware that does not know the question has no such lines
+                self._startup = dict.fromkeys(READ_STARTUP[event.line.text], "") | self._startup
+            if event.line.number == self._marker:
+                self._read_startup(now)
         elif self.phase in (Phase.IDENTIFY, Phase.SETTINGS) and event.line.number == self._marker:
             self._close(f"{event.line.text} was refused: {text}", now)
 

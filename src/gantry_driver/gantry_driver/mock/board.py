@@ -34,6 +34,8 @@ class Board(Execution):
             if len(rest) > 1:
                 return ERROR_BAD_STATEMENT
             return self._simple_command(rest)
+        elif self.options.dialect == "FluidNC" and rest in reports.MACROS:
+            self._say(reports.MACROS[rest])
         elif self.state not in (State.IDLE, State.ALARM):
             return ERROR_NOT_IDLE
         elif rest[0] == "#":

@@ -12,6 +12,8 @@ BANNERS = {
     "grblHAL": "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]",
     "FluidNC": "\r\nGrbl 3.7 [FluidNC v3.7.8 (wifi) '$' for help]",
 }
+MACROS = {f"MACROS{name.upper()}": f"$/macros/{name}=" for name in ("startup_line0", "startup_line1", "after_reset")}
+"""FluidNC's answers in place of ``$N``, which it has no more, by the questions as this parser collects them."""
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 UNLOCK_HINT = "[MSG:'$H'|'$X' to unlock]"
 RESET_HINT = "[MSG:Reset to continue]"
