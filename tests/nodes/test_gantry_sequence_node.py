@@ -95,6 +95,14 @@ def test_a_wrong_text_is_refused_with_its_line_and_a_missing_check_ends_it(ros: 
     assert len(rig.commands) == 1
 
 
+def test_a_value_that_cannot_be_read_does_not_end_the_sequencer(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.sequence.publish(String(data="id: bad\nsteps:\n  - {do: press:MENU, within_s: 2026-13-45}\n"))
+    assert rig.final("bad").reason == "sequence:3: month must be in 1..12"
+    rig.sequence.publish(String(data="id: good\nsteps: ['press:SAVE']"))
+    assert rig.wait_for_command(1) == "press:SAVE id=good.1"
+
+
 def test_a_stop_while_a_check_is_waited_for_ends_it_before_anything_is_reset(ros: Any) -> None:
     rig = Rig(ros)
     steps = "{do: press:RUN_STOP, check: 'lamp:RUN_STOP=red', within_s: 60}, 'press:SAVE'"

@@ -49,6 +49,14 @@ def test_a_sequence_survives_its_text() -> None:
         ("name: capture", "title: capture", r"f\.yaml:1: 'title': name"),
         ("press:RUN_STOP", "press:RUN_STOP id=7", r"f\.yaml:7: .* ids are given by the sequencer"),
         ("steps:\n", "steps: [\n", r"f\.yaml:\d+: "),
+        ("within_s: 2", "within_s: 2026-13-45", r"f\.yaml:6: month must be in 1\.\.12"),
+        ("within_s: 2", "within_s: !!int two", r"f\.yaml:6: invalid literal"),
+        ("within_s: 2", "within_s: !!timestamp two", r"f\.yaml:6: "),
+        ("within_s: 2", "within_s: !!python/name:os.x", r"f\.yaml:6: could not determine a constructor"),
+        ("within_s: 2", "{a: b}: 2", r"f\.yaml:6: found unhashable key"),
+        ("- press", "- &a [*a]\n  - press", r"f\.yaml:3: found unconstructable recursive node"),
+        ("steps:\n", "steps:\n\0", r"f\.yaml:1: unacceptable character #x0000"),
+        pytest.param("name: capture", "name: " + 900 * "[", r"f\.yaml:1: ", id="deep"),
     ],
 )
 def test_errors_name_the_line(old: str, new: str, message: str) -> None:

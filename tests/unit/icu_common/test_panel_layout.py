@@ -78,6 +78,11 @@ def test_good_layout() -> None:
             r"f\.yaml:13: depth_mm = \[0\]",
         ),
         ("kind: knob", "kind: [knob", r"f\.yaml:\d+: "),
+        ("kind: knob", "kind: 2026-13-45", r"f\.yaml:11: month must be in 1\.\.12"),
+        ("kind: knob", "kind: !!timestamp knob", r"f\.yaml:11: "),
+        ("kind: knob", "{a: b}: knob", r"f\.yaml:10: unhashable type"),
+        ("kind: knob", "kind: \0knob", r"f\.yaml:1: unacceptable character #x0000"),
+        pytest.param("kind: knob", "kind: " + 900 * "[", r"f\.yaml:1: ", id="deep"),
     ],
 )
 def test_errors_name_the_line(old: str, new: str, message: str) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from icu_common.core.fiducial import DICTIONARIES, Fiducial, count_of
+from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
 CONTROL_KINDS = ("button", "knob", "touch_area", "connector")
 SHAPES = ("rectangle", "circle")
@@ -138,7 +139,7 @@ class PanelLayout:
         raise KeyError(f"{self.model} has no control {name!r}; it has {', '.join(c.name for c in self.controls)}")
 
 
-class _LineLoader(yaml.SafeLoader):
+class _LineLoader(Loader):
     """Safe YAML that remembers on which line each mapping starts."""
 
 
@@ -173,9 +174,8 @@ def parse_layout(text: str, file_name: str = "layout") -> PanelLayout:
     """Check the text of a layout file; see :func:`load_layout`."""
     try:
         document = yaml.load(text, Loader=_LineLoader)  # a SafeLoader with line numbers
-    except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise LayoutError(f"{file_name}:{line}: {error.problem}") from error
+    except UNREADABLE as error:
+        raise LayoutError(f"{file_name}:{mistake(error)}") from error
     if not isinstance(document, dict):
         raise LayoutError(f"{file_name}:1: a mapping with model, size_mm and controls is needed")
     return _Reader(file_name).layout(document)

@@ -16,6 +16,7 @@ from typing import Any
 import yaml
 
 from icu_common.core.gesture import GestureError, parse_gesture
+from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
 MAX_STEPS = 100
 _CHECK = re.compile(r"(?:(effect|screen)|(lamp|angle):([A-Za-z][A-Za-z0-9_]*)=([^\s=]+))\Z")
@@ -88,10 +89,12 @@ def parse_file(text: str, file_name: str = "sequence") -> Sequence:
         In the form ``file:line: what is wrong``.
     """
     try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise SequenceError(f"{file_name}:{line}: {error.problem}") from error
+        return _sequence_of(yaml.compose(text, Loader=Loader), file_name)
+    except UNREADABLE as error:
+        raise SequenceError(f"{file_name}:{mistake(error)}") from error
+
+
+def _sequence_of(root: yaml.Node | None, file_name: str) -> Sequence:
     if not isinstance(root, yaml.MappingNode):
         raise SequenceError(f"{file_name}:1: a mapping with steps is needed")
     entries: list[tuple[str, Any]] = []
@@ -102,14 +105,12 @@ def parse_file(text: str, file_name: str = "sequence") -> Sequence:
             name = value.value
         elif key.value == "steps" and isinstance(value, yaml.SequenceNode):
             for node in value.value:
-                entries.append((f"{file_name}:{node.start_mark.line + 1}", _plain(node)))
+                entries.append(
+                    (f"{file_name}:{node.start_mark.line + 1}", Loader("").construct_object(node, deep=True))
+                )
         else:
             raise SequenceError(f"{place}: {key.value!r}: name (a text) and steps (a list) are known")
     return _sequence(entries, name)
-
-
-def _plain(node: yaml.Node) -> Any:
-    return yaml.SafeLoader("").construct_object(node, deep=True)
 
 
 def _sequence(entries: Sequence_[tuple[str, Any]], name: str) -> Sequence:

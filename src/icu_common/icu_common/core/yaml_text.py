@@ -1,0 +1,27 @@
+"""YAML whose mistakes all have a line: PyYAML lets errors of what builds its values through, without one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import yaml
+
+UNREADABLE = (yaml.YAMLError, RecursionError)
+"""What reading with :class:`Loader` can raise."""
+
+
+class Loader(yaml.SafeLoader):
+    """Safe YAML; a value that cannot be built (a 13th month, a list as a key) is an error with its line."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, TypeError, AttributeError) as error:
+            raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from error
+
+
+def mistake(error: Exception) -> str:
+    """Return ``line: what is wrong`` of one of :data:`UNREADABLE`."""
+    if isinstance(error, yaml.MarkedYAMLError):
+        return f"{error.problem_mark.line + 1 if error.problem_mark else 1}: {error.problem}"
+    return f"1: {str(error).partition(chr(10))[0]}"
