@@ -342,6 +342,7 @@ def test_best_on_average_weighs_every_change_alike() -> None:
         (["detect", "missing.png"], "missing.png does not exist"),
         (["detect", "EMPTY"], "is no picture"),
         (["detect", "PICTURE", "--set", "k=[1"], "'k=[1'"),
+        (["detect", "PICTURE", "--set", "k=2026-13-45"], "'k=2026-13-45'"),
         (["detect", "PICTURE", "--set-edges", "high=3"], "--set-edges need --edges"),
         (["detect", "PICTURE", "--set", "k=7"], "k = 7"),
         (["detect", "PICTURE", "--set", "kk=0.04"], "kk"),
@@ -386,4 +387,4 @@ def test_mistakes_end_with_one_line(
     assert main([str(tmp_path / names[a]) if a in names else a for a in arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and words in error and error.count("\n") == 1
-    assert (tmp_path / "p.png").read_bytes() == whole
+    assert (tmp_path / "p.png").read_bytes() == whole and not (tmp_path / "out").exists()

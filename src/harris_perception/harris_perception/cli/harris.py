@@ -26,6 +26,7 @@ from harris_perception.core.overlay import draw_corners, matches_picture
 from harris_perception.core.repeatability import EPSILONS_PX, mapped
 from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
 from icu_common.core.config import from_mapping, settings_of
+from icu_common.core.yaml_text import UNREADABLE, Loader
 
 T = TypeVar("T")
 EDGE_COLOR = (255, 160, 0)
@@ -42,8 +43,8 @@ def _settings(config_class: type[T], pairs: Sequence[str]) -> T:
         if not equals:
             raise ValueError(f"{pair!r}: KEY=VALUE is needed")
         try:
-            values[name] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
+            values[name] = yaml.load(value, Loader)
+        except UNREADABLE as error:
             raise ValueError(f"{pair!r}: the value cannot be read") from error
         if isinstance(values[name], str) and re.fullmatch(r"[-+]?[\d.]+[eE][-+]?\d+", value):
             values[name] = float(value)  # YAML 1.1 takes 1e6 for a text

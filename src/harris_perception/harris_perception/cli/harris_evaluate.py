@@ -56,11 +56,13 @@ def evaluate(options: argparse.Namespace) -> int:
             raise ValueError(f"--{name} {value}: {least} to {most} is needed")
     drawn = [source for source in options.sources if source.is_dir() and any(source.rglob("*.mat"))]
     others = [source for source in options.sources if source not in drawn]
+    groups = list(_groups(others, options.seed))
+    pictures = [pair for folder in drawn for pair in drawn_pictures(folder)]
     options.output.mkdir(parents=True, exist_ok=True)
-    if others:
-        _points(others, options)
-    if drawn:
-        _boundaries(drawn, options.output)
+    if groups:
+        _points(groups, options)
+    if pictures:
+        _boundaries(pictures, options.output)
     return 0
 
 
@@ -113,11 +115,10 @@ def _found(
         yield name, first[name][: limits[0]], second[name][: limits[1]]
 
 
-def _points(sources: list[Path], options: argparse.Namespace) -> None:
+def _points(groups: list[_Group], options: argparse.Namespace) -> None:
     ours, peers = our_detectors(), peer_detectors()
     detectors: dict[str, Detect] = ours | peers
     # The first, third, ... sequence or photograph is for choosing one of our settings, the others are reported.
-    groups = list(_groups(sources, options.seed))
     halves = (
         ("chosen on" if i % 2 == 0 else "reported", pair) for i, group in enumerate(groups) for pair in group.pairs()
     )
@@ -197,12 +198,11 @@ def _plot(rows: Sequence[dict[str, Any]], ours: Sequence[str], peers: Sequence[s
         pyplot.close(figure)
 
 
-def _boundaries(folders: list[Path], output: Path) -> None:
+def _boundaries(pictures: list[tuple[Path, Path]], output: Path) -> None:
     """Compare edges with drawn boundaries; of each peer the sigma that is best on these counts, for ODS and for OIS."""
     ours, peers = our_finders(), peer_finders()
     named = {(name, 0.0): finder for name, finder in ours.items()}
     named |= {(name, sigma): finder for name, sigmas in peers.items() for sigma, finder in sigmas.items()}
-    pictures = [pair for folder in folders for pair in drawn_pictures(folder)]
     counts = np.zeros((len(named), len(pictures), len(THRESHOLDS), 4), np.int64)
     rows = []
     for p, (path, truth) in enumerate(progress(pictures, len(pictures), "evaluate")):
