@@ -18,6 +18,11 @@ CONFIG = Path(__file__).parents[3] / "config"
         (["--set", "recognition=5"], "error: --set recognition=5: PROGRAM.PARAMETER=VALUE is needed"),
         (["--set", "nobody.rate_hz=5"], "error: no program nobody; there are "),
         (["--only", "nobody"], "error: no program nobody; there are "),
+        *(
+            (["--namespace", name], f"error: --namespace {name}: ")
+            for name in ("a b", "1bed", "a-b", "b\u00e4d", "a//b")
+        ),
+        (["--namespace", "../../elsewhere"], "error: --namespace ../../elsewhere: names of letters, digits and _"),
     ],
 )
 def test_what_names_no_setting_or_program_is_refused(
@@ -29,3 +34,11 @@ def test_what_names_no_setting_or_program_is_refused(
     assert bring_up.main() == 2
     captured = capsys.readouterr()
     assert captured.err.startswith(said) and "started" not in captured.out
+
+
+def test_a_namespace_that_is_none_makes_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It names one below the state's folder, which is made for this user alone."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr("sys.argv", ["bring_up", "--config", str(CONFIG), "--namespace", "../../elsewhere"])
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    assert bring_up.main() == 2 and list(tmp_path.iterdir()) == []

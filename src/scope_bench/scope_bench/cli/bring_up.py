@@ -24,6 +24,7 @@ IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "http://", "https:
 """Lines with one of these are shown without --verbose."""
 WAIT_S = 60.0
 """So long a program waits for the simulated device that it belongs to."""
+_NAMESPACE = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*/?", re.ASCII)
 _SETTING = re.compile(r"\w+\.[\w.]+=.*", re.DOTALL)
 
 
@@ -93,6 +94,11 @@ class BringUp:
         """Run until a signal comes; return the exit code."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._stop)
+        if self.options.namespace and not _NAMESPACE.fullmatch(self.options.namespace):
+            raise GraphError(
+                f"--namespace {self.options.namespace}: names of letters, digits and _ are needed, "
+                "each with a letter first, with / between them"
+            )
         config = (self.options.config or configuration_folder()).resolve()
         state = state_folder(self.options.state, self.options.namespace)
         if self.options.prepare and self.options.profile == "hardware":
