@@ -150,3 +150,33 @@ def test_the_command_writes_picture_and_truth(tmp_path: Path) -> None:
     assert min(red, blue) > green + 40, "the magenta ball is where the truth says"
     with pytest.raises(SystemExit):
         render.main([*arguments, "--set", "light.noise=-1"])
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--set", "light.noise"], "'light.noise': KEY=VALUE is needed"),
+        (["--set", "light.noise=2026-13-45"], "'light.noise=2026-13-45': the value cannot be read"),
+        (["--set", "light.noise=[1"], "'light.noise=[1': the value cannot be read"),
+        (["--turn", "CH1_SCALE"], "--turn CH1_SCALE: NAME=DEGREES is needed"),
+        (["--turn", "CH1_SCALE=far"], "--turn CH1_SCALE=far: NAME=DEGREES is needed"),
+        (["--turn", "CH1_SCALE=nan"], "--turn CH1_SCALE=nan: NAME=DEGREES is needed"),
+        (["--turn", "NOPE=3"], "no control 'NOPE'"),
+        (["--press", "NOPE"], "no control 'NOPE'"),
+        (["--tip", "nan", "0", "0"], "argument --tip: nan is not finite"),
+        (["--time", "inf"], "argument --time: inf is not finite"),
+        (["--hide", "0", "0", "nan", "1"], "argument --hide: nan is not finite"),
+        (["--out", "picture.nothing"], "picture.nothing cannot be written"),
+        (["--truth", "nowhere/truth.json"], "nowhere/truth.json"),
+        (["--truth", "picture.png"], "--truth picture.png: the picture is written there"),
+    ],
+)
+def test_mistakes_on_the_command_line_end_with_one_sentence(
+    given: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    layout = ["--layout", str(ROOT / "config/scopes/dso_bench_4.yaml"), "--out", "picture.png"]
+    with pytest.raises(SystemExit) as ended:
+        render.main([*layout, *given])
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert ended.value.code == 2 and error.startswith("bench_render: error: ") and said in error

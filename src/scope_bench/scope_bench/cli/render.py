@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,8 @@ import yaml
 
 from icu_common.core.config import from_mapping
 from icu_common.core.geometry import Transform
-from icu_common.core.panel_layout import load_layout
+from icu_common.core.panel_layout import PanelLayout, load_layout
+from icu_common.core.yaml_text import UNREADABLE, Loader
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.instrument import InstrumentState, press, turn
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel, control_pixels
@@ -22,40 +25,78 @@ def _matrix(transform: Transform) -> dict[str, Any]:
     return {"rotation": transform.rotation.tolist(), "translation_m": transform.translation.tolist()}
 
 
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is not finite")
+    return value
+
+
+def _config(pairs: Sequence[str]) -> BenchConfig:
+    values = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals:
+            raise ValueError(f"{pair!r}: KEY=VALUE is needed")
+        try:
+            values[key] = yaml.load(value, Loader)
+        except UNREADABLE as error:
+            raise ValueError(f"{pair!r}: the value cannot be read") from error
+    return from_mapping(BenchConfig, values)
+
+
+def _state(options: argparse.Namespace, layout: PanelLayout) -> InstrumentState:
+    """Return the instrument after what was pressed and turned; a KeyError names a control that is not there."""
+    state = InstrumentState()
+    for name in options.press:
+        state = press(state, layout.control(name).name, options.time - 0.5)
+    for item in options.turn:
+        name, _, degrees = item.partition("=")
+        try:
+            angle_deg = _finite(degrees)
+        except (ValueError, argparse.ArgumentTypeError):
+            raise ValueError(f"--turn {item}: NAME=DEGREES is needed") from None
+        state = turn(state, layout.control(name).name, angle_deg)
+    return state
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="bench_render", description=__doc__)
     parser.add_argument("--layout", type=Path, default=Path("config/scopes/dso_bench_4.yaml"))
     parser.add_argument("--out", type=Path, required=True, help="picture to write, for example left.png")
     parser.add_argument("--truth", type=Path, help="JSON file with the truth; default: beside the picture, .json")
     parser.add_argument("--side", choices=("left", "right"), default="left")
-    parser.add_argument("--tip", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.30, 0.20, 0.0))
+    parser.add_argument("--tip", type=_finite, nargs=3, metavar=("X", "Y", "Z"), default=(0.30, 0.20, 0.0))
     parser.add_argument(
         "--press", action="append", default=[], metavar="NAME", help="button pressed before the picture"
     )
     parser.add_argument("--turn", action="append", default=[], metavar="NAME=DEGREES", help="knob turned before")
-    parser.add_argument("--time", type=float, default=3.0, help="seconds since the bench was switched on")
-    parser.add_argument("--hide", type=float, nargs=4, metavar=("X", "Y", "W", "H"), help="hand over the panel, mm")
+    parser.add_argument("--time", type=_finite, default=3.0, help="seconds since the bench was switched on")
+    parser.add_argument("--hide", type=_finite, nargs=4, metavar=("X", "Y", "W", "H"), help="hand over the panel, mm")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="setting, e.g. light.noise=0")
     options = parser.parse_args(arguments)
+    truth_file = options.truth or options.out.with_suffix(".json")
     try:
-        values = dict(item.split("=", 1) for item in options.set)
-        config = from_mapping(BenchConfig, {key: yaml.safe_load(value) for key, value in values.items()})
+        if truth_file.resolve() == options.out.resolve():
+            raise ValueError(f"--truth {truth_file}: the picture is written there")
+        config = _config(options.set)
         layout = load_layout(options.layout)
+        state = _state(options, layout)
     except (ValueError, OSError) as error:
         parser.error(str(error))
-    state = InstrumentState()
-    for name in options.press:
-        state = press(state, name, options.time - 0.5)
-    for item in options.turn:
-        name, _, degrees = item.partition("=")
-        state = turn(state, name, float(degrees))
+    except KeyError as error:
+        parser.error(str(error.args[0]))
     stands = base_from_panel(config.panel)
     renderer = Renderer(layout, config, stands)
     renderer.hide(tuple(options.hide) if options.hide else None)
     index = ("left", "right").index(options.side)
     moment = Moment(tip=tuple(options.tip), state=state, now_s=options.time)
     picture = renderer.render(moment)[index]
-    if not cv2.imwrite(str(options.out), picture):
+    try:
+        written = cv2.imwrite(str(options.out), picture)
+    except cv2.error:  # a suffix that OpenCV does not know
+        written = False
+    if not written:
         parser.error(f"{options.out} cannot be written")
     view = renderer.views[index]
     camera_from_base = renderer.rig.rectified_left_from_base()
@@ -68,8 +109,10 @@ def main(arguments: list[str] | None = None) -> int:
         "base_from_panel": _matrix(stands),
         "controls_px": control_pixels(view, layout),
     }
-    truth_file = options.truth or options.out.with_suffix(".json")
-    truth_file.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+    try:
+        truth_file.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        parser.error(str(error))
     return 0
 
 
