@@ -7,10 +7,12 @@ import socket
 import urllib.error
 import urllib.request
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from ros_rig import Ros
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
@@ -70,6 +72,44 @@ def test_a_bed_has_its_colours_whatever_its_camera_sends(ros: Ros, encoding: str
     picture = cv2.imdecode(np.frombuffer(get(f"{node.server.address}bed_1.jpg"), np.uint8), cv2.IMREAD_COLOR)
     assert picture.shape == (72, 128, 3)
     assert np.abs(picture.mean(axis=(0, 1)) - (20, 60, 200)).max() < 4
+
+
+BAYER = ("rggb", "bggr", "gbrg", "grbg")
+
+
+def picture_of(encoding: str, color: tuple[int, int, int], top: int) -> NDArray[Any]:
+    """Return 72 x 128 pixels of one color (r, g, b of 255) as a camera sends them, ``top`` for 255."""
+    r, g, b = (round(value * top / 255) for value in color)
+    deep = np.uint16 if encoding.endswith("16") else np.uint8
+    if encoding.startswith("bayer"):
+        tile = np.array([{"r": r, "g": g, "b": b}[letter] for letter in encoding[6:10]], deep).reshape(2, 2)
+        return np.tile(tile, (36, 64))
+    if encoding.startswith("mono"):
+        return np.tile(np.repeat(np.array([g, top], deep), 64), (72, 1))
+    pixel = [{"r": r, "g": g, "b": b, "a": top}[letter] for letter in encoding.rstrip("168")]
+    return np.full((72, 128, len(pixel)), pixel, deep)
+
+
+@pytest.mark.parametrize("deep", ["8", "16"])
+@pytest.mark.parametrize("name", ["mono", "bgr", "rgb", "bgra", "rgba", *(f"bayer_{p}" for p in BAYER)])
+def test_a_bed_shows_every_encoding_of_its_cameras(ros: Ros, name: str, deep: str) -> None:
+    node = ros.node(BedsNode, {"beds": ["bed_1"], "port": 0})
+    color, top = (255, 60, 20), 4095 if deep == "16" else 255  # a camera of 12 bits
+    sent = picture_of(name + deep, color, top)
+    if name == "mono":
+        color = (158, 158, 158)  # half of it is white
+    node._pictures["bed_1"] = image_message(sent, name + deep, header(1, "eye"))
+    picture = cv2.imdecode(np.frombuffer(get(f"{node.server.address}bed_1.jpg"), np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (72, 128, 3)
+    assert np.abs(picture[8:-8, 8:-8].mean(axis=(0, 1)) - color[::-1]).max() < 6
+
+
+def test_a_bed_whose_picture_is_empty_or_of_an_unknown_kind_has_none(ros: Ros) -> None:
+    node = ros.node(BedsNode, {"beds": ["bed_1"], "port": 0})
+    for message in (image_message(np.zeros((0, 0), np.uint8), "mono8", header(1, "eye")), Image(encoding="yuv422")):
+        node._pictures["bed_1"] = message
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            get(f"{node.server.address}bed_1.jpg")
 
 
 @pytest.mark.parametrize("program", [beds_node.main, stereo])

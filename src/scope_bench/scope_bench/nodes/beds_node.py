@@ -9,6 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
@@ -23,7 +24,16 @@ from scope_bench.adapters.beds_server import BedsServer
 
 STATES = {"controller": "gantry/state", "driver": "gantry/driver_state", "calibration": "calibration/state"}
 _WIDTH = 640
-_TO_BGR = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR}
+# OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
+_TO_BGR = {
+    "rgb": cv2.COLOR_RGB2BGR,
+    "rgba": cv2.COLOR_RGBA2BGR,
+    "bgra": cv2.COLOR_BGRA2BGR,
+    "bayer_rggb": cv2.COLOR_BayerBG2BGR,
+    "bayer_bggr": cv2.COLOR_BayerRG2BGR,
+    "bayer_gbrg": cv2.COLOR_BayerGR2BGR,
+    "bayer_grbg": cv2.COLOR_BayerGB2BGR,
+}
 _BED = re.compile(r"(?P<name>[a-zA-Z]\w*)(=(?P<url>https?://\S+))?")
 
 
@@ -77,17 +87,29 @@ class BedsNode(Node):
         message = self._pictures.get(name)
         if message is None:
             return b""
-        pixels = image_array(message)
-        scale = min(1.0, _WIDTH / pixels.shape[1])
-        small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        if message.encoding in _TO_BGR:
-            small = cv2.cvtColor(small, _TO_BGR[message.encoding])
-        done, data = cv2.imencode(".jpg", np.ascontiguousarray(small))
-        return data.tobytes() if done else b""
+        try:
+            return _jpeg(image_array(message), message.encoding)
+        except (ValueError, cv2.error) as error:
+            self.get_logger().error(f"{name}: {error}", throttle_duration_sec=60.0)
+            return b""
 
     def close(self) -> None:
         """End the page."""
         self.server.close()
+
+
+def _jpeg(pixels: npt.NDArray[Any], encoding: str) -> bytes:
+    code = _TO_BGR.get(encoding.rstrip("168"))
+    if pixels.dtype != np.uint8:
+        # To the largest value: most deep cameras fill 10 or 12 of the 16 bits.
+        finite = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+        pixels = np.clip(finite * (255.0 / max(float(finite.max(initial=0.0)), 1e-9)), 0.0, 255.0).astype(np.uint8)
+    if code is not None:
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
+    scale = min(1.0, _WIDTH / max(pixels.shape[1], 1))
+    small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    done, data = cv2.imencode(".jpg", np.ascontiguousarray(small))
+    return data.tobytes() if done else b""
 
 
 def _bed(text: str) -> tuple[str, str]:
