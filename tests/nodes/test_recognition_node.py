@@ -277,15 +277,18 @@ def test_a_panel_is_taught_by_messages(ros: Any, tmp_path: Path) -> None:
     lesson = {"id": "one", "stamp": str(START), "model": "taught", "title": "Taught", "size_mm": [320, 150]}
     lesson |= {"corners": corners, "controls": [["RUN_STOP", "button", float(u), float(v), 16, 9, 3]]}
 
-    def ask(**changes: Any) -> Any:
+    def ask(pixels: Any = None, **changes: Any) -> Any:
         before = len(answers)
-        pictures.publish(image_message(np.repeat(picture()[..., None], 3, axis=2), "bgr8", header(START, CAMERA_LEFT)))
+        shown = np.repeat(picture()[..., None], 3, axis=2) if pixels is None else pixels
+        pictures.publish(image_message(shown, "bgr8", header(START, CAMERA_LEFT)))
         requests.publish(String(data=json.dumps(lesson | changes)))
         ros.spin_until(lambda: len(answers) > before, 30.0)
         return result_of_message(answers[-1])
 
     wrong = ask(corners=corners[::-1])
     assert wrong.outcome is Outcome.REJECTED and "do not go round the face" in wrong.reason
+    empty = ask(np.zeros((0, 0, 3), np.uint8))
+    assert empty.outcome is Outcome.REJECTED and empty.reason.startswith("error while teaching: ")
     assert not folder.exists()
     done = ask()
     details = dict(done.details)

@@ -92,6 +92,10 @@ class PanelTeacher:
         except (ValueError, OSError) as error:
             self._refuse(request, str(error))
             return
+        except Exception as error:
+            # Of a thread's error nobody hears, and who asked would wait for ever: OpenCV's are of its own kind.
+            self._refuse(request, f"error while teaching: {error!r}")
+            return
         details = {"layout": str(layout), "template": str(template), "start": how_to_start(taught, template)}
         text = f"wrote {layout} and {template}"
         self._answer(request.goal_id, request.lesson.model, Outcome.REACHED, text, details)

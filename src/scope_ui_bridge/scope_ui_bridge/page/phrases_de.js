@@ -54,6 +54,7 @@ export const PHRASES_DE = [
   // Treiber: Verbindung, Platine, Einstellungen
   ["the device has gone", "das Gerät ist nicht mehr da"],
   ["error in the driver: {}", "Fehler im Treiber: {}"],
+  ["error while teaching: {}", "Fehler beim Anlernen: {}"],
   ["not opened yet", "noch nicht geöffnet"],
   ["link lost: {}", "Leitung verloren: {}"],
   ["the firmware is Marlin, which has no feed hold; GRBL is needed", "die Firmware ist Marlin, die keinen Vorschubhalt kennt; nötig ist GRBL"],
