@@ -164,6 +164,16 @@ def test_the_buffer_is_never_overfilled_and_every_line_goes_once_in_order(
     assert session.counts.sent == session.counts.acknowledged == len(texts)
 
 
+def test_a_line_longer_than_the_told_buffer_goes_alone() -> None:
+    """Noise has made 18 of 128: no line would ever leave, not even one that lifts the stylus."""
+    session = started(18)
+    session.queue("G21G90G94X100Y200")
+    session.queue("X101G53G1")
+    assert session.output(0.0) == b"G21G90G94X100Y200\n"
+    list(session.receive(b"ok\r\n", 0.1))
+    assert session.output(0.1) == b"X101G53G1\n"
+
+
 @pytest.mark.parametrize(
     "text", ["$100=250.000", "$N0=G21", "$RST=$", "$I=mill", "G10L2P1X0", "G10 L20 P1 X0", "G28.1", "G30.1"]
 )

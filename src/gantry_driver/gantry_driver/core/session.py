@@ -400,9 +400,11 @@ class GrblSession:
         if not self._queue or self.awaiting_banner or self.paused or now < self._quiet_until:
             return False
         line = self._queue[0]
-        if self._in_flight and (line.alone or self._in_flight[-1][0].alone):
+        if not self._in_flight:
+            return True  # It fits every board; what the buffer was told to be may have been spoilt by noise.
+        if line.alone or self._in_flight[-1][0].alone:
             return False
-        spare = 0 if self._wire_bound or not self._in_flight else SPARE_LINES * line.size
+        spare = 0 if self._wire_bound else SPARE_LINES * line.size
         # One byte less than the buffer: older builds' ring buffers hold one less than they say.
         return self._in_flight_bytes + line.size + spare < self.rx_bytes
 
