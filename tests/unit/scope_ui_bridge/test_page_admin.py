@@ -15,6 +15,7 @@ from unit.scope_ui_bridge.web_rig import Rig
 
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users
 from scope_ui_bridge.cli import page_admin
+from scope_ui_bridge.core.audit import AuditError
 from scope_ui_bridge.core.passwords import Role, matches
 
 
@@ -86,4 +87,9 @@ def test_the_audit_file_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture
     path.write_text("\n".join([text[0], text[1].replace("press:1", "press:7"), *text[2:]]) + "\n")
     assert page_admin.main(["audit", str(path)]) == 1
     assert "line 3 does not follow" in capsys.readouterr().err
+    path.write_bytes(text[0].encode() + b"\n" + text[1].encode().replace(b"press", b"pr\xffss") + b"\n")
+    assert page_admin.main(["audit", str(path)]) == 1
+    assert "line 2 is damaged" in capsys.readouterr().err
+    with pytest.raises(AuditError, match="line 2 is damaged"):
+        AuditFile(path)
     assert page_admin.main(["audit", str(tmp_path / "missing")]) == 1

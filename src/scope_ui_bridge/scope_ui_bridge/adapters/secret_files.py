@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from scope_ui_bridge.core.audit import START, chain_line, verify
+from scope_ui_bridge.core.audit import BAD_BYTES, START, chain_line, verify
 from scope_ui_bridge.core.passwords import User, parse_users
 
 
@@ -60,7 +60,7 @@ class AuditFile:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._count, self._previous = 0, START
         if path.exists():
-            with path.open(encoding="utf-8") as lines:
+            with path.open(encoding="utf-8", errors=BAD_BYTES) as lines:
                 self._count, self._previous = verify(lines)
         self._file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "w", encoding="utf-8")
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from scope_ui_bridge.adapters.secret_files import read_users, write_secret
-from scope_ui_bridge.core.audit import AuditError, verify
+from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, verify
 from scope_ui_bridge.core.passwords import PasswordError, Role, new_user
 
 STATE = Path("~/.local/state/icu_gantry")
@@ -110,7 +110,7 @@ def _kind(host: str) -> str:
 
 def check_audit(path: Path, noted: str | None) -> str:
     """Check a chain; ``noted`` is a hash that must be one of its lines'."""
-    text = path.read_text(encoding="utf-8").splitlines()
+    text = path.read_text(encoding="utf-8", errors=BAD_BYTES).splitlines()
     count, last = verify(text)
     # Each line names the hash of the one before, so a noted hash stands in the line after it, or is the last one's.
     if noted is not None and noted != last and not any(f'"previous":"{noted}"' in line for line in text[1:]):

@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from typing import Any
 
 START = "0" * 64
+BAD_BYTES = "backslashreplace"
+"""How a file is to be read: a byte that is no text becomes what no JSON has, and its line is named as damaged."""
 
 
 class AuditError(ValueError):
