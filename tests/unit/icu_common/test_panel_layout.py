@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from icu_common.core.panel_layout import LayoutError, Text, parse_layout
+from icu_common.core.panel_layout import LayoutError, Text, load_layout, parse_layout
 
 GOOD = """\
 model: test_panel
@@ -95,3 +97,10 @@ def test_marks_of_a_knob() -> None:
     text = GOOD.replace("shape: circle\n", "shape: circle\n    detent_deg: 30\n    marks_deg: {LOW: 60, HIGH: -60}\n")
     knob = parse_layout(text).control("KNOB")
     assert knob.detent_deg == 30 and knob.marks == (("LOW", 60.0), ("HIGH", -60.0))
+
+
+def test_a_layout_in_another_character_set_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "ger\u00e4t.yaml"
+    path.write_bytes(GOOD.replace("HELLO", "Ger\u00e4t").encode("latin-1"))
+    with pytest.raises(LayoutError, match=r"ger\u00e4t\.yaml:16: 'utf-8' codec can't decode byte 0xe4"):
+        load_layout(path)

@@ -167,7 +167,12 @@ def load_layout(path: Path) -> PanelLayout:
     OSError
         If the file cannot be read.
     """
-    return parse_layout(path.read_text(encoding="utf-8"), str(path))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        raise LayoutError(f"{path}:{line}: {error}") from error
+    return parse_layout(text, str(path))
 
 
 def parse_layout(text: str, file_name: str = "layout") -> PanelLayout:
