@@ -207,3 +207,14 @@ def test_settings_are_kept_in_a_file_compared_and_written_back(board: GrblBoard,
     wrong.write_text("$110=fast\n")
     code, output = run("--port", port, "--write-file", str(wrong), what="settings")
     assert code == 2 and "line 1: '$110=fast' is not $number=value" in output
+
+
+@pytest.mark.parametrize("text", [b"a: [", b"\xff\0", b"x: {ros__parameters: {baud: 2026-13-45}}"])
+def test_a_parameter_file_that_cannot_be_read_ends_it_with_one_line(
+    text: bytes, tmp_path: Path, program: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    params = tmp_path / "params.yaml"
+    params.write_bytes(text)
+    assert main(["run", str(program(*GOOD)), "--params", str(params)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {params}") and said.count("\n") == 1

@@ -38,6 +38,7 @@ from gantry_driver.core.progress import duration_text, progress_text
 from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile, profile_text
 from icu_common.core.config import ConfigError, from_mapping
 from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
 DONE, FAILED, USAGE = 0, 1, 2
 """Exit codes."""
@@ -67,7 +68,12 @@ def read_config(params: Path | None, port: str | None) -> DriverConfig:
     """
     values: dict[str, Any] = {}
     if params is not None:
-        document = yaml.safe_load(params.read_text(encoding="utf-8"))
+        try:
+            document = yaml.load(params.read_text(encoding="utf-8"), Loader)
+        except UNREADABLE as error:
+            raise ConfigError(f"{params}:{mistake(error)}") from error
+        except UnicodeDecodeError as error:
+            raise ConfigError(f"{params}: {error}") from error
         try:
             ((_, node),) = document.items()
             values = flat(node["ros__parameters"])
