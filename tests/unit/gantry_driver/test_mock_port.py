@@ -301,6 +301,7 @@ def test_program_needs_little_of_a_core(program: tuple[subprocess.Popen[str], Pa
         (["--set", "99=1"], "GRBL 1.1 has no setting $99"),
         (["--set", "22=0"], "$20=1 is refused with error:10"),
         (["--settings", "no-such-file"], "No such file"),
+        (["--settings", sys.executable], f"{sys.executable} is no text"),
     ],
 )
 def test_program_refuses_bad_arguments(arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -308,7 +309,9 @@ def test_program_refuses_bad_arguments(arguments: list[str], sentence: str, caps
     assert sentence in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("arguments", [["--time-scale", "0"], ["--baud", "17"], ["--start", "1,2"], ["--bogus"]])
+@pytest.mark.parametrize(
+    "arguments", [["--time-scale", "0"], ["--baud", "17"], ["--start", "1,2"], ["--start", "nan,0,0"], ["--bogus"]]
+)
 def test_program_refuses_values_out_of_bounds(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(arguments)

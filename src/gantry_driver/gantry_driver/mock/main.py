@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import signal
 import sys
 from collections.abc import Sequence
@@ -44,7 +45,7 @@ def _latency(text: str) -> float:
 
 def _start(text: str) -> tuple[float, float, float]:
     parts = [float(part) for part in text.split(",")]
-    if len(parts) != 3:
+    if len(parts) != 3 or not all(map(math.isfinite, parts)):
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form X,Y,Z in mm")
     return parts[0], parts[1], parts[2]
 

@@ -152,7 +152,11 @@ def make_eeprom(assignments: Mapping[int, float]) -> Eeprom:
 def read_settings_file(path: Path) -> dict[int, float]:
     """Read a text file of ``$N=VALUE`` lines, such as a saved answer to ``$$``; ``ok`` and comments are skipped."""
     assignments: dict[int, float] = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{path} is no text: {error}") from error
+    for line in lines:
         text = re.split(r"[;(#]", line, maxsplit=1)[0].strip()
         if text and text != "ok":
             number, value = parse_assignment(text)
