@@ -65,7 +65,10 @@ def test_board_files_are_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["mono", "{folder}/left[01].png", "--chessboard", "10x7"], "left0.png shows 9x6 inner corners: try --chessboard 9x6"),
+        (
+            ["mono", "{folder}/left[01].png", "--chessboard", "10x7"],
+            "left0.png shows 9x6 inner corners: try --chessboard 9x6",
+        ),
         (["mono", "{folder}/left[0-2].png", *SMALL], "found in 3 pictures, at least 5 are needed"),
         (["mono", "{folder}/nothing*.png"], "no pictures"),
         (["mono", "{folder}", "--charuco", "9x6"], "check the dictionary"),
