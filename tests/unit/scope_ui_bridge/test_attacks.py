@@ -97,6 +97,20 @@ async def path_traversal(rig: Rig, client: Page) -> None:
     writer.close()
 
 
+def form(kind: str, body: bytes) -> Attack:
+    async def attack(rig: Rig, client: Page) -> None:
+        headers = {**client.origin, "Content-Type": kind}
+        async with client.session.post("/sign-in", data=body, headers=headers) as answer:
+            assert (answer.status, answer.headers.get("X-Frame-Options")) == (400, "DENY"), await answer.text()
+
+    return attack
+
+
+async def endless_name(rig: Rig, client: Page) -> None:
+    async with client.session.get(f"/page/{'a' * 3000}") as answer:
+        assert (answer.status, answer.headers.get("X-Frame-Options")) == (414, "DENY"), await answer.text()
+
+
 ATTACKS: dict[str, tuple[Attack, str]] = {
     "no cookie": (no_cookie, "/control"),
     "invented cookie": (invented_cookie, "/control"),
@@ -115,6 +129,15 @@ ATTACKS: dict[str, tuple[Attack, str]] = {
     "garbage for a frame": (garbage_for_a_frame, "frame"),
     "huge post": (huge_post, "413"),
     "path traversal": (path_traversal, "setup.py"),
+    "endless name": (endless_name, "path of 3006 characters"),
+    "form without its boundary": (form("multipart/form-data", b"token=a"), "/sign-in"),
+    "form that is cut off": (form("multipart/form-data; boundary=x", b"--x\r\nfoo"), "/sign-in"),
+    "field without a name": (
+        form("multipart/form-data; boundary=x", b"--x\r\nContent-Disposition: form-data\r\n\r\na\r\n--x--\r\n"),
+        "/sign-in",
+    ),
+    "form in an unknown encoding": (form("application/x-www-form-urlencoded; charset=no", b"token=a"), "/sign-in"),
+    "form that is no UTF-8": (form("application/x-www-form-urlencoded", b"token=\xff"), "/sign-in"),
 }
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from aiohttp import web
+from aiohttp.http_exceptions import BadHttpMessage
 
 from scope_ui_bridge.adapters.secret_files import read_users
 from scope_ui_bridge.adapters.turned_away import TurnedAway
@@ -25,6 +26,7 @@ PAGE = Path(__file__).resolve().parent.parent / "page"
 _BODY_TIMEOUT_S = 5.0
 _SPEAK_WITHIN_S = 5.0
 _MAX_CONNECTIONS = 256
+_MAX_PATH = 200  # characters; far below what a file system takes for a name
 _MAX_GUESSES = 4  # passwords that wait to be checked: each takes a tenth of a second of a processor
 HEADERS = {
     "Content-Security-Policy": (
@@ -96,6 +98,9 @@ class FrontDoor:
         if request.host not in self._hosts:
             self.turned_away.note(request.remote or "", "request", f"host {request.host[:80]!r}")
             response = web.Response(status=421, text="This server is not known by that name.\n")
+        elif len(request.path) > _MAX_PATH:
+            self.turned_away.note(request.remote or "", "request", f"path of {len(request.path)} characters")
+            response = web.Response(status=414, text="Nothing here has such a long name.\n")
         elif named and request.headers.getall("Origin", []) not in [[origin] for origin in self._origins]:
             found = request.headers.get("Origin")
             self.turned_away.note(request.remote or "", request.path, f"origin {str(found)[:80]!r}")
@@ -148,6 +153,8 @@ class FrontDoor:
             form = await asyncio.wait_for(request.post(), _BODY_TIMEOUT_S)
         except asyncio.TimeoutError:
             raise web.HTTPRequestTimeout from None
+        except (ValueError, LookupError, AssertionError, BadHttpMessage) as error:  # what aiohttp raises, 3.9 as well
+            raise web.HTTPBadRequest(reason="no form that can be read") from error
         token, name, password = (str(form.get(field, "")) for field in ("token", "name", "password"))
         return await self._try(request, token, name, password, web.Response(status=303, headers={"Location": "/"}))
 
