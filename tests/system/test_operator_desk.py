@@ -233,6 +233,40 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     person.leaves()
 
 
+def test_a_picture_that_hangs_alone_stops_the_motion_and_comes_back(browser: Any, instrument: Instrument) -> None:
+    person = Operator(browser, instrument.new_address())
+    page = person.page
+    connections: list[Any] = []
+    hung = 0
+
+    def video(route: Any) -> None:
+        """Pass pictures on, but for the first connections: once these hang, they do so for ever."""
+        connections.append(route)
+        number, server = len(connections), route.connect_to_server()
+        route.on_message(server.send)
+        server.on_message(lambda m: route.send(m) if number > hung else None)
+
+    page.route_web_socket(re.compile("/video$"), video)
+    page.reload()
+    person.takes_control()
+    instrument.tell("motion 30")
+    person.selects("MENU", "Menu")
+    person.confirms()
+    person.sees("#banner", "Moving")
+    hung = 1000
+    person.sees("#banner", "STOPPED", within_s=15.0)
+    person.logs(r"STOP.*no new picture.*Watchdog", 5.0)
+    person.sees("#lease-text", "You are in control")
+    hung = len(connections)
+    person.until(lambda: len(connections) > hung, 10.0, lambda: "the picture is asked for anew")
+    before = person.picture_sum()
+    person.until(lambda: person.picture_sum() != before, 10.0, lambda: "the picture is live again")
+    instrument.tell("motion 1.5")
+    page.click("#reset")
+    person.sees("#chip-driver", "Idle")
+    person.leaves()
+
+
 def test_zoom_pan_and_a_click_in_the_zoomed_picture(operator: Operator) -> None:
     page = operator.page
     stage = page.locator("#stage").bounding_box()

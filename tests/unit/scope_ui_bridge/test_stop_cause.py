@@ -81,6 +81,19 @@ def test_a_hidden_page_stops_at_once_what_it_moves_and_only_that() -> None:
     assert rig.desk.lease.holder == rig.a, "at rest a glance elsewhere costs nothing"
 
 
+def test_a_page_that_sees_no_new_picture_stops_what_it_moves_once_and_keeps_control() -> None:
+    rig = moving()
+    viewer, _ = rig.desk.join("Operator 2")
+    assert rig.ask(viewer, type="blind", silence_ms=1100) == []
+    (stop,) = of_type(rig.ask(rig.a, type="blind", silence_ms=1100), StopNow)
+    assert (stop.record["who"], stop.record["target"]) == ("Watchdog", "stopped_page_blind")
+    rig.wait(0.7, alive=True)
+    assert of_type(rig.ask(rig.a, type="blind", silence_ms=1800), StopNow) == []
+    assert rig.desk.lease.holder == rig.a
+    assert driver_stops(rig) == {"code": "stopped_page_blind", "who": "Watchdog", "silence_s": 1.1}
+    assert Rig().ask(rig.a, type="blind", silence_ms=1100) == [], "at rest nothing is at stake"
+
+
 @pytest.mark.parametrize("missing", ["page", "pictures"])
 def test_a_bridge_that_was_held_up_blames_itself(missing: str) -> None:
     rig = moving(pictures=missing == "pictures")

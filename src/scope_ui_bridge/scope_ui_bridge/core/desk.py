@@ -200,6 +200,10 @@ class Desk:
         if isinstance(message, wire.Hidden):
             mine = viewer == self.lease.holder
             return self._lose_lease(viewer, "stopped_page_hidden", now) if mine and self.moving else []
+        if isinstance(message, wire.Blind):
+            if viewer != self.lease.holder or not self.moving:
+                return []
+            return self._stop_unseen("stopped_page_blind", message.silence_ms / 1e3, now)
         if isinstance(message, wire.Lease):
             return [*self._lease_step(viewer, message.step, now), self._answer(viewer, message.seq)]
         self.lease.check(viewer, message.epoch)
@@ -306,9 +310,14 @@ class Desk:
             return []
         if (silence_s >= self.config.silence_stop_s and self.moving) or silence_s >= self.config.lease_timeout_s:
             return self._lose_lease(self.lease.holder, self._causes.of_silence(now.mono_s), now, silence_s)
-        if blind_s >= self.config.picture_stop_s and self._last_stop[1:] != (_WATCHDOG, self._log.count):
-            return self.stop(_WATCHDOG, now, self._causes.of_blindness(now.mono_s), silence_s=blind_s)
+        if blind_s >= self.config.picture_stop_s:
+            return self._stop_unseen(self._causes.of_blindness(now.mono_s), blind_s, now)
         return []
+
+    def _stop_unseen(self, code: str, silence_s: float, now: Now) -> list[Effect]:
+        if self._last_stop[1:] == (_WATCHDOG, self._log.count):  # nothing was begun since
+            return []
+        return self.stop(_WATCHDOG, now, code, silence_s=silence_s)
 
     def _lose_lease(self, viewer: str, code: str, now: Now, silence_s: float = 0.0) -> list[Effect]:
         moving = self.moving

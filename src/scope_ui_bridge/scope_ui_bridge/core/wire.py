@@ -44,6 +44,13 @@ class Hidden(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Blind(Message):
+    """Something moves, and the page has shown no new picture for ``silence_ms``."""
+
+    silence_ms: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stop(Message):
     """Stop everything; ``press`` names one press of the button, which comes on two ways."""
 
@@ -158,6 +165,10 @@ SERVICES = (
     *("home", "reset", "enable", "disable", "calibrate", "add_sample", "solve", "save", "accept_settings"),
     *("record", "end_record"),
 )
+KINDS = (
+    *("alive", "hidden", "blind", "stop", "lease", "select", "act", "move", "jog"),
+    *("sequence", "hold", "teach", "call"),
+)
 CAMERAS = ("left", "right")
 _WITH_ARGUMENT = ("hold", "turn", "click")
 _LINE = ("x_mm", "y_mm", "to_x_mm", "to_y_mm")
@@ -231,14 +242,15 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _typed(raw: dict[str, Any]) -> Message:
     read = _Reader(raw)
-    kinds = ("alive", "hidden", "stop", "lease", "select", "act", "move", "jog", "sequence", "hold", "teach", "call")
-    kind = read.choice("type", kinds)
+    kind = read.choice("type", KINDS)
     head: dict[str, Any] = {"seq": read.integer("seq"), "boot": read.text("boot"), "epoch": read.integer("epoch")}
     message: Message
     if kind == "alive":
         message = Alive(**head, client_ms=read.number("client_ms"))
     elif kind == "hidden":
         message = Hidden(**head)
+    elif kind == "blind":
+        message = Blind(**head, silence_ms=read.number("silence_ms"))
     elif kind == "stop":
         message = Stop(**head, press=read.text("press") if "press" in raw else "")
     elif kind == "lease":

@@ -59,6 +59,10 @@ export class Link extends EventTarget {
     if (this.open) this.#send("hidden", {});
   }
 
+  blind(silenceMs) {
+    if (this.open) this.#send("blind", { silence_ms: silenceMs });
+  }
+
   /** The page goes away, and is not only hidden: the closed connection says so at once. */
   leave() {
     this.#socket?.close();

@@ -287,6 +287,16 @@ function renderAge() {
 
 // --- the beat: keep-alives come from animation frames, so a hidden or frozen page stops the machine -------------------
 
+let seen = false; // the motion that goes on was seen, at its beginning or since
+function watchMotion() {
+  const moving = desk.mine && desk.state.moving;
+  const blindMs = video.blindMs;
+  const blind = blindMs > desk.limits.stale_ms;
+  // One that was begun without a picture needs none, as homing does.
+  if (moving && blind && seen) link.blind(blindMs);
+  seen = moving && !blind;
+}
+
 let lastAlive = -Infinity;
 let lastShown = -Infinity;
 let lastPlotted = -Infinity;
@@ -298,6 +308,8 @@ function beat(now) {
   if (now - lastShown >= 100) {
     lastShown = now;
     link.watch();
+    video.watch();
+    watchMotion();
     if (desk.state) render();
     else renderAge();
   }

@@ -150,6 +150,7 @@ export const DE = {
 
   stopped_page_frozen: "die Seite des Bedieners antwortete nicht mehr (eingefroren oder überlastet)",
   stopped_link_lost: "die Verbindung zur Seite des Bedieners ist abgerissen",
+  stopped_page_blind: "während einer Bewegung bekam die Seite des Bedieners kein neues Bild (Verbindung langsam oder verloren, Kamera steht)",
   stopped_page_hidden: "die Seite des Bedieners war verdeckt (anderer Tab, anderes Fenster oder gesperrter Bildschirm)",
   stopped_bridge_held_up: "die Brücke der Seite stand und sendete keinen Herzschlag (Rechner überlastet?)",
   stopped_by_person: "{who} hat STOP gedrückt",

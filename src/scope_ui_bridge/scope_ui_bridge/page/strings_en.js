@@ -150,6 +150,7 @@ export const EN = {
 
   stopped_page_frozen: "the operator’s page did not respond any more (frozen or overloaded)",
   stopped_link_lost: "the link to the operator’s page was lost",
+  stopped_page_blind: "the operator’s page got no new picture while something moved (slow or lost link, camera stalled)",
   stopped_page_hidden: "the operator’s page was hidden (another tab or window, or a locked screen)",
   stopped_bridge_held_up: "the page’s bridge was held up and sent no heartbeat (computer overloaded?)",
   stopped_by_person: "STOP was pressed by {who}",

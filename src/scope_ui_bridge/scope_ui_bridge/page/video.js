@@ -2,6 +2,7 @@
 
 export const COMPUTED = ["corners", "edges"]; // layers that are found in each picture, only while somebody looks
 const SILENT_MS = 1000;
+const PATIENCE_MS = [3000, 24_000]; // at first, and at most: on a very slow link a picture may be long on its way
 
 export class Video extends EventTarget {
   #socket = null;
@@ -11,6 +12,8 @@ export class Video extends EventTarget {
   #retryMs = 300;
   #retry = 0;
   #heard = 0;
+  #asked = 0;
+  #patienceMs = PATIENCE_MS[0];
   #pending = null;
   #decoding = false;
   #link;
@@ -29,12 +32,18 @@ export class Video extends EventTarget {
     return this.shown.age_ms + (this.#link.rttMs ?? 0) / 2 + performance.now() - this.shown.arrived;
   }
 
+  /** How long nothing new has been seen: the picture's age; before the first one of a camera, since any other came. */
+  get blindMs() {
+    return this.shown ? this.ageMs : performance.now() - this.#heard;
+  }
+
   connect() {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
     clearTimeout(this.#retry);
     const socket = new WebSocket(`${scheme}://${location.host}/video`);
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
+    this.#asked = performance.now();
     socket.addEventListener("open", () => {
       this.#retryMs = 300;
       this.#send(this.#wish);
@@ -42,6 +51,7 @@ export class Video extends EventTarget {
     socket.addEventListener("message", (event) => {
       if (typeof event.data === "string" || socket !== this.#socket) return;
       this.#heard = performance.now();
+      this.#patienceMs = PATIENCE_MS[0];
       this.#pending = { data: event.data, arrived: performance.now(), socket };
       this.#decode();
     });
@@ -58,6 +68,13 @@ export class Video extends EventTarget {
     const before = this.#socket;
     this.connect();
     before?.close();
+  }
+
+  /** Call often: a connection may hang alone, while the other one lives. */
+  watch() {
+    if (performance.now() - Math.max(this.#heard, this.#asked) < this.#patienceMs) return;
+    this.#patienceMs = Math.min(2 * this.#patienceMs, PATIENCE_MS[1]);
+    this.renew();
   }
 
   look(wish) {
