@@ -129,6 +129,11 @@ def speaks_german_for_the_graph(operator: Operator) -> None:
     others = "async (action) => (await import('/page/command_log.js')).actionText({ action })"
     said = operator.page.evaluate(others, "move to (0.1, 0.2, 0) m in base_link")
     assert said == "fahren nach (0.1, 0.2, 0) m in base_link", "where somebody else's goal goes"
+    target = "async (entry) => (await import('/page/command_log.js')).targetText(entry)"
+    for name in ("lamp", "constructor"):  # a key of the page's sentences, and one of every object
+        assert operator.page.evaluate(target, {"action": "teach", "target": name}) == name, "a name is no sentence"
+    closed = operator.page.evaluate(target, {"action": "stop", "target": "stopped_page_gone"})
+    assert closed == "die Seite des Bedieners wurde geschlossen"
 
 
 def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, instrument: Instrument) -> None:

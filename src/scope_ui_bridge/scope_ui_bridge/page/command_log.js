@@ -122,7 +122,7 @@ export function actionText(entry) {
 }
 
 export function targetText(entry) {
-  return t(entry.target);
+  return entry.action === "stop" ? t(entry.target) : entry.target; // why it was stopped; all else are names
 }
 
 /** What a screen reader says when a command has ended. */
