@@ -98,6 +98,29 @@ def test_the_page_speaks_german(operator: Operator) -> None:
     operator.sees("#lease-text", "You are in control")
 
 
+def test_what_is_shown_already_changes_its_language_too(operator: Operator, instrument: Instrument) -> None:
+    page = operator.page
+    instrument.tell("motion 0.3")
+    operator.selects("MENU", "Menu")
+    operator.confirms()
+    operator.sees("#last", "done")
+    page.click("#freeze")
+    page.click("#stage", position={"x": 5, "y": 5})
+    operator.sees("#refusal", "A kept picture")
+    page.click("#tab-sequence")
+    page.click("#language")
+    operator.sees("#lease-text", "Sie bedienen")
+    try:
+        operator.sees("#refusal", "Ein festgehaltenes Bild")
+        operator.sees("#before-time", "davor ·")
+        operator.sees("#last", "erledigt")
+        assert page.inner_text("#sequence-choice option >> nth=0") == "– wie hier geschrieben –"
+    finally:
+        page.click("#language")
+        page.click("#freeze")
+        instrument.tell("motion 1.5")
+
+
 # What the controller, the driver and the others say, as they put it together.
 REASONS = {
     "the driver is 'stopped: stop requested', 'idle' is needed": (

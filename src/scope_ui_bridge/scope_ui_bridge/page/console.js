@@ -10,13 +10,13 @@ export class Console {
   constructor(element) {
     this.#element = element;
     element.textContent = t("console_empty");
-    element.dataset.empty = "";
+    element.dataset.text = "console_empty"; // follows the language
   }
 
   add(lines) {
     const element = this.#element;
-    if ("empty" in element.dataset) {
-      delete element.dataset.empty;
+    if ("text" in element.dataset) {
+      delete element.dataset.text;
       element.replaceChildren();
     }
     const atEnd = element.scrollTop + element.clientHeight >= element.scrollHeight - 4;

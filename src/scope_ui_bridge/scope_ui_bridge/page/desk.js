@@ -15,7 +15,7 @@ class Desk {
   limits = { amber_ms: 250, max_age_ms: 500, stale_ms: 1000, jog_step_mm: 10 };
   state = null;
   selection = null;
-  problem = "";
+  refused = null; // the answer to what was asked for last, when it was a refusal
   problemAt = 0;
   replay = false;
   frozen = false; // the picture before is held over the live one
@@ -25,6 +25,11 @@ class Desk {
 
   get mine() {
     return Boolean(this.state && this.me.id && this.state.lease.holder === this.me.id && !this.link.silent);
+  }
+
+  /** Why the last thing that was asked for was refused; empty when it was not. */
+  get problem() {
+    return this.refused ? t(this.refused.code, explained(this.refused.values)) : "";
   }
 
   /** The picture that is being looked at; every click and confirmation names it. */
@@ -64,7 +69,7 @@ class Desk {
   }
 
   report(answer) {
-    this.problem = answer.ok ? "" : t(answer.code, explained(answer.values));
+    this.refused = answer.ok ? null : answer;
     this.problemAt = performance.now();
     if (this.problem) say(this.problem, true);
     this.changed();

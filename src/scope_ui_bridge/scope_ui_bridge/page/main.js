@@ -35,6 +35,7 @@ let restarted = false;
 let lostControl = false;
 let wasMine = false;
 let turnedAway = "";
+let last = null; // the entry of the last command that was no stop
 let declinedBy = ""; // who has control and keeps it, though this page has asked
 desk.changed = render;
 
@@ -78,7 +79,7 @@ link.addEventListener("log", ({ detail: { entry } }) => {
   if (entry.action === "teach" && ["failed", "no_answer"].includes(entry.status)) taught({ ok: false, reason: spoken(entry) });
   if (["sent", "accepted"].includes(entry.status)) return;
   // What was refused while it was at work is over with it, once there was time to read it.
-  if (performance.now() - desk.problemAt > READ_MS) desk.problem = "";
+  if (performance.now() - desk.problemAt > READ_MS) desk.refused = null;
   addError(entry);
   say(spoken(entry), entry.action === "stop" || ["aborted", "failed", "no_answer"].includes(entry.status));
 });
@@ -155,6 +156,7 @@ find("language").addEventListener("click", () => {
   overlay.relabel();
   showChoices();
   log.relabel();
+  if (last) showLast(last);
   relabelTeach();
   render();
 });
@@ -163,6 +165,7 @@ find("language").addEventListener("click", () => {
 
 /** The last command's result stands beside the buttons that gave it. */
 function showLast(entry) {
+  last = entry;
   const element = find("last");
   element.hidden = false;
   element.dataset.status = entry.status;

@@ -16,7 +16,9 @@ let begun = ""; // the steps as they were written when the last run began
 export function setSequences(list, last) {
   stored = list;
   const options = stored.map(({ name, title }) => new Option(title ? `${name} – ${title}` : name, name));
-  find("sequence-choice").replaceChildren(new Option(t("sequence_typed"), ""), ...options);
+  const typed = new Option(t("sequence_typed"), "");
+  typed.dataset.text = "sequence_typed"; // follows the language
+  find("sequence-choice").replaceChildren(typed, ...options);
   setSequence(last);
 }
 

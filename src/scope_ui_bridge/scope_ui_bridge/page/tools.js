@@ -1,7 +1,7 @@
 // The picture's tools: zoom and pan, hold the picture of before over the live one, save what is seen.
 
 import { desk } from "./desk.js";
-import { fileTime, find, press, save } from "./dom.js";
+import { fileTime, find, press, put, save } from "./dom.js";
 import { t } from "./strings.js";
 
 const MAX_ZOOM = 8;
@@ -105,7 +105,6 @@ function hold(on) {
     held.width = before.canvas.width;
     held.height = before.canvas.height;
     held.getContext("2d").drawImage(before.canvas, 0, 0);
-    find("before-time").textContent = t("before_time", { time: before.at.toLocaleTimeString([], { hour12: false }) });
     wipe();
   }
   desk.changed();
@@ -130,6 +129,7 @@ function wireBefore() {
 }
 
 export function renderTools() {
+  if (desk.frozen) put(find("before-time"), t("before_time", { time: before.at.toLocaleTimeString([], { hour12: false }) }));
   find("compare").disabled = !before || (before.camera !== desk.video.camera && !desk.frozen);
   find("freeze").disabled = find("snapshot").disabled = !desk.video.shown;
 }
