@@ -226,6 +226,22 @@ def test_a_sequence_is_collected_followed_and_stopped(
     person.sees("#sequence-steps [data-state=failed]", "press:MENU")
 
 
+def test_a_confirmation_starts_only_the_sequence_that_it_was_asked_for(person: Operator, sequencer: None) -> None:
+    page = person.page
+    page.click("#tab-sequence")
+    rows = page.locator("#log tr").count()
+    page.fill("#sequence-text", "press:MENU")
+    person.until(lambda: page.is_enabled("#sequence-start"), 10.0, lambda: page.inner_text("#sequence-said"))
+    page.click("#sequence-start")
+    person.sees("#sequence-start", "Confirm: start 1 steps")
+    page.fill("#sequence-text", "press:RUN_STOP\npress:SAVE")
+    page.click("#sequence-start")
+    person.sees("#sequence-start", "Confirm: start 2 steps")
+    page.fill("#sequence-text", "press:RUN_STOP")
+    person.sees("#sequence-start", "^Start 1 steps")
+    assert page.locator("#log tr").count() == rows, "nothing was sent"
+
+
 # --- teaching, with the real recognition node ---
 
 

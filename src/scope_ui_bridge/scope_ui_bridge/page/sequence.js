@@ -66,6 +66,9 @@ export function collect(gesture, { argument, mark }) {
 
 // --- starting ------------------------------------------------------------------------------------------------------
 
+/** Whether a second click starts it: the first one was for the very steps that are chosen now. */
+const armed = () => find("sequence-start").dataset.armed === wanted().join("\n");
+
 function disarm() {
   clearTimeout(timer);
   delete find("sequence-start").dataset.armed;
@@ -73,9 +76,10 @@ function disarm() {
 
 async function start(event) {
   const button = find("sequence-start");
-  if ("armed" in button.dataset && event.detail > 1) return; // a double click is one
-  if (!("armed" in button.dataset)) {
-    button.dataset.armed = "";
+  if (armed() && event.detail > 1) return; // a double click is one
+  if (!armed()) {
+    clearTimeout(timer);
+    button.dataset.armed = wanted().join("\n");
     timer = setTimeout(disarm, ARMED_MS);
     desk.changed();
     return;
@@ -115,8 +119,8 @@ export function renderSequence() {
   const button = find("sequence-start");
   const why = desk.whyNot || (run.state ? "" : t("sequence_nobody")) || (mine.length ? "" : t("sequence_empty"));
   button.disabled = why !== "";
-  const armed = "armed" in button.dataset;
-  put(button, t(armed ? "sequence_confirm" : "sequence_start", { count: mine.length }));
+  if (!armed()) disarm();
+  put(button, t(armed() ? "sequence_confirm" : "sequence_start", { count: mine.length }));
   find("sequence-typed").hidden = find("sequence-choice").value !== "";
   const text = running() ? t("sequence_step", { number: run.number, all: run.steps.length }) : run.status ? verdict() : "";
   put(find("sequence-said"), text || why);
