@@ -295,6 +295,26 @@ def test_a_picture_that_hangs_alone_stops_the_motion_and_comes_back(browser: Any
     person.leaves()
 
 
+def test_two_tabs_of_one_person_are_told_apart(operator: Operator) -> None:
+    page, other = operator.page, operator.context.new_page()
+    name = operator.sees("#you", "Operator").partition(" ·")[0]
+    other.goto(page.url)
+    reads = lambda tab, text: operator.until(  # noqa: E731
+        lambda: tab.inner_text("#lease-text") == text, 10.0, lambda: f"{tab.inner_text('#lease-text')!r}, not {text!r}"
+    )
+    reads(other, f"{name} (another page) is in control. You are viewing.")
+    other.click("#lease-request")
+    reads(other, f"You have asked {name} (another page) for control.")
+    page.bring_to_front()
+    reads(page, f"{name} (another page) asks for control.")
+    page.click("#lease-decline")
+    reads(page, "You are in control.")
+    other.bring_to_front()
+    reads(other, f"{name} (another page) keeps control.")
+    other.close()
+    page.bring_to_front()
+
+
 def test_zoom_pan_and_a_click_in_the_zoomed_picture(operator: Operator) -> None:
     page = operator.page
     stage = page.locator("#stage").bounding_box()

@@ -206,7 +206,11 @@ function render() {
 
 function renderLease() {
   const { me, mine } = desk;
-  const { holder, holder_name: name, requester, requester_name: asking } = desk.state.lease;
+  const { holder, requester } = desk.state.lease;
+  // Tabs of one browser, and browsers with one password, bear one name.
+  const [name, asking] = [desk.state.lease.holder_name, desk.state.lease.requester_name].map((called) =>
+    called === me.name ? t("other_page", { name: called }) : called,
+  );
   const asked = mine && requester;
   const may = me.role !== "viewer" && !desk.replay;
   let text = mine ? t("lease_mine") : holder ? t("lease_other", { name }) : t("lease_free");

@@ -41,6 +41,7 @@ export const DE = {
   lease_declined: "{name} behält die Bedienung.",
   lease_asked: "{name} bittet um die Bedienung.",
   lease_waiting: "Sie haben {name} um die Bedienung gebeten.",
+  other_page: "{name} (andere Seite)",
   lease_take: "Bedienung übernehmen",
   lease_request: "Um Bedienung bitten",
   lease_release: "Abgeben",

@@ -41,6 +41,7 @@ export const EN = {
   lease_declined: "{name} keeps control.",
   lease_asked: "{name} asks for control.",
   lease_waiting: "You have asked {name} for control.",
+  other_page: "{name} (another page)",
   lease_take: "Take control",
   lease_request: "Ask for control",
   lease_release: "Release",
