@@ -620,6 +620,16 @@ def test_the_state_is_sent_on_change_at_most_ten_times_a_second_and_at_least_onc
     assert sent[-1]["driver"] == {"state": "idle", "reason": ""}
 
 
+def test_a_tip_that_was_seen_before_the_clock_was_set_back_is_not_seen_now() -> None:
+    rig = Rig()
+    rig.desk.scene.tip_ns = rig.now.ros_ns
+    rig.wait(0.1)
+    assert rig.desk.join("Operator 2")[1]["state"]["tip_seen"]
+    rig.desk.scene.tip_ns += 3600 * 1_000_000_000
+    rig.wait(0.1)
+    assert not rig.desk.join("Operator 3")[1]["state"]["tip_seen"]
+
+
 def test_a_new_page_gets_the_log_the_selection_and_the_state() -> None:
     rig = Rig()
     rig.select(control="RUN_STOP")

@@ -618,7 +618,7 @@ class Desk:
                 "requester": lease.requester,
                 "requester_name": self._name(lease.requester),
             },
-            "tip_seen": self.scene.tip_ns > 0 and self._ros_ns - self.scene.tip_ns < _TIP_SEEN_NS,
+            "tip_seen": self.scene.tip_ns > 0 and abs(self._ros_ns - self.scene.tip_ns) < _TIP_SEEN_NS,
             "viewers": len(self._viewers),
             "refusal": None,
         }
