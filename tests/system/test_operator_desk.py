@@ -315,6 +315,23 @@ def test_two_tabs_of_one_person_are_told_apart(operator: Operator) -> None:
     page.bring_to_front()
 
 
+def test_the_chosen_sequence_stays_chosen_when_the_link_comes_back(operator: Operator) -> None:
+    page = operator.page
+    again = """async (names) => {
+        const last = { name: "", who: "", steps: [], number: 0, status: "", reason: "", state: "" };
+        const stored = names.map((name) => ({ name, title: "", steps: [`press:${name}`] }));
+        (await import('/page/sequence.js')).setSequences(stored, last);
+    }"""
+    page.evaluate(again, ["SAVE", "MENU"])
+    page.click("#tab-sequence")
+    page.select_option("#sequence-choice", "MENU")
+    page.evaluate(again, ["MENU", "SAVE"])
+    assert page.input_value("#sequence-choice") == "MENU"
+    operator.sees("#sequence-steps", "press:MENU")
+    page.evaluate(again, ["SAVE"])
+    assert page.locator("#sequence-choice").evaluate("(choice) => choice.selectedIndex") == 0, "as written here"
+
+
 def test_zoom_pan_and_a_click_in_the_zoomed_picture(operator: Operator) -> None:
     page = operator.page
     stage = page.locator("#stage").bounding_box()

@@ -15,10 +15,12 @@ let begun = ""; // the steps as they were written when the last run began
 
 export function setSequences(list, last) {
   stored = list;
+  const before = find("sequence-choice").value;
   const options = stored.map(({ name, title }) => new Option(title ? `${name} – ${title}` : name, name));
   const typed = new Option(t("sequence_typed"), "");
   typed.dataset.text = "sequence_typed"; // follows the language
   find("sequence-choice").replaceChildren(typed, ...options);
+  if (stored.some(({ name }) => name === before)) find("sequence-choice").value = before;
   setSequence(last);
 }
 
