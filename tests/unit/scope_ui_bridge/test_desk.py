@@ -443,6 +443,14 @@ def test_a_flood_is_dropped_without_closing_and_the_stop_in_it_is_heard() -> Non
     assert rig.ask(rig.a, type="alive", client_ms=5.0)[0].message == {"type": "alive", "client_ms": 5.0}  # type: ignore[union-attr]
 
 
+def test_a_flood_of_garbage_is_answered_as_seldom_as_any_other() -> None:
+    rig = Rig()
+    viewer, _ = rig.desk.join("Operator 2")
+    answers = [e.message for _ in range(500) for e in of_type(rig.desk.message(viewer, "{", rig.now), Send)]
+    assert [m["code"] for m in answers] == ["malformed"] * 80 + ["rate_limited"]
+    assert of_type(rig.ask(viewer, type="stop"), StopNow)
+
+
 def test_hand_over_is_asked_for_and_not_done_while_something_moves() -> None:
     rig = Rig()
     rig.select(control="RUN_STOP")

@@ -156,7 +156,11 @@ class Desk:
         seq: int | None = None
         selected = self._selection
         try:
-            message = wire.decode(text)
+            try:
+                message = wire.decode(text)
+            except Refusal:
+                self._limit_rate(viewer, now)
+                raise
             seq = message.seq
             if isinstance(message, wire.Stop):  # before every other check: a stop is always good
                 effects = self.stop(self._viewers[viewer].name, now, press=message.press)
@@ -171,13 +175,17 @@ class Desk:
             answer = {"type": "answer", "seq": seq, "ok": False, **refusal.message()}
             return [*told, Send(viewer=viewer, message=answer)]
 
-    def _admit(self, viewer: str, message: wire.Message, now: Now) -> None:
+    def _limit_rate(self, viewer: str, now: Now) -> None:
         state = self._viewers[viewer]
         state.tokens = min(_BURST, state.tokens + (now.mono_s - state.refilled_s) * _MESSAGES_PER_S)
         state.refilled_s = now.mono_s
         if state.tokens < 1:
             raise Refusal("rate_limited", limit=_MESSAGES_PER_S)
         state.tokens -= 1
+
+    def _admit(self, viewer: str, message: wire.Message, now: Now) -> None:
+        self._limit_rate(viewer, now)
+        state = self._viewers[viewer]
         if message.boot != self.boot_id:
             raise Refusal("old_boot")
         if message.seq <= state.last_seq:
