@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -12,7 +11,6 @@ from typing import Any, TypeVar
 
 import cv2
 import numpy as np
-import yaml
 
 from harris_perception.adapters.picture_files import read_bgr, read_deep_gray, read_gray
 from harris_perception.cli.harris_evaluate import evaluate
@@ -26,7 +24,7 @@ from harris_perception.core.overlay import draw_corners, matches_picture
 from harris_perception.core.repeatability import EPSILONS_PX, mapped
 from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
 from icu_common.core.config import from_mapping, settings_of
-from icu_common.core.yaml_text import UNREADABLE, Loader
+from icu_common.core.yaml_text import values_of_pairs
 
 T = TypeVar("T")
 EDGE_COLOR = (255, 160, 0)
@@ -36,19 +34,7 @@ MIN_AGREEING = 10
 
 
 def _settings(config_class: type[T], pairs: Sequence[str]) -> T:
-    """Build a configuration from KEY=VALUE texts."""
-    values = {}
-    for pair in pairs:
-        name, equals, value = pair.partition("=")
-        if not equals:
-            raise ValueError(f"{pair!r}: KEY=VALUE is needed")
-        try:
-            values[name] = yaml.load(value, Loader)
-        except UNREADABLE as error:
-            raise ValueError(f"{pair!r}: the value cannot be read") from error
-        if isinstance(values[name], str) and re.fullmatch(r"[-+]?[\d.]+[eE][-+]?\d+", value):
-            values[name] = float(value)  # YAML 1.1 takes 1e6 for a text
-    return from_mapping(config_class, values)
+    return from_mapping(config_class, values_of_pairs(pairs))
 
 
 def _write_picture(path: Path, picture: Any) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from typing import Any
 
 import yaml
@@ -25,3 +27,25 @@ def mistake(error: Exception) -> str:
     if isinstance(error, yaml.MarkedYAMLError):
         return f"{error.problem_mark.line + 1 if error.problem_mark else 1}: {error.problem}"
     return f"1: {str(error).partition(chr(10))[0]}"
+
+
+def values_of_pairs(pairs: Iterable[str]) -> dict[str, Any]:
+    """Return the values of KEY=VALUE texts, as they are given on a command line.
+
+    Raises
+    ------
+    ValueError
+        For a text without ``=``, and for a value that is no YAML.
+    """
+    values: dict[str, Any] = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not equals:
+            raise ValueError(f"{pair!r}: KEY=VALUE is needed")
+        try:
+            values[name] = yaml.load(value, Loader)
+        except UNREADABLE as error:
+            raise ValueError(f"{pair!r}: the value cannot be read") from error
+        if isinstance(values[name], str) and re.fullmatch(r"[-+]?[\d.]+[eE][-+]?\d+", value):
+            values[name] = float(value)  # YAML 1.1 takes 1e6 for a text
+    return values

@@ -5,17 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
-import yaml
 
 from icu_common.core.config import from_mapping
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import PanelLayout, load_layout
-from icu_common.core.yaml_text import UNREADABLE, Loader
+from icu_common.core.yaml_text import values_of_pairs
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.instrument import InstrumentState, press, turn
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel, control_pixels
@@ -30,19 +28,6 @@ def _finite(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text} is not finite")
     return value
-
-
-def _config(pairs: Sequence[str]) -> BenchConfig:
-    values = {}
-    for pair in pairs:
-        key, equals, value = pair.partition("=")
-        if not equals:
-            raise ValueError(f"{pair!r}: KEY=VALUE is needed")
-        try:
-            values[key] = yaml.load(value, Loader)
-        except UNREADABLE as error:
-            raise ValueError(f"{pair!r}: the value cannot be read") from error
-    return from_mapping(BenchConfig, values)
 
 
 def _state(options: argparse.Namespace, layout: PanelLayout) -> InstrumentState:
@@ -79,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if truth_file.resolve() == options.out.resolve():
             raise ValueError(f"--truth {truth_file}: the picture is written there")
-        config = _config(options.set)
+        config = from_mapping(BenchConfig, values_of_pairs(options.set))
         layout = load_layout(options.layout)
         state = _state(options, layout)
     except (ValueError, OSError) as error:
