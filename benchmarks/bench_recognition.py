@@ -29,7 +29,8 @@ from harris_perception.core.fiducials import MarkerFinder
 from harris_perception.core.harris import HarrisDetector
 from harris_perception.core.panel_template import draw_panel, px_from_mm
 from harris_perception.core.planar_pose import inverse, pose_of_homography
-from harris_perception.core.recognition import AgreementConfig, PanelRecogniser, PoseAgreement
+from harris_perception.core.pose_agreement import AgreementConfig, PoseAgreement
+from harris_perception.core.recognition import PanelRecogniser
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import PanelLayout, load_layout, parse_layout
 

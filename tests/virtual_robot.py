@@ -35,7 +35,8 @@ from harris_perception.core.calibration_run import CalibrationRun, Failed, Finis
 from harris_perception.core.hand_eye import HandEyeConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
-from harris_perception.core.recognition import PanelRecogniser, PoseAgreement, RecognitionConfig, Sighting
+from harris_perception.core.pose_agreement import PoseAgreement
+from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig, Sighting
 from harris_perception.core.stylus import StylusConfig, StylusTracker
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import from_mapping

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harris_perception.core.face_patches import Patches
 from harris_perception.core.panel_state import PanelReader
-from harris_perception.core.recognition import Patches
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import load_layout

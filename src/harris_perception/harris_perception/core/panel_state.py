@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.recognition import Patches
+from harris_perception.core.face_patches import Patches
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, setting
 from icu_common.core.geometry import Array, Transform

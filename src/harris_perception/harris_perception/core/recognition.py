@@ -18,7 +18,6 @@ finding the panel; where it was drawn from the layout its typeface is not the ma
 from __future__ import annotations
 
 import dataclasses
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -28,7 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.edge_alignment import EdgePoints, edge_points, shifts
+from harris_perception.core.face_patches import Patches, compared
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.panel_search import Describer, Floats, Gray, SearchConfig, matches, robust_homography
 from harris_perception.core.panel_template import PanelTemplate, hidden_by_controls, panel_template
 from harris_perception.core.planar_pose import (
     FacePoints,
@@ -39,9 +40,10 @@ from harris_perception.core.planar_pose import (
     map_points,
     planar_poses,
 )
+from harris_perception.core.pose_agreement import AgreementConfig
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, ConfigError, nested, setting
-from icu_common.core.geometry import Array, Transform, nearest_rotation
+from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import PanelLayout
 
 # A sighting that more of the face agrees with is not compared with others.
@@ -54,37 +56,9 @@ _BLUR_EVERY = 10
 # The corners are mostly text, whose typeface is not the maker's, and a word's corners err together: their covariance
 # counts so many times.
 _TYPEFACE = 4.0
-# Most patches of a place; the part of a print's variance from which on it is print.
-_MOST = 0.6
-_PRINT = 0.25
 # How much larger a picture is searched that shows no panel as it is, and every how many such pictures.
 _ENLARGED = 1.5
 _ENLARGE_EVERY = 5
-Gray = npt.NDArray[np.uint8]
-Floats = npt.NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SearchConfig(Config):
-    """How a panel is found from nothing."""
-
-    px_per_mm: float = setting(4.0, "Scale of the template's largest level", minimum=0.2, maximum=20.0, unit="px/mm")
-    levels: int = setting(7, "Levels of the template pyramid", minimum=1, maximum=12)
-    factor: float = setting(1.26, "Scale between levels", minimum=1.05, maximum=2.0)
-    descriptor: str = setting("sift", "Descriptor at the corners", choices=("sift", "orb"))
-    upright: bool = setting(False, "Descriptors keep the picture's up; faster and surer when nothing is rolled")
-    patch_px: float = setting(5.0, "Size of a corner as the descriptor sees it", minimum=2.0, maximum=40.0, unit="px")
-    corners_per_level: int = setting(700, "The strongest corners of each level", minimum=50, maximum=5000)
-    max_corners: int = setting(1500, "The strongest corners of the picture", minimum=50, maximum=10000)
-    ratio: float = setting(0.85, "Distance of the best match over the best at another place", minimum=0.3, maximum=1.0)
-    same_place_mm: float = setting(
-        2.0, "Matches nearer than this to the best are the same place", minimum=0.1, maximum=50.0, unit="mm"
-    )
-    tolerance_px: float = setting(3.0, "Misfit of a match", minimum=0.5, maximum=20.0, unit="px")
-    min_matches: int = setting(10, "Matches under the homography", minimum=6, maximum=1000)
-    hypotheses: int = setting(
-        3, "Homographies that are tried, each from the matches that those before left", minimum=1, maximum=20
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,17 +96,6 @@ class RefineConfig(Config):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AgreementConfig(Config):
-    """When a pose counts."""
-
-    frames: int = setting(3, "Successive frames that must agree", minimum=1, maximum=50)
-    tolerance_mm: float = setting(
-        0.4, "Their panel corners may differ by so much", minimum=0.01, maximum=100.0, unit="mm"
-    )
-    window: int = setting(20, "Agreeing frames that are averaged", minimum=1, maximum=500)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RecognitionConfig(Config):
     """Search, refinement and agreement."""
 
@@ -146,42 +109,6 @@ class RecognitionConfig(Config):
             raise ConfigError(
                 f"agreement.window = {self.agreement.window} is below agreement.frames = {self.agreement.frames}"
             )
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Patches:
-    """The face's textured patches that no control hides.
-
-    Attributes
-    ----------
-    centres_mm
-        (N, 2) mm.
-    agreeing
-        (N,) which look like the template.
-    likeness
-        Mean correlation of those, 0 without one.
-    purity
-        Where most patches of a place agree, the part that does: print that is partly hidden agrees nearly everywhere
-        that it can be seen, a wrong pose here and there.
-    contradiction
-        The part that shows other print in the place of the template's, which a hand does not.
-    """
-
-    centres_mm: Array
-    agreeing: npt.NDArray[np.bool_]
-    likeness: float = 0.0
-    purity: float = 0.0
-    contradiction: float = 0.0
-
-    @property
-    def count(self) -> int:
-        """How many agree."""
-        return int(self.agreeing.sum())
-
-    @property
-    def agreement(self) -> float:
-        """The part that agrees; 0 where there are too few to tell."""
-        return float(self.agreeing.mean()) if len(self.agreeing) >= 8 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -280,7 +207,7 @@ class PanelRecogniser:
         best = self._levels[0] if self._levels else None
         if best is None or len(best.corners_px) < refine.min_points or len(best.edges) < refine.edge_points:
             raise ValueError(f"the face of {layout.model} has too little print to be recognised")
-        self._describe = _Describer(search)
+        self._describe = Describer(search)
         described = [
             self._describe(level.template.gray, level.corners_px[: search.corners_per_level]) for level in self._levels
         ]
@@ -423,12 +350,12 @@ class PanelRecogniser:
         descriptors, kept = self._describe(rectified, corners_px)
         if len(kept) < search.min_matches:
             return
-        query, place = _matches(descriptors, self._descriptors, self._places_mm, search)
+        query, place = matches(descriptors, self._descriptors, self._places_mm, search)
         places, pixels = self._places_mm[place], corners_px[kept][query].astype(np.float64)
         for _ in range(search.hypotheses):
             if len(places) < search.min_matches:
                 return
-            fitted = _homography(places, pixels, search.tolerance_px, search.min_matches)
+            fitted = robust_homography(places, pixels, search.tolerance_px, search.min_matches)
             if fitted is None:
                 return
             homography, used = fitted
@@ -463,7 +390,7 @@ class PanelRecogniser:
             rms_px=rms,
             deviation_px=float(fit.deviation_px(self._outline_m(), camera).max()),
             tracked=tracked,
-            patches=self._patches(level, self._visible(level, pose), self._warp(rectified, homography, level)),
+            patches=self._compared(level, self._visible(level, pose), self._warp(rectified, homography, level)),
             fit=fit,
         )
 
@@ -484,7 +411,7 @@ class PanelRecogniser:
             if flow is None:
                 return None
             pixels = map_points(homography @ inverse(level.template.px_from_mm), flow[1])
-            fitted = _homography(flow[0], pixels, self.config.refine.tolerance_px, self.config.refine.min_points)
+            fitted = robust_homography(flow[0], pixels, self.config.refine.tolerance_px, self.config.refine.min_points)
             if fitted is None:
                 return None
             used = fitted[1]
@@ -563,7 +490,7 @@ class PanelRecogniser:
                 return 0.0
             if not likeness:
                 visible, warped = self._visible(level, pose), self._warp(rectified, homography, level)
-            likeness[self._blur_px] = self._patches(level, visible, warped).likeness
+            likeness[self._blur_px] = self._compared(level, visible, warped).likeness
         best = max(likeness, key=lambda blur: likeness[blur])
         return best if likeness[best] > likeness[before] + _BLURRED else before
 
@@ -617,86 +544,9 @@ class PanelRecogniser:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(rectified, rectified_from_level, (width, height), flags=flags), np.uint8)
 
-    def _patches(self, level: _Level, visible: npt.NDArray[np.bool_], warped: Gray) -> Patches:
-        """Return the textured, visible patches, and whether their normalised correlation is high enough."""
+    def _compared(self, level: _Level, visible: npt.NDArray[np.bool_], warped: Gray) -> Patches:
         config = self.config.refine
-        side = max(5, round(config.patch_mm * level.template.px_per_mm))
-        a, b = (cv2.GaussianBlur(p, (0, 0), 1.0).astype(np.float32) for p in (level.template.gray, warped))
-        weight = visible.astype(np.float32)
-        # Sums over patches: the mean of each block of side x side pixels.
-        rows, columns = a.shape[0] // side, a.shape[1] // side
-
-        def blocks(values: Any) -> Array:
-            cut = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
-            return np.asarray(cut.sum(axis=(1, 3)), dtype=np.float64)
-
-        count = blocks(weight)
-        full = np.maximum(count, 1.0)
-        mean_a, mean_b = blocks(weight * a) / full, blocks(weight * b) / full
-        var_a = np.maximum(blocks(weight * a * a) / full - mean_a**2, 0)
-        var_b = np.maximum(blocks(weight * b * b) / full - mean_b**2, 0)
-        correlation = (blocks(weight * a * b) / full - mean_a * mean_b) / np.sqrt(var_a * var_b + 1e-6)
-        textured = (count > 0.3 * side * side) & (var_a > 36.0)
-        agreeing = textured & (correlation > config.patch_correlation)
-        around: Any = {"ddepth": -1, "ksize": (3, 3), "normalize": False, "borderType": cv2.BORDER_CONSTANT}
-        there, agreed = (cv2.boxFilter(values.astype(np.float64), **around) for values in (textured, agreeing))
-        seen = textured & (agreed > _MOST * there)
-        row, column = np.nonzero(textured)
-        centres = (np.column_stack([column, row]) + 0.5) * side - 0.5
-        gain = float(np.median(var_b[agreeing] / var_a[agreeing])) if agreeing.any() else 1.0
-        contradicting = textured & ~agreeing & (var_b > _PRINT * gain * var_a)
-        return Patches(
-            centres_mm=map_points(inverse(level.template.px_from_mm), centres),
-            agreeing=agreeing[textured],
-            likeness=float(correlation[agreeing].mean()) if agreeing.any() else 0.0,
-            purity=float(agreeing[seen].mean()) if seen.any() else 0.0,
-            contradiction=float(contradicting.sum() / max(int(textured.sum()), 1)),
-        )
-
-
-class PoseAgreement:
-    """Turns sightings, frame by frame, into a pose that counts: the mean of those that agree, while enough do.
-
-    The panel is at rest most of the time, so agreeing poses are averaged; poses that disagree with the mean but with
-    one another agree replace it after ``frames`` of them.
-    """
-
-    def __init__(self, config: AgreementConfig, size_mm: tuple[float, float]) -> None:
-        self._config = config
-        width, height = (side * 1e-3 for side in size_mm)
-        self._corners = np.array([(0.0, 0.0, 0.0), (width, 0.0, 0.0), (width, height, 0.0), (0.0, height, 0.0)])
-        self._agreeing: deque[Transform] = deque(maxlen=config.window)
-        self._others: deque[Transform] = deque(maxlen=config.window)
-
-    def add(self, pose: Transform | None) -> Transform | None:
-        """Take one frame's pose (None: not seen) and return the pose that counts after it, or None."""
-        if pose is None:
-            self._agreeing.clear()
-            self._others.clear()
-            return None
-        if self._agreeing and self._near(pose, mean_pose(self._agreeing)):
-            self._agreeing.append(pose)
-            self._others.clear()
-        else:
-            if self._others and not self._near(pose, mean_pose(self._others)):
-                self._others.clear()
-            self._others.append(pose)
-            if not self._agreeing or len(self._others) >= self._config.frames:
-                self._agreeing, self._others = self._others, self._agreeing
-                self._others.clear()
-        if self._others or len(self._agreeing) < self._config.frames:
-            return None
-        return mean_pose(self._agreeing)
-
-    def _near(self, a: Transform, b: Transform) -> bool:
-        apart = np.linalg.norm(a.apply(self._corners) - b.apply(self._corners), axis=1)
-        return bool(apart.max() * 1e3 <= self._config.tolerance_mm)
-
-
-def mean_pose(poses: Any) -> Transform:
-    """Return the mean of nearby poses: mean translation, nearest rotation to the mean matrix."""
-    rotation = nearest_rotation(np.mean([p.rotation for p in poses], axis=0))
-    return Transform(rotation, np.mean([p.translation for p in poses], axis=0))
+        return compared(level.template, visible, warped, config.patch_mm, config.patch_correlation)
 
 
 def _level(template: PanelTemplate, detector: HarrisDetector) -> _Level:
@@ -743,74 +593,3 @@ def _flow(
     if int(good.sum()) < config.min_points:
         return None
     return level.corners_mm[usable[good]], forward[good, 0].astype(np.float64)
-
-
-def _homography(
-    points_mm: Array, pixels: Array, tolerance_px: float, least: int
-) -> tuple[Array, npt.NDArray[np.bool_]] | None:
-    """Return the homography that most points agree on, fitted to all of those, and which they are."""
-    options: Any = {"ransacReprojThreshold": tolerance_px, "maxIters": 5000, "confidence": 0.999}
-    # MAGSAC, which OpenCV 5.0 ends after a few samples, found none of 60 views alone and added none to RANSAC.
-    found, mask = cv2.findHomography(points_mm, pixels, method=cv2.RANSAC, **options)
-    if found is None:
-        return None
-    used = mask.ravel().astype(bool)
-    if int(used.sum()) < least:
-        return None
-    refined, _ = cv2.findHomography(points_mm[used], pixels[used], method=0)
-    return None if refined is None else (np.asarray(refined, dtype=np.float64), used)
-
-
-class _Describer:
-    """Descriptors at given corners; vectors whose dot product is their likeness."""
-
-    def __init__(self, config: SearchConfig) -> None:
-        self._config = config
-        if config.descriptor == "sift":
-            self._extractor: Any = cv2.SIFT.create()
-        else:
-            self._extractor = cv2.ORB.create(edgeThreshold=2)
-
-    def __call__(self, gray: Gray, corners_px: Floats) -> tuple[Floats, npt.NDArray[np.intp]]:
-        """Return unit descriptors (M, D) and the indices (M,) of the corners that have one."""
-        angles = np.zeros(len(corners_px)) if self._config.upright else _directions(gray, corners_px)
-        size = self._config.patch_px
-        keypoints = [
-            cv2.KeyPoint(float(x), float(y), size, float(angle), 1.0, 0, number)
-            for number, ((x, y), angle) in enumerate(zip(corners_px, angles))
-        ]
-        kept, descriptors = self._extractor.compute(gray, keypoints)
-        if descriptors is None:
-            return np.empty((0, 128), np.float32), np.empty(0, np.intp)
-        indices = np.array([k.class_id for k in kept], dtype=np.intp)
-        if self._config.descriptor == "orb":
-            bits = np.unpackbits(descriptors, axis=1).astype(np.float32) * 2 - 1
-            return bits / np.float32(np.sqrt(bits.shape[1])), indices
-        # RootSIFT (R. Arandjelovic, A. Zisserman, CVPR 2012): Hellinger distance as a dot product.
-        values = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)
-        return np.sqrt(values).astype(np.float32), indices
-
-
-def _directions(gray: Gray, corners_px: Floats) -> Array:
-    """Return the direction in degrees of the smoothed gradient at each corner (M. Brown et al., MOPS, CVPR 2005)."""
-    smooth = cv2.GaussianBlur(gray, (0, 0), 3.5).astype(np.float32)
-    gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
-    at = np.clip(np.rint(corners_px).astype(int), 0, (gray.shape[1] - 1, gray.shape[0] - 1))
-    return np.asarray(np.degrees(np.arctan2(gy[at[:, 1], at[:, 0]], gx[at[:, 1], at[:, 0]])) % 360.0)
-
-
-def _matches(
-    query: Floats, template: Floats, places_mm: Array, config: SearchConfig
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return the pairs (query, template) that pass the ratio test against the best match at another place."""
-    likeness = query @ template.T
-    count = min(24, likeness.shape[1])
-    top = np.argpartition(-likeness, count - 1, axis=1)[:, :count]
-    values = np.take_along_axis(likeness, top, axis=1)
-    order = np.argsort(-values, axis=1)
-    top, values = np.take_along_axis(top, order, axis=1), np.take_along_axis(values, order, axis=1)
-    apart = np.linalg.norm(places_mm[top] - places_mm[top[:, :1]], axis=2) > config.same_place_mm
-    elsewhere = np.where(apart, values, -1.0).max(axis=1)
-    best, other = (np.sqrt(np.maximum(2.0 - 2.0 * v, 0.0)) for v in (values[:, 0], elsewhere))
-    good = np.flatnonzero(best < config.ratio * other)
-    return good, top[good, 0]

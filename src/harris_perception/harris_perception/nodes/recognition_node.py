@@ -23,7 +23,8 @@ from harris_perception.core.gray import bgr_of, eight_bits, gray_of
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, with_plane
-from harris_perception.core.recognition import PanelRecogniser, PoseAgreement, RecognitionConfig, Sighting
+from harris_perception.core.pose_agreement import PoseAgreement
+from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig, Sighting
 from harris_perception.nodes.panel_teacher import PanelTeacher
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, ConfigError, nested, setting

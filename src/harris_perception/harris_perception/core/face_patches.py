@@ -1,0 +1,110 @@
+"""Where on the panel's face a picture shows the template's print: a correlation patch by patch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.panel_template import PanelTemplate
+from harris_perception.core.planar_pose import inverse, map_points
+from icu_common.core.geometry import Array
+
+# Most patches of a place; the part of a print's variance from which on it is print.
+_MOST = 0.6
+_PRINT = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Patches:
+    """The face's textured patches that no control hides.
+
+    Attributes
+    ----------
+    centres_mm
+        (N, 2) mm.
+    agreeing
+        (N,) which look like the template.
+    likeness
+        Mean correlation of those, 0 without one.
+    purity
+        Where most patches of a place agree, the part that does: print that is partly hidden agrees nearly everywhere
+        that it can be seen, a wrong pose here and there.
+    contradiction
+        The part that shows other print in the place of the template's, which a hand does not.
+    """
+
+    centres_mm: Array
+    agreeing: npt.NDArray[np.bool_]
+    likeness: float = 0.0
+    purity: float = 0.0
+    contradiction: float = 0.0
+
+    @property
+    def count(self) -> int:
+        """How many agree."""
+        return int(self.agreeing.sum())
+
+    @property
+    def agreement(self) -> float:
+        """The part that agrees; 0 where there are too few to tell."""
+        return float(self.agreeing.mean()) if len(self.agreeing) >= 8 else 0.0
+
+
+def compared(
+    template: PanelTemplate,
+    visible: npt.NDArray[np.bool_],
+    warped: npt.NDArray[np.uint8],
+    patch_mm: float,
+    patch_correlation: float,
+) -> Patches:
+    """Compare a picture with the template, patch by patch.
+
+    Parameters
+    ----------
+    template
+        Its ``gray`` is (H, W).
+    visible
+        (H, W) where steady print is not hidden.
+    warped
+        (H, W) uint8, the picture as the template shows the face.
+    patch_mm
+        Side of a patch.
+    patch_correlation
+        Normalised correlation from which on a patch agrees.
+    """
+    side = max(5, round(patch_mm * template.px_per_mm))
+    a, b = (cv2.GaussianBlur(p, (0, 0), 1.0).astype(np.float32) for p in (template.gray, warped))
+    weight = visible.astype(np.float32)
+    # Sums over patches: the mean of each block of side x side pixels.
+    rows, columns = a.shape[0] // side, a.shape[1] // side
+
+    def blocks(values: Any) -> Array:
+        cut = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
+        return np.asarray(cut.sum(axis=(1, 3)), dtype=np.float64)
+
+    count = blocks(weight)
+    full = np.maximum(count, 1.0)
+    mean_a, mean_b = blocks(weight * a) / full, blocks(weight * b) / full
+    var_a = np.maximum(blocks(weight * a * a) / full - mean_a**2, 0)
+    var_b = np.maximum(blocks(weight * b * b) / full - mean_b**2, 0)
+    correlation = (blocks(weight * a * b) / full - mean_a * mean_b) / np.sqrt(var_a * var_b + 1e-6)
+    textured = (count > 0.3 * side * side) & (var_a > 36.0)
+    agreeing = textured & (correlation > patch_correlation)
+    around: Any = {"ddepth": -1, "ksize": (3, 3), "normalize": False, "borderType": cv2.BORDER_CONSTANT}
+    there, agreed = (cv2.boxFilter(values.astype(np.float64), **around) for values in (textured, agreeing))
+    seen = textured & (agreed > _MOST * there)
+    row, column = np.nonzero(textured)
+    centres = (np.column_stack([column, row]) + 0.5) * side - 0.5
+    gain = float(np.median(var_b[agreeing] / var_a[agreeing])) if agreeing.any() else 1.0
+    contradicting = textured & ~agreeing & (var_b > _PRINT * gain * var_a)
+    return Patches(
+        centres_mm=map_points(inverse(template.px_from_mm), centres),
+        agreeing=agreeing[textured],
+        likeness=float(correlation[agreeing].mean()) if agreeing.any() else 0.0,
+        purity=float(agreeing[seen].mean()) if seen.any() else 0.0,
+        contradiction=float(contradicting.sum() / max(int(textured.sum()), 1)),
+    )
