@@ -207,9 +207,9 @@ def test_the_black_borders_of_turned_pictures_stay_unknown() -> None:
 
 WARMED = """
 import numpy as np
-from harris_perception.core import dense_stereo as dense, stereo_matching as sparse
+from harris_perception.core import dense_stereo as dense, stereo_kernels as loops, stereo_matching as sparse
 from unit.harris_perception.rendered_stylus import stereo_model
-kernels = {n: kernel for core in (dense, sparse) for n, kernel in vars(core).items() if hasattr(kernel, "signatures")}
+kernels = {n: kernel for core in (dense, loops) for n, kernel in vars(core).items() if hasattr(kernel, "signatures")}
 known = lambda: {name: len(kernel.signatures) for name, kernel in kernels.items()}
 dense.warm()
 sparse.warm()
@@ -225,7 +225,7 @@ assert len(found) > 250, len(found)
 assert known() == warmed, (known(), warmed)
 for name in ("_accept", "_refine", "_keep_covered", "_spread_out"):
     assert warmed[name] == 1, warmed
-for name in ("_best_partners", "_nearest", "_slid", "_along_rows", "_gauss_newton"):
+for name in ("best_partners", "nearest", "slid", "along_rows", "gauss_newton"):
     assert warmed[name] == 1, warmed
 """
 
