@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -31,12 +30,6 @@ from icu_common.nodes import in_step
 _READY_VARIABLE = "ICU_READY_FD"
 _PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-
-
-class Closable(Protocol):
-    """A node that brings its part of the world into the safe state when the process ends."""
-
-    def close(self) -> None: ...
 
 
 def prepare_transport(shared_memory: bool = True) -> None:
