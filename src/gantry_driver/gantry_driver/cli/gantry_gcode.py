@@ -284,7 +284,7 @@ def run_settings(config: DriverConfig, *, save: Path | None, profile: Mapping[in
     return FAILED if wrong else DONE
 
 
-def run_dry(name: str, source: Sequence[str], lines: Sequence[CheckedLine], config: DriverConfig) -> int:
+def run_dry(name: str, lines: Sequence[CheckedLine], config: DriverConfig) -> int:
     display, refused = Display(), 0
     seconds = [0.0] * len(lines)
 
@@ -363,7 +363,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{given.file}: {len(lines)} lines, about {duration_text(sum(line.seconds for line in lines))}", flush=True)
     if given.check:
         return DONE
-    return run_dry(str(given.file), source, lines, config) if given.dry_run else run_program(source, lines, config)
+    return run_dry(str(given.file), lines, config) if given.dry_run else run_program(source, lines, config)
 
 
 if __name__ == "__main__":
