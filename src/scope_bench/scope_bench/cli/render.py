@@ -47,16 +47,30 @@ def _state(options: argparse.Namespace, layout: PanelLayout) -> InstrumentState:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="bench_render", description=__doc__)
-    parser.add_argument("--layout", type=Path, default=Path("config/scopes/dso_bench_4.yaml"))
+    parser.add_argument(
+        "--layout",
+        type=Path,
+        default=Path("config/scopes/dso_bench_4.yaml"),
+        help="panel's file (default: %(default)s)",
+    )
     parser.add_argument("--out", type=Path, required=True, help="picture to write, for example left.png")
     parser.add_argument("--truth", type=Path, help="JSON file with the truth; default: beside the picture, .json")
-    parser.add_argument("--side", choices=("left", "right"), default="left")
-    parser.add_argument("--tip", type=_finite, nargs=3, metavar=("X", "Y", "Z"), default=(0.30, 0.20, 0.0))
+    parser.add_argument("--side", choices=("left", "right"), default="left", help="camera (default: %(default)s)")
+    parser.add_argument(
+        "--tip",
+        type=_finite,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        default=(0.30, 0.20, 0.0),
+        help="stylus's tip in base_link, m (default: 0.3 0.2 0)",
+    )
     parser.add_argument(
         "--press", action="append", default=[], metavar="NAME", help="button pressed before the picture"
     )
     parser.add_argument("--turn", action="append", default=[], metavar="NAME=DEGREES", help="knob turned before")
-    parser.add_argument("--time", type=_finite, default=3.0, help="seconds since the bench was switched on")
+    parser.add_argument(
+        "--time", type=_finite, default=3.0, help="seconds since the bench was switched on (default: %(default)s)"
+    )
     parser.add_argument("--hide", type=_finite, nargs=4, metavar=("X", "Y", "W", "H"), help="hand over the panel, mm")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="setting, e.g. light.noise=0")
     options = parser.parse_args(arguments)
