@@ -18,6 +18,7 @@ CONFIG = Path(__file__).parents[3] / "config"
         (["--set", "recognition=5"], "error: --set recognition=5: PROGRAM.PARAMETER=VALUE is needed"),
         (["--set", "nobody.rate_hz=5"], "error: no program nobody; there are "),
         (["--only", "nobody"], "error: no program nobody; there are "),
+        (["--profile", "replay", "--prepare"], "error: --prepare moves the machine; profile replay has none"),
         *(
             (["--namespace", name], f"error: --namespace {name}: ")
             for name in ("a b", "1bed", "a-b", "b\u00e4d", "a//b")

@@ -122,6 +122,8 @@ class BringUp:
             if not _SETTING.fullmatch(text):
                 raise GraphError(f"--set {text}: PROGRAM.PARAMETER=VALUE is needed")
         names = {p.name for p in programs}
+        if self.options.prepare and "serial_driver" not in names:
+            raise GraphError(f"--prepare moves the machine; profile {self.options.profile} has none")
         given = {*self.options.only, *self.options.without, *(text.partition(".")[0] for text in self.options.set)}
         if given - names:
             raise GraphError(f"no program {', '.join(sorted(given - names))}; there are {', '.join(sorted(names))}")
