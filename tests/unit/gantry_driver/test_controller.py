@@ -717,6 +717,28 @@ def test_clock_that_jumps_back_stops_everything() -> None:
     assert "heartbeat" in bench.finals[-1].reason
 
 
+def test_motions_after_a_clock_that_jumped_back_have_stamps_of_the_new_time() -> None:
+    """The driver refuses a stamp that is ahead of its clock."""
+    bench = Bench().start()
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+    bench.now_ns -= 3_600_000 * MS
+    bench.run(0.5)
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+    sent = [action.stamp_ns for action in bench.actions if isinstance(action, msg.SendTrajectory)]
+    assert sent[-1] <= bench.now_ns
+
+
+def test_a_panel_is_still_after_a_clock_that_jumped_back() -> None:
+    """With cameras on the carriage only a pose from after the last motion counts."""
+    bench = Bench(config(camera_on_carriage=True)).start()
+    bench.tell(msg.PointGoal(frame="base_link", xyz=np.array([0.1, 0.1, 0.0]), stamp_ns=0))
+    bench.run(3.0)
+    assert bench.finals[-1].outcome is Outcome.REACHED
+    bench.now_ns -= 3_600_000 * MS
+    bench.run(1.0)
+    assert bench.controller.state == "ready"
+
+
 def test_shutdown_stops_a_goal_in_work() -> None:
     bench = Bench().start()
     bench.tell(msg.Command(text="press:RUN_STOP"))

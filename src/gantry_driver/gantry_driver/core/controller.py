@@ -110,6 +110,7 @@ class Controller:
         self._actions = []
         if jumped_back_s > CLOCK_JUMP_S:
             self._world.forget_times()
+            self._stamp_ns = self._asked_ns = 0  # the driver refuses stamps of the old time
             if self._job is not None:
                 self._break_off(self._job, Fault(cause=f"the clock jumped back by {jumped_back_s:.1f} s", stop=True))
         self._take(event)

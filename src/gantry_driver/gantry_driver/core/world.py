@@ -168,6 +168,8 @@ class World:
         self.panel_stamp_ns = 0
         self.seen = None
         self.hidden_ns = {}
+        self.readings_ns = min(self.readings_ns, self.now_ns)
+        self.crossed_ns = min(self.crossed_ns, self.now_ns)
 
     def age_s(self, when_ns: int | None) -> float:
         """Return how long ago that was in seconds, infinite for never."""
