@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import String
 
@@ -117,3 +118,17 @@ def test_a_stop_while_a_check_is_waited_for_ends_it_before_anything_is_reset(ros
     rig.see("red")
     ros.spin_until(lambda: rig.states[-1].data == "idle", 10.0)
     assert len(rig.commands) == 1, "the second step was never sent"
+
+
+def test_a_clock_that_jumps_back_ends_a_sequence(ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else it would wait for pictures of the old time, and go on by itself when they come."""
+    rig = Rig(ros)
+    rig.sequence.publish(String(data="id: mine\nsteps: ['press:RUN_STOP => lamp:RUN_STOP=red', 'press:SAVE']"))
+    rig.wait_for_command(1)
+    rig.reach("mine.1")
+    ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
+    monkeypatch.setattr(rig.node, "_now_ns", lambda: rig.now_ns() - 60_000_000_000)
+    ended = rig.final("mine")
+    assert ended.outcome is Outcome.ABORTED and "the clock jumped back by " in ended.reason
+    ros.spin_until(lambda: rig.states[-1].data == "idle", 10.0)
+    assert len(rig.commands) == 1

@@ -12,6 +12,8 @@ from icu_common.core.sequence import Check, Sequence, Step
 
 NANO = 1_000_000_000
 ANGLE_TOLERANCE_DEG = 3.0
+CLOCK_JUMP_S = 0.5
+"""Time that runs back farther than this between two ticks ends the sequence: its pictures are of another time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +60,7 @@ class SequenceRun:
         self.sequence, self.run_id, self._config = sequence, run_id, config
         self.done = False
         self._number = 0
-        self._started_ns = self._step_ns = self._deadline_ns = 0
+        self._started_ns = self._step_ns = self._deadline_ns = self._ticked_ns = 0
         self._answer: GoalResult | None = None
         self._answered_ns = 0
         self._seen: PanelSeen | None = None
@@ -73,7 +75,7 @@ class SequenceRun:
         return self.sequence.steps[self._number - 1]
 
     def start(self, now_ns: int) -> list[Action]:
-        self._started_ns = now_ns
+        self._started_ns = self._ticked_ns = now_ns
         return [Report(result=self._result(Outcome.ACCEPTED, now_ns)), *self._next(now_ns)]
 
     def result(self, answer: GoalResult, now_ns: int) -> list[Action]:
@@ -96,6 +98,9 @@ class SequenceRun:
 
     def tick(self, now_ns: int) -> list[Action]:
         """Let time pass."""
+        jumped_back_s, self._ticked_ns = (self._ticked_ns - now_ns) / NANO, now_ns
+        if jumped_back_s > CLOCK_JUMP_S:
+            return self.abort(f"the clock jumped back by {jumped_back_s:.1f} s", now_ns)
         if self.done or now_ns <= self._deadline_ns:
             return []
         if self._answer is None:
