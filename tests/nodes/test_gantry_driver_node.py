@@ -267,6 +267,18 @@ def test_parameters_have_ranges_and_a_bad_one_is_refused(operator: Callable[...,
     assert list(driver.get_parameter("machine.travel_mm").value) == [360.0, 220.0, 60.0]
 
 
+def test_reports_come_at_a_changed_rate_at_once(operator: Callable[..., Operator], ros: Any) -> None:
+    op = operator(status_rate_hz=1.0).ready()
+    driver = next(node for node in ros.nodes if isinstance(node, SerialDriverNode))
+    assert driver.set_parameters([Parameter("status_rate_hz", value=10.0)])[0].successful
+    # Shorter than the reports were apart before.
+    assert driver.set_parameters([Parameter("status_timeout_s", value=0.6)])[0].successful
+    op.joints.clear()
+    op.states.clear()
+    op.until(lambda: len(op.joints) > 10 or op.states, 5.0)
+    assert op.states == []
+
+
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_dead_port_thread_is_said_and_ends_the_node_within_a_second(
     operator: Callable[..., Operator], ros: Any, monkeypatch: pytest.MonkeyPatch

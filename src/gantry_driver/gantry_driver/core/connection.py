@@ -105,6 +105,13 @@ class Connection:
         self._pausing = self._resuming = False
         self._old_holds = 0
 
+    def configure(self, config: DriverConfig, now: float) -> None:
+        """Go on with other parameters."""
+        self.config = config
+        self._poll_at_rate()
+        if self.session.last_report_at is not None:
+            self.session.last_report_at = now  # The silence so far was that of the old rate.
+
     # --- what the node sees --------------------------------------------------------------------------------------
 
     @property
@@ -350,11 +357,14 @@ class Connection:
         self._misplaced = False
         if phase is not Phase.MOVING:
             self._pausing = self._resuming = False
-        moving = phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
+        self._poll_at_rate()
+        self._say_if_changed(before)
+
+    def _poll_at_rate(self) -> None:
+        moving = self.phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
         rate = self.config.moving_status_rate_hz if moving else self.config.status_rate_hz
         self.session.poll_interval_s = 1.0 / rate
         self.session.poll_now()
-        self._say_if_changed(before)
 
     def _say_if_changed(self, before: str) -> None:
         if self.state_text != before:

@@ -171,10 +171,7 @@ class SerialDriverNode(LifecycleNode):
         return _fill(response, self._link.call(lambda machine, now: machine.enable(request.data, now)), text)
 
     def _on_config(self, config: DriverConfig) -> None:
-        def replace(machine: Machine, now: float) -> None:
-            machine.config = config
-
-        self._link.call(replace)
+        self._link.call(lambda machine, now: machine.configure(config, now))
 
     # --- to the graph ----------------------------------------------------------------------------------------------
 
