@@ -96,6 +96,7 @@ class Connection:
         self._marker = 0
         self._marker_done = False
         self._lift = True
+        self._lift_timeout_s = 0.0
         self._critical = False
         self._reset_not_before = 0.0
         self._hold_sent = 0.0

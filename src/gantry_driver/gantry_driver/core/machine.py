@@ -105,7 +105,7 @@ class Machine(Connection):
                 self._close(f"no banner within {BANNER_TIMEOUT_S:g} s of a reset", now)
         elif phase is Phase.HOMING and age > self.config.homing_timeout_s:
             self._halt(f"homing took longer than {self.config.homing_timeout_s:g} s", now)
-        elif phase is Phase.LIFTING and age > self._lift_timeout_s():
+        elif phase is Phase.LIFTING and age > self._lift_timeout_s:
             self._enter(Phase.STOPPED, now, f"{self.reason}; the stylus was not lifted in time")
         self._watch(now)
 
@@ -363,9 +363,6 @@ class Machine(Connection):
         self._enter(Phase.RESETTING, now, self.reason)
         self.session.soft_reset(now)
 
-    def _lift_timeout_s(self) -> float:
-        return 2.0 + self.config.stylus.dwell_s + self.config.stylus_limit_m() / self.config.stylus_feed_m_s
-
     # --- what the board says -------------------------------------------------------------------------------------
 
     def _on_message(self, message: Message, now: float) -> None:
@@ -606,6 +603,10 @@ class Machine(Connection):
             return
         self._enter(Phase.LIFTING, now, self.reason)
         self._marker_done = False
+        config = self.config
+        # The board moves no axis faster than its own limit, and what is under way does not know of later parameters.
+        speed_m_s = min(config.stylus_feed_m_s, config.machine.max_rate_mm_min[2] / 60_000.0)
+        self._lift_timeout_s = 2.0 + config.stylus.dwell_s + config.stylus_limit_m() / speed_m_s
         for text in lift_lines(self.config):
             self._marker = self.session.queue(text, answer_within_s=self._answer_time()).number
 
