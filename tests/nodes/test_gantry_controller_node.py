@@ -166,6 +166,22 @@ def test_messages_that_cannot_be_used_are_ignored(ros: Any) -> None:
     np.testing.assert_allclose(positions(bench)[-1][-1], [*RUN_STOP[:2], 0.0], atol=1e-7)
 
 
+def test_readings_that_no_machine_has_are_ignored(ros: Any) -> None:
+    """A way from there would take for ever, and did not fit the message."""
+    bench = GantryBench(ros, {"joints_timeout_s": 1.0})
+    bench.spin_until_state("waiting: not calibrated")
+    bench.connect_goals()
+    bench.readings = np.array([1e308, 0.0, 0.0])
+    bench.spin_until_state("waiting: no joint_states")
+    bench.goal.publish(point_message([0.1, 0.1, 0.0], header(0, BASE)))
+    refused = bench.spin_until_final(1)
+    assert refused.outcome is Outcome.REJECTED and refused.reason.startswith("no joint_states for ")
+    bench.readings = np.zeros(3)
+    bench.spin_until_state("waiting: not calibrated")
+    bench.goal.publish(point_message([0.1, 0.1, 0.0], header(0, BASE)))
+    assert bench.spin_until_final(2).outcome is Outcome.REACHED
+
+
 def test_parameters_change_while_running(ros: Any) -> None:
     bench = GantryBench(ros, {"motion.x_max_m": 0.30})
     bench.spin_until_state("waiting: not calibrated")

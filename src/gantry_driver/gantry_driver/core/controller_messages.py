@@ -11,6 +11,9 @@ from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_state import PanelSeen
 from icu_common.core.results import GoalResult
 
+FARTHEST_M = 10.0
+"""Twice the longest travel that the driver can be configured for."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PointGoal:
@@ -37,9 +40,19 @@ class DriverState:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Joints:
-    """Readings (3,) in metres."""
+    """Readings (3,) in metres.
+
+    Raises
+    ------
+    ValueError
+        If they are farther from home than any machine reaches.
+    """
 
     readings: Array
+
+    def __post_init__(self) -> None:
+        if not abs(self.readings).max() <= FARTHEST_M:
+            raise ValueError(f"readings {self.readings.tolist()} m: at most {FARTHEST_M:g} m from home are believed")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -222,6 +222,7 @@ export const PHRASES_DE = [
   ["z = {} m would touch the panel there, {} m is the lowest; use press to touch", "z = {} m würde dort die Front berühren, {} m ist das Tiefste; zum Berühren drücken"],
   ["{} needs a knob's name, found {}", "{} braucht den Namen eines Drehknopfs, gefunden: {}"],
   ["axes {}: 2 x 2 values within 0.1 of the identity are needed", "Achsen {}: nötig sind 2 x 2 Werte, höchstens 0.1 von der Einheit entfernt"],
+  ["readings {} m: at most {} m from home are believed", "Ablesungen {} m: höchstens {} m vom Nullpunkt werden geglaubt"],
   ["{} values, 4 are needed (2 x 2, row by row)", "{} Werte, nötig sind 4 (2 x 2, Zeile für Zeile)"],
   ["child frame {}, {} is needed", "untergeordnetes System {}, nötig ist {}"],
   ["{} = {} m lies outside {} to {} m", "{} = {} m liegt außerhalb von {} bis {} m"],
