@@ -285,6 +285,34 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     operator.leaves()
 
 
+def test_a_click_before_the_page_has_drawn_that_it_cannot_be_done_gets_the_reason(
+    browser: Any, strict_instrument: Instrument
+) -> None:
+    """The buttons are drawn every 100 ms; what was clicked in between was swallowed without a word."""
+    operator = Operator(browser, strict_instrument.address())
+    page = operator.page
+    operator.takes_control()
+    operator.selects("MENU", "Menu")
+    busy = "button => { const end = performance.now() + 600; while (performance.now() < end); button.click(); }"
+    operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "the button")
+    page.eval_on_selector("[data-act=press]", busy)
+    operator.until(operator.refused, 5.0, lambda: "a refusal")
+    operator.sees("#refusal", r"The picture is \d{3,} ms old; at most 500 ms")
+    for key in (">", "Shift+ArrowLeft"):
+        operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "ready again")
+        operator.selects("RUN_STOP", "Run / Stop")
+        assert not operator.refused()
+        page.click("#freeze")
+        page.keyboard.press(key)
+        operator.until(operator.refused, 5.0, lambda key=key: f"a refusal of {key}")
+        operator.sees("#refusal", "A kept picture lies over the live one")
+        page.click("#freeze")
+    page.keyboard.press(">")
+    operator.sees("#refusal", "That cannot be done with this control")
+    assert "Press" not in page.inner_text("#log")
+    operator.leaves()
+
+
 def test_words_can_be_read_and_buttons_can_be_hit(browser: Any, instrument: Instrument) -> None:
     """WCAG 2.2 AA: contrast of text at least 4.5 (3 for large text), targets of the desk at least 44 px."""
     for number, (scheme, size) in enumerate([("light", (1280, 800)), ("dark", (820, 1180))]):

@@ -2,7 +2,7 @@
 
 import { desk } from "./desk.js";
 import { find, say } from "./dom.js";
-import { wireGestures } from "./gestures.js";
+import { act, wireGestures } from "./gestures.js";
 import { t } from "./strings.js";
 
 const ARMED_MS = 4000;
@@ -81,10 +81,10 @@ function wireCalls() {
 function wireKeys() {
   const keys = {
     l: () => desk.state && !desk.state.lease.holder && find("lease-take").click(),
-    "[": () => document.querySelector('[data-act="turn"][data-sign="1"]').click(),
-    "]": () => document.querySelector('[data-act="turn"][data-sign="-1"]').click(),
-    "<": () => document.querySelector('[data-act="click"][data-sign="-1"]').click(),
-    ">": () => document.querySelector('[data-act="click"][data-sign="1"]').click(),
+    "[": () => act(document.querySelector('[data-act="turn"][data-sign="1"]')),
+    "]": () => act(document.querySelector('[data-act="turn"][data-sign="-1"]')),
+    "<": () => act(document.querySelector('[data-act="click"][data-sign="-1"]')),
+    ">": () => act(document.querySelector('[data-act="click"][data-sign="1"]')),
     d: () => find("draw").offsetParent && find("draw").click(),
     "?": openHelp,
   };

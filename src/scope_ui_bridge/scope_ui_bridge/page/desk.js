@@ -29,7 +29,7 @@ class Desk {
 
   /** Why the last thing that was asked for was refused; empty when it was not. */
   get problem() {
-    return this.refused ? t(this.refused.code, explained(this.refused.values)) : "";
+    return worded(this.refused);
   }
 
   /** The picture that is being looked at; every click and confirmation names it. */
@@ -37,24 +37,31 @@ class Desk {
     return { camera: this.video.shown?.camera ?? this.video.camera, stamp: this.video.shown?.stamp ?? "0" };
   }
 
+  /** What keeps everything from moving now, {code, values} as in a refusal; null when nothing does. */
+  get hindrance() {
+    if (this.link.silent) return { code: "link_down" };
+    if (this.replay) return { code: "replay" };
+    if (!this.mine) return { code: this.me.role === "viewer" ? "role_viewer" : "no_lease" };
+    if (this.frozen) return { code: "frozen_no_action" };
+    if (this.teaching) return { code: "teaching_no_action" };
+    const age = this.video.ageMs;
+    if (age <= this.limits.max_age_ms) return null;
+    return { code: "picture_late", values: { age_ms: Number.isFinite(age) ? Math.round(age) : "?", limit_ms: this.limits.max_age_ms } };
+  }
+
+  /** What keeps every gesture from being done now. */
+  get gestureHindrance() {
+    return this.hindrance ?? this.state?.refusal ?? null;
+  }
+
   /** Why nothing can be moved at all now; empty when it can. */
   get whyNoMotion() {
-    if (this.link.silent) return t("link_down");
-    if (this.replay) return t("replay");
-    if (!this.mine) return t(this.me.role === "viewer" ? "role_viewer" : "no_lease");
-    if (this.frozen) return t("frozen_no_action");
-    if (this.teaching) return t("teaching_no_action");
-    const age = this.video.ageMs;
-    if (!(age <= this.limits.max_age_ms)) {
-      return t("picture_late", { age_ms: Number.isFinite(age) ? Math.round(age) : "?", limit_ms: this.limits.max_age_ms });
-    }
-    return "";
+    return worded(this.hindrance);
   }
 
   /** Why no gesture can be done now; empty when it can. */
   get whyNot() {
-    const refusal = this.state?.refusal;
-    return this.whyNoMotion || (refusal ? t(refusal.code, explained(refusal.values)) : "");
+    return worded(this.gestureHindrance);
   }
 
   /** Ask the bridge; a refusal is shown and said. */
@@ -65,7 +72,12 @@ class Desk {
   /** Select something of the picture that is being looked at, which is not the live one while another lies over it. */
   async select(what) {
     const held = (this.frozen && "frozen_no_action") || (this.teaching && "teaching_no_action");
-    return held ? this.report({ ok: false, code: held }) : this.ask("select", { ...this.seen, ...what });
+    return held ? this.refuse({ code: held }) : this.ask("select", { ...this.seen, ...what });
+  }
+
+  /** Show and say what keeps it from being done. What is drawn is up to 100 ms old: a button may have been enabled still. */
+  refuse({ code, values = {} }) {
+    return this.report({ ok: false, code, values });
   }
 
   report(answer) {
@@ -76,6 +88,8 @@ class Desk {
     return answer.ok;
   }
 }
+
+const worded = (refusal) => (refusal ? t(refusal.code, explained(refusal.values)) : "");
 
 /** Sentences show the state's name in the page's language. */
 function explained(values = {}) {

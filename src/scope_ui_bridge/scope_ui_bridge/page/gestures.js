@@ -23,12 +23,20 @@ function wanted(button) {
   return {};
 }
 
-function act(button) {
+function hindrance(gesture, { argument }) {
+  if (desk.gestureHindrance) return desk.gestureHindrance;
+  if (!desk.selection) return { code: "selection_gone" };
+  if (!desk.selection.gestures.includes(gesture)) return { code: "wrong_gesture" };
+  return Number.isNaN(argument) ? { code: "no_number" } : null;
+}
+
+/** Do what the button says, or say why that cannot be done now. */
+export function act(button) {
   const gesture = button.dataset.act;
-  if (!desk.selection?.gestures.includes(gesture) || desk.whyNot !== "") return;
   const fields = wanted(button);
-  if (Number.isNaN(fields.argument)) {
-    desk.report({ ok: false, code: "no_number" });
+  const refusal = hindrance(gesture, fields);
+  if (refusal) {
+    desk.refuse(refusal);
     return;
   }
   if (collecting()) {

@@ -12,7 +12,10 @@ let held = null; // {dx, dy, step_mm, timer}
 function hold(dx, dy) {
   if (held?.dx === dx && held?.dy === dy) return;
   release();
-  if (desk.whyNoMotion) return;
+  if (desk.hindrance) {
+    desk.refuse(desk.hindrance);
+    return;
+  }
   held = { dx, dy, step_mm: Number(find("jog-step").value), timer: 0 };
   document.dispatchEvent(new Event("acting"));
   repeat();
@@ -47,7 +50,7 @@ export function wireMove() {
     button.addEventListener("keydown", (event) => {
       if (!["Enter", " "].includes(event.key)) return;
       event.preventDefault();
-      hold(dx, dy);
+      if (!event.repeat) hold(dx, dy);
     });
     button.addEventListener("keyup", release);
   }
@@ -55,7 +58,7 @@ export function wireMove() {
     const way = event.shiftKey && WAYS[event.key];
     if (!way || event.target.closest("input, select, textarea")) return;
     event.preventDefault();
-    hold(...way);
+    if (!event.repeat) hold(...way);
   });
   document.addEventListener("keyup", (event) => {
     if (event.key === "Shift" || WAYS[event.key]) release();
