@@ -34,6 +34,7 @@ class Rig:
         for topic in ("command", "sequence_result", "sequence_state"):
             ros.spin_until(lambda t=topic: self.probe.count_publishers(t) == 1, 10.0)
         ros.spin_until(lambda: self.states, 10.0)
+        ros.spin_until(lambda: not self.node.hindrance(), 10.0)
 
     def now_ns(self) -> int:
         return int(self.probe.get_clock().now().nanoseconds)
@@ -118,6 +119,40 @@ def test_a_stop_while_a_check_is_waited_for_ends_it_before_anything_is_reset(ros
     rig.see("red")
     ros.spin_until(lambda: rig.states[-1].data == "idle", 10.0)
     assert len(rig.commands) == 1, "the second step was never sent"
+
+
+def test_without_a_controller_it_is_refused_and_nothing_is_sent_later(ros: Any) -> None:
+    """Just after its start the sequencer has not found the controller yet; the first command went to nobody."""
+    node = ros.node(SequenceNode, {})
+    probe = ros.plain()
+    answers = ros.collect(probe, DiagnosticArray, "sequence_result", qos.RESULTS)
+    reports = ros.collect(probe, DiagnosticArray, "/diagnostics", qos.RESULTS)
+    sequence = probe.create_publisher(String, "sequence", qos.COMMAND)
+    ros.spin_until(lambda: sequence.get_subscription_count() == 1, 10.0)
+    ros.spin_until(lambda: probe.count_publishers("sequence_result") == 1, 10.0)
+
+    def refusal(run_id: str) -> GoalResult:
+        def mine() -> list[GoalResult]:
+            return [r for r in map(result_of_message, answers) if r.goal_id == run_id]
+
+        sequence.publish(String(data=f"id: {run_id}\nsteps: ['press:SAVE']"))
+        found = ros.spin_until(mine, 10.0)
+        return found[0]
+
+    alone = refusal("alone")
+    assert (alone.outcome, alone.reason) == (Outcome.REJECTED, "no gantry controller listens")
+    ros.spin_until(
+        lambda: any(s.message == "waiting: no gantry controller listens" for m in reports for s in m.status), 10.0
+    )
+    commands = ros.collect(probe, String, "command", qos.COMMAND)
+    ros.spin_until(lambda: node.count_subscribers("command") == 1, 10.0)
+    mute = refusal("mute")
+    assert (mute.outcome, mute.reason) == (Outcome.REJECTED, "no gantry controller listens"), "it could not answer"
+    probe.create_publisher(DiagnosticArray, "result", qos.RESULTS)
+    ros.spin_until(lambda: not node.hindrance(), 10.0)
+    sequence.publish(String(data="id: heard\nsteps: ['press:SAVE']"))
+    ros.spin_until(lambda: commands, 10.0)
+    assert [m.data for m in commands] == ["press:SAVE id=heard.1"]
 
 
 def test_a_clock_that_jumps_back_ends_a_sequence(ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import time
@@ -162,7 +163,7 @@ def sequencer(instrument: Instrument) -> Iterator[None]:
 
 
 def begins(operator: Operator) -> None:
-    """Start it with two clicks; again while the bridge has not found the sequencer yet."""
+    """Start it with two clicks; again while the bridge and the sequencer have not found each other yet."""
     page = operator.page
     rows = page.locator("#log tr:not(.nothing)")
     for _ in range(10):
@@ -173,7 +174,7 @@ def begins(operator: Operator) -> None:
         page.click("#sequence-start")
         operator.until(lambda before=before: rows.count() > before or operator.refused(), 5.0, lambda: "an answer")
         operator.until(lambda: "… sent" not in rows.first.inner_text(), 5.0, lambda: rows.first.inner_text())
-        if "no sequencer listens" not in rows.first.inner_text():
+        if not re.search("no (sequencer|gantry controller) listens", rows.first.inner_text()):
             return
 
 

@@ -139,9 +139,21 @@ def test_a_step_that_fails_stops_it(outcome: Outcome, reason: str) -> None:
     assert dict(end.result.details)["steps_done"] == "0"
 
 
+def test_a_step_that_reached_nobody_does_not_hold_the_sequence_up() -> None:
+    run = run_of("steps: ['press:MENU', 'press:SAVE']")
+    run.start(0)
+    run.result(answer("r.1"), 2 * S)
+    assert run.tick(7 * S) == []
+    (end,) = run.tick(7 * S + 1)
+    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
+    assert end.result.reason == ("step 2 of 2, press:SAVE: the controller has neither taken nor refused it within 5 s")
+
+
 def test_silence_and_an_effect_that_is_missing_stop_it() -> None:
     run = run_of()
     run.start(0)
+    run.result(answer("r.1", Outcome.ACCEPTED), S)
+    assert run.tick(90 * S) == []
     (end,) = run.tick(90 * S + 1)
     assert isinstance(end, Report) and "no answer within 90 s" in end.result.reason
     strict = run_of("steps: ['press:SAVE => effect']")

@@ -20,6 +20,9 @@ CLOCK_JUMP_S = 0.5
 class SequenceConfig(Config):
     """Parameters of the sequencer."""
 
+    accept_timeout_s: float = setting(
+        5.0, "Time in which the controller has to take or refuse a step", minimum=1.0, maximum=60.0, unit="s"
+    )
     answer_timeout_s: float = setting(90.0, "Time for a step's final answer", minimum=1.0, maximum=600.0, unit="s")
     check_s: float = setting(
         3.0, "Time for what a check wants to be seen, where the step names none", minimum=0.1, maximum=60.0, unit="s"
@@ -61,6 +64,7 @@ class SequenceRun:
         self.done = False
         self._number = 0
         self._started_ns = self._step_ns = self._deadline_ns = self._ticked_ns = 0
+        self._taken = False
         self._answer: GoalResult | None = None
         self._answered_ns = 0
         self._seen: PanelSeen | None = None
@@ -82,6 +86,7 @@ class SequenceRun:
         """Hear an answer of the controller."""
         if self.done or self._answer is not None or answer.goal_id != f"{self.run_id}.{self._number}":
             return []
+        self._taken = True
         if not answer.outcome.final:
             return []
         if answer.outcome is not Outcome.REACHED:
@@ -101,6 +106,9 @@ class SequenceRun:
         jumped_back_s, self._ticked_ns = (self._ticked_ns - now_ns) / NANO, now_ns
         if jumped_back_s > CLOCK_JUMP_S:
             return self.abort(f"the clock jumped back by {jumped_back_s:.1f} s", now_ns)
+        accept_s = self._config.accept_timeout_s
+        if not self._taken and now_ns - self._step_ns > accept_s * NANO:
+            return self.abort(f"the controller has neither taken nor refused it within {accept_s:g} s", now_ns)
         if self.done or now_ns <= self._deadline_ns:
             return []
         if self._answer is None:
@@ -121,7 +129,7 @@ class SequenceRun:
             self.done = True
             return [Report(result=self._result(Outcome.REACHED, now_ns))]
         self._number += 1
-        self._answer, self._step_ns = None, now_ns
+        self._taken, self._answer, self._step_ns = False, None, now_ns
         self._deadline_ns = now_ns + round(self._config.answer_timeout_s * NANO)
         return [SendCommand(text=f"{self._step.gesture} id={self.run_id}.{self._number}")]
 

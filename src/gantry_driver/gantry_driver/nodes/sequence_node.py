@@ -42,7 +42,7 @@ class SequenceNode(Node):
         self._answers = self.create_publisher(DiagnosticArray, "sequence_result", qos.RESULTS)
         self._state = self.create_publisher(String, "sequence_state", qos.LATCHED)
         self.create_subscription(String, "sequence", self._on_sequence, qos.COMMAND)
-        self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
+        self._results = self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
         self.create_subscription(DiagnosticArray, "panel/state", self._on_panel, qos.SENSOR)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         self.create_subscription(String, "state", self._on_controller, qos.LATCHED)
@@ -54,6 +54,11 @@ class SequenceNode(Node):
         """Say that a sequence was cut short; the controller finishes the gesture it has and then rests."""
         if self._run is not None:
             self._act(self._run.abort("the sequencer is ending", self._now_ns()))
+
+    def hindrance(self) -> str:
+        """Return why no sequence can be carried out now, empty when one can: a command to nobody would be lost."""
+        heard = self._command.get_subscription_count() and self._results.get_publisher_count()
+        return "" if heard else "no gantry controller listens"
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -69,6 +74,8 @@ class SequenceNode(Node):
         try:
             if self._run is not None:
                 raise SequenceError(f"busy with {self._run.run_id!r}, {self._run.state}")
+            if hindrance := self.hindrance():
+                raise SequenceError(hindrance)
             sequence = parse_file(text)
         except SequenceError as error:
             refused = GoalResult(goal_id=run_id, goal="sequence", outcome=Outcome.REJECTED, reason=str(error))
@@ -106,8 +113,11 @@ class SequenceNode(Node):
             self._act(self._run.tick(self._now_ns()))
 
     def _report(self) -> None:
-        text = "idle" if self._run is None else self._run.state
-        status = diagnostic_status(self.get_fully_qualified_name(), "ok", text, [("sequences", self._count)])
+        hindrance = self.hindrance()
+        level, text = (
+            ("warn", f"waiting: {hindrance}") if hindrance else ("ok", self._run.state if self._run else "idle")
+        )
+        status = diagnostic_status(self.get_fully_qualified_name(), level, text, [("sequences", self._count)])
         self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
 
     def _act(self, actions: list[Action]) -> None:

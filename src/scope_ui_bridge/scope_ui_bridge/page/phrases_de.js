@@ -333,6 +333,7 @@ export const PHRASES_DE = [
   ["not seen in time: {}", "nicht rechtzeitig zu sehen: {}"],
   ["not seen yet", "noch nicht gesehen"],
   ["no answer within {} s", "keine Antwort innerhalb von {} s"],
+  ["the controller has neither taken nor refused it within {} s", "die Steuerung hat ihn innerhalb von {} s weder angenommen noch abgelehnt"],
   ["no change", "keine Änderung"],
   ["no mark {}", "keine Marke {}"],
   ["{} steps", "{} Schritte"],
