@@ -301,7 +301,7 @@ def test_a_click_before_the_page_has_drawn_that_it_cannot_be_done_gets_the_reaso
     for key in (">", "Shift+ArrowLeft"):
         operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "ready again")
         operator.selects("RUN_STOP", "Run / Stop")
-        assert not operator.refused()
+        operator.until(lambda: not operator.refused(), 10.0, lambda: "the answer to the selection")
         page.click("#freeze")
         page.keyboard.press(key)
         operator.until(operator.refused, 5.0, lambda key=key: f"a refusal of {key}")
