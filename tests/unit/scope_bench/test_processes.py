@@ -94,6 +94,31 @@ def test_a_restarted_program_that_does_not_get_ready_is_killed_and_started_again
     watch.group.stop()
 
 
+# Tells what it was started with; killed the first time, deaf the second time.
+CRASHES_ONCE = """
+import os, pathlib, signal, sys
+count = pathlib.Path(sys.argv[1])
+number = len(count.read_text()) if count.exists() else 0
+count.write_text("x" * (number + 1))
+print("after a crash:", os.environ.get("ICU_AFTER_CRASH", "no"), flush=True)
+if number == 0:
+    os.kill(os.getpid(), signal.SIGKILL)
+sys.exit(75) if number == 1 else signal.pause()
+"""
+
+
+def test_a_program_is_told_that_its_predecessor_crashed_and_ends_as_deaf_once_at_most(tmp_path: Path) -> None:
+    watch = Watch()
+    watch.group.start("a", [*PYTHON, CRASHES_ONCE, str(tmp_path / "count")], tells_ready=True)
+    watch.until(lambda: len(watch.output) == 3)
+    assert [line for _, line in watch.output] == ["after a crash: no", "after a crash: 1", "after a crash: no"]
+    assert [text for _, text in watch.events] == [
+        "ended with signal SIGKILL, restarted in 0.5 s",
+        "hears no camera since its restart, restarted in 1 s",
+    ]
+    watch.group.stop()
+
+
 def test_a_wrong_configuration_is_not_restarted() -> None:
     watch = Watch()
     watch.group.start("a", [*PYTHON, "import sys; sys.exit(2)"])

@@ -13,6 +13,7 @@ import inspect
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
@@ -26,6 +27,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from icu_common.core.config import ConfigError
 from icu_common.nodes import in_step
+from icu_common.nodes.hearing import DEAF, Hearing
+from icu_common.nodes.hearing import VARIABLE as AFTER_CRASH_VARIABLE
 
 _READY_VARIABLE = "ICU_READY_FD"
 _PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -162,6 +165,9 @@ def _tell_ready() -> None:
 def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None, shared_memory: bool = True) -> int:
     with ros_session(arguments, shared_memory) as session:
         nodes: list[Node] = []
+        hearing = Hearing() if os.environ.pop(AFTER_CRASH_VARIABLE, "") else None
+        if hearing is not None:
+            hearing.install()
         try:
             for make in makers:
                 nodes.append(make())
@@ -169,6 +175,13 @@ def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None,
             _tell_ready()
             while session.goes_on:
                 session.spin()
+                if hearing is not None and (topic := hearing.deaf(time.monotonic())):
+                    print(
+                        f"error: {topic}: a camera is there and has not been heard for {hearing.limit_s:g} s: "
+                        "ending, to be started anew",
+                        file=sys.stderr,
+                    )
+                    return DEAF
         except (ConfigError, ParameterException) as error:
             print(f"error: {error}", file=sys.stderr)
             return 2

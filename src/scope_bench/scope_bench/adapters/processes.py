@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 READY_VARIABLE = "ICU_READY_FD"
+AFTER_CRASH_VARIABLE, DEAF = "ICU_AFTER_CRASH", 75
+"""See icu_common.nodes.hearing: whom this is told may end with this code, to be started once more."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -31,6 +33,7 @@ class Watched:
     once: bool = False
     ends_last: bool = False
     tells_ready: bool = False
+    crashed: bool = False
     ready_pipe: int | None = None
 
 
@@ -101,7 +104,9 @@ class ProcessGroup:
         ready = os.pipe() if watched.tells_ready else ()
         watched.process = subprocess.Popen(
             watched.command,
-            env=self._environment | ({READY_VARIABLE: str(ready[1])} if ready else {}),
+            env=self._environment
+            | ({READY_VARIABLE: str(ready[1])} if ready else {})
+            | ({AFTER_CRASH_VARIABLE: "1"} if watched.crashed else {}),
             pass_fds=ready[1:],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -168,6 +173,7 @@ class ProcessGroup:
         watched.process = None
         self._close_pipe(watched)
         recent = [t for t in watched.starts if now - t < self._window_s]
+        watched.crashed = code < 0
         why = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         if watched.once:
             self._on_event(watched.name, f"ended with {why}" if code else "done")
@@ -180,7 +186,8 @@ class ProcessGroup:
         else:
             delay = 0.5 * 2 ** max(len(recent) - 1, 0)
             watched.restart_at = now + delay
-            self._on_event(watched.name, f"ended with {why}, restarted in {delay:g} s")
+            what = "hears no camera since its restart" if code == DEAF else f"ended with {why}"
+            self._on_event(watched.name, f"{what}, restarted in {delay:g} s")
 
     def _read(self, key: selectors.SelectorKey) -> None:
         assert not isinstance(key.fileobj, int)
