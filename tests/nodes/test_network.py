@@ -15,7 +15,7 @@ from ros_rig import Ros, domain_of_worker
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from icu_common.nodes import qos
+from icu_common.nodes import qos, runtime
 from icu_common.nodes.runtime import prepare_transport
 
 
@@ -60,7 +60,15 @@ def test_dds_hears_on_loopback_alone(ros: Ros) -> None:
     assert others == []
 
 
-def test_the_driver_shares_no_memory_and_hears_on_loopback_alone(ros: Ros) -> None:
+@pytest.fixture
+def small_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A system that grants sockets 208 kB, as Ubuntu does by default; asked for before ``ros``."""
+    monkeypatch.setattr(runtime, "_sockets_hold_pictures", lambda: False)
+    for variable in ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.delenv(variable, raising=False)
+
+
+def test_the_driver_shares_no_memory_and_hears_on_loopback_alone(small_buffers: None, ros: Ros) -> None:
     """A process that is stopped or killed while it holds a lock in shared memory holds up all who share it, for 1 s."""
     command = [sys.executable, "-m", "gantry_driver.nodes.serial_driver_node", "--ros-args", "-p", "port:=/dev/null"]
     environment = {**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id())}
@@ -80,20 +88,43 @@ def test_the_driver_shares_no_memory_and_hears_on_loopback_alone(ros: Ros) -> No
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "profile"),
+    ("name", "value", "kind"),
     [
-        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST", "fastdds_local_profile.xml"),
-        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET", "fastdds_profile.xml"),
-        ("ROS_STATIC_PEERS", "192.0.2.7", "fastdds_profile.xml"),
-        ("ROS_DISCOVERY_SERVER", "192.0.2.7:11811", "fastdds_profile.xml"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST", "local_"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET", ""),
+        ("ROS_STATIC_PEERS", "192.0.2.7", ""),
+        ("ROS_DISCOVERY_SERVER", "192.0.2.7:11811", ""),
     ],
 )
-def test_only_a_wish_opens_the_network(monkeypatch: pytest.MonkeyPatch, name: str, value: str, profile: str) -> None:
+@pytest.mark.parametrize("large", [False, True])
+def test_only_a_wish_opens_the_network(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str, kind: str, large: bool
+) -> None:
     for variable in ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(runtime, "_sockets_hold_pictures", lambda: large)
     monkeypatch.setenv(name, value)
-    prepare_transport()
-    assert Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).name == profile
+    for _ in ("bring-up", "a program that it starts", "a program of that one"):
+        prepare_transport()
+        chosen = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).name
+        assert chosen == f"fastdds_{kind}{'sockets_' if large else ''}profile.xml"
+
+
+@pytest.mark.parametrize(("granted", "enough"), [(212_992, False), (4 << 20, True)])
+def test_shared_memory_is_used_where_the_buffers_are_small(
+    monkeypatch: pytest.MonkeyPatch, granted: int, enough: bool
+) -> None:
+    class Limited(socket.socket):
+        """Linux caps what is asked for at net.core.rmem_max and wmem_max, and tells twice what it grants."""
+
+        def setsockopt(self, level: int, option: int, value: int) -> None:  # type: ignore[override]
+            self.limit = min(value, granted)
+
+        def getsockopt(self, level: int, option: int) -> int:  # type: ignore[override]
+            return 2 * self.limit
+
+    monkeypatch.setattr(socket, "socket", Limited)
+    assert runtime._sockets_hold_pictures() is enough
 
 
 @pytest.mark.parametrize(("wanted", "kept"), [("LOCALHOST", "SYSTEM_DEFAULT"), ("SUBNET", "SUBNET")])

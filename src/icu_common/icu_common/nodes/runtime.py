@@ -1,7 +1,7 @@
 """How a process of the graph starts and ends: transport profile, executor, signals, a safe way out.
 
-Fast DDS's default shared memory segment (512 kB) loses pictures, so a profile with a larger one is set before rclpy
-starts; see docs/decisions/transport.md.
+Fast DDS's defaults lose pictures, so a profile is set before rclpy starts: sockets alone where the system allows
+buffers for pictures, else shared memory with a segment that is large enough; see docs/decisions/transport.md.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import functools
 import inspect
 import os
 import signal
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -32,6 +33,7 @@ from icu_common.nodes.hearing import VARIABLE as AFTER_CRASH_VARIABLE
 
 _READY_VARIABLE = "ICU_READY_FD"
 _PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+_SOCKET_BUFFER_BYTES = 4 << 20
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
@@ -44,10 +46,14 @@ def prepare_transport(shared_memory: bool = True) -> None:
     Parameters
     ----------
     shared_memory
-        False for a program that must not wait for another one: see docs/decisions/transport.md.
+        False for a program that must not wait for another one: see docs/decisions/transport.md. Else it is used where
+        the buffers of sockets are too small for pictures.
     """
     opened = [name for name in ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER") if os.environ.get(name)]
-    local = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST") == "LOCALHOST" and not opened
+    wanted = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    of_parent = Path(os.environ.get(_PROFILE_VARIABLE, "")).name.startswith("fastdds_local_sockets")
+    local = (wanted == "LOCALHOST" or (wanted == "SYSTEM_DEFAULT" and of_parent)) and not opened
+    shared_memory = shared_memory and not _sockets_hold_pictures()
     folder = Path(str(resources.files("icu_common"))).resolve()
     name = "fastdds_" + "local_" * local + "sockets_" * (not shared_memory) + "profile.xml"
     if Path(os.environ.get(_PROFILE_VARIABLE, folder / name)).resolve().parent == folder:  # else it is the user's own
@@ -59,6 +65,16 @@ def prepare_transport(shared_memory: bool = True) -> None:
         libc = ctypes.CDLL(None)
         libc.mallopt(_M_MMAP_THRESHOLD, 1 << 30)
         libc.mallopt(_M_TRIM_THRESHOLD, (1 << 31) - 1)
+
+
+def _sockets_hold_pictures() -> bool:
+    """Whether this system grants the buffers that the profiles ask for (Linux: net.core.rmem_max, wmem_max)."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+            probe.setsockopt(socket.SOL_SOCKET, option, _SOCKET_BUFFER_BYTES)
+            if probe.getsockopt(socket.SOL_SOCKET, option) < 2 * _SOCKET_BUFFER_BYTES:  # socket(7): it tells twice
+                return False
+    return True
 
 
 class Session:
