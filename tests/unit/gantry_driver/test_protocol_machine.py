@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -542,6 +543,18 @@ def test_a_silent_board_is_noticed() -> None:
     rig.board.mute = True
     rig.until(lambda: rig.state == "disconnected", 2.0)
     assert "no status report" in rig.states[-1] and "!" in rig.trace[-1][1].decode()
+
+
+def test_a_silent_board_is_noticed_while_parameters_are_changed_all_the_time() -> None:
+    rig = Rig().homed()
+    rig.board.mute = True
+    end = rig.now + 2.0
+    feeds = itertools.cycle((0.05, 0.06))
+    while rig.state != "disconnected":
+        assert rig.now < end, rig.states[-3:]
+        rig.machine.configure(replace(rig.machine.config, feed_m_s=next(feeds)), rig.now)
+        rig.run_for(0.1)
+    assert "no status report" in rig.states[-1]
 
 
 def test_homing_is_no_silence_and_its_alarm_is_one() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 
 from gantry_driver.core.grbl_messages import (
     Dialect,
@@ -108,9 +109,10 @@ class Connection:
 
     def configure(self, config: DriverConfig, now: float) -> None:
         """Go on with other parameters."""
-        self.config = config
+        before, self.config = self.config, config
         self._poll_at_rate()
-        if self.session.last_report_at is not None:
+        of_silence = attrgetter("status_rate_hz", "moving_status_rate_hz", "status_timeout_s")
+        if self.session.last_report_at is not None and of_silence(before) != of_silence(config):
             self.session.last_report_at = now  # The silence so far was that of the old rate.
 
     # --- what the node sees --------------------------------------------------------------------------------------
