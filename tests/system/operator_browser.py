@@ -94,13 +94,12 @@ class Operator:
 
     def selects(self, control: str, label: str) -> None:
         """Click the control; again when the picture happened to be late."""
-        for _ in range(5):
+        named = lambda: label in self.page.inner_text("#selection-name")  # noqa: E731
+        for _ in range(8):
             self.page.click(f"[data-control={control}]")
-            done = lambda: (  # noqa: E731
-                label in self.page.inner_text("#selection-name") or self.page.inner_text("#refusal")
-            )
-            self.until(done, 5.0, lambda: "an answer to the click")
-            if label in self.page.inner_text("#selection-name"):
+            end = time.monotonic() + 2.0
+            self.until(lambda end=end: named() or time.monotonic() > end, 5.0, lambda: "an answer to the click")
+            if named():
                 return
         pytest.fail(f"{control} could not be selected: {self.page.inner_text('#refusal')}")
 

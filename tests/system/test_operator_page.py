@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -293,22 +293,35 @@ def test_a_click_before_the_page_has_drawn_that_it_cannot_be_done_gets_the_reaso
     page = operator.page
     operator.takes_control()
     operator.selects("MENU", "Menu")
+
+    def repeats(act: Callable[[], object], done: Callable[[], bool]) -> None:
+        """Do it again when the picture happened to be late, which is refused, too."""
+        for _ in range(5):
+            act()
+            end = time.monotonic() + 2.0
+            operator.until(lambda end=end: done() or time.monotonic() > end, 5.0, lambda: "an answer")
+            if done():
+                return
+        pytest.fail(f"the page shows {page.inner_text('#refusal')!r}")
+
     busy = "button => { const end = performance.now() + 600; while (performance.now() < end); button.click(); }"
-    operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "the button")
-    page.eval_on_selector("[data-act=press]", busy)
-    operator.until(operator.refused, 5.0, lambda: "a refusal")
+
+    def click_when_it_is_late() -> None:
+        operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "the button")
+        page.eval_on_selector("[data-act=press]", busy)
+
+    repeats(click_when_it_is_late, operator.refused)
     operator.sees("#refusal", r"The picture is \d{3,} ms old; at most 500 ms")
     for key in (">", "Shift+ArrowLeft"):
         operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "ready again")
-        operator.selects("RUN_STOP", "Run / Stop")
-        operator.until(lambda: not operator.refused(), 10.0, lambda: "the answer to the selection")
+        repeats(lambda: page.click("[data-control=RUN_STOP]"), lambda: not operator.refused())
         page.click("#freeze")
         page.keyboard.press(key)
         operator.until(operator.refused, 5.0, lambda key=key: f"a refusal of {key}")
         operator.sees("#refusal", "A kept picture lies over the live one")
         page.click("#freeze")
-    page.keyboard.press(">")
-    operator.sees("#refusal", "That cannot be done with this control")
+    sentence = "That cannot be done with this control"
+    repeats(lambda: page.keyboard.press(">"), lambda: sentence in page.inner_text("#refusal"))
     assert "Press" not in page.inner_text("#log")
     operator.leaves()
 
