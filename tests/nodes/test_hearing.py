@@ -63,6 +63,17 @@ def test_a_camera_that_is_matched_and_not_heard_is_named(ros: Any, hearing: Hear
     assert hearing.deaf(1000.0) == "", "what was heard once may fall silent"
 
 
+def test_a_subscription_that_was_given_up_unheard_is_not_asked_any_more(ros: Any, hearing: Hearing) -> None:
+    """Corners and pictures for people are only subscribed to while somebody looks."""
+    node, camera = ros.plain("node"), ros.plain("camera")
+    camera.create_publisher(CameraInfo, "/left/camera_info", qos.IMAGES)
+    given_up = node.create_subscription(CameraInfo, "/left/camera_info", lambda m: None, qos.SENSOR)
+    ros.spin_until(lambda: given_up.get_publisher_count() == 1, 10.0)
+    assert hearing.deaf(0.0) == ""
+    node.destroy_subscription(given_up)
+    assert hearing.deaf(100.0) == ""
+
+
 def test_a_deaf_program_ends_only_after_a_crash(ros: Any, domain: int) -> None:
     """Its predecessor's shared memory, which the camera still writes to, is what nobody reads any more."""
     silent, speaking = ros.plain("silent"), ros.plain("speaking")

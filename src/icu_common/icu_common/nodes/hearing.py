@@ -67,10 +67,11 @@ class Hearing:
 
     def deaf(self, now_s: float) -> str:
         """Return a topic on which a camera is there and was never heard for too long, empty without one."""
-        self._ears = [(node, ear) for node, ear in self._ears if not ear.heard]
+        self._ears = [(node, ear) for node, ear in self._ears if not ear.heard and ear.made in node.subscriptions]
         for node, ear in self._ears:
-            topic = ear.made.topic_name if ear.made is not None else ""
-            if not self._is_camera(node, topic) or ear.made is None or not ear.made.get_publisher_count():
+            assert ear.made is not None
+            topic: str = ear.made.topic_name
+            if not self._is_camera(node, topic) or not ear.made.get_publisher_count():
                 ear.matched_at_s = None
                 continue
             if ear.matched_at_s is None:
