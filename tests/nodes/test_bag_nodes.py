@@ -7,12 +7,16 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
 from ros_rig import Ros
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
@@ -23,7 +27,7 @@ from icu_common.nodes import qos
 from icu_common.nodes.conversions import header, image_array, image_message
 from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
-from scope_bench.adapters.bags import BagReader, BagWriter
+from scope_bench.adapters.bags import BagReader, BagTopic, BagWriter
 from scope_bench.nodes.bag_qos import playing_qos, recorded_qos
 from scope_bench.nodes.bag_recorder import BagRecorder
 
@@ -33,7 +37,7 @@ ROOT = Path(__file__).resolve().parents[2]
 class Command:
     """One of the bag programs as a process on the rig's domain."""
 
-    def __init__(self, ros: Ros, folder: Path, name: str, *arguments: str) -> None:
+    def __init__(self, ros: Ros, folder: Path, name: str, arguments: Sequence[str]) -> None:
         environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.context.get_domain_id()))
         environment |= {"ROS_LOG_DIR": str(folder / "log"), "PYTHONUNBUFFERED": "1"}
         self.process = subprocess.Popen(
@@ -53,8 +57,60 @@ class Command:
         return output
 
 
+Start = Callable[..., Command]
+
+
+@pytest.fixture
+def command(ros: Ros, tmp_path: Path) -> Iterator[Start]:
+    """Start bag programs that do not outlive the test."""
+    started: list[Command] = []
+
+    def start(name: str, *arguments: str) -> Command:
+        started.append(Command(ros, tmp_path, name, arguments))
+        return started[-1]
+
+    yield start
+    for program in started:
+        with program.process:
+            program.process.kill()
+
+
+class Toggle:
+    """The player's service that pauses it and lets it go on."""
+
+    def __init__(self, ros: Ros, node: Node) -> None:
+        self._ros, self._client = ros, node.create_client(Trigger, "/bag_player/toggle_paused")
+        ros.spin_until(self._client.service_is_ready, 15.0)
+
+    def until(self, wanted: str) -> None:
+        """Ask until the answer is ``wanted``: one is lost when the player does not know of its client yet."""
+        asked: list[tuple[float, Any]] = []
+
+        def answered() -> bool:
+            if asked and asked[-1][1].done() and asked[-1][1].result().message == wanted:
+                return True
+            if not asked or asked[-1][1].done() or time.monotonic() > asked[-1][0] + 4.0:
+                asked.append((time.monotonic(), self._client.call_async(Trigger.Request())))
+            return False
+
+        self._ros.spin_until(answered, 15.0, lambda: len(asked))
+
+
+def numbered_bag(path: Path, topics: Sequence[str], messages: int) -> Path:
+    """Write a bag of std_msgs/String with the numbers of its messages, 20 ms from one to the next."""
+    with BagWriter(path, keep_free=0) as bag:
+        for name in topics:
+            bag.add_topic(BagTopic(name=name, type="std_msgs/msg/String"))
+        for i in range(messages):
+            for name in topics:
+                bag.write(name, 10**9 + 20_000_000 * i, serialize_message(String(data=f"{i}")))
+    return path
+
+
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_what_is_recorded_is_played_again(ros: Ros, tmp_path: Path, storage: str) -> None:
+def test_what_is_recorded_is_played_again(
+    ros: Ros, tmp_path: Path, storage: str, command: Callable[..., Command]
+) -> None:
     talker = ros.plain("talker")
     state = talker.create_publisher(String, "robot/state", qos.LATCHED)
     words = talker.create_publisher(String, "words", qos.RESULTS)
@@ -84,9 +140,7 @@ def test_what_is_recorded_is_played_again(ros: Ros, tmp_path: Path, storage: str
     heard = ros.collect(listener, String, "/words", QoSProfile(depth=100))
     latched = ros.collect(listener, String, "/robot/state", qos.LATCHED)
     times = ros.collect(listener, Clock, "/clock", qos.RESULTS)
-    player = Command(
-        ros, tmp_path, "bag_play", str(tmp_path / "bag"), "--clock", "100", "--wait", "10", "--rate", "0.5"
-    )
+    player = command("bag_play", str(tmp_path / "bag"), "--clock", "100", "--wait", "10", "--rate", "0.5")
     ros.spin_until(lambda: len(heard) == 50 and latched, 20.0, lambda: (len(heard), len(latched)))
     assert "51 messages played" in player.end()
     assert [m.data for m in heard] == spoken and latched[-1].data == "ready"
@@ -104,12 +158,8 @@ def test_a_player_keeps_what_is_recorded_for_latecomers_and_never_less_than_fift
         )
 
 
-def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:
+def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path, command: Start) -> None:
     with BagWriter(tmp_path / "bag", keep_free=0) as bag:
-        from rclpy.serialization import serialize_message
-
-        from scope_bench.adapters.bags import BagTopic
-
         kinds = {"/a": "String", "/b": "String", "/gantry/sequence": "String", "/operator/heartbeat": "Header"}
         kinds["/bed_1/gantry/trajectory"] = "String"
         for name, kind in kinds.items():
@@ -127,19 +177,11 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:
     beats = ros.collect(listener, Header, "/operator/heartbeat", qos.RESULTS)
     orders = ros.collect(listener, String, "/bed_1/gantry/trajectory", qos.RESULTS)
     ways = ros.collect(listener, String, "/bed_1/gantry/recorded_trajectory", qos.RESULTS)
-    player = Command(ros, tmp_path, "bag_play", str(tmp_path / "bag"), "--loop", "--start-paused", "--exclude", "/b")
-    toggle = listener.create_client(Trigger, "/bag_player/toggle_paused")
-    ros.spin_until(toggle.service_is_ready, 15.0)
+    player = command("bag_play", str(tmp_path / "bag"), "--loop", "--start-paused", "--exclude", "/b")
+    toggle = Toggle(ros, listener)
     assert a == []
-    asked = [(time.monotonic(), toggle.call_async(Trigger.Request()))]
-
-    def playing() -> bool:  # a request may be lost while the player does not know of its client yet
-        if not asked[-1][1].done() and a == [] and time.monotonic() > asked[-1][0] + 4.0:
-            asked.append((time.monotonic(), toggle.call_async(Trigger.Request())))
-        return asked[-1][1].done() and len(a) >= 9
-
-    ros.spin_until(playing, 15.0, lambda: (len(a), len(asked)))
-    assert asked[-1][1].result().message == "playing"
+    toggle.until("playing")
+    ros.spin_until(lambda: len(a) >= 9, 15.0, lambda: len(a))
     output = player.end(signal.SIGINT)
     assert [m.data for m in a[:9]] == ["0", "1", "2", "3", "0", "1", "2", "3", "0"]
     assert b == [] and beats == [] and orders == []
@@ -147,7 +189,39 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path) -> None:
     assert "not played: /b, /gantry/sequence, /operator/heartbeat\n" in output
 
 
-def test_recorded_pictures_come_back_as_pictures(ros: Ros, tmp_path: Path) -> None:
+def test_a_player_that_still_waits_for_subscribers_is_not_paused_again(
+    ros: Ros, tmp_path: Path, command: Callable[..., Command]
+) -> None:
+    bag = numbered_bag(tmp_path / "bag", ["/a", "/b"], 4)
+    listener = ros.plain("listener")
+    a = ros.collect(listener, String, "/a", qos.RESULTS)
+    player = command("bag_play", str(bag), "--start-paused", "--wait", "60")
+    Toggle(ros, listener).until("playing")
+    assert a == [], "nobody listens to /b"
+    b = ros.collect(listener, String, "/b", qos.RESULTS)
+    ros.spin_until(lambda: len(a) == len(b) == 4, 15.0, lambda: (len(a), len(b)))
+    assert "8 messages played" in player.end()
+
+
+def test_a_pause_at_the_end_of_a_loop_lasts(ros: Ros, tmp_path: Path, command: Start) -> None:
+    bag = numbered_bag(tmp_path / "bag", ["/a"], 1)  # which ends again and again
+    listener = ros.plain("listener")
+    a = ros.collect(listener, String, "/a", qos.RESULTS)
+    player = command("bag_play", str(bag), "--loop", "--wait", "60")
+    ros.spin_until(lambda: len(a) > 100, 15.0, lambda: len(a))
+    toggle = Toggle(ros, listener)
+    toggle.until("paused")
+    begun_s = time.monotonic()
+    ros.spin_until(lambda: time.monotonic() > begun_s + 0.5, 5.0)  # what was under way has arrived
+    a.clear()
+    ros.spin_until(lambda: time.monotonic() > begun_s + 1.5, 5.0)
+    assert a == []
+    toggle.until("playing")
+    ros.spin_until(lambda: len(a) > 100, 15.0, lambda: len(a))
+    player.end(signal.SIGINT)
+
+
+def test_recorded_pictures_come_back_as_pictures(ros: Ros, tmp_path: Path, command: Start) -> None:
     talker = ros.plain("talker")
     publisher = talker.create_publisher(Image, "eye/image_raw", qos.IMAGES)
     sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0), PictureCodec("png"))
@@ -164,17 +238,19 @@ def test_recorded_pictures_come_back_as_pictures(ros: Ros, tmp_path: Path) -> No
     listener = ros.plain("listener")
     seen = ros.collect(listener, Image, "/again", qos.IMAGES)
     arguments = [str(tmp_path / "bag"), "--wait", "10", "--ros-args", "-r", "/eye/image_raw:=/again"]
-    player = Command(ros, tmp_path, "bag_play", *arguments)
+    player = command("bag_play", *arguments)
     ros.spin_until(lambda: seen, 20.0)
     player.end()
     assert np.array_equal(image_array(seen[0]), pixels)
     assert (seen[0].header.stamp.nanosec, seen[0].header.frame_id, seen[0].encoding) == (77, "eye", "bgr8")
 
 
-def test_the_recorder_as_a_program_keeps_the_bag_whole_when_it_is_killed(ros: Ros, tmp_path: Path) -> None:
+def test_the_recorder_as_a_program_keeps_the_bag_whole_when_it_is_killed(
+    ros: Ros, tmp_path: Path, command: Callable[..., Command]
+) -> None:
     talker = ros.plain("talker")
     publisher = talker.create_publisher(String, "words", qos.RESULTS)
-    program = Command(ros, tmp_path, "bag_record", "/words", "-o", str(tmp_path / "bag"), "-s", "sqlite3")
+    program = command("bag_record", "/words", "-o", str(tmp_path / "bag"), "-s", "sqlite3")
     ros.spin_until(publisher.get_subscription_count, 15.0)
     publisher.publish(String(data="first"))
     start_s, sent = time.monotonic(), 0

@@ -81,7 +81,7 @@ class Playing:
         self._topics = chosen(bag, options)
         self._names = [topic.name for topic in self._topics]
         self._start_ns = bag.start_ns + round(options.start_offset * 1e9)
-        self._clock = PlayClock(self._start_ns, options.rate, time.monotonic(), paused=True)
+        self._begin(paused=options.start_paused)
         self._node = BagPlayer(
             self._topics,
             unpack=not options.keep_compressed,
@@ -105,17 +105,18 @@ class Playing:
                 self._step.begin(self._options.in_step)
             else:
                 self._wait_for_subscribers()
-            paused = self._options.start_paused
             while self._session.goes_on:
-                self._clock = PlayClock(self._start_ns, self._options.rate, time.monotonic(), paused=paused)
+                self._begin(paused=self._clock.paused)  # as somebody may have wanted it meanwhile
                 self._play_once()
-                paused = False
                 if not self._options.loop:
                     break
             self._node.settle()
         finally:
             self._line.end()
             self._session.end(self._node)
+
+    def _begin(self, *, paused: bool) -> None:
+        self._clock = PlayClock(self._start_ns, self._options.rate, time.monotonic(), paused=paused)
 
     def _wait_for_subscribers(self) -> None:
         deadline_s = time.monotonic() + self._options.wait
