@@ -18,9 +18,9 @@ from icu_common.nodes.conversions import header, panel_state_message, result_mes
 class Rig:
     """The node, and a controller played by the test."""
 
-    def __init__(self, ros: Any) -> None:
+    def __init__(self, ros: Any, **parameters: float) -> None:
         self.ros = ros
-        self.node = ros.node(SequenceNode, {"check_s": 0.5})
+        self.node = ros.node(SequenceNode, {"check_s": 0.5, **parameters})
         self.probe = ros.plain()
         self.commands: list[String] = ros.collect(self.probe, String, "command", qos.COMMAND)
         self.answers: list[DiagnosticArray] = ros.collect(self.probe, DiagnosticArray, "sequence_result", qos.RESULTS)
@@ -153,6 +153,23 @@ def test_without_a_controller_it_is_refused_and_nothing_is_sent_later(ros: Any) 
     sequence.publish(String(data="id: heard\nsteps: ['press:SAVE']"))
     ros.spin_until(lambda: commands, 10.0)
     assert [m.data for m in commands] == ["press:SAVE id=heard.1"]
+
+
+def test_a_controller_that_was_started_anew_in_a_step_ends_the_sequence(ros: Any) -> None:
+    rig = Rig(ros, accept_timeout_s=1.0)
+    rig.state.publish(String(data="moving"))
+    ros.spin_until(lambda: rig.node._controller == "moving", 10.0)
+    rig.sequence.publish(String(data="id: mine\nsteps: ['press:RUN_STOP', 'press:SAVE']"))
+    rig.wait_for_command(1)
+    taken = GoalResult(goal_id="mine.1", goal="", outcome=Outcome.ACCEPTED)
+    rig.result.publish(result_message(taken, rig.now_ns()))
+    begun_ns = rig.now_ns()
+    ros.spin_until(lambda: rig.now_ns() > begun_ns + 2_000_000_000, 10.0)
+    assert rig.states[-1].data == "step 1/2: press:RUN_STOP", "it works on it"
+    rig.state.publish(String(data="waiting: not calibrated"))
+    ended = rig.final("mine")
+    assert ended.outcome is Outcome.ABORTED and "at rest for 1 s without an answer to it" in ended.reason
+    assert len(rig.commands) == 1
 
 
 def test_a_clock_that_jumps_back_ends_a_sequence(ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -149,6 +149,25 @@ def test_a_step_that_reached_nobody_does_not_hold_the_sequence_up() -> None:
     assert end.result.reason == ("step 2 of 2, press:SAVE: the controller has neither taken nor refused it within 5 s")
 
 
+def test_a_step_that_a_controller_at_rest_no_longer_knows_ends_the_sequence() -> None:
+    run = run_of()
+    run.start(0)
+    assert run.tick(4 * S, at_rest=True) == [], "it may not have heard of it yet"
+    run.result(answer("r.1", Outcome.ACCEPTED), 4 * S)
+    assert run.tick(9 * S, at_rest=True) == []
+    assert run.tick(10 * S, at_rest=False) == [], "it works"
+    assert run.tick(15 * S, at_rest=True) == []
+    (end,) = run.tick(15 * S + 1, at_rest=True)
+    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
+    assert end.result.reason == (
+        "step 1 of 3, press:AUTO_SET: the controller has been at rest for 5 s without an answer to it"
+    )
+    waits = run_of()
+    waits.start(0)
+    waits.result(answer("r.1"), S)
+    assert waits.tick(3 * S, at_rest=True) == [], "what is waited for now is the check"
+
+
 def test_silence_and_an_effect_that_is_missing_stop_it() -> None:
     run = run_of()
     run.start(0)

@@ -21,7 +21,11 @@ class SequenceConfig(Config):
     """Parameters of the sequencer."""
 
     accept_timeout_s: float = setting(
-        5.0, "Time in which the controller has to take or refuse a step", minimum=1.0, maximum=60.0, unit="s"
+        5.0,
+        "Time in which the controller has to take or refuse a step, and to answer it when it is at rest",
+        minimum=1.0,
+        maximum=60.0,
+        unit="s",
     )
     answer_timeout_s: float = setting(90.0, "Time for a step's final answer", minimum=1.0, maximum=600.0, unit="s")
     check_s: float = setting(
@@ -65,6 +69,7 @@ class SequenceRun:
         self._number = 0
         self._started_ns = self._step_ns = self._deadline_ns = self._ticked_ns = 0
         self._taken = False
+        self._worked_ns = 0
         self._answer: GoalResult | None = None
         self._answered_ns = 0
         self._seen: PanelSeen | None = None
@@ -86,7 +91,7 @@ class SequenceRun:
         """Hear an answer of the controller."""
         if self.done or self._answer is not None or answer.goal_id != f"{self.run_id}.{self._number}":
             return []
-        self._taken = True
+        self._taken, self._worked_ns = True, now_ns
         if not answer.outcome.final:
             return []
         if answer.outcome is not Outcome.REACHED:
@@ -101,14 +106,19 @@ class SequenceRun:
         self._seen = seen
         return self._look(now_ns)
 
-    def tick(self, now_ns: int) -> list[Action]:
-        """Let time pass."""
+    def tick(self, now_ns: int, *, at_rest: bool = False) -> list[Action]:
+        """Let time pass; ``at_rest`` says that the controller works on nothing, or is not there."""
         jumped_back_s, self._ticked_ns = (self._ticked_ns - now_ns) / NANO, now_ns
         if jumped_back_s > CLOCK_JUMP_S:
             return self.abort(f"the clock jumped back by {jumped_back_s:.1f} s", now_ns)
         accept_s = self._config.accept_timeout_s
         if not self._taken and now_ns - self._step_ns > accept_s * NANO:
             return self.abort(f"the controller has neither taken nor refused it within {accept_s:g} s", now_ns)
+        if not at_rest:
+            self._worked_ns = now_ns
+        if self._taken and self._answer is None and now_ns - self._worked_ns > accept_s * NANO:
+            # One that died and was started anew knows nothing of the step.
+            return self.abort(f"the controller has been at rest for {accept_s:g} s without an answer to it", now_ns)
         if self.done or now_ns <= self._deadline_ns:
             return []
         if self._answer is None:

@@ -28,6 +28,8 @@ from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
 TICK_S = 0.1
+AT_REST = ("ready", "waiting", "")
+"""How the controller's state begins while it works on nothing; empty before it has told one."""
 
 
 class SequenceNode(Node):
@@ -37,6 +39,7 @@ class SequenceNode(Node):
         super().__init__("sequencer", **options)
         self._live = LiveParameters(self, SequenceConfig)
         self._run: SequenceRun | None = None
+        self._controller = ""
         self._count = 0
         self._command = self.create_publisher(String, "command", qos.COMMAND)
         self._answers = self.create_publisher(DiagnosticArray, "sequence_result", qos.RESULTS)
@@ -105,12 +108,14 @@ class SequenceNode(Node):
         self._act(self._run.panel(seen, self._now_ns()))
 
     def _on_controller(self, message: String) -> None:
-        if self._run is not None and message.data.partition(":")[0] in ("stopped", "alarm"):
+        self._controller = message.data.partition(":")[0]
+        if self._run is not None and self._controller in ("stopped", "alarm"):
             self._act(self._run.stopped(message.data, self._now_ns()))
 
     def _on_tick(self) -> None:
         if self._run is not None:
-            self._act(self._run.tick(self._now_ns()))
+            at_rest = self._controller in AT_REST or bool(self.hindrance())
+            self._act(self._run.tick(self._now_ns(), at_rest=at_rest))
 
     def _report(self) -> None:
         hindrance = self.hindrance()

@@ -334,6 +334,7 @@ export const PHRASES_DE = [
   ["not seen yet", "noch nicht gesehen"],
   ["no answer within {} s", "keine Antwort innerhalb von {} s"],
   ["the controller has neither taken nor refused it within {} s", "die Steuerung hat ihn innerhalb von {} s weder angenommen noch abgelehnt"],
+  ["the controller has been at rest for {} s without an answer to it", "die Steuerung ruht seit {} s, ohne ihn beantwortet zu haben"],
   ["no change", "keine Änderung"],
   ["no mark {}", "keine Marke {}"],
   ["{} steps", "{} Schritte"],
