@@ -26,6 +26,8 @@ OPTIONS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+PROGRAMS = ("chromium-headless-shell", "chromium")
+"""The first draws no window of its own around the page, and takes a quarter less time."""
 PICTURE_MS = 20_000
 
 
@@ -35,11 +37,16 @@ def _unavailable(reason: str) -> None:
     pytest.skip(reason)
 
 
+def browser_program() -> str | None:
+    """Return the path of the browser, or None."""
+    return next(filter(None, map(shutil.which, PROGRAMS)), None)
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    program = shutil.which("chromium") or "/usr/bin/chromium"
-    if not Path(program).is_file():
-        _unavailable("no browser: chromium is not installed")
+    program = browser_program()
+    if program is None:
+        _unavailable(f"no browser: neither {' nor '.join(PROGRAMS)} is installed")
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
