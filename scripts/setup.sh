@@ -61,7 +61,8 @@ install() { # file of requirements, what it is
   # On a terminal one line shows what pip is at; elsewhere, and in the background, only the end is printed.
   local show=0
   [ -t 1 ] && [ $BASHPID = $$ ] && show=1
-  PIP_DISABLE_PIP_VERSION_CHECK=1 "$venv/bin/pip" install "${constraints[@]}" -r "$1" | awk -v show=$show -v file="$1" '
+  # What is imported is compiled then; most of it never is.
+  PIP_DISABLE_PIP_VERSION_CHECK=1 "$venv/bin/pip" install --no-compile "${constraints[@]}" -r "$1" | awk -v show=$show -v file="$1" '
       /^(Collecting|Installing|Building)/ && show { printf "\r\033[K      %s", substr($0, 1, 90); fflush() }
       /^Successfully/ { if (show) printf "\r\033[K"; print "      installed " file }' \
     || fail "pip could not install $1; see the lines above (a proxy or an offline machine?), then run this again"
