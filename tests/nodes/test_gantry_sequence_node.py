@@ -155,7 +155,8 @@ def test_without_a_controller_it_is_refused_and_nothing_is_sent_later(ros: Any) 
     assert [m.data for m in commands] == ["press:SAVE id=heard.1"]
 
 
-def test_a_controller_that_was_started_anew_in_a_step_ends_the_sequence(ros: Any) -> None:
+@pytest.mark.parametrize("state", ["waiting: not calibrated", "ready", "stopped: stop requested"])
+def test_a_controller_that_was_started_anew_in_a_step_ends_the_sequence(ros: Any, state: str) -> None:
     rig = Rig(ros, accept_timeout_s=1.0)
     rig.state.publish(String(data="moving"))
     ros.spin_until(lambda: rig.node._controller == "moving", 10.0)
@@ -166,7 +167,7 @@ def test_a_controller_that_was_started_anew_in_a_step_ends_the_sequence(ros: Any
     begun_ns = rig.now_ns()
     ros.spin_until(lambda: rig.now_ns() > begun_ns + 2_000_000_000, 10.0)
     assert rig.states[-1].data == "step 1/2: press:RUN_STOP", "it works on it"
-    rig.state.publish(String(data="waiting: not calibrated"))
+    rig.state.publish(String(data=state))
     ended = rig.final("mine")
     assert ended.outcome is Outcome.ABORTED and "at rest for 1 s without an answer to it" in ended.reason
     assert len(rig.commands) == 1

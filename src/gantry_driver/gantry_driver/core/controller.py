@@ -23,6 +23,7 @@ from gantry_driver.core.goal_job import (
     FREE_VIEW,
     LOOKING,
     MOVING,
+    OTHERWISE,
     PUSHING,
     STANDING,
     STATES,
@@ -221,7 +222,7 @@ class Controller:
 
     def _show_state(self) -> None:
         if self._job is not None:
-            self._set_state(STATES.get(self.phase, "moving"))
+            self._set_state(STATES.get(self.phase, OTHERWISE))
         else:
             obstacle = next(self._world.obstacles(self.config), None)
             self._set_state("ready" if obstacle is None else obstacle.state)

@@ -54,7 +54,7 @@ STANDING = (Phase.LOOK, Phase.TOUCH, Phase.CONTACT)
 """Here x and y rest: what cameras on the carriage see belongs to what is read."""
 PUSHING = (Phase.TOUCH, Phase.TURN)
 """Here a moved panel stops the machine at once; elsewhere the stylus is in the air and goes up."""
-# What /gantry/state shows; every other phase is "moving".
+# What /gantry/state shows; every other phase is OTHERWISE.
 STATES = {
     Phase.LOOK: "looking",
     Phase.TOUCH: "touching",
@@ -64,6 +64,9 @@ STATES = {
     Phase.READ: "looking",
     Phase.WAIT: "looking",
 }
+OTHERWISE = "moving"
+WORKING = frozenset((*STATES.values(), OTHERWISE))
+"""What it shows while a goal is in work."""
 
 
 class Step(str, Enum):

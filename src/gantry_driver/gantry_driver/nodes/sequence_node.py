@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from std_msgs.msg import String
 
+from gantry_driver.core.goal_job import WORKING
 from gantry_driver.core.sequence import Action, SendCommand, SequenceConfig, SequenceRun
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import SequenceError, parse_file
@@ -28,8 +29,6 @@ from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
 TICK_S = 0.1
-AT_REST = ("ready", "waiting", "")
-"""How the controller's state begins while it works on nothing; empty before it has told one."""
 
 
 class SequenceNode(Node):
@@ -114,7 +113,7 @@ class SequenceNode(Node):
 
     def _on_tick(self) -> None:
         if self._run is not None:
-            at_rest = self._controller in AT_REST or bool(self.hindrance())
+            at_rest = self._controller not in WORKING or bool(self.hindrance())
             self._act(self._run.tick(self._now_ns(), at_rest=at_rest))
 
     def _report(self) -> None:
