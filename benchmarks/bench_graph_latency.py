@@ -90,6 +90,7 @@ def publish(count: int) -> int:
     while camera.left:
         executor.spin_once(timeout_sec=0.1)
     camera.wait_until_received()
+    executor.shutdown()
     camera.destroy_node()
     rclpy.shutdown()
     return 0
