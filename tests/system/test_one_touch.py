@@ -114,7 +114,7 @@ def targets_mm() -> list[tuple[float, float]]:
     places = [
         next((xx, y) for xx in np.arange(x, width, 1.5) if clear_of_tall_controls(xx, y))
         for y in np.linspace(12, height - 12, 4)
-        for x in np.linspace(14, width - 14, 5)
+        for x in np.linspace(14, width - 14, 6)
     ]
     return [(float(x), float(y)) for x, y in dict.fromkeys(places)]
 
