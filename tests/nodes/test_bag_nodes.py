@@ -108,9 +108,7 @@ def numbered_bag(path: Path, topics: Sequence[str], messages: int) -> Path:
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_what_is_recorded_is_played_again(
-    ros: Ros, tmp_path: Path, storage: str, command: Callable[..., Command]
-) -> None:
+def test_what_is_recorded_is_played_again(ros: Ros, tmp_path: Path, storage: str, command: Start) -> None:
     talker = ros.plain("talker")
     state = talker.create_publisher(String, "robot/state", qos.LATCHED)
     words = talker.create_publisher(String, "words", qos.RESULTS)
@@ -190,7 +188,7 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path, command: Star
 
 
 def test_a_player_that_still_waits_for_subscribers_is_not_paused_again(
-    ros: Ros, tmp_path: Path, command: Callable[..., Command]
+    ros: Ros, tmp_path: Path, command: Start
 ) -> None:
     bag = numbered_bag(tmp_path / "bag", ["/a", "/b"], 4)
     listener = ros.plain("listener")
@@ -246,7 +244,7 @@ def test_recorded_pictures_come_back_as_pictures(ros: Ros, tmp_path: Path, comma
 
 
 def test_the_recorder_as_a_program_keeps_the_bag_whole_when_it_is_killed(
-    ros: Ros, tmp_path: Path, command: Callable[..., Command]
+    ros: Ros, tmp_path: Path, command: Start
 ) -> None:
     talker = ros.plain("talker")
     publisher = talker.create_publisher(String, "words", qos.RESULTS)
