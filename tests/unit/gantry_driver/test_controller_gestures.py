@@ -183,6 +183,19 @@ def test_the_effect_is_reported_and_can_be_required() -> None:
     assert result.outcome is Outcome.ABORTED and "no effect was seen within 0.6 s" in result.reason
 
 
+def test_an_effect_counts_that_is_seen_before_the_driver_reports_the_contact() -> None:
+    bench = seeing()
+    before = bench.now_ns
+    bench.on_phase[Phase.TOUCH] = lambda b: setattr(b, "screen_changed_ns", b.now_ns + 200 * MS)
+    bench.on_phase[Phase.CONTACT] = lambda b: down.append(b.now_ns)
+    down: list[int] = []
+    assert details(bench.do("press:SINGLE"))["effect"] == "screen changed"
+    assert before < bench.screen_changed_ns < down[0], "the change came on the way down"
+    bench.on_phase.clear()
+    bench.screen_changed_ns = bench.now_ns
+    assert details(bench.do("press:SINGLE"))["effect"] == "none seen", "it changed before this press"
+
+
 def test_a_hidden_control_is_waited_for_and_then_refused() -> None:
     bench = seeing()
     bench.hidden["RUN_STOP"] = "something"

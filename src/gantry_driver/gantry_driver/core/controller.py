@@ -476,13 +476,14 @@ class Controller:
         return Step.SEEN if seen else Step.UNSEEN if self._now_ns > self._deadline_ns else None
 
     def _effect_seen(self, job: Job) -> bool:
-        """Look for the effect since the contact, or for the knob's marker since the stylus has gone aside."""
+        """Look for the effect since the way down, or for the knob's marker since the stylus has gone aside."""
         after = self._world.seen
         if after is None:
             return False
         if job.knob is None:
             assert job.before is not None and job.touch is not None
-            job.effect = effect(job.before, after, job.touch.control, job.down_ns)
+            # Contact comes before the driver reports the end of the way down, and what it does may be seen as early.
+            job.effect = effect(job.before, after, job.touch.control, job.plunge_ns)
             return bool(job.effect)
         knob = after.control(job.knob.name)
         still = after.stamp_ns > self._phase_ns + _nanoseconds(self.config.settle_s)
@@ -582,6 +583,7 @@ class Controller:
         assert job.touch is not None
         depth, config = -job.touch.touch_z, self.config
         here = self._world.here
+        job.plunge_ns = self._now_ns
         if job.kind == "double":
             between = config.motion.stylus_max_m if config.motion.stylus_two_positions else config.double_lift_m
             self._try(job, Phase.TOUCH, lambda: motion_plan.plunge_twice(here, depth, between, config.motion))

@@ -11,7 +11,7 @@ from icu_common.core.panel_state import ControlSeen, PanelSeen, angle_between
 
 
 def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int) -> str:
-    """Return what has changed since the contact at ``since_ns``; empty when nothing is seen to have changed."""
+    """Return what has changed since ``since_ns``, before the contact; empty when nothing is seen to have changed."""
     if after.stamp_ns <= since_ns:
         return ""
     old, new = before.control(name), after.control(name)

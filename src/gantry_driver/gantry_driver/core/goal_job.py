@@ -107,6 +107,7 @@ class Job:
     corrections: int = 0
     hover_error_m: float = math.nan
     error_m: float = math.nan
+    plunge_ns: int = 0
     down_ns: int = 0
     complaint: str = ""
     fault: Fault | None = None
