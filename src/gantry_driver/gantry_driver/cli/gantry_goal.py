@@ -24,6 +24,7 @@ from gantry_driver.cli.operator_session import (
     OperatorSession,
     TimedOut,
     complain,
+    number,
     operator_session,
     own_arguments,
     say,
@@ -59,22 +60,22 @@ def parse(arguments: Sequence[str]) -> Request:
         description="Send the stylus to a point or a control and wait for the answer. "
         "Without --press a point in base_link is a move; everything else is looked at, touched and left again.",
     )
-    parser.add_argument("point", nargs="*", type=_number, metavar="X Y", help="metres, or pixels in a camera's frame")
+    parser.add_argument("point", nargs="*", type=number, metavar="X Y", help="metres, or pixels in a camera's frame")
     parser.add_argument("--control", metavar="NAME", help="a control's name, for example RUN_STOP")
     parser.add_argument("--frame", choices=(BASE, PANEL, CAMERA_LEFT), help=f"frame of X Y (default {BASE})")
-    parser.add_argument("--z", type=_number, metavar="Z", help="height in base_link to lower the tip to, 0 or below")
+    parser.add_argument("--z", type=number, metavar="Z", help="height in base_link to lower the tip to, 0 or below")
     parser.add_argument("--press", action="store_true", help="touch and lift (always with --control and other frames)")
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--long", action="store_true", help="press for long")
     how.add_argument("--double", action="store_true", help="press twice, quickly")
-    how.add_argument("--hold", type=_number, metavar="S", help="stay in contact for S seconds")
-    how.add_argument("--turn", type=_number, metavar="DEG", help="turn a knob, counter-clockwise positive")
-    how.add_argument("--click", type=_number, metavar="N", help="turn a knob by N clicks, clockwise positive")
+    how.add_argument("--hold", type=number, metavar="S", help="stay in contact for S seconds")
+    how.add_argument("--turn", type=number, metavar="DEG", help="turn a knob, counter-clockwise positive")
+    how.add_argument("--click", type=number, metavar="N", help="turn a knob by N clicks, clockwise positive")
     how.add_argument("--set", metavar="MARK", help="turn a knob to a mark or to degrees, looking and correcting")
     how.add_argument(
-        "--drag-to", nargs=2, type=_number, metavar=("X", "Y"), help="draw on to that point, in the frame of the first"
+        "--drag-to", nargs=2, type=number, metavar=("X", "Y"), help="draw on to that point, in the frame of the first"
     )
-    parser.add_argument("--timeout", type=_number, default=60.0, metavar="S", help="whole time allowed (default 60)")
+    parser.add_argument("--timeout", type=number, default=60.0, metavar="S", help="whole time allowed (default 60)")
     given = parser.parse_args(arguments)
 
     if (given.control is None) == (not given.point) or len(given.point) not in (0, 2):
@@ -112,13 +113,6 @@ def _gesture(given: argparse.Namespace) -> tuple[str, str]:
         if value is not None:
             return kind, f":{value}"
     return ("long" if given.long else "double" if given.double else "press"), ""
-
-
-def _number(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not finite")
-    return value
 
 
 def carry_out(session: OperatorSession, request: Request) -> int:

@@ -6,7 +6,6 @@ Exit codes: 0 ready, 1 refused or failed (with the reason), 2 wrong usage, 3 not
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from gantry_driver.cli.operator_session import (
     OperatorSession,
     TimedOut,
     complain,
+    number,
     operator_session,
     own_arguments,
     say,
@@ -169,9 +169,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--home", action="store_true", help="home even if the machine is homed")
     parser.add_argument("--calibrate", action="store_true", help="calibrate even if a calibration is loaded")
-    parser.add_argument("--timeout", type=float, default=400.0, metavar="S", help="whole time allowed (default 400)")
+    parser.add_argument("--timeout", type=number, default=400.0, metavar="S", help="whole time allowed (default 400)")
     given = parser.parse_args(own_arguments(arguments))
-    if not (math.isfinite(given.timeout) and given.timeout > 0):
+    if not given.timeout > 0:
         parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
     with operator_session("gantry_prepare", arguments) as session:
         try:

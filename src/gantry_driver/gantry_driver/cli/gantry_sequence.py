@@ -27,6 +27,7 @@ from gantry_driver.cli.operator_session import (
     OperatorSession,
     TimedOut,
     complain,
+    number,
     operator_session,
     own_arguments,
     say,
@@ -44,7 +45,7 @@ def parse(arguments: Sequence[str]) -> tuple[str, float]:
     )
     parser.add_argument("steps", nargs="*", metavar="STEP", help="gesture:target[:argument][ => checks]")
     parser.add_argument("--file", type=Path, help="YAML file with steps")
-    parser.add_argument("--timeout", type=float, default=600.0, metavar="S", help="whole time (default: %(default)s)")
+    parser.add_argument("--timeout", type=number, default=600.0, metavar="S", help="whole time (default: %(default)s)")
     given = parser.parse_args(arguments)
     if (given.file is None) == (not given.steps):
         parser.error("give either steps or --file")

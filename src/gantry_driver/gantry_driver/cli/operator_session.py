@@ -5,6 +5,8 @@ It publishes the heartbeat, hears states and results, waits with deadlines, and 
 
 from __future__ import annotations
 
+import argparse
+import math
 import signal
 import sys
 import time
@@ -34,6 +36,14 @@ HEARTBEAT_S = 0.2
 _TOLD_BY = ("gantry/driver_state", "gantry/result")
 BEATS_HEARD = 6
 """Heartbeats before the first goal: three with driver and controller listening, six with one of them known."""
+
+
+def number(text: str) -> float:
+    """Return an argument as a finite number, for argparse."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not finite")
+    return value
 
 
 class Interrupted(Exception):
