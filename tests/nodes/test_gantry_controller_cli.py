@@ -7,16 +7,21 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
 from nodes.gantry_bench import RUN_STOP, GantryBench
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from gantry_driver.cli import gantry_goal
+from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
+from icu_common.nodes.conversions import result_message
 
 
 class Program:
@@ -80,6 +85,33 @@ def test_rejected(ros: Any, bench: GantryBench) -> None:
 def test_nobody_there(ros: Any) -> None:
     code, output = Program(ros, "gantry_goal", "0.1", "0.05", "--timeout", "1.5").end()
     assert code == 3 and "error: nobody takes /gantry/goal" in output, output
+
+
+def test_each_step_of_a_sequence_is_told_although_the_whole_is_answered_first(ros: Any, bench: GantryBench) -> None:
+    probe = ros.plain()
+    sequences = ros.collect(probe, String, "/gantry/sequence", qos.COMMAND)
+    steps = probe.create_publisher(DiagnosticArray, "/gantry/result", qos.RESULTS)
+    answer = probe.create_publisher(DiagnosticArray, "/gantry/sequence_result", qos.RESULTS)
+    program = Program(ros, "gantry_sequence", "press:RUN_STOP", "press:CH1_IN")
+    ros.spin_until(lambda: sequences and answer.get_subscription_count() and steps.get_subscription_count(), 30.0)
+    run_id = yaml.safe_load(sequences[0].data)["id"]
+
+    def tell(publisher: Any, goal_id: str, goal: str, *details: tuple[str, str]) -> None:
+        result = GoalResult(goal_id=goal_id, goal=goal, outcome=Outcome.REACHED, duration_s=1.0, details=details)
+        publisher.publish(result_message(result, probe.get_clock().now().nanoseconds))
+
+    tell(steps, f"{run_id}.1", f"press:RUN_STOP id={run_id}.1", ("effect", "lamp red -> green"))
+    tell(answer, run_id, "2 steps", ("steps_done", "2"))
+    until = time.monotonic() + 0.2  # the answer of the whole has come by then
+    ros.spin_until(lambda: time.monotonic() > until, 5.0)
+    tell(steps, f"{run_id}.2", f"press:CH1_IN id={run_id}.2", ("effect", "screen changed"))
+    code, output = program.end()
+    assert code == 0, output
+    assert output.splitlines() == [
+        "reached: press:RUN_STOP lamp red -> green",
+        "reached: press:CH1_IN screen changed",
+        "done: 2 steps, 1.0 s",
+    ]
 
 
 def test_ctrl_c_stops_the_machine(ros: Any, bench: GantryBench) -> None:

@@ -9,6 +9,7 @@ Exit codes: 0 all done, 1 rejected or stopped at a step that failed, 2 wrong usa
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import time
@@ -36,6 +37,9 @@ from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import SequenceError, parse_file, parse_steps
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import result_of_message
+
+LAST_STEP_S = 1.0
+"""Time for the answer of the last step to arrive after that of the whole."""
 
 
 def parse(arguments: Sequence[str]) -> tuple[str, float]:
@@ -73,16 +77,24 @@ def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
     )
     publisher = node.create_publisher(String, "gantry/sequence", qos.COMMAND)
     sent = False
-    shown = 0
+    heard = done = 0
+    told_by = math.inf
 
     def final() -> GoalResult | None:
-        nonlocal shown
-        for step in [r for r in session.results if r.goal_id.startswith(run_id + ".")][shown:]:
-            shown += 1
+        nonlocal heard, done, told_by
+        for step in [r for r in session.results if r.goal_id.startswith(run_id + ".")][heard:]:
+            heard += 1
             if step.outcome.final:
+                done += step.outcome is Outcome.REACHED
                 effect = dict(step.details).get("effect", "")
                 say(f"{step.outcome.value}: {step.goal.partition(' id=')[0]} {step.reason or effect}".rstrip())
-        return next((r for r in answers if r.goal_id == run_id and r.outcome.final), None)
+        answer = next((r for r in answers if r.goal_id == run_id and r.outcome.final), None)
+        if answer is None:
+            return None
+        # Steps are answered by another node: the last of them may come after the answer of the whole.
+        told_by = min(told_by, time.monotonic() + LAST_STEP_S)
+        missing = done < int(dict(answer.details).get("steps_done", 0))
+        return None if missing and time.monotonic() < told_by else answer
 
     try:
         session.wait_for(
