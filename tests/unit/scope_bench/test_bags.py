@@ -217,6 +217,16 @@ def test_a_bag_that_was_cut_off_is_refused_with_advice_and_repaired(
         assert bag.topics[0].qos == (LATCHED,)
 
 
+def test_a_reader_that_has_seen_enough_ends_the_description_without_complaint(tmp_path: Path) -> None:
+    write(tmp_path / "bag", "mcap")
+    command = [sys.executable, "-m", "scope_bench.cli.bag_info", str(tmp_path / "bag")]
+    program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert program.stdout is not None and program.stderr is not None
+    program.stdout.close()
+    with program.stderr:
+        assert (program.stderr.read(), program.wait(30)) == ("", 0)
+
+
 def test_every_cut_of_an_mcap_file_leaves_the_whole_records(tmp_path: Path) -> None:
     seed = 7
     chance = random.Random(seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from datetime import datetime, timezone
@@ -29,12 +30,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"{count} messages saved in {options.repair}" + (f"; then {end}" if end else ""))
             return 0
         with BagReader(options.bag) as bag:
-            print(description(bag))
+            print(description(bag), flush=True)
             if options.check:
                 print(f"{sum(1 for _ in bag.messages())} messages can be read")
     except BagError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    except BrokenPipeError:  # whoever reads this has seen enough, as head does; the end must not flush to it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
