@@ -187,6 +187,13 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path, command: Star
     assert "not played: /b, /gantry/sequence, /operator/heartbeat\n" in output
 
 
+def test_the_player_does_not_tell_more_than_it_has_played(ros: Ros, tmp_path: Path, command: Start) -> None:
+    bag = numbered_bag(tmp_path / "bag", ["words"], 2)
+    output = command("bag_play", str(bag), "--rate", "1000", "--wait", "0").end()
+    # Each message takes longer than a thousandth of the 20 ms to the next.
+    assert output.splitlines() == ["[..............................] 0.0 of 0.0 s, 1 messages", "2 messages played"]
+
+
 def test_a_player_that_still_waits_for_subscribers_is_not_paused_again(
     ros: Ros, tmp_path: Path, command: Start
 ) -> None:

@@ -126,7 +126,7 @@ class Playing:
     def _play_once(self) -> None:
         for topic, stamp_ns, data in self._bag.messages(self._names, self._start_ns):
             while self._session.goes_on and (wait_s := self._clock.wall_s_until(stamp_ns, time.monotonic())) > 0:
-                self._serve(min(wait_s, 0.05))
+                self._serve(min(wait_s, 0.05), stamp_ns)
             if not self._session.goes_on or stamp_ns > self._start_ns + self._options.duration * 1e9:
                 return
             if self._step is not None:
@@ -134,9 +134,9 @@ class Playing:
             else:
                 self._node.play(topic, data)
             self.played += 1
-            self._serve(0.0)
+            self._serve(0.0, stamp_ns)
 
-    def _serve(self, timeout_s: float) -> None:
+    def _serve(self, timeout_s: float, newest_ns: int) -> None:
         self._session.spin(timeout_s)
         now_s = time.monotonic()
         bag_ns = self._clock.bag_ns(now_s)
@@ -145,7 +145,8 @@ class Playing:
             self._node.show_time(bag_ns)
         if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0] and sys.stdin.read(1) == " ":
             self._toggle()
-        done_s, whole_s = (bag_ns - self._bag.start_ns) / 1e9, self._bag.duration_ns / 1e9
+        # Where messages are late, as in step with others, the clock is ahead of what has been played.
+        done_s, whole_s = (min(bag_ns, newest_ns) - self._bag.start_ns) / 1e9, self._bag.duration_ns / 1e9
         state = "  paused" if self._clock.paused else ""
         bar = progress_bar(done_s / whole_s if whole_s else 1.0)
         self._line.show(now_s, f"{bar} {done_s:.1f} of {whole_s:.1f} s, {self.played} messages{state}")
