@@ -235,7 +235,12 @@ class Bench:
         over = float(np.linalg.norm((BASE_FROM_PANEL.inverse().apply(self.tip_in_base()) - KNOB)[:2])) < 0.02
         hidden = {**({"CH1_SCALE": "stylus"} if over else {}), **self.hidden}
         seen = [
-            ControlSeen(name="RUN_STOP", kind="button", lamp=self.lamp, hidden_by=hidden.get("RUN_STOP", "")),
+            ControlSeen(
+                name="RUN_STOP",
+                kind="button",
+                lamp="" if "RUN_STOP" in hidden else self.lamp,
+                hidden_by=hidden.get("RUN_STOP", ""),
+            ),
             ControlSeen(
                 name="CH1_SCALE",
                 kind="knob",

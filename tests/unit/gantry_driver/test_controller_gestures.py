@@ -196,6 +196,37 @@ def test_an_effect_counts_that_is_seen_before_the_driver_reports_the_contact() -
     assert details(bench.do("press:SINGLE"))["effect"] == "none seen", "it changed before this press"
 
 
+@pytest.mark.parametrize(
+    ("lamp", "hidden_s", "effect"),
+    [
+        ("red", 0.3, "lamp green -> red"),
+        ("green", 0.3, "screen changed"),
+        ("red", 5.0, "screen changed"),
+    ],
+)
+def test_a_lamp_that_the_stylus_hides_at_first_tells_more_than_the_screen(
+    lamp: str, hidden_s: float, effect: str
+) -> None:
+    bench = seeing()
+
+    def press(b: Bench) -> None:
+        b.screen_changed_ns, b.lamp = b.now_ns, lamp
+        b.hidden["RUN_STOP"] = "stylus"
+
+    bench.on_phase[Phase.CONTACT] = press
+    bench.on_phase[Phase.READ] = lambda b: read.append(b.now_ns)
+    read: list[int] = []
+    bench.tell(msg.Command(text="press:RUN_STOP"))
+    for _ in range(1000):
+        bench.run(0.02)
+        if read and bench.now_ns - read[0] >= hidden_s * 1e9:
+            bench.hidden.clear()
+        if bench.finals:
+            break
+    assert details(bench.finals[-1])["effect"] == effect
+    assert (bench.now_ns - read[0]) / 1e9 == pytest.approx(min(hidden_s, 0.6), abs=0.2), "looked for 0.6 s at most"
+
+
 def test_a_hidden_control_is_waited_for_and_then_refused() -> None:
     bench = seeing()
     bench.hidden["RUN_STOP"] = "something"

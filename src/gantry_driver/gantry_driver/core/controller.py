@@ -483,8 +483,8 @@ class Controller:
         if job.knob is None:
             assert job.before is not None and job.touch is not None
             # Contact comes before the driver reports the end of the way down, and what it does may be seen as early.
-            job.effect = effect(job.before, after, job.touch.control, job.plunge_ns)
-            return bool(job.effect)
+            job.effect, told = effect(job.before, after, job.touch.control, job.plunge_ns)
+            return told
         knob = after.control(job.knob.name)
         still = after.stamp_ns > self._phase_ns + _nanoseconds(self.config.settle_s)
         return still and knob is not None and not math.isnan(knob.angle_deg)

@@ -10,14 +10,22 @@ from icu_common.core.gesture import Gesture
 from icu_common.core.panel_state import ControlSeen, PanelSeen, angle_between
 
 
-def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int) -> str:
-    """Return what has changed since ``since_ns``, before the contact; empty when nothing is seen to have changed."""
+def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int) -> tuple[str, bool]:
+    """Return what has changed since ``since_ns``, before the contact, and whether that is all there is to tell.
+
+    Empty when nothing is seen to have changed. The control's own lamp tells more than a screen: while the stylus hides
+    it, the screen's change is not all.
+    """
     if after.stamp_ns <= since_ns:
-        return ""
+        return "", False
     old, new = before.control(name), after.control(name)
-    if old is not None and new is not None and old.lamp and new.lamp and old.lamp != new.lamp:
-        return f"lamp {old.lamp} -> {new.lamp}"
-    return "screen changed" if after.changed_ns() > since_ns else ""
+    hidden = False
+    if old is not None and new is not None and old.lamp:
+        if new.lamp and old.lamp != new.lamp:
+            return f"lamp {old.lamp} -> {new.lamp}", True
+        hidden = not new.lamp
+    changed = after.changed_ns() > since_ns
+    return "screen changed" if changed else "", changed and not hidden
 
 
 @dataclass(slots=True, kw_only=True)
