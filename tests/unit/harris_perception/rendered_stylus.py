@@ -56,6 +56,9 @@ class Look:
     ball_radius: float = 0.002
     blur_px: float = 0.7
     noise: float = 2.0
+    lamp: tuple[float, float, float] | None = None
+    lamp_up: float = 0.0
+    """A lamp that is the panel's lower part, from so far up the panel behind the ball on."""
     hidden_from: float | None = None
     """Hide everything right of this raw column: a cable before one camera."""
 
@@ -80,6 +83,10 @@ def _pictured(
     tu = (spot @ right * 4000).astype(int) % texture.shape[1]
     tv = (spot @ UP * 4000).astype(int) % texture.shape[0]
     colour = np.array(look.panel) * texture[tv, tu][:, None]
+    if look.lamp is not None:
+        # Seen from the camera, what is behind the ball lies higher up the panel than its foot.
+        behind = (tip / tip[2] * (foot @ AXIS) / (tip / tip[2] @ AXIS) - foot) @ UP
+        colour[spot @ UP < behind + look.lamp_up] = look.lamp
     # ball
     b = rays @ tip
     root = b * b - (tip @ tip - look.ball_radius**2)

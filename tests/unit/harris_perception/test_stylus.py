@@ -60,6 +60,33 @@ def test_the_centre_is_measured(look: Look, lateral_mm: float, depth_mm: float, 
     assert np.sqrt((depth**2).mean()) < depth_mm
 
 
+LAMPS = {"yellow": (30, 197, 244), "green": (74, 210, 34), "cyan": (224, 183, 37), "amber": (32, 122, 255)}
+
+
+@pytest.mark.parametrize(
+    ("lamp", "lamp_up"),
+    [*((colour, None) for colour in LAMPS), *(("yellow", up) for up in (-0.003, -0.0015, 0.0, 0.0015))],
+)
+def test_the_centre_is_measured_before_a_lamp_that_shines(lamp: str, lamp_up: float | None) -> None:
+    """Half a pixel of the ball and half of something yellow has less of the ball's colour than grey has."""
+    look = Look(shaft_from=0.016, shaft_radius=0.0005)
+    colour = LAMPS[lamp]
+    look = replace(look, panel=colour) if lamp_up is None else replace(look, lamp=colour, lamp_up=lamp_up)
+    seed = 11
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    errors = []
+    for _ in range(4):
+        tip = np.array([rng.uniform(0.01, 0.1), rng.uniform(-0.05, 0.05), rng.uniform(0.56, 0.72)])
+        found = tracker().find(*render(STEREO, tip, rng, look))
+        assert found.tip is not None, found.reason
+        errors.append((found.tip - tip) * 1000)
+    lateral, depth = np.hypot(*np.array(errors)[:, :2].T), np.array(errors)[:, 2]
+    print(f"lateral rms {np.sqrt((lateral**2).mean()):.3f} mm, depth rms {np.sqrt((depth**2).mean()):.3f} mm")
+    assert np.sqrt((lateral**2).mean()) < 0.08
+    assert np.sqrt((depth**2).mean()) < 0.3
+
+
 @pytest.mark.parametrize("seed", [28, 55])
 def test_a_stem_before_the_ball_is_no_reason_for_doubt(seed: int) -> None:
     """It hides little of the outline, but pixels beside its end within the ball, which counted as the ball's."""

@@ -8,7 +8,7 @@ the lens distortion and the place in the picture.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,11 @@ Window = tuple[int, int, int, int]
 
 _ARC_BINS = 36
 _MAX_BLOBS = 12
+_COLOURED = 25.0
+"""Grey levels below zero that the chroma of something yellow, green or cyan has."""
+_UNLIKELY = 1.6
+_BESIDE_PX = (((2.5, 3.25, 4.0), 1.0), ((1.75,), _UNLIKELY))
+"""How far beyond the ball's outline to look for what continues behind it, and what that costs."""
 _MISFIT = 0.04
 """How far a real ball is from Lambert's law, as a share of its chroma; a tighter scale makes the weights jump."""
 
@@ -186,7 +191,7 @@ class StylusTracker:
         reason = "nothing of the ball's colour is in both pictures at a possible depth"
         for a, b in self._pairs(*blobs):
             try:
-                good.append(self._measure((a, b), chroma, windows))
+                good.append(self._measure((a, b), pictures, windows))
             except _Doubt as doubt:
                 reason = str(doubt)
         if len(good) > 1:
@@ -228,15 +233,21 @@ class StylusTracker:
                 ):
                     yield a, b
 
-    def _measure(self, blobs: tuple[_Blob, _Blob], chroma: list[Picture], windows: tuple[Window, Window]) -> Search:
+    def _measure(
+        self, blobs: tuple[_Blob, _Blob], pictures: tuple[Picture, Picture], windows: tuple[Window, Window]
+    ) -> Search:
         models = (self.stereo.left, self.stereo.right)
-        views = [_view(*part, self.config.min_chroma) for part in zip(chroma, (b.box for b in blobs), windows, models)]
         tip: Array = self.stereo.triangulate(blobs[0].centre_px, blobs[1].centre_px)[0]
-        circles = [self._circle(view, self._radius_px(tip)) for view in views]
-        tip = self.stereo.triangulate(*(self._pixel(ray, model) for (ray, _), model in zip(circles, models)))[0]
+        radius = self._radius_px(tip)
+        views, circles = zip(
+            *(
+                self._outlined(*_surroundings(picture, blob.box, window), model, radius)
+                for picture, blob, window, model in zip(pictures, blobs, windows, models)
+            )
+        )
+        tip = self.stereo.triangulate(*(self._pixel(fit.ray, model) for fit, model in zip(circles, models)))[0]
         left, right = (
-            self._refined(view, *circle, self._radius_px(tip), model)
-            for view, circle, model in zip(views, circles, models)
+            self._refined(view, fit, self._radius_px(tip), model) for view, fit, model in zip(views, circles, models)
         )
         tip = self.stereo.triangulate(left.centre_px, right.centre_px)[0]
         row_error = float(abs(left.centre_px[1] - right.centre_px[1]))
@@ -246,8 +257,41 @@ class StylusTracker:
             raise _Doubt(f"depth {tip[2]:.3f} m is not possible")
         return Search(tip=tip, left=left, right=right, row_error_px=row_error)
 
-    def _circle(self, view: _View, radius: float) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Fit a circle to the outline; return its centre's direction (3,) and which parts of it are visible."""
+    def _outlined(
+        self, chroma: npt.NDArray[np.float32], corner: Array, model: CameraModel, radius: float
+    ) -> tuple[_View, _Circle]:
+        """Measure the outline of one region in its surroundings (h, w) and fit a circle to it.
+
+        Beside something yellow or green there is more than one answer to what continues behind the ball.
+        """
+        clipped = np.maximum(chroma, 0)
+        plain = np.float32(np.median(np.concatenate([clipped[0], clipped[-1], clipped[:, 0], clipped[:, -1]])))
+        view = _view(clipped, np.full_like(chroma, plain), corner, model, self.config.min_chroma)
+        circle = self._circle(view, radius)
+        if chroma.min() > -_COLOURED:
+            return view, self._checked(circle, radius)
+        centre = model.project(circle.ray)[0] - corner
+        possible = [
+            (_view(chroma, _beside(chroma, centre, radius, gaps), corner, model, self.config.min_chroma), unlikely)
+            for gaps, unlikely in _BESIDE_PX
+        ]
+        best: tuple[float, _View, _Circle] | None = None
+        doubt = _Doubt()
+        for seen, unlikely in [*possible, (view, _UNLIKELY)]:
+            try:
+                circle = self._checked(self._circle(seen, radius), radius)
+                error = unlikely * self._refined(seen, circle, radius, model).error
+            except _Doubt as reason:
+                doubt = reason
+                continue
+            if best is None or error < best[0]:
+                best = error, seen, circle
+        if best is None:
+            raise doubt
+        return best[1:]
+
+    def _circle(self, view: _View, radius: float) -> _Circle:
+        """Fit a circle to the outline."""
         focal = self.stereo.focal_px
         frame = _touching_frame(view.outline.mean(axis=0))
         at = _in_plane(view.outline, frame, focal)
@@ -257,26 +301,25 @@ class StylusTracker:
         used = weight > 0.2
         seen = np.zeros(_ARC_BINS, dtype=bool)
         seen[_bins(at[used] - xyr[:2])] = True
-        arc = 360.0 / _ARC_BINS * int(seen.sum())
-        if arc < self.config.min_arc_deg:
-            raise _Doubt(f"only {arc:.0f} deg of the outline are visible")
-        if abs(xyr[2] / radius - 1) > self.config.max_size_error:
-            raise _Doubt(f"an outline of {xyr[2]:.1f} px radius does not fit the expected {radius:.1f} px")
-        return frame.T @ np.array([*(xyr[:2] / focal), 1.0]), seen
+        return _Circle(frame.T @ np.array([*(xyr[:2] / focal), 1.0]), float(xyr[2]), seen)
 
-    def _refined(
-        self, view: _View, centre: Array, seen: npt.NDArray[np.bool_], radius: float, model: CameraModel
-    ) -> Outline:
-        frame = _touching_frame(centre)
+    def _checked(self, circle: _Circle, radius: float) -> _Circle:
+        if circle.arc_deg < self.config.min_arc_deg:
+            raise _Doubt(f"only {circle.arc_deg:.0f} deg of the outline are visible")
+        if abs(circle.radius / radius - 1) > self.config.max_size_error:
+            raise _Doubt(f"an outline of {circle.radius:.1f} px radius does not fit the expected {radius:.1f} px")
+        return circle
+
+    def _refined(self, view: _View, fit: _Circle, radius: float, model: CameraModel) -> Outline:
+        frame = _touching_frame(fit.ray)
         at = _in_plane(view.rays, frame, self.stereo.focal_px)
-        offset, grown, error = _fit_shaded(at, view, radius, seen)
+        offset, grown, error = _fit_shaded(at, view, radius, fit.seen)
         if error > self.config.max_fit_error:
             raise _Doubt(f"brightness is {error:.2f} of the ball's off a shaded disc")
         if abs(grown / radius - 1) > self.config.max_size_error:
             raise _Doubt(f"a radius of {grown:.1f} px does not fit the expected {radius:.1f} px")
         pixel = self._pixel(frame.T @ np.array([*(offset / self.stereo.focal_px), 1.0]), model)
-        arc = 360.0 / _ARC_BINS * int(seen.sum())
-        return Outline(centre_px=pixel, radius_px=grown, error=error, arc_deg=arc)
+        return Outline(centre_px=pixel, radius_px=grown, error=error, arc_deg=fit.arc_deg)
 
     def _pixel(self, ray: Array, model: CameraModel) -> Array:
         pixel: Array = ray[:2] / ray[2] * (model.p[0, 0], model.p[1, 1]) + model.p[:2, 2]
@@ -294,11 +337,46 @@ def _around(at: Array, margin: float, window: Window) -> Window:
     )
 
 
-def _chroma(picture: Picture, window: Window) -> Picture:
-    """Return min(red, blue) - green of a window, (h, w) uint8: linear in what a pixel has of the ball."""
+def _chroma(picture: Picture, window: Window, dtype: int = -1) -> npt.NDArray[Any]:
+    """Return min(red, blue) - green of a window, (h, w): linear in what a pixel has of the ball.
+
+    In uint8, which is quicker, what is below zero becomes zero.
+    """
     x0, y0, x1, y1 = window
     blue, green, red = cv2.split(picture[y0:y1, x0:x1])
-    return np.asarray(cv2.subtract(cv2.min(blue, red), green), np.uint8)
+    return np.asarray(cv2.subtract(cv2.min(blue, red), green, dtype=dtype))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Circle:
+    """A circle fitted to an outline: its centre's direction (3,), its radius in px, which parts of it are visible."""
+
+    ray: Array
+    radius: float
+    seen: npt.NDArray[np.bool_]
+
+    @property
+    def arc_deg(self) -> float:
+        return 360.0 / _ARC_BINS * int(self.seen.sum())
+
+
+def _surroundings(picture: Picture, box: Window, window: Window) -> tuple[npt.NDArray[np.float32], Array]:
+    """Return the chroma (h, w) around a region, whose box is in pixels of the window, and its first raw pixel (2,)."""
+    pad = 6
+    x0, y0 = max(window[0] + box[0] - pad, window[0]), max(window[1] + box[1] - pad, window[1])
+    x1, y1 = min(window[0] + box[2] + pad, window[2]), min(window[1] + box[3] + pad, window[3])
+    return _chroma(picture, (x0, y0, x1, y1), cv2.CV_32F), np.array([x0, y0])
+
+
+def _beside(
+    chroma: npt.NDArray[np.float32], centre: Array, radius: float, gaps: Sequence[float]
+) -> npt.NDArray[np.float32]:
+    """Return what is behind the ball (h, w): the mean of what is seen so far beside it, in the same direction."""
+    rows, columns = np.indices(chroma.shape)
+    offset = np.column_stack([columns.ravel(), rows.ravel()]) - centre
+    toward = offset / np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-6)
+    seen = [_sample(chroma, centre + (radius + gap) * toward) for gap in gaps]
+    return np.asarray(np.mean(seen, axis=0), np.float32).reshape(chroma.shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -309,43 +387,57 @@ class _View:
     outer: Array
     rays: Array
     chroma: Array
+    around: Array
+    """What the pixels would show without the ball."""
     above: npt.NDArray[np.bool_]
     """Pixels within the outline."""
     inner: npt.NDArray[np.bool_]
     """Pixels that show nothing but the ball."""
 
 
-def _view(chroma: Picture, box: Window, window: Window, model: CameraModel, min_chroma: float) -> _View:
-    """Measure the outline of one region.
+def _view(
+    chroma: npt.NDArray[np.float32],
+    around: npt.NDArray[np.float32],
+    corner: Array,
+    model: CameraModel,
+    min_chroma: float,
+) -> _View:
+    """Measure the outline of one region in its surroundings (h, w).
 
     The level half way between inside and outside is crossed along rows and columns, as in marching squares.
     """
-    pad = 6
-    x0, y0 = max(box[0] - pad, 0), max(box[1] - pad, 0)
-    patch = chroma[y0 : box[3] + pad, x0 : box[2] + pad].astype(np.float32)
-    around = float(np.median(np.concatenate([patch[0], patch[-1], patch[:, 0], patch[:, -1]])))
-    level = around + max(0.4 * (float(np.percentile(patch, 98)) - around), 0.6 * min_chroma)
-    above = patch > level
+    bright = float(np.percentile(chroma, 98))
+    contrast = np.maximum(bright - around, 1.0)
+    share = (chroma - around) / contrast
+    level = max(0.4, 0.6 * min_chroma / float(np.median(contrast)))
+    above = share > level
     points = []
     for dx, dy in ((1, 0), (0, 1)):
-        a, b = patch[: patch.shape[0] - dy, : patch.shape[1] - dx], patch[dy:, dx:]
+        a, b = share[: share.shape[0] - dy, : share.shape[1] - dx], share[dy:, dx:]
         v, u = np.nonzero(above[: a.shape[0], : a.shape[1]] != above[dy:, dx:])
         part = (level - a[v, u]) / (b[v, u] - a[v, u])
         points.append(np.column_stack([u + dx * part, v + dy * part]))
     at: Array = np.vstack(points).astype(np.float64)
     if len(at) < 8:
         raise _Doubt("too small to be measured")
-    smooth = cv2.GaussianBlur(patch, (0, 0), 0.8)
+    smooth = cv2.GaussianBlur(share, (0, 0), 0.8)
     slopes = [cv2.Sobel(smooth, cv2.CV_32F, dx, dy) for dx, dy in ((1, 0), (0, 1))]
     normal = -np.column_stack([_sample(slope, at) for slope in slopes])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-    rows, columns = np.indices(patch.shape)
+    rows, columns = np.indices(share.shape)
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
-    corner = np.array([x0 + window[0], y0 + window[1]])
     rays = model.rays(np.vstack([at, at + normal, pixels]) + corner)
     n = len(at)
     inner = cv2.erode(above.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0).ravel() > 0
-    return _View(rays[:n], rays[n : 2 * n], rays[2 * n :], patch.ravel().astype(np.float64), above.ravel(), inner)
+    return _View(
+        outline=rays[:n],
+        outer=rays[n : 2 * n],
+        rays=rays[2 * n :],
+        chroma=chroma.ravel().astype(np.float64),
+        around=around.ravel().astype(np.float64),
+        above=above.ravel(),
+        inner=inner,
+    )
 
 
 def _sample(values: npt.NDArray[Any], at: Array) -> Array:
@@ -447,7 +539,7 @@ def _fit_shaded(at: Array, view: _View, radius: float, seen: npt.NDArray[np.bool
     use = (distance < radius + 3.0) & (clear[_bins(at)] & (distance > radius - 2.5) | view.inner)
     # A thin stem hides few directions of the outline and many of the ball within it, with a pixel of blur around.
     hidden = at[~view.above & (distance < radius - 1.0)]
-    at, chroma, inner = at[use], view.chroma[use], view.inner[use]
+    at, chroma, around, inner = at[use], view.chroma[use], view.around[use], view.inner[use]
     shown = (np.linalg.norm(at[:, None] - hidden, axis=2) > 1.5).all(axis=1)
     state = np.array([0.0, 0.0, radius, 0.8])  # x, y, radius, blur
     expected = state.copy()
@@ -467,13 +559,16 @@ def _fit_shaded(at: Array, view: _View, radius: float, seen: npt.NDArray[np.bool
         cover = 0.5 * (1 + _erf(across / np.sqrt(2)))
         shape = np.column_stack([np.ones(len(at)), toward * sine[:, None], np.sqrt(1 - sine**2)])
         basis = np.column_stack([shape * cover[:, None], 1 - cover])
+        behind = around * (1 - cover)
         if turn == 0:
-            brightness = np.asarray(np.linalg.lstsq(basis, chroma, rcond=1e-3)[0])
-        error = chroma - basis @ brightness
+            brightness = np.asarray(np.linalg.lstsq(basis, chroma - behind, rcond=1e-3)[0])
+        error = chroma - behind - basis @ brightness
         if turn < 3:  # a scale that follows the fit for ever keeps it from settling
             noise = max(1.48 * float(np.median(np.abs(error))), _MISFIT * level)
         weight = np.clip(1 - (error / (4.685 * noise)) ** 2, 0, None) ** 2
-        step = np.exp(-0.5 * across**2) / np.sqrt(2 * np.pi) / state[3] * (shape @ brightness[:4] - brightness[4])
+        step = (
+            np.exp(-0.5 * across**2) / np.sqrt(2 * np.pi) / state[3] * (shape @ brightness[:4] - brightness[4] - around)
+        )
         # How brightness at a place changes when the centre moves counts too, or the iteration creeps.
         drift = np.where(distance < state[2], cover, 0.0)[:, None] / state[2]
         moved = drift * (brightness[3] * toward * (sine / np.maximum(shape[:, 3], 0.4))[:, None] - brightness[1:3])
