@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -87,6 +88,25 @@ def test_a_silent_source_is_opened_again() -> None:
     capture, stamps, failures = started(lambda stop: ScriptedSource(scripts.pop(0), stop), read_timeout_s=0.1)
     assert [stamps.get(timeout=DEADLINE_S) for _ in range(2)] == [1, 2]
     assert failures.get(timeout=DEADLINE_S).startswith("no picture for 0.1 s")
+    assert capture.stop(DEADLINE_S)
+
+
+def test_an_error_of_another_kind_is_told_and_the_source_opened_again() -> None:
+    scripts: list[Any] = [[1, cv2.error("pixels <= CV_IO_MAX_IMAGE_PIXELS")], RuntimeError("no home directory"), [2]]
+    sources: list[ScriptedSource] = []
+
+    def open_source(stop: threading.Event) -> ScriptedSource:
+        script = scripts.pop(0)
+        if isinstance(script, Exception):
+            raise script
+        sources.append(ScriptedSource(script, stop))
+        return sources[-1]
+
+    capture, stamps, failures = started(open_source)
+    assert [stamps.get(timeout=DEADLINE_S) for _ in range(2)] == [1, 2]
+    said = [failures.get(timeout=DEADLINE_S) for _ in range(2)]
+    assert "CV_IO_MAX_IMAGE_PIXELS" in said[0] and "no home directory" in said[1]
+    assert capture.status.state == "running" and capture.status.failures == 2 and sources[0].closed
     assert capture.stop(DEADLINE_S)
 
 

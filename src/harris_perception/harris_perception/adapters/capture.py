@@ -79,11 +79,14 @@ class Capture:
             except SourceEnded as end:
                 self._set("ended", str(end))
                 return
-            except SourceError as error:
+            except Exception as error:
+                # Of a thread's error nobody hears, and the node would say "running" for ever: OpenCV's are of its own
+                # kind, and what a place's name does to the standard library is of any.
+                why = str(error) if isinstance(error, SourceError) else f"error while reading: {error!r}"
                 if self._status.pictures > before:
                     pause_s = self._retry_min_s
-                self._set("waiting", str(error), failed=1)
-                self._on_failure(f"{error}; trying again in {pause_s:.1f} s")
+                self._set("waiting", why, failed=1)
+                self._on_failure(f"{why}; trying again in {pause_s:.1f} s")
                 self._stop.wait(pause_s)
                 pause_s = min(2 * pause_s, self._retry_max_s)
 
