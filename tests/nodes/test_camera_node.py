@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image
 
 from harris_perception.adapters.camera_sources import CameraConfig
@@ -117,6 +118,17 @@ def test_a_calibration_of_another_size_is_refused_and_said(ros: Any, tmp_path: P
         assert (info.width, info.height) == (60, 40) and not np.any(info.k)
         with pytest.raises(ValueError, match="plumb_bob"):
             camera_model(info)
+    server.close()
+
+
+def test_waits_that_are_changed_hold_at_once(ros: Any, tmp_path: Path) -> None:
+    server = FrameServer(tmp_path / "bench.sock")
+    rig = Rig(ros, tmp_path, read_timeout_s=60.0)
+    rig.serve_until(server, lambda: rig.got["left/image_raw"])
+    assert rig.node.set_parameters([Parameter("read_timeout_s", value=0.1)])[0].successful
+    ros.spin_until(lambda: any("no picture for 0.1 s" in t for t in rig.texts()), WITHIN_S, rig.texts)
+    refused = rig.node.set_parameters([Parameter("retry_max_s", value=0.02)])[0]
+    assert not refused.successful and refused.reason == "retry_max_s = 0.02 is below retry_min_s = 0.5"
     server.close()
 
 

@@ -76,6 +76,11 @@ class CameraConfig(Config):
     retry_min_s: float = setting(0.5, "First pause before opening again.", minimum=0.01, maximum=60.0, unit="s")
     retry_max_s: float = setting(5.0, "Longest pause before opening again.", minimum=0.01, maximum=60.0, unit="s")
 
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        if self.retry_max_s < self.retry_min_s:
+            raise ConfigError(f"retry_max_s = {self.retry_max_s} is below retry_min_s = {self.retry_min_s}")
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Frames:
@@ -330,8 +335,6 @@ def require_settings(config: CameraConfig) -> None:
         raise ConfigError(f"source = {config.source!r} needs {name}, which is empty")
     if config.fourcc and len(config.fourcc) != 4:
         raise ConfigError(f"fourcc = {config.fourcc!r}: four characters are needed")
-    if config.retry_max_s < config.retry_min_s:
-        raise ConfigError(f"retry_max_s = {config.retry_max_s} is below retry_min_s = {config.retry_min_s}")
 
 
 def open_source(config: CameraConfig, *, now_ns: Clock, stop: threading.Event) -> CameraSource:

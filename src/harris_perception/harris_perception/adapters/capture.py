@@ -55,6 +55,10 @@ class Capture:
         self._status = CaptureStatus(state="opening")
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
 
+    def set_waits(self, *, read_timeout_s: float, retry_min_s: float, retry_max_s: float) -> None:
+        """Wait otherwise from now on; a pause that has begun stays as it is."""
+        self._read_timeout_s, self._retry_min_s, self._retry_max_s = read_timeout_s, retry_min_s, retry_max_s
+
     @property
     def status(self) -> CaptureStatus:
         """The newest status; replaced as a whole."""
@@ -85,10 +89,11 @@ class Capture:
                 why = str(error) if isinstance(error, SourceError) else f"error while reading: {error!r}"
                 if self._status.pictures > before:
                     pause_s = self._retry_min_s
+                pause_s = min(max(pause_s, self._retry_min_s), self._retry_max_s)
                 self._set("waiting", why, failed=1)
                 self._on_failure(f"{why}; trying again in {pause_s:.1f} s")
                 self._stop.wait(pause_s)
-                pause_s = min(2 * pause_s, self._retry_max_s)
+                pause_s = 2 * pause_s
 
     def _read_until_failure(self) -> None:
         self._set("opening", self._status.reason)

@@ -69,12 +69,17 @@ def _load(side: str, calibration: str) -> CameraModel | None:
         raise ConfigError(f"{side}_calibration: {error}") from error
 
 
+def _waits(config: CameraConfig) -> dict[str, float]:
+    names = ("read_timeout_s", "retry_min_s", "retry_max_s")
+    return {name: getattr(config, name) for name in names}
+
+
 class CameraNode(Node):
     """Publishes ``left/image_raw``, ``left/camera_info`` and the same for ``right``."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("camera", **options)
-        config = LiveParameters(self, CameraConfig).config
+        config = LiveParameters(self, CameraConfig, self._on_config).config
         require_settings(config)
         self._source = config.source
         self._eyes = [
@@ -89,14 +94,15 @@ class CameraNode(Node):
             lambda stop: open_source(config, now_ns=self._now_ns, stop=stop),
             self._on_frames,
             on_failure=lambda text: self.get_logger().error(text, throttle_duration_sec=5.0),
-            read_timeout_s=config.read_timeout_s,
-            retry_min_s=config.retry_min_s,
-            retry_max_s=config.retry_max_s,
+            **_waits(config),
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         self._period_s = 1.0
         self.create_timer(self._period_s, self._report)
         self._capture.start()
+
+    def _on_config(self, config: CameraConfig) -> None:
+        self._capture.set_waits(**_waits(config))
 
     def _on_frames(self, frames: Frames) -> None:
         for eye, picture, stamp_ns in zip(self._eyes, frames.pictures, frames.stamps_ns):
