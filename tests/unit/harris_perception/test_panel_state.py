@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,30 @@ def test_what_the_stylus_hides_is_not_read() -> None:
         tip = scene.panel_from.apply([*(np.array(control.position_mm) / 1000), height])
         seen = scene.look(InstrumentState(), tip).control(name)
         assert seen is not None and seen.hidden_by == "stylus" and seen.lamp == "" and np.isnan(seen.angle_deg)
+
+
+def test_an_arm_that_passes_the_camera_hides_all_up_to_the_pictures_edge() -> None:
+    scene = Scene()
+    width, height = (v * 1e-3 for v in LAYOUT.size_mm)
+    # A camera 0.3 m from the panel that looks down on it by 30 degrees: the arm, which comes from above, passes it.
+    turn = np.radians(30.0)
+    down = np.array([[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]])
+    rotation = down @ np.diag([1.0, -1.0, -1.0])
+    pose = Transform(rotation, np.array([0.0, 0.0, 0.3]) - rotation @ np.array([width / 2, height / 2, 0.0]))
+    tip = np.array([width / 2, 0.8 * height, 0.01])
+    arm = np.array([(tip[0] + i * 0.013, tip[1] + up, 0.08) for i in (-1, 0, 1) for up in np.linspace(0.0, 0.5, 400)])
+    pixels = scene.camera.project(pose.apply(arm))
+    seen = pixels[((pixels >= 0) & (pixels <= (1279, 719))).all(axis=1)].round().astype(int)
+    assert not np.isfinite(pixels).all() and len(seen) > 20
+
+    before = time.process_time()
+    shadow = scene.reader._own_shadow(pose, scene.camera, pose.apply(tip))
+    assert time.process_time() - before < 2.0
+    assert shadow[seen[:, 1], seen[:, 0]].all()
+    beside = pixels[np.isfinite(pixels).all(axis=1)] + (160.0, 0.0)
+    beside = beside[((beside >= 0) & (beside <= (1279, 300))).all(axis=1)].round().astype(int)
+    assert len(beside) and not shadow[beside[:, 1], beside[:, 0] + 100].any()
+    assert not scene.reader._own_shadow(pose, scene.camera, np.full(3, np.nan)).any()
 
 
 def test_a_hand_hides_what_it_lies_on_and_nothing_else() -> None:

@@ -27,6 +27,9 @@ RADII = np.linspace(0.36, 0.74, 6)
 """Where a knob's marker is looked for: directions, and parts of its radius."""
 QUIET_PICTURES = 4
 """A cell is at rest after so many pictures without a jump."""
+_NEAREST_M, _FIELD = 0.05, 1.5
+"""Of what reaches behind the camera, what is nearer or farther from the picture's middle than so many of its halves is
+not drawn."""
 HUES = ((20, "red"), (45, "amber"), (75, "yellow"), (165, "green"), (200, "cyan"), (265, "blue"), (345, "violet"))
 """Upper ends of the hues in degrees (HSV) and their names; above the last one is red again."""
 
@@ -207,9 +210,10 @@ class PanelReader:
             (x + i * w, y + j, h) for i in (-1, 1) for j in (-w, 0.5) for h in (c.arm_height_m, c.arm_height_m + 0.02)
         ]
         for box in (shaft, arm):
-            pixels = camera.project(pose.apply(np.array(box)))
-            hull = cv2.convexHull(np.clip(pixels, -4000, 8000).astype(np.float32))
-            cv2.fillConvexPoly(mask, np.rint(hull).astype(np.int32), 1)
+            pixels = camera.project(_before(camera, pose.apply(np.array(box))))
+            if len(pixels):
+                hull = cv2.convexHull(np.clip(pixels, -4000, 8000).astype(np.float32))
+                cv2.fillConvexPoly(mask, np.rint(hull).astype(np.int32), 1)
         return mask
 
     def _prints(
@@ -266,6 +270,32 @@ class _Look:
     def hidden(self, control: Control, part: str) -> npt.NDArray[np.bool_]:
         where = self.parts[control.name, part]
         return np.asarray((self.covered[where] > 0) | self.outside[where])
+
+
+def _before(camera: CameraModel, corners: Array) -> Array:
+    """Return corners (M, 3) m that look as a convex body does, from all its corners (N, 3) m.
+
+    Of a body that reaches behind the camera, where nothing has a pixel, only what can be in the picture is left.
+    """
+    turned = corners @ camera.r
+    depth = turned[:, 2] - _NEAREST_M
+    ahead, behind = depth > 0, depth <= 0
+    if ahead.all():
+        return corners
+    # Between each corner ahead and each behind, where the line of both passes the nearest place.
+    share = depth[ahead][:, None] / (depth[ahead][:, None] - depth[behind])
+    near, far = turned[behind][None], turned[ahead][:, None]
+    left = np.vstack([turned[ahead], (far + share[..., None] * (near - far)).reshape(-1, 3)])
+    if not len(left):
+        return left
+    flat = cv2.convexHull((left[:, :2] / left[:, 2:]).astype(np.float32))
+    focal, middle = camera.k[[0, 1], [0, 1]], camera.k[:2, 2]
+    low, high = (_FIELD * (edge - middle) / focal for edge in (np.zeros(2), np.array(camera.size)))
+    field = np.array([low, (high[0], low[1]), high, (low[0], high[1])], np.float32)
+    _, cut = cv2.intersectConvexConvex(flat, field)
+    if cut is None:
+        return np.empty((0, 3))
+    return np.column_stack([np.asarray(cut, np.float64).reshape(-1, 2), np.ones(len(cut))]) @ camera.r.T
 
 
 def _hidden_by(control: Control, look: _Look, odd: bool) -> str:
