@@ -297,6 +297,41 @@ def test_calibration_in_use_is_withdrawn_when_the_camera_changes(ros: Any, tmp_p
     )
 
 
+def test_calibration_in_use_is_withdrawn_when_the_camera_has_none_any_more(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    stored(path)
+    rig = Rig(ros, calibration_file=str(path), machine="bench")
+    rig.cameras()
+    ros.spin_until(lambda: rig.state.startswith("calibrated") and rig.axes, 10.0)
+    # What the camera node says of pictures in another resolution than that of its calibration.
+    rig.infos[0].publish(CameraInfo(header=header(2, CAMERA_LEFT), width=640, height=480))
+    ros.spin_until(lambda: rig.state.startswith("failed") and not rig.axes[-1].data, 10.0, lambda: rig.state)
+    assert rig.state == (
+        "failed: the calibration in use is refused: the left camera's pictures of 640 x 480 px have no calibration"
+    )
+    rig.say_driver("idle")
+    assert rig.call("run") == (False, "no camera_info of the left camera has arrived")
+
+
+@pytest.mark.parametrize(
+    ("info", "reason"),
+    [
+        (camera_info_message(camera(1703.0), header(2, CAMERA_LEFT)), "calibration has changed meanwhile"),
+        (CameraInfo(width=640, height=480), "pictures of 640 x 480 px have no calibration"),
+    ],
+)
+def test_a_camera_that_changes_ends_the_run(ros: Any, info: CameraInfo, reason: str) -> None:
+    rig = Rig(ros)
+    rig.cameras()
+    rig.say_driver("idle")
+    rig.look()
+    rig.call("run")
+    rig.watch(lambda: len(rig.goals) >= 3, 20.0)
+    rig.infos[0].publish(info)
+    rig.ros.spin_until(lambda: rig.state.startswith("failed"), 10.0, lambda: rig.state)
+    assert rig.state == f"failed: the left camera's {reason}"
+
+
 def test_calibration_of_other_machine_settings_is_refused(ros: Any, tmp_path: Path) -> None:
     path = tmp_path / "c.yaml"
     save(replace(stored(path), settings="$100=80 $101=80"), path)

@@ -160,16 +160,36 @@ class HandEyeNode(Node):
         def callback(message: CameraInfo) -> None:
             if same_camera(self._infos.get(side), message):
                 return
+            known = self._cameras.pop(side, None) is not None
+            self._infos.pop(side, None)
             try:
                 self._cameras[side] = camera_model(message, side)
             except ValueError as error:
                 self.get_logger().error(f"{side} camera_info: {error}", throttle_duration_sec=5.0)
+                if known:
+                    self._camera_lost(side, message)
                 return
             self._infos[side] = message
+            if known:
+                self._forget_seen(f"the {side} camera's calibration has changed meanwhile")
             self._check_used()
             self._check_loaded()
 
         return callback
+
+    def _camera_lost(self, side: str, message: CameraInfo) -> None:
+        """Use no calibration with a camera that has become another, and does not say which."""
+        why = f"the {side} camera's pictures of {message.width} x {message.height} px have no calibration"
+        self._forget_seen(why)
+        if self._stored is not None:
+            self._withdraw(f"the calibration in use is refused: {why}")
+
+    def _forget_seen(self, why: str) -> None:
+        """End what was seen with a camera as it was; what is seen with another does not belong to it."""
+        self._samples.clear()
+        self._panels.clear()
+        if self._procedure is not None:
+            self._act([Failed(why)])
 
     def _on_joints(self, message: JointState) -> None:
         try:

@@ -367,6 +367,8 @@ export const PHRASES_DE = [
   ["{}: not a hand-eye calibration: {}", "{}: keine Hand-Auge-Kalibrierung: {}"],
   ["it was made with a {} picture of {} x {} px, now it has {} x {} px", "sie wurde mit einem {} Bild von {} x {} px gemacht, jetzt hat es {} x {} px"],
   ["the {} camera's calibration has changed by {} px since it was made", "die Kalibrierung der {} Kamera ist seitdem um {} px anders"],
+  ["the {} camera's calibration has changed meanwhile", "die Kalibrierung der {} Kamera hat sich inzwischen geändert"],
+  ["the {} camera's pictures of {} x {} px have no calibration", "die Bilder der {} Kamera von {} x {} px haben keine Kalibrierung"],
   ["x from below", "x von unten"],
   ["x from above", "x von oben"],
   ["y from below", "y von unten"],
