@@ -108,6 +108,19 @@ def test_pose_after_three_agreeing_pictures_then_lost_then_moved(ros: Any) -> No
     assert error_mm(rig.poses[-1], shift_m=0.03) < 0.15
 
 
+def test_a_camera_that_loses_its_calibration_ends_the_poses(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1, "silence_s": 0.3})
+    assert rig.show(picture(seed=1), 1) > 0.85
+    ros.spin_until(lambda: len(rig.poses) == 1, 10.0)
+    # What the camera node says when it has none for these pictures.
+    rig.infos.publish(CameraInfo(header=header(START + PERIOD, CAMERA_LEFT), width=1280, height=720))
+    ros.spin_until(lambda: rig.node._camera is None, 10.0)
+    assert rig.show(picture(seed=2), 2) == 0.0 and len(rig.poses) == 1
+    rig.infos.publish(camera_info_message(CAMERA, header(START + 2 * PERIOD, CAMERA_LEFT)))
+    ros.spin_until(lambda: rig.node._camera is not None, 10.0)
+    assert rig.show(picture(seed=3), 3) > 0.85
+
+
 def test_points_measured_for_a_pose_are_told_to_who_listens(ros: Any) -> None:
     rig = Rig(ros, **{"recognition.agreement.frames": 1})
     rig.show(picture(seed=1), 1)

@@ -161,6 +161,8 @@ class RecognitionNode(Node):
     def _on_camera(self, message: CameraInfo) -> None:
         if self._camera is not None and same_camera(self._camera[0], message):
             return
+        # By another camera's calibration the panel would be somewhere else.
+        self._camera = self._waiting = None
         try:
             self._camera = (message, camera_model(message, "left"))
         except ValueError as error:
