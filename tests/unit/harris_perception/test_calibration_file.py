@@ -82,6 +82,14 @@ def test_other_cameras_and_machines_are_refused(
         check_fits(stored(), left, right, machine)
 
 
+@pytest.mark.parametrize("now", ["unknown", "$100=80=1", "$100"])
+def test_settings_of_another_form_are_refused_as_other_settings(now: str) -> None:
+    with pytest.raises(CalibrationFileError, match=r"the machine's settings have changed since it was made: \$100 was"):
+        check_fits(stored(settings="$100=80.000"), camera(), None, "bench", now)
+    with pytest.raises(CalibrationFileError, match="the machine's settings have changed"):
+        check_fits(stored(settings=now), camera(), None, "bench", "$100=80.000")
+
+
 def test_a_change_is_seen_in_a_picture_whose_corners_the_distortion_does_not_reach() -> None:
     wide = {"d": np.array([-0.2, 0.0, 0.0, 0.0, 0.0])}
     check_fits(stored(left=camera(focal=768.0, **wide)), camera(focal=768.0, **wide), None, "bench")
@@ -107,6 +115,8 @@ def test_a_change_is_seen_in_a_picture_whose_corners_the_distortion_does_not_rea
         ({"camera_from_base": {"rotation": (2 * np.eye(3)).tolist(), "translation_m": [0, 0, 1]}}, "not a rotation"),
         ({"stylus_direction": [0, math.nan, -1]}, "finite numbers"),
         ({"left_camera": {}}, "distortion_model"),
+        ({"left_camera": {**camera().to_mapping(), "image_width": math.inf}}, "infinity"),
+        ({"samples": math.inf}, "infinity"),
     ],
 )
 def test_broken_files_are_refused_by_name(tmp_path: Path, spoil: dict[str, Any], message: str) -> None:

@@ -175,7 +175,7 @@ def load(path: Path) -> StoredCalibration:
             base_from_panel=None if document["base_from_panel"] is None else _pose_of(document["base_from_panel"]),
             contact_offset_m=_numbers(document, "contact_offset_m", (3,), known=False),
         )
-    except (KeyError, TypeError, ValueError, yaml.YAMLError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, yaml.YAMLError) as error:
         raise CalibrationFileError(f"{path}: not a hand-eye calibration: {error}") from error
 
 
@@ -211,7 +211,10 @@ def check_fits(
     if machine != calibration.machine:
         raise CalibrationFileError(f"it was made for machine {calibration.machine!r}, this one is {machine!r}")
     if settings and calibration.settings and settings != calibration.settings:
-        old_values, new_values = (dict(part.split("=") for part in t.split()) for t in (calibration.settings, settings))
+        old_values, new_values = (
+            {name: value for name, _, value in (part.partition("=") for part in text.split())}
+            for text in (calibration.settings, settings)
+        )
         changed = [k for k in sorted({*old_values, *new_values}) if old_values.get(k) != new_values.get(k)]
         texts = [f"{k} was {old_values.get(k, 'unknown')}, now {new_values.get(k, 'unknown')}" for k in changed]
         raise CalibrationFileError(f"the machine's settings have changed since it was made: {'; '.join(texts)}")

@@ -140,7 +140,7 @@ class CameraModel:
         """
         try:
             return cls.from_mapping(yaml.safe_load(path.read_text(encoding="utf-8")))
-        except (KeyError, TypeError, ValueError, yaml.YAMLError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, yaml.YAMLError) as error:
             raise ValueError(f"{path}: not a camera calibration: {error!r}") from error
 
     @classmethod
