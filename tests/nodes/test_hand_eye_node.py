@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -273,6 +274,28 @@ def test_file_of_another_bench_is_refused(ros: Any, tmp_path: Path, focal: float
     ros.spin_until(lambda: rig.state.startswith("failed"), 10.0)
     assert rig.state == f"failed: the stored calibration is refused: {reason}"
     assert rig.transforms == [] and rig.axes == []
+
+
+def test_parameters_that_are_changed_hold_for_the_calibration_in_use(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    stored(path)
+    rig = Rig(ros, calibration_file=str(path), machine="bench")
+    rig.cameras()
+    ros.spin_until(lambda: rig.state.startswith("calibrated"), 10.0)
+    rig.reading = np.array([0.1, 0.1, 0.0])
+    rig.off = np.array([0.02, 0.0, 0.0])
+    wider = [Parameter("drift.max_tip_m", value=0.1), Parameter("drift.times", value=1)]
+    assert rig.node.set_parameters_atomically(wider).successful
+    rig.watch(lambda: rig.node._drift.tip_m > 0.015, 15.0)
+    assert "drift" not in rig.state
+    assert rig.node.set_parameters([Parameter("drift.max_tip_m", value=0.01)])[0].successful
+    rig.watch(lambda: "drift: the tip is seen" in rig.state, 15.0)
+    assert rig.node.set_parameters([Parameter("drift.max_tip_m", value=0.1)])[0].successful
+    rig.watch(lambda: rig.state.startswith("calibrated") and "drift" not in rig.state, 15.0)
+    assert rig.node.set_parameters([Parameter("machine", value="other")])[0].successful
+    ros.spin_until(lambda: rig.state.startswith("failed"), 10.0)
+    assert rig.state.endswith("it was made for machine 'bench', this one is 'other'")
+    ros.spin_until(lambda: not rig.axes[-1].data, 10.0)
 
 
 def test_broken_file_is_named(ros: Any, tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ class DriftWatch:
     """
 
     def __init__(self, config: DriftConfig, calibration: StoredCalibration) -> None:
-        self._config, self._calibration = config, calibration
+        self.config, self._calibration = config, calibration
         self._panel = calibration.base_from_panel
         self._tips_off = self._panels_off = 0
         self.tip_m = float("nan")
@@ -52,7 +52,7 @@ class DriftWatch:
         """Take a sighting of the tip at rest."""
         expected = self._calibration.tip_in_camera(sample.reading)
         self.tip_m = float(np.linalg.norm(sample.tip - expected))
-        self._tips_off = self._tips_off + 1 if self.tip_m > self._config.max_tip_m else 0
+        self._tips_off = self._tips_off + 1 if self.tip_m > self.config.max_tip_m else 0
 
     def panel(self, base_from_panel: Transform, controls: dict[str, Array]) -> None:
         """Take a pose of the panel at rest and its controls' places (3,) m in panel_link."""
@@ -63,12 +63,12 @@ class DriftWatch:
         off = np.linalg.norm(base_from_panel.apply(places) - self._panel.apply(places), axis=1)
         worst = int(np.argmax(off))
         self.control_m, self._control = float(off[worst]), names[worst]
-        self._panels_off = self._panels_off + 1 if self.control_m > self._config.max_control_m else 0
+        self._panels_off = self._panels_off + 1 if self.control_m > self.config.max_control_m else 0
 
     @property
     def text(self) -> str:
         """What has drifted and what it means, for people; empty when nothing has."""
-        tip, panel = self._tips_off >= self._config.times, self._panels_off >= self._config.times
+        tip, panel = self._tips_off >= self.config.times, self._panels_off >= self.config.times
         parts = []
         if tip:
             parts.append(f"the tip is seen {self.tip_m * 1e3:.1f} mm from its calibrated place")

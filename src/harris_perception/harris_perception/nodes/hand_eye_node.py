@@ -153,6 +153,11 @@ class HandEyeNode(Node):
 
     def _on_config(self, config: HandEyeNodeConfig) -> None:
         self._watch = StillWatch(config.still)
+        if self._stored is not None and self._drift is not None and self._drift.config != config.drift:
+            told, self._drift = self._drift.text, DriftWatch(config.drift, self._stored)
+            if told:
+                self._set_state(f"calibrated: {self._stored.summary()}")
+        self._check_used()
 
     # What arrives.
 
