@@ -276,6 +276,16 @@ def test_file_of_another_bench_is_refused(ros: Any, tmp_path: Path, focal: float
     assert rig.transforms == [] and rig.axes == []
 
 
+def test_file_of_a_machine_that_cannot_be_is_refused(ros: Any, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    save(replace(stored(path), base_from_reading=-np.eye(2)), path)
+    rig = Rig(ros, calibration_file=str(path), machine="bench")
+    rig.cameras()
+    ros.spin_until(lambda: rig.state.startswith(("failed", "calibrated")), 10.0)
+    assert "the x axis moves -1.000 m per metre of reading, 0.95 to 1.05 are plausible" in rig.state
+    assert rig.transforms == [] and rig.axes == []
+
+
 def test_parameters_that_are_changed_hold_for_the_calibration_in_use(ros: Any, tmp_path: Path) -> None:
     path = tmp_path / "c.yaml"
     stored(path)

@@ -427,7 +427,7 @@ def split_axes(x_rail: Array, y_rail: Array, config: HandEyeConfig) -> tuple[Arr
     y = np.cross(z, x)
     rotation = nearest_rotation(np.column_stack([x, y, z]))
     axes = np.array([[np.linalg.norm(x_rail), x @ y_rail], [0.0, y @ y_rail]])
-    _check_axes(axes, config)
+    check_axes(axes, config)
     return rotation, axes
 
 
@@ -517,7 +517,14 @@ def _check_left_out(used: npt.NDArray[np.bool_], config: HandEyeConfig) -> None:
         )
 
 
-def _check_axes(axes: Array, config: HandEyeConfig) -> None:
+def check_axes(axes: Array, config: HandEyeConfig) -> None:
+    """Refuse base_from_reading (2, 2) that no such machine has.
+
+    Raises
+    ------
+    DegenerateError
+        With the axis and what is plausible.
+    """
     x, y = axes[0, 0], axes[1, 1]
     skew = float(np.arctan2(axes[0, 1], y))
     for name, scale in (("x", x), ("y", y)):

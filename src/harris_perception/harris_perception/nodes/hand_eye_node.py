@@ -46,7 +46,7 @@ from harris_perception.core.carriage_camera import (
     stylus_offset,
 )
 from harris_perception.core.drift import DriftConfig, DriftWatch
-from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate
+from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate, check_axes
 from harris_perception.core.pairing import Pairing
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, FacePoints
 from icu_common.core.camera_model import CameraModel, StereoModel
@@ -404,6 +404,10 @@ class HandEyeNode(Node):
         config, cameras = self._live.config, self._cameras
         mounting = config.run.mounting
         check_fits(calibration, cameras["left"], cameras.get("right"), config.machine, self._settings, mounting)
+        try:
+            check_axes(calibration.base_from_reading, config.solver)
+        except DegenerateError as error:
+            raise CalibrationFileError(str(error)) from error
 
     def _set_state(self, text: str) -> None:
         self._state = text
