@@ -25,7 +25,8 @@ from harris_perception.core.calibration_run import (
     check_plan,
     plan,
 )
-from harris_perception.core.hand_eye import DegenerateError, HandEyeConfig
+from harris_perception.core.carriage_camera import PanelSample
+from harris_perception.core.hand_eye import DegenerateError, HandEyeConfig, Sample
 from harris_perception.core.planar_pose import FacePoints
 from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Transform
@@ -255,6 +256,23 @@ def test_still_watch_wants_a_resting_machine_and_a_steady_tip() -> None:
     watch.reading(2100 * MS, np.array([0.1001, 0.1, 0.0]))
     assert isinstance(watch.sample(2150 * MS), str)
     assert watch.sample(9000 * MS) == "no joint_states arrive"
+
+
+def test_still_watch_begins_anew_when_the_clock_is_set_back() -> None:
+    watch = StillWatch(StillConfig(tips=4, panels=1, settle_s=0.0))
+    nothing = FacePoints.joined([])
+    for start_ms, x in ((900_000, 0.1), (100_000, 0.2)):
+        for i in range(5):
+            now = (start_ms + 100 * i) * MS
+            watch.reading(now, np.array([x, 0.1, 0.0]))
+            watch.tip(now, np.array([x, 0.0, 0.6 + 1e-5 * i]))
+            watch.panel(now, POSE, nothing)
+        sample, panel = watch.sample(now), watch.panel_sample(now)
+        assert isinstance(sample, Sample) and isinstance(panel, PanelSample), (sample, panel)
+        assert sample.reading[0] == panel.reading[0] == x and abs(sample.tip[0] - x) < 1e-9
+    assert watch.sample(now + 2000 * MS) == "no joint_states arrive"
+    watch.reading(50_000 * MS, np.array([0.2, 0.1, 0.0]))
+    assert watch.sample(50_000 * MS) == "the tip was seen 0 of 4 times while the machine stood still"
 
 
 def test_still_watch_forgets_a_panel_that_is_not_seen_any_more() -> None:

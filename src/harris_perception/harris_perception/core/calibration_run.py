@@ -119,6 +119,9 @@ class StillWatch:
 
     def reading(self, stamp_ns: int, reading: Array) -> None:
         """Take the readings (3,) m of ``stamp_ns``."""
+        if stamp_ns < self._reading_ns - self._config.fresh_s * 1e9:
+            # The clock was set back, or a recording has started anew: what was seen is of another time.
+            self._reading, self._reading_ns, self._since_ns = None, 0, 0
         if self._reading is None or np.abs(reading - self._reading).max() > self._config.moved_m:
             self._reading = np.array(reading, dtype=np.float64)
             self.restart(max(stamp_ns, self._since_ns))
