@@ -192,6 +192,18 @@ def test_run_is_refused_with_what_is_missing(ros: Any) -> None:
     assert rig.goals == []
 
 
+def test_a_tip_that_is_not_finite_makes_no_sample(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.watch(lambda: len(rig.node._watch._tips) == 3, 10.0)
+    rig.tips.publish(point_message((math.nan, 0.0, 0.6), header(rig.now(), CAMERA_LEFT)))
+    after = rig.now()
+    rig.tips.publish(point_message(POSE.apply(rig.tip_base()), header(after, CAMERA_LEFT)))
+    ros.spin_until(lambda: rig.node._watch._tips[-1][0] == after, 10.0)
+    assert np.isfinite([tip for _, tip in rig.node._watch._tips]).all()
+    assert rig.call("add_sample") == (True, "sample 1 at readings x = 0.0, y = 0.0, stylus = 0.0 mm")
+    assert np.isfinite(rig.node._samples[0].tip).all()
+
+
 def test_a_run_that_could_only_fail_moves_nothing(ros: Any) -> None:
     rig = Rig(ros, **{"run.y_max_m": 0.05})
     rig.cameras()

@@ -216,6 +216,9 @@ class HandEyeNode(Node):
             self.get_logger().error(f"tip in {message.header.frame_id!r} ignored", throttle_duration_sec=5.0)
             return
         stamp, tip = stamp_ns(message.header.stamp), point_array(message)
+        if not np.isfinite(tip).all():
+            self.get_logger().error(f"tip {tip.tolist()} m ignored: it is not finite", throttle_duration_sec=5.0)
+            return
         self._watch.tip(stamp, tip)
         if self._procedure is not None:
             self._act(self._procedure.tip(stamp, tip, self._now_ns()))
