@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,6 +53,35 @@ def test_cloud_round_trip() -> None:
     assert cv.cloud_array(cv.cloud_message(("u",), np.empty((0, 1)), HEAD), ("u",)).shape == (0, 1)
     with pytest.raises(ValueError, match="no float32 field w; it has u, v, response"):
         cv.cloud_array(cloud, ("w",))
+
+
+def test_padded_rows_of_a_cloud_are_read_without_their_padding() -> None:
+    values = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
+    cloud = cv.cloud_message(("u", "v", "response"), values.reshape(-1, 3), HEAD)
+    cloud.height, cloud.width, cloud.row_step = 2, 2, 32
+    padded = np.zeros((2, 32), np.uint8)
+    padded[:, :24] = values.view(np.uint8).reshape(2, 24)
+    cloud.data = padded.tobytes()
+    np.testing.assert_array_equal(cv.cloud_array(cloud, ("u", "response")), values.reshape(-1, 3)[:, [0, 2]])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"point_step": 0}, "with step 0, .* fields up to byte 8 does not fit"),
+        ({"point_step": 4}, "with step 4, .* fields up to byte 8 does not fit"),
+        ({"width": 5}, "a cloud of 5 x 1 points with step 12, rows of 60 bytes .* does not fit 48 bytes"),
+        ({"width": 2, "height": 2, "row_step": 30}, "rows of 30 bytes .* does not fit 48 bytes"),
+        ({"width": 2, "height": 2, "row_step": 12}, "rows of 12 bytes .* does not fit 48 bytes"),
+        ({"is_bigendian": True}, "the other order is needed"),
+    ],
+)
+def test_clouds_that_do_not_fit_their_data_are_refused(wrong: dict[str, Any], message: str) -> None:
+    cloud = cv.cloud_message(("u", "v", "response"), np.ones((4, 3)), HEAD)
+    for name, value in wrong.items():
+        setattr(cloud, name, value)
+    with pytest.raises(ValueError, match=message):
+        cv.cloud_array(cloud, ("u", "v"))
 
 
 def test_pose_and_transform_round_trip() -> None:

@@ -121,14 +121,25 @@ def cloud_array(cloud: PointCloud2, columns: Sequence[str]) -> npt.NDArray[np.fl
     Raises
     ------
     ValueError
-        If a field is missing or not FLOAT32.
+        If a field is missing or not FLOAT32, the bytes have another order, or the size does not fit the data.
     """
     offsets = {f.name: f.offset for f in cloud.fields if f.datatype == PointField.FLOAT32}
     missing = [name for name in columns if name not in offsets]
     if missing:
         raise ValueError(f"the cloud has no float32 field {', '.join(missing)}; it has {', '.join(offsets)}")
-    count = cloud.width * cloud.height
-    raw = np.frombuffer(cloud.data, np.uint8)[: count * cloud.point_step].reshape(count, cloud.point_step)
+    if cloud.is_bigendian:
+        raise ValueError("the cloud has its most significant bytes first, the other order is needed")
+    count, used = cloud.width * cloud.height, cloud.width * cloud.point_step
+    # Rows may be padded; a single one need not say how long it is.
+    row = (cloud.row_step or used) if cloud.height > 1 else used
+    end = max((offsets[name] + 4 for name in columns), default=0)
+    if cloud.point_step < end or row < used or len(cloud.data) < row * cloud.height:
+        raise ValueError(
+            f"a cloud of {cloud.width} x {cloud.height} points with step {cloud.point_step}, rows of {row} bytes and "
+            f"fields up to byte {end} does not fit {len(cloud.data)} bytes"
+        )
+    rows = np.frombuffer(cloud.data, np.uint8)[: row * cloud.height].reshape(cloud.height, row)
+    raw = rows[:, :used].reshape(count, cloud.point_step)
     parts = [np.ascontiguousarray(raw[:, offsets[n] : offsets[n] + 4]).view("<f4") for n in columns]
     return np.hstack(parts) if parts else np.empty((count, 0), np.float32)
 
