@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.typesys import Stores, get_typestore
 
-from scope_bench.adapters.bag_pictures import IMAGE, PictureCodec
+from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic, BagWriter, repair
 from scope_bench.cli import bag_info
@@ -414,6 +414,43 @@ def test_pictures_survive_png_and_nearly_jpeg(encoding: str, channels: int) -> N
         assert np.abs(back.data.reshape(bgr.shape).astype(int) - bgr).max() <= tolerance
     with pytest.raises(ValueError, match="quality = 101: 1 to 100"):
         PictureCodec("jpeg", 101)
+
+
+def compressed(data: np.ndarray, form: str) -> bytes:
+    header = TYPES.types["std_msgs/msg/Header"](
+        stamp=TYPES.types["builtin_interfaces/msg/Time"](sec=12, nanosec=34), frame_id="eye"
+    )
+    message = TYPES.types[COMPRESSED](header=header, format=form, data=data)
+    return bytes(TYPES.serialize_cdr(message, COMPRESSED))
+
+
+@pytest.mark.parametrize(
+    ("kind", "channels", "form", "encoding"),
+    [
+        (np.uint8, 4, "bgra8; png compressed bgra8", "bgra8"),
+        (np.uint16, 1, "mono16; png compressed ", "mono16"),
+        (np.uint16, 1, "16UC1; png compressed ", "16UC1"),
+        (np.uint16, 3, "bgr16; png compressed bgr16", "bgr16"),
+    ],
+)
+def test_pictures_that_others_packed_keep_their_channels_and_depth(
+    kind: type[np.generic], channels: int, form: str, encoding: str
+) -> None:
+    pixels = np.random.default_rng(3).integers(0, np.iinfo(kind).max, (6, 8, channels), kind)
+    back = TYPES.deserialize_cdr(
+        PictureCodec().unpack(compressed(cv2.imencode(".png", pixels)[1].ravel(), form)), IMAGE
+    )
+    assert (back.encoding, back.height, back.width) == (encoding, 6, 8)
+    assert back.step == 8 * channels * pixels.itemsize and len(back.data) == 6 * back.step
+    assert np.array_equal(back.data.view(kind).reshape(pixels.shape), pixels)
+
+
+def test_broken_pictures_are_refused_with_the_reason() -> None:
+    for data in (np.empty(0, np.uint8), np.frombuffer(b"no picture", np.uint8)):
+        with pytest.raises(ValueError, match="a picture with the format 'jpeg' cannot be decoded"):
+            PictureCodec().unpack(compressed(data, "jpeg"))
+    with pytest.raises(ValueError, match="not a sensor_msgs/msg/CompressedImage"):
+        PictureCodec().unpack(b"\0\1\0\0\1")
 
 
 def test_the_play_clock_pauses_and_runs_at_its_rate() -> None:

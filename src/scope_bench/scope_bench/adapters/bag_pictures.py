@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import cv2
 import numpy as np
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 SUFFIX = "/compressed"
+_ENCODINGS = {
+    ("uint8", 1): "mono8",
+    ("uint8", 3): "bgr8",
+    ("uint8", 4): "bgra8",
+    ("uint16", 1): "mono16",
+    ("uint16", 3): "bgr16",
+    ("uint16", 4): "bgra16",
+}
 _CHANNELS = {"bgr8": 3, "rgb8": 3, "mono8": 1}
 
 
@@ -48,31 +58,43 @@ class PictureCodec:
         if image.encoding == "rgb8":
             pixels = pixels[:, :, ::-1]
         done, packed = cv2.imencode("." + self._form, np.ascontiguousarray(pixels), self._options)
-        assert done
+        if not done:
+            raise ValueError(f"a picture of {image.width} x {image.height} px cannot be compressed as {self._form}")
         name = f"{image.encoding}; {self._form} compressed {'bgr8' if image.encoding != 'mono8' else ''}".rstrip()
         message = self._types.types[COMPRESSED](header=image.header, format=name, data=packed.ravel())
         return bytes(self._types.serialize_cdr(message, COMPRESSED))
 
     def unpack(self, data: bytes) -> bytes:
-        """Return the Image (bgr8 or mono8) of a CompressedImage, with its header.
+        """Return the Image of a CompressedImage, with its header: grey, BGR or BGRA, of 8 or 16 bits as it was packed.
 
         Raises
         ------
         ValueError
             If the picture cannot be decoded.
         """
-        message: Any = self._types.deserialize_cdr(data, COMPRESSED)
-        pixels = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
+        try:
+            message: Any = self._types.deserialize_cdr(data, COMPRESSED)
+        except SerdeError as error:
+            raise ValueError(f"not a {COMPRESSED}: {error}") from error
+        packed = np.asarray(message.data, np.uint8)
+        pixels = cv2.imdecode(packed, cv2.IMREAD_UNCHANGED) if packed.size else None
         if pixels is None:
             raise ValueError(f"a picture with the format {message.format!r} cannot be decoded")
-        height, width = pixels.shape[:2]
+        height, width, channels = np.atleast_3d(pixels).shape
+        encoding = _ENCODINGS.get((pixels.dtype.name, channels))
+        if encoding is None:
+            raise ValueError(
+                f"a picture of {channels} x {pixels.dtype} with the format {message.format!r} is not known"
+            )
+        if encoding == "mono16" and message.format.startswith("16UC1"):
+            encoding = "16UC1"  # depths: not to be shown as brightness
         image = self._types.types[IMAGE](
             header=message.header,
             height=height,
             width=width,
-            encoding="mono8" if pixels.ndim == 2 else "bgr8",
-            is_bigendian=0,
-            step=width * (1 if pixels.ndim == 2 else 3),
-            data=pixels.reshape(-1),
+            encoding=encoding,
+            is_bigendian=int(sys.byteorder == "big"),
+            step=width * channels * pixels.itemsize,
+            data=np.ascontiguousarray(pixels).reshape(-1).view(np.uint8),
         )
         return bytes(self._types.serialize_cdr(image, IMAGE))

@@ -89,7 +89,12 @@ class BagPlayer(Node):
     def play(self, topic: str, data: bytes) -> str:
         """Publish one message and return the topic's absolute name; raises ValueError for a broken picture."""
         output = self._outputs[topic]
-        output.publish(self._codec.unpack(data) if topic in self._packed else data)
+        if topic in self._packed:
+            try:
+                data = self._codec.unpack(data)
+            except ValueError as error:
+                raise ValueError(f"{topic}: {error}; --keep-compressed plays it as it is") from error
+        output.publish(data)
         return str(output.topic_name)
 
     def readers(self) -> dict[str, int]:
