@@ -416,6 +416,21 @@ def test_pictures_survive_png_and_nearly_jpeg(encoding: str, channels: int) -> N
         PictureCodec("jpeg", 101)
 
 
+def test_an_error_of_any_kind_ends_the_writing_and_is_told(tmp_path: Path) -> None:
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0), PictureCodec())
+    sink.add_topic(BagTopic(name="/eye/image_raw", type=IMAGE))
+    sink.put("/eye/image_raw", 1, b"\0\1\0\0no picture")
+    sink.close()
+    assert sink.failure.startswith("error while writing: SerdeError(")
+    sink.put("/eye/image_raw", 2, b"later")
+    assert sink.dropped == 1 and sink.messages == 0
+
+
+def test_a_bag_that_cannot_be_made_is_told_whatever_the_error(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="File name too long"):
+        BagSink(lambda: BagWriter(tmp_path / ("x" * 300) / "bag"))
+
+
 def compressed(data: np.ndarray, form: str) -> bytes:
     header = TYPES.types["std_msgs/msg/Header"](
         stamp=TYPES.types["builtin_interfaces/msg/Time"](sec=12, nanosec=34), frame_id="eye"

@@ -81,7 +81,8 @@ class BagSink:
     def _work(self) -> None:
         try:
             writer = self._open()
-        except BagError as error:
+        except Exception as error:
+            # Whoever made this waits for it.
             self._fail(error)
             return
         with self._change:
@@ -93,6 +94,9 @@ class BagSink:
                     self._write(writer, item)
         except (BagError, ValueError) as error:
             self._fail(error)
+        except Exception as error:
+            # Of a thread's error nobody hears, and the recorder would go on without writing a word.
+            self._fail(RuntimeError(f"error while writing: {error!r}"))
 
     def _next(self) -> BagTopic | tuple[str, int, bytes] | None:
         with self._change:
