@@ -226,6 +226,22 @@ def test_a_pause_at_the_end_of_a_loop_lasts(ros: Ros, tmp_path: Path, command: S
     player.end(signal.SIGINT)
 
 
+def test_a_loop_with_nothing_to_play_listens_and_rests(ros: Ros, tmp_path: Path, command: Start) -> None:
+    bag = numbered_bag(tmp_path / "bag", ["/gantry/goal"], 3)  # an order, which is not played
+    player = command("bag_play", str(bag), "--loop", "--wait", "0")
+    Toggle(ros, ros.plain("asker")).until("paused")
+    before_s = processor_s(player)
+    begun_s = time.monotonic()
+    ros.spin_until(lambda: time.monotonic() > begun_s + 2.0, 5.0)
+    assert processor_s(player) - before_s < 1.0
+    assert "0 messages played" in player.end(signal.SIGINT)
+
+
+def processor_s(program: Command) -> float:
+    fields = Path(f"/proc/{program.process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def test_recorded_pictures_come_back_as_pictures(ros: Ros, tmp_path: Path, command: Start) -> None:
     talker = ros.plain("talker")
     publisher = talker.create_publisher(Image, "eye/image_raw", qos.IMAGES)

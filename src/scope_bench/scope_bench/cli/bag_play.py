@@ -107,9 +107,12 @@ class Playing:
                 self._wait_for_subscribers()
             while self._session.goes_on:
                 self._begin(paused=self._clock.paused)  # as somebody may have wanted it meanwhile
+                before = self.played
                 self._play_once()
                 if not self._options.loop:
                     break
+                if self.played == before:
+                    self._serve(0.05)  # there is nothing to play: a loop around nothing must not take all there is
             self._node.settle()
         finally:
             self._line.end()
