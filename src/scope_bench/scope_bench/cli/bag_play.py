@@ -112,7 +112,7 @@ class Playing:
                 if not self._options.loop:
                     break
                 if self.played == before:
-                    self._serve(0.05)  # there is nothing to play: a loop around nothing must not take all there is
+                    self._serve(0.05, self._start_ns)  # a loop around nothing must not take all there is
             self._node.settle()
         finally:
             self._line.end()
