@@ -29,8 +29,9 @@ _MAX_BLOBS = 12
 _COLOURED = 25.0
 """Grey levels below zero that the chroma of something yellow, green or cyan has."""
 _UNLIKELY = 1.6
+"""What the error of an unlikely background is multiplied by before it is compared with that of the likely one."""
 _BESIDE_PX = (((2.5, 3.25, 4.0), 1.0), ((1.75,), _UNLIKELY))
-"""How far beyond the ball's outline to look for what continues behind it, and what that costs."""
+"""How far beyond the ball's outline to look for what continues behind it, and by what that error is multiplied."""
 _MISFIT = 0.04
 """How far a real ball is from Lambert's law, as a share of its chroma; a tighter scale makes the weights jump."""
 
@@ -265,27 +266,26 @@ class StylusTracker:
         Beside something yellow or green there is more than one answer to what continues behind the ball.
         """
         clipped = np.maximum(chroma, 0)
-        plain = np.float32(np.median(np.concatenate([clipped[0], clipped[-1], clipped[:, 0], clipped[:, -1]])))
-        view = _view(clipped, np.full_like(chroma, plain), corner, model, self.config.min_chroma)
+        border = np.concatenate([clipped[0], clipped[-1], clipped[:, 0], clipped[:, -1]])
+        plain = np.full_like(chroma, np.median(border))
+        view = _view(clipped, plain, corner, model, self.config.min_chroma)
         circle = self._circle(view, radius)
         if chroma.min() > -_COLOURED:
             return view, self._checked(circle, radius)
         centre = model.project(circle.ray)[0] - corner
-        possible = [
-            (_view(chroma, _beside(chroma, centre, radius, gaps), corner, model, self.config.min_chroma), unlikely)
-            for gaps, unlikely in _BESIDE_PX
-        ]
+        backgrounds = [(chroma, _beside(chroma, centre, radius, gaps), cost) for gaps, cost in _BESIDE_PX]
         best: tuple[float, _View, _Circle] | None = None
         doubt = _Doubt()
-        for seen, unlikely in [*possible, (view, _UNLIKELY)]:
+        for values, around, cost in [*backgrounds, (clipped, plain, _UNLIKELY)]:
             try:
-                circle = self._checked(self._circle(seen, radius), radius)
-                error = unlikely * self._refined(seen, circle, radius, model).error
+                view = _view(values, around, corner, model, self.config.min_chroma)
+                circle = self._checked(self._circle(view, radius), radius)
+                error = cost * self._refined(view, circle, radius, model).error
             except _Doubt as reason:
                 doubt = reason
                 continue
             if best is None or error < best[0]:
-                best = error, seen, circle
+                best = error, view, circle
         if best is None:
             raise doubt
         return best[1:]
@@ -514,8 +514,8 @@ def _fit_shaded(at: Array, view: _View, radius: float, seen: npt.NDArray[np.bool
 
     A half-level outline moves inwards where the ball is dark. Here the chroma of a pixel is the ball's, which varies
     linearly with the surface normal (Lambert), times the share of the pixel that the ball covers, a normal
-    distribution's integral across the outline; Gauss-Newton with Tukey's weights over centre, radius, blur and
-    brightness.
+    distribution's integral across the outline, and ``view.around`` for the rest; Gauss-Newton with Tukey's weights over
+    centre, radius, blur and brightness.
 
     Parameters
     ----------
