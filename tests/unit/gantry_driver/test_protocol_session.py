@@ -174,6 +174,26 @@ def test_a_line_longer_than_the_told_buffer_goes_alone() -> None:
     assert session.output(0.1) == b"X101G53G1\n"
 
 
+def test_no_more_than_the_reported_room_is_filled_though_more_was_told() -> None:
+    """Noise has made 1280 of 128."""
+    session = started(1280)
+    list(session.receive(b"<Idle|MPos:0,0,0|Bf:15,128|FS:0,0>\r\n", 0.0))
+    for number in range(100):
+        session.queue(f"X{number}.123G1")
+    session.output(0.01)
+    assert 90 < session.in_flight_bytes <= 128
+
+
+def test_what_noise_made_of_the_room_ends_with_the_next_banner() -> None:
+    session = started()
+    list(session.receive(b"<Idle|MPos:0,0,0|Bf:15,928|FS:0,0>\r\n", 0.0))
+    list(session.receive(b"\r\nGrbl 1.1h ['$' for help]\r\n", 0.1))
+    session.queue("X1G1")
+    session.output(0.2)
+    told = list(session.receive(b"<Idle|MPos:0,0,0|Bf:15,128|FS:0,0>\r\n", 0.3))
+    assert [type(m) for m in told] == [Report], "no contradiction with a report of before the reset"
+
+
 @pytest.mark.parametrize(
     "text", ["$100=250.000", "$N0=G21", "$RST=$", "$I=mill", "G10L2P1X0", "G10 L20 P1 X0", "G28.1", "G30.1"]
 )

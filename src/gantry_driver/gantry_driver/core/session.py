@@ -175,6 +175,7 @@ class GrblSession:
         self._number = 0
         self._planner_room = -1
         self._rx_room = -1
+        self._rx_empty = -1
         self._quiet_until = 0.0
         self._next_poll = 0.0
         self._reset_at = 0.0
@@ -196,7 +197,7 @@ class GrblSession:
         self.polling = False
         self.rx_bytes = DEFAULT_RX_BYTES
         self.planner_blocks = 0
-        self._planner_room = self._rx_room = -1
+        self._planner_room = self._rx_room = self._rx_empty = -1
         self.last_report_at = None
         self.wco_mm = None
         self._quiet_until = self._next_poll = now
@@ -299,9 +300,11 @@ class GrblSession:
         if report.mpos_mm is None and report.wpos_mm is not None and self.wco_mm is not None:
             mpos = tuple(w + o for w, o in zip(report.wpos_mm, self.wco_mm))
             report = dataclasses.replace(report, mpos_mm=mpos)
-        # The largest free sizes ever reported are the empty buffers; some builds hold one less than [OPT:] says.
+        # The largest free sizes since the banner are the empty buffers; some builds hold one less than [OPT:] says.
         self._planner_room = max(self._planner_room, report.planner_free)
         self._rx_room = max(self._rx_room, report.rx_free)
+        if report.rx_free >= 0 and not self._in_flight:
+            self._rx_empty = report.rx_free
         self._roomy_reports = self._roomy_reports + 1 if report.planner_free > 1 else 0
         if report.planner_free >= 0:
             # A line makes at least no block and each block in the planner waits, so this never counts too many.
@@ -341,6 +344,7 @@ class GrblSession:
         self.awaiting_banner = False
         self.paused = False
         self.wco_mm = None
+        self._planner_room = self._rx_room = self._rx_empty = -1
         self.last_report_at = now
         return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]
 
@@ -405,8 +409,10 @@ class GrblSession:
         if line.alone or self._in_flight[-1][0].alone:
             return False
         spare = 0 if self._wire_bound else SPARE_LINES * line.size
-        # One byte less than the buffer: older builds' ring buffers hold one less than they say.
-        return self._in_flight_bytes + line.size + spare < self.rx_bytes
+        # One byte less than the buffer: older builds' ring buffers hold one less than they say. What was told of it
+        # once may have been spoilt by noise; the reports tell it again and again.
+        room = self.rx_bytes - 1 if self._rx_empty < 0 else min(self.rx_bytes - 1, self._rx_empty)
+        return self._in_flight_bytes + line.size + spare <= room
 
     def deadline(self, now: float) -> float:
         """Return when :meth:`output`, just called at ``now``, has something to do even if nothing is received."""
