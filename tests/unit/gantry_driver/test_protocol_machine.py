@@ -217,6 +217,21 @@ def test_a_stop_lifts_on_a_board_that_reports_work_positions_though_its_offset_i
     assert rig.board.mpos[2] == pytest.approx(HOMED[2]) and rig.states[-1] == "stopped: stop requested"
 
 
+def test_a_retreat_has_the_time_that_a_slow_start_takes() -> None:
+    board = Board()
+    board.settings[122] = "1.000"
+    slow = MachineConfig(acceleration_mm_s2=(1500.0, 1500.0, 1.0))
+    rig = Rig(DriverConfig(enabled_at_start=True, machine=slow), board=board).homed()
+    rig.go((0.0, 0.0, 0.05))
+    rig.until(lambda: rig.board.mpos[2] < -50.9, 60.0)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "LIFTING")
+    # 50 mm at 1 mm/s^2: 14.1 s, of which the way at 30 mm/s would be 1.7 s.
+    rig.board.speed_scale = 50.0 / 14.1 / 30.0
+    rig.until(lambda: rig.machine.phase.name == "STOPPED", 60.0)
+    assert rig.states[-1] == "stopped: stop requested" and rig.board.mpos[2] == pytest.approx(HOMED[2])
+
+
 @pytest.mark.parametrize("hold_written", [False, True])
 def test_a_second_stop_lets_the_retreat_finish(hold_written: bool) -> None:
     rig = Rig().homed()
@@ -420,6 +435,17 @@ def test_trap_2_reset_after_a_critical_alarm_waits_for_the_message() -> None:
     resets = [t for t, code in rig.board.realtime if code == 0x18 and t > at - 0.001]
     assert len(resets) == 1 and resets[0] - at > 0.45
     assert not rig.machine.homed
+
+
+def test_a_stop_while_an_alarm_is_left_is_remembered() -> None:
+    rig = Rig().homed()
+    rig.board.alarm(1)
+    rig.step()
+    assert rig.machine.reset(rig.now) == ""
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == "stopped: stop requested" and not rig.machine.homed
+    assert rig.machine.reset(rig.now) == "" and rig.state == "unhomed"
 
 
 def test_trap_3_a_stray_ok_before_the_banner_counts_for_nothing() -> None:

@@ -177,14 +177,14 @@ class Machine(Connection):
         hold_written
             The ``!`` is on the wire already.
         """
-        if self.phase in (Phase.ALARM, Phase.ALARM_RESET) or self.dialect is Dialect.MARLIN:
+        if self.phase is Phase.ALARM or self.dialect is Dialect.MARLIN:
             return
         self._latched = self._latched or reason
         if self.phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
             self._synchronise(now, "")
             if not hold_written:
                 self.session.realtime(HOLD)
-        if self.phase in (Phase.CLOSED, Phase.SYNCHRONISE):
+        if self.phase in (Phase.CLOSED, Phase.SYNCHRONISE, Phase.ALARM_RESET):
             return
         if self.phase is Phase.LIFTING and not hold_written:
             return  # The retreat is the way into the safe state already: a repeated stop lets it finish.
@@ -606,7 +606,8 @@ class Machine(Connection):
         config = self.config
         # The board moves no axis faster than its own limit, and what is under way does not know of later parameters.
         speed_m_s = min(config.stylus_feed_m_s, config.machine.max_rate_mm_min[2] / 60_000.0)
-        self._lift_timeout_s = 2.0 + config.stylus.dwell_s + config.stylus_limit_m() / speed_m_s
+        speeding_s = speed_m_s * 1000.0 / config.machine.acceleration_mm_s2[2]
+        self._lift_timeout_s = 2.0 + config.stylus.dwell_s + config.stylus_limit_m() / speed_m_s + speeding_s
         for text in lift_lines(self.config):
             self._marker = self.session.queue(text, answer_within_s=self._answer_time()).number
 
