@@ -11,16 +11,20 @@ import numpy as np
 import pytest
 
 from harris_perception.core.face_patches import Patches
+from harris_perception.core.gray import gray_of
+from harris_perception.core.harris import HarrisDetector
 from harris_perception.core.panel_state import PanelReader
+from harris_perception.core.recognition import PanelRecogniser
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Transform
-from icu_common.core.panel_layout import load_layout
+from icu_common.core.panel_layout import PanelLayout, load_layout
 from icu_common.core.panel_state import PanelSeen
 from scope_bench.core.configuration import BenchConfig, LightConfig
 from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel
 
-LAYOUT = load_layout(Path(__file__).parents[3] / "config" / "scopes" / "dso_bench_4.yaml")
+SCOPES = Path(__file__).parents[3] / "config" / "scopes"
+LAYOUT = load_layout(SCOPES / "dso_bench_4.yaml")
 KNOBS = [c.name for c in LAYOUT.controls if c.kind == "knob"]
 AWAY = (0.01, 0.01, 0.0)
 
@@ -28,10 +32,10 @@ AWAY = (0.01, 0.01, 0.0)
 class Scene:
     """A renderer, the true pose, and a reader that looks at picture after picture, five a second."""
 
-    def __init__(self, **light: Any) -> None:
+    def __init__(self, layout: PanelLayout = LAYOUT, **light: Any) -> None:
         self.config = BenchConfig(light=LightConfig(**light))
         self.panel_from = base_from_panel(self.config.panel)
-        self.renderer = Renderer(LAYOUT, self.config, self.panel_from)
+        self.renderer = Renderer(layout, self.config, self.panel_from)
         rig = self.renderer.rig
         self.camera_from_base = rig.rectified_left_from_base()
         values = rig.calibration("left")
@@ -45,7 +49,7 @@ class Scene:
             r=matrices["rectification_matrix"],
             p=matrices["projection_matrix"],
         )
-        self.reader = PanelReader(LAYOUT)
+        self.reader = PanelReader(layout)
         self.count = 0
 
     def look(
@@ -54,8 +58,11 @@ class Scene:
         self.count += 1
         left, _ = self.renderer.render(Moment(tip=tuple(float(v) for v in tip), state=state, now_s=0.2 * self.count))
         pose: Transform = self.camera_from_base @ self.panel_from
-        seen_tip = self.camera_from_base.apply(np.array(tip)) if tip_seen else None
+        seen_tip = self.in_camera(tip) if tip_seen else None
         return self.reader.read(left, pose, self.camera, self.count, patches=patches, tip=seen_tip)
+
+    def in_camera(self, tip: Any) -> Any:
+        return self.camera_from_base.apply(np.array(tip))
 
 
 def lamps(seen: PanelSeen) -> dict[str, str]:
@@ -153,6 +160,25 @@ def test_a_hand_hides_what_it_lies_on_and_nothing_else() -> None:
     assert not hidden & {"MENU", "CH1", "CH1_POSITION", "TRIG_LEVEL", "MATH", "CH1_IN", "SCREEN"}, hidden
     scene.renderer.hide(None)
     assert all(c.hidden_by == "" for c in scene.look(InstrumentState(), patches=free).controls)
+
+
+@pytest.mark.parametrize("model", sorted(path.stem for path in SCOPES.glob("*.yaml")))
+def test_the_shadows_of_controls_hide_none_of_them(model: str) -> None:
+    layout = load_layout(SCOPES / f"{model}.yaml")
+    scene, detector = Scene(layout), HarrisDetector()
+    recogniser, found = PanelRecogniser(layout), {}
+    buttons = [c for c in layout.controls if c.kind == "button"]
+    above = [scene.panel_from.apply(np.array([*c.position_mm, c.height_mm]) * 1e-3) * (1, 1, 0) for c in buttons[:4]]
+    for place, tip in {"away": AWAY, **dict(zip((c.name for c in buttons), above))}.items():
+        left, _ = scene.renderer.render(Moment(tip=tuple(float(v) for v in tip), state=InstrumentState(), now_s=0.2))
+        gray = gray_of(left, "bgr8")
+        sighting = recogniser.locate(gray, detector.detect(gray).xy, scene.camera)
+        assert sighting is not None, place
+        seen = scene.reader.read(
+            left, sighting.camera_from_panel, scene.camera, 1, patches=sighting.patches, tip=scene.in_camera(tip)
+        )
+        found[place] = [c.name for c in seen.controls if c.hidden_by == "something"]
+    assert not any(found.values()), found
 
 
 def test_dimmed_light_hides_nothing() -> None:

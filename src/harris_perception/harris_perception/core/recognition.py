@@ -56,6 +56,8 @@ _BLUR_EVERY = 10
 # The corners are mostly text, whose typeface is not the maker's, and a word's corners err together: their covariance
 # counts so many times.
 _TYPEFACE = 4.0
+# So near to a control the picture blurs its sides and its shadow into the print (px of the template).
+_BESIDE_PX = 5
 # How much larger a picture is searched that shows no panel as it is, and every how many such pictures.
 _ENLARGED = 1.5
 _ENLARGE_EVERY = 5
@@ -390,7 +392,9 @@ class PanelRecogniser:
             rms_px=rms,
             deviation_px=float(fit.deviation_px(self._outline_m(), camera).max()),
             tracked=tracked,
-            patches=self._compared(level, self._visible(level, pose), self._warp(rectified, homography, level)),
+            patches=self._compared(
+                level, self._visible(level, pose, _BESIDE_PX), self._warp(rectified, homography, level)
+            ),
             fit=fit,
         )
 
@@ -438,7 +442,7 @@ class PanelRecogniser:
             if level is None:
                 return None
             nearest = level.edges.px.astype(int)
-            seen = self._visible(level, pose, margin_px=5)[nearest[:, 1], nearest[:, 0]]
+            seen = self._visible(level, pose, _BESIDE_PX)[nearest[:, 1], nearest[:, 0]]
             usable = np.flatnonzero(seen)
             count = min(len(usable), config.max_edge_points)
             edges = level.edges.chosen(usable[np.linspace(0, len(usable) - 1, count).astype(int)])
