@@ -35,6 +35,8 @@ class Patches:
         that it can be seen, a wrong pose here and there.
     contradiction
         The part that shows other print in the place of the template's, which a hand does not.
+    side_mm
+        Of each patch.
     """
 
     centres_mm: Array
@@ -42,6 +44,7 @@ class Patches:
     likeness: float = 0.0
     purity: float = 0.0
     contradiction: float = 0.0
+    side_mm: float = 0.0
 
     @property
     def count(self) -> int:
@@ -79,19 +82,31 @@ def compared(
     side = max(5, round(patch_mm * template.px_per_mm))
     a, b = (cv2.GaussianBlur(p, (0, 0), 1.0).astype(np.float32) for p in (template.gray, warped))
     weight = visible.astype(np.float32)
-    # Sums over patches: the mean of each block of side x side pixels.
     rows, columns = a.shape[0] // side, a.shape[1] // side
+    across = np.linspace(-1.0, 1.0, side, dtype=np.float32)
+    plane = np.stack([np.ones((side, side), np.float32), *np.meshgrid(across, across)], axis=-1).reshape(-1, 3)
 
-    def blocks(values: Any) -> Array:
+    def patches(values: Any) -> Any:
+        """(rows, columns, side * side)."""
         cut = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
-        return np.asarray(cut.sum(axis=(1, 3)), dtype=np.float64)
+        return cut.transpose(0, 2, 1, 3).reshape(rows, columns, side * side)
 
-    count = blocks(weight)
+    w, a, b = patches(weight), patches(a), patches(b)
+    count = w.sum(axis=2, dtype=np.float64)
+    # What a plane over the patch explains is the light: the edge of a shadow is no other print.
+    moments = (w @ (plane[:, :, None] * plane[:, None]).reshape(-1, 9)).reshape(rows, columns, 3, 3).astype(np.float64)
+    moments += 1e-3 * np.eye(3)
+    a, b = (
+        (
+            v
+            - np.linalg.solve(moments, ((w * v) @ plane)[..., None].astype(np.float64)).astype(np.float32)[..., 0]
+            @ plane.T
+        )
+        for v in (a, b)
+    )
     full = np.maximum(count, 1.0)
-    mean_a, mean_b = blocks(weight * a) / full, blocks(weight * b) / full
-    var_a = np.maximum(blocks(weight * a * a) / full - mean_a**2, 0)
-    var_b = np.maximum(blocks(weight * b * b) / full - mean_b**2, 0)
-    correlation = (blocks(weight * a * b) / full - mean_a * mean_b) / np.sqrt(var_a * var_b + 1e-6)
+    var_a, var_b, both = ((w * v).sum(axis=2, dtype=np.float64) / full for v in (a * a, b * b, a * b))
+    correlation = both / np.sqrt(var_a * var_b + 1e-6)
     textured = (count > 0.3 * side * side) & (var_a > 36.0)
     agreeing = textured & (correlation > patch_correlation)
     around: Any = {"ddepth": -1, "ksize": (3, 3), "normalize": False, "borderType": cv2.BORDER_CONSTANT}
@@ -107,4 +122,5 @@ def compared(
         likeness=float(correlation[agreeing].mean()) if agreeing.any() else 0.0,
         purity=float(agreeing[seen].mean()) if seen.any() else 0.0,
         contradiction=float(contradicting.sum() / max(int(textured.sum()), 1)),
+        side_mm=side / template.px_per_mm,
     )

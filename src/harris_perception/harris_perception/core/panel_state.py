@@ -30,6 +30,8 @@ QUIET_PICTURES = 4
 _NEAREST_M, _FIELD = 0.05, 1.5
 """Of what reaches behind the camera, what is nearer or farther from the picture's middle than so many of its halves is
 not drawn."""
+_DARKEST_SHADE = 0.6
+"""The arm's shadow leaves so much of a control's light, and its hue."""
 HUES = ((20, "red"), (45, "amber"), (75, "yellow"), (165, "green"), (200, "cyan"), (265, "blue"), (345, "violet"))
 """Upper ends of the hues in degrees (HSV) and their names; above the last one is red again."""
 
@@ -222,8 +224,11 @@ class PanelReader:
         """Return which part of the print around each control looks as it should; without those that have too little."""
         if patches is None:
             return {}
-        face = np.column_stack([patches.centres_mm * 1e-3, np.zeros(len(patches.centres_mm))])
-        usable = _sampled(shadow, camera.project(pose.apply(face)))[:, 0] == 0
+        # What the stylus hides a part of tells nothing either.
+        spots = patches.centres_mm[:, None] + 0.5 * patches.side_mm * _grid(3, 1.0)
+        face = np.dstack([spots, np.zeros(spots.shape[:2])]).reshape(-1, 3) * 1e-3
+        covered = _sampled(shadow, camera.project(pose.apply(face)))[:, 0]
+        usable = ~(covered.reshape(spots.shape[:2]) > 0).any(axis=1)
         found = {}
         for control in self.layout.controls:
             reach = np.array(control.size_mm) / 2 + self.config.print_margin_mm
@@ -244,7 +249,9 @@ class PanelReader:
         known = [name for name in now if name in self._usual]
         light = np.median([now[n].mean() / max(self._usual[n].mean(), 1.0) for n in known]) if known else 1.0
         for name in known:
-            if np.abs(now[name] - light * self._usual[name]).max() > self.config.odd_colour:
+            usual = light * self._usual[name]
+            shade = np.clip(now[name].mean() / max(usual.mean(), 1.0), _DARKEST_SHADE, 1.0)
+            if np.abs(now[name] - shade * usual).max() > self.config.odd_colour:
                 odd.add(name)
         for name, colour in now.items():
             # Where the print around is as it should be, what lies on the control alone becomes usual after a while.
