@@ -445,6 +445,39 @@ def test_trajectory_refused_or_broken_off(phase: Phase, outcome: Outcome) -> Non
     aborted(bench, bench.do("press:RUN_STOP"), f"the driver {outcome.value} the motion: soft limit")
 
 
+@pytest.mark.parametrize(("outcome", "stops"), [(Outcome.REJECTED, 1), (Outcome.ABORTED, 0)])
+@pytest.mark.parametrize("phase", [Phase.TOUCH, Phase.LIFT])
+def test_a_refused_motion_does_not_leave_the_stylus_down(phase: Phase, outcome: Outcome, stops: int) -> None:
+    """A driver that breaks a motion off lifts by itself."""
+    bench = Bench().start()
+
+    def fail(b: Bench) -> None:
+        b.answer, b.answer_reason = outcome, "stale"
+
+    bench.on_phase[phase] = fail
+    aborted(bench, bench.do("press:RUN_STOP"), "stale", "told to stop" if stops else "nothing more was moved")
+    assert bench.stops == stops
+
+
+def test_a_motion_that_ends_elsewhere_with_the_stylus_down_is_a_stop() -> None:
+    bench = Bench().start()
+
+    def claim(b: Bench) -> None:
+        action = next(a for a in reversed(b.actions) if isinstance(a, msg.SendTrajectory))
+        b.readings = np.array([*b.readings[:2], 0.02])
+        b._answer(action, Outcome.REACHED)
+
+    bench.on_phase[Phase.LIFT] = claim
+    result = bench.do("press:RUN_STOP")
+    aborted(bench, result, "mm beside it, 0.2 mm are allowed", "told to stop")
+    assert bench.stops == 1
+
+
+def test_what_is_not_corrected_must_be_good_enough_to_touch() -> None:
+    with pytest.raises(ConfigError, match=r"tolerance_m = 0.001.*max_error_m = 0.0005"):
+        ControllerConfig(tolerance_m=0.001)
+
+
 def test_hidden_tip() -> None:
     bench = Bench().start()
     bench.on_phase[Phase.LOOK] = silence("tip")

@@ -205,7 +205,7 @@ class Controller:
         """Ask for a stop, which lifts, if the stylus was left extended before the start; again until it is heard."""
         if not self._world.unchecked or self._world.driver != "idle":
             return
-        self._world.unchecked = bool(self._world.here[2] > EXTENDED_M)
+        self._world.unchecked = self._extended
         self._world.left_behind = self._world.left_behind_text() if self._world.unchecked else ""
         if self._world.unchecked and self._world.age_s(self._asked_ns) > ASK_AGAIN_S:
             self._asked_ns = self._now_ns
@@ -218,7 +218,14 @@ class Controller:
             self._arrived_ns = self._now_ns
         elif result.outcome.final:
             cause = f"the driver {result.outcome.value} the motion: {result.reason or 'no reason given'}"
-            self._break_off(self._job, Fault(cause=cause, lift=False))
+            # A driver that has broken a motion off lifts the stylus itself; one that has refused it rests as it is.
+            stop = result.outcome is Outcome.REJECTED and self._extended
+            self._break_off(self._job, Fault(cause=cause, lift=False, stop=stop))
+
+    @property
+    def _extended(self) -> bool:
+        """Whether the stylus may touch, so that only a stop, which lifts, leaves it safe."""
+        return bool(self._world.here[2] > EXTENDED_M)
 
     def _show_state(self) -> None:
         if self._job is not None:
@@ -504,7 +511,7 @@ class Controller:
             f"the driver reports the end of the motion {1000 * off:.2f} mm beside it, "
             f"{1000 * self.config.arrival_tolerance_m:g} mm are allowed"
         )
-        self._break_off(job, Fault(cause=cause, lift=False))
+        self._break_off(job, Fault(cause=cause, lift=False, stop=self._extended))
         return False
 
     # Look, judge, correct, touch

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from gantry_driver.core.motion_plan import MotionConfig
 from gantry_driver.core.targets import TouchConfig
-from icu_common.core.config import Config, nested, setting
+from icu_common.core.config import Config, ConfigError, nested, setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,3 +102,11 @@ class ControllerConfig(Config):
     )
     motion: MotionConfig = nested(MotionConfig)
     touch: TouchConfig = nested(TouchConfig)
+
+    def __post_init__(self) -> None:
+        super(ControllerConfig, self).__post_init__()
+        if self.tolerance_m > self.max_error_m:
+            raise ConfigError(
+                f"tolerance_m = {self.tolerance_m:g}: an error that is not corrected must not be above "
+                f"max_error_m = {self.max_error_m:g}, for it is touched"
+            )
