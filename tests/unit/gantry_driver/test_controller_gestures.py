@@ -11,6 +11,7 @@ from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, MS, PANEL, Benc
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.goal_job import Phase
+from icu_common.core.config import ConfigError
 from icu_common.core.panel_layout import Dimple
 from icu_common.core.results import GoalResult, Outcome
 
@@ -181,6 +182,16 @@ def test_the_effect_is_reported_and_can_be_required() -> None:
     strict = seeing(require_effect=True)
     result = strict.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED and "no effect was seen within 0.6 s" in result.reason
+
+
+def test_what_must_have_an_effect_needs_somebody_who_sees_it() -> None:
+    """Before it is touched: afterwards nobody could tell."""
+    bench = Bench(config(require_effect=True)).start()
+    refused = bench.do("press:RUN_STOP")
+    assert refused.outcome is Outcome.REJECTED and "nothing is seen of the panel's state" in refused.reason
+    assert not bench.paths
+    with pytest.raises(ConfigError, match="effect_wait_s = 0 is none"):
+        config(require_effect=True, effect_wait_s=0.0)
 
 
 def test_an_effect_counts_that_is_seen_before_the_driver_reports_the_contact() -> None:

@@ -354,6 +354,10 @@ class Controller:
             ),
         )
         self._aim(job)
+        if config.require_effect and seen is None and knob is None and self._may_have_effect(job):
+            raise Refused(
+                f"nothing is seen of the panel's state: the effect of a {gesture.kind} must be (require_effect)"
+            )
         return job
 
     def _aim(self, job: Job) -> None:

@@ -110,3 +110,5 @@ class ControllerConfig(Config):
                 f"tolerance_m = {self.tolerance_m:g}: an error that is not corrected must not be above "
                 f"max_error_m = {self.max_error_m:g}, for it is touched"
             )
+        if self.require_effect and not self.effect_wait_s > 0:
+            raise ConfigError(f"require_effect needs time to look: effect_wait_s = {self.effect_wait_s:g} is none")
