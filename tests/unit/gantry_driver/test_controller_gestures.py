@@ -165,6 +165,28 @@ def test_a_turn_is_corrected_by_what_is_seen() -> None:
     assert bench.knob_deg == pytest.approx(80, abs=2)
 
 
+@pytest.mark.parametrize(
+    ("command", "way"), [("turn:CH1_SCALE:216", 216), ("click:CH1_SCALE:-12", 216), ("click:CH1_SCALE:20", -360)]
+)
+def test_a_long_turn_that_slips_is_not_made_backwards(command: str, way: float) -> None:
+    """216 degrees with nothing turned look like 144 too many, and a whole turn with nothing turned like its end."""
+    bench, ways = seeing(), []
+
+    def turns(b: Bench) -> None:
+        job = b.controller._job
+        assert job is not None and job.knob is not None
+        ways.append(job.knob.way_deg)
+        b.knob_slips = float(len(ways) == 1)
+        b.on_phase[Phase.TURN] = turns
+
+    bench.on_phase[Phase.TURN] = turns
+    result = bench.do(command)
+    assert result.outcome is Outcome.REACHED, result
+    assert all(part * way > 0 and abs(part) < 180 for part in ways), ways
+    assert sum(ways[1:]) == pytest.approx(way, abs=4), ways
+    assert math.remainder(bench.knob_deg - 20 - way, 360) == pytest.approx(0, abs=2)
+
+
 def test_a_marker_that_stays_unseen_is_a_failure() -> None:
     bench = seeing()
     bench.on_phase[Phase.TURN] = lambda b: b.hidden.update(CH1_SCALE="stylus")

@@ -9,6 +9,9 @@ from gantry_driver.core.targets import MOST_BIAS_DEG, Refused
 from icu_common.core.gesture import Gesture
 from icu_common.core.panel_state import ControlSeen, PanelSeen, angle_between
 
+PART_DEG = 150.0
+"""What is lost of a turn, or too much of it, may be nearly half a turn then."""
+
 
 def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int) -> tuple[str, bool]:
     """Return what has changed since ``since_ns``, before the contact, and whether that is all there is to tell.
@@ -32,33 +35,65 @@ def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int) -> tup
 class Knob:
     """One knob on its way to a place: look, turn, look, until it stands there.
 
-    ``goal_deg`` and ``seen_deg`` are NaN while its marker cannot be read; ``way_deg`` is the next turn. A turn that
-    came out short, because play had to be taken up first, makes the next one in the same direction longer.
+    A marker does not tell whole turns, so a turn whose end is looked at is made in parts of less than a half: one that
+    slipped altogether is told from one that came around. A turn that came out short, because play had to be taken up
+    first, makes the next one in the same direction longer.
+
+    Parameters
+    ----------
+    way_deg
+        The next turn.
+    goal_deg, seen_deg
+        Where its marker is to point, and does; NaN while it cannot be read.
+    off_deg
+        How far it is still to turn.
+    part_deg
+        The longest turn.
+    turns
+        How often it was turned.
     """
 
     name: str
     way_deg: float
     goal_deg: float = math.nan
     seen_deg: float = math.nan
+    off_deg: float = math.nan
+    part_deg: float = PART_DEG
     turns: int = 0
-
-    @property
-    def off_deg(self) -> float:
-        """How far it is still to turn."""
-        return angle_between(self.seen_deg, self.goal_deg)
 
     def look(self, angle_deg: float) -> None:
         """Take its marker's angle, after a turn or as the first that is seen of it, and decide on the next one."""
-        if math.isnan(self.goal_deg):
-            self.goal_deg = angle_deg + self.way_deg
         before, self.seen_deg = self.seen_deg, angle_deg
-        off = self.off_deg
-        bias = 0.0
-        if self.turns and not math.isnan(before):
+        lost = 0.0
+        if math.isnan(self.goal_deg):
+            self.goal_deg, self.off_deg = angle_deg + self.way_deg, self.way_deg
+        elif self.turns and not math.isnan(before):
             lost = angle_between(angle_between(before, angle_deg), self.way_deg)
-            if abs(lost) <= MOST_BIAS_DEG and lost * off > 0 and self.way_deg * off > 0:
-                bias = lost
-        self.way_deg = off + bias
+            self.off_deg -= self.way_deg - lost
+        else:
+            self.off_deg = angle_between(angle_deg, self.goal_deg)
+        off = self.off_deg
+        bias = lost if abs(lost) <= MOST_BIAS_DEG and lost * off > 0 and self.way_deg * off > 0 else 0.0
+        self._next(off + bias)
+
+    def _next(self, way_deg: float) -> None:
+        self.way_deg = min(max(way_deg, -self.part_deg), self.part_deg)
+
+    @classmethod
+    def seen(cls, name: str, angle_deg: float, way_deg: float, detent_deg: float = 0.0) -> Knob:
+        """Return a knob whose marker is at an angle, to be turned by a way: whole clicks at a time where it has any."""
+        part = PART_DEG // detent_deg * detent_deg if 0 < detent_deg <= PART_DEG else PART_DEG
+        knob = cls(
+            name=name,
+            way_deg=way_deg,
+            goal_deg=angle_deg + way_deg,
+            seen_deg=angle_deg,
+            off_deg=way_deg if not math.isnan(angle_deg) else math.nan,
+            part_deg=part,
+        )
+        if not math.isnan(angle_deg):
+            knob._next(way_deg)
+        return knob
 
 
 def knob_of(gesture: Gesture, name: str, seen: ControlSeen | None) -> Knob:
@@ -70,25 +105,24 @@ def knob_of(gesture: Gesture, name: str, seen: ControlSeen | None) -> Knob:
         If it has no clicks or no such mark, or nothing is seen of it that would tell.
     """
     angle = seen.angle_deg if seen is not None else math.nan
+    detent = seen.detent_deg if seen is not None else 0.0
     if gesture.kind == "turn":
-        return _by(name, gesture.argument, angle)
+        return Knob.seen(name, angle, gesture.argument, detent)
     if seen is None:
         raise Refused(f"nothing is seen of {name}: {gesture.kind} needs recognition's state of the panel")
     if gesture.kind == "click":
-        if not seen.detent_deg:
+        if not detent:
             raise Refused(f"{name} has no clicks (detent_deg in its layout)")
-        way = -gesture.argument * seen.detent_deg
+        way = -gesture.argument * detent
         if abs(way) > 360:
-            raise Refused(f"{gesture.argument:g} clicks of {seen.detent_deg:g} degrees are more than a whole turn")
-        return _by(name, way, angle)
+            raise Refused(f"{gesture.argument:g} clicks of {detent:g} degrees are more than a whole turn")
+        return Knob.seen(name, angle, way, detent)
     goal = gesture.argument
     if gesture.mark:
         marks = dict(seen.marks)
         if gesture.mark not in marks:
             raise Refused(f"{name} has no mark {gesture.mark!r}; it has {', '.join(marks) or 'none'}")
         goal = marks[gesture.mark]
-    return Knob(name=name, way_deg=angle_between(angle, goal), goal_deg=goal, seen_deg=angle)
-
-
-def _by(name: str, way_deg: float, angle_deg: float) -> Knob:
-    return Knob(name=name, way_deg=way_deg, goal_deg=angle_deg + way_deg, seen_deg=angle_deg)
+    knob = Knob.seen(name, angle, angle_between(angle, goal), detent)
+    knob.goal_deg = goal
+    return knob
