@@ -112,6 +112,21 @@ def test_bad_points_are_refused_and_nothing_is_sent(point: tuple[float, ...], kw
     assert rig.state == "idle" and rig.outcomes() == ["rejected"]
 
 
+def test_a_stylus_is_lifted_though_a_report_rounds_the_place_beyond_the_end() -> None:
+    """At 80 steps/mm a report may lie up to 6 um beyond the end of the travel."""
+    rig = Rig().homed()
+    rig.go((0.359, 0.1, 0.02))
+    rig.until(lambda: "reached" in rig.outcomes())
+    rig.board.mpos[0] += 0.006
+    rig.run_for(0.2)
+    x, y, _ = rig.machine.reading_m or (0.0, 0.0, 0.0)
+    assert x == pytest.approx(0.359006)
+    rig.go((x, y, 0.0))
+    rig.until(lambda: rig.outcomes().count("reached") == 2)
+    assert rig.board.mpos[0] == pytest.approx(0.0) and rig.board.mpos[2] == pytest.approx(HOMED[2])
+    assert "outside 0 to 0.359 m" in rig.go((0.35902, y, 0.0)).reason
+
+
 def test_refused_while_unhomed_busy_disabled_stale_or_without_heartbeat() -> None:
     rig = Rig().connect()
     assert "unhomed" in rig.go((0.1, 0.1, 0.0)).reason

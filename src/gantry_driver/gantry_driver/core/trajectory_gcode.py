@@ -163,7 +163,9 @@ def _target(
         value = point.positions_m[place]
         if not math.isfinite(value):
             raise TrajectoryError(f"point {number}: {JOINTS[axis]} = {value} is not finite")
-        if not -_ROUNDING_M <= value <= limit + _ROUNDING_M:
+        # At its end an axis reports the motor step that is nearest, and may be told to stay there.
+        slack = _ROUNDING_M + 1e-3 / config.machine.steps_per_mm[axis]
+        if not -slack <= value <= limit + slack:
             raise TrajectoryError(f"point {number}: {JOINTS[axis]} = {value:.6g} m is outside 0 to {limit:g} m")
         target[axis] = min(max(value, 0.0), limit)
     x, y, z = target
