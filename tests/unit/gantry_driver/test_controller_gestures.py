@@ -206,6 +206,18 @@ def test_the_effect_is_reported_and_can_be_required() -> None:
     assert result.outcome is Outcome.ABORTED and "no effect was seen within 0.6 s" in result.reason
 
 
+def test_a_lamp_that_the_raised_stylus_still_hides_is_read_from_aside() -> None:
+    for lamp, effect in (("red", "lamp green -> red"), ("green", "none seen")):
+        bench = seeing()
+        bench.on_phase[Phase.TOUCH] = lambda b: b.hidden.update(RUN_STOP="stylus")
+        bench.on_phase[Phase.CONTACT] = lambda b, lamp=lamp: setattr(b, "lamp", lamp)
+        bench.on_phase[Phase.ASIDE] = lambda b: b.hidden.clear()
+        result = bench.do("press:RUN_STOP")
+        assert result.outcome is Outcome.REACHED and details(result)["effect"] == effect
+        assert Phase.ASIDE not in bench.on_phase and bench.readings[2] == 0.0
+        assert bench.paths[-1][:, 2].max() == 0.0, "it goes aside with the stylus up"
+
+
 def test_what_must_have_an_effect_needs_somebody_who_sees_it() -> None:
     """Before it is touched: afterwards nobody could tell."""
     bench = Bench(config(require_effect=True)).start()

@@ -86,7 +86,7 @@ class Controller:
         (Phase.LIFT, Step.ARRIVED): lambda self, job: self._wait_for_pictures(job),
         (Phase.MEASURE, Step.SEEN): lambda self, job: self._judge_contact(job),
         (Phase.MEASURE, Step.UNSEEN): lambda self, job: self._judge_contact(job),
-        (Phase.ASIDE, Step.ARRIVED): lambda self, job: self._read(job, self.config.read_timeout_s),
+        (Phase.ASIDE, Step.ARRIVED): lambda self, job: self._read_from_aside(job),
         (Phase.READ, Step.SEEN): lambda self, job: self._judge_effect(job),
         (Phase.READ, Step.UNSEEN): lambda self, job: self._judge_effect(job),
         (Phase.BREAK_OFF, Step.ARRIVED): lambda self, job: self._finish_broken_off(job),
@@ -396,7 +396,7 @@ class Controller:
     def _begin(self, job: Job) -> None:
         knob = job.knob
         if knob is not None and math.isnan(knob.seen_deg) and (job.kind == "set" or self._has_dimple(job, knob)):
-            self._move_aside(job, knob)
+            self._move_aside(job, knob.name)
         elif knob is not None and job.kind == "set" and abs(knob.off_deg) <= self.config.set_tolerance_deg:
             self._finish(job, Outcome.REACHED)
         else:
@@ -406,14 +406,17 @@ class Controller:
         assert job.scene is not None
         return job.scene.control(knob.name).dimple is not None
 
-    def _move_aside(self, job: Job, knob: Knob) -> None:
-        """Let the cameras see the whole knob, wherever on it the stylus has been."""
+    def _move_aside(self, job: Job, name: str) -> None:
+        """Let the cameras see the whole control, wherever on it the stylus has been."""
         assert job.scene is not None
-        control, config = job.scene.control(knob.name), self.config
+        control, config = job.scene.control(name), self.config
         top = job.scene.base_from_panel.apply(np.array([[*control.centre, control.height]]))
         by_m = config.aside_m + float(control.size[0]) / 2
         middle = job.readings_at(top)[0, :2]
         self._try(job, Phase.ASIDE, lambda: motion_plan.aside(self._world.here, middle, by_m, config.motion))
+
+    def _read_from_aside(self, job: Job) -> None:
+        self._read(job, self.config.effect_wait_s if job.knob is None else self.config.read_timeout_s)
 
     def _read(self, job: Job, within_s: float) -> None:
         self.phase, self._phase_ns = Phase.READ, self._now_ns
@@ -637,7 +640,7 @@ class Controller:
         if not self._measure_contact(job):
             self._finish(job, Outcome.ABORTED, f"{job.complaint}; the stylus is up")
         elif job.knob is not None and not math.isnan(job.knob.goal_deg):
-            self._move_aside(job, job.knob)
+            self._move_aside(job, job.knob.name)
         elif job.knob is None and job.before is not None and self._may_have_effect(job):
             self._read(job, self.config.effect_wait_s)
         else:
@@ -647,14 +650,25 @@ class Controller:
         return self.config.effect_wait_s > 0 and job.touch is not None and job.touch.control != ""
 
     def _judge_effect(self, job: Job) -> None:
+        assert job.touch is not None
         if job.knob is not None:
             self._judge_knob(job, job.knob)
+        elif not job.effect and not job.went_aside and self._hides_lamp(job):
+            job.went_aside = True
+            self._move_aside(job, job.touch.control)
         elif job.effect or not self.config.require_effect:
             job.effect = job.effect or "none seen"
             self._finish(job, Outcome.REACHED)
         else:
             wait_s = self.config.effect_wait_s
             self._finish(job, Outcome.ABORTED, f"touched, but no effect was seen within {wait_s:g} s; the stylus is up")
+
+    def _hides_lamp(self, job: Job) -> bool:
+        """Whether the stylus, though it is up, still hides the lamp that may tell the effect."""
+        assert job.before is not None and job.touch is not None
+        before = job.before.control(job.touch.control)
+        now = None if self._world.seen is None else self._world.seen.control(job.touch.control)
+        return before is not None and before.lamp != "" and now is not None and now.hidden_by == "stylus"
 
     def _judge_knob(self, job: Job, knob: Knob) -> None:
         seen = None if self._world.seen is None else self._world.seen.control(knob.name)

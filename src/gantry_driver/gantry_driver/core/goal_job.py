@@ -101,6 +101,7 @@ class Job:
     knob: Knob | None = None
     before: PanelSeen | None = None
     effect: str = ""
+    went_aside: bool = False
     goal_base: Array
     hold_s: float = 0.0
     correction: Array = field(default_factory=lambda: np.zeros(2))
