@@ -300,7 +300,7 @@ class GrblSession:
         if report.mpos_mm is None and report.wpos_mm is not None and self.wco_mm is not None:
             mpos = tuple(w + o for w, o in zip(report.wpos_mm, self.wco_mm))
             report = dataclasses.replace(report, mpos_mm=mpos)
-        # The largest free sizes since the banner are the empty buffers; some builds hold one less than [OPT:] says.
+        # The largest free sizes since the banner are the empty buffers.
         self._planner_room = max(self._planner_room, report.planner_free)
         self._rx_room = max(self._rx_room, report.rx_free)
         if report.rx_free >= 0 and not self._in_flight:
@@ -409,7 +409,7 @@ class GrblSession:
         if line.alone or self._in_flight[-1][0].alone:
             return False
         spare = 0 if self._wire_bound else SPARE_LINES * line.size
-        # One byte less than the buffer: older builds' ring buffers hold one less than they say. What was told of it
+        # One byte less than the buffer: older builds' ring buffers hold one less than they say. What [OPT:] told of it
         # once may have been spoilt by noise; the reports tell it again and again.
         room = self.rx_bytes - 1 if self._rx_empty < 0 else min(self.rx_bytes - 1, self._rx_empty)
         return self._in_flight_bytes + line.size + spare <= room

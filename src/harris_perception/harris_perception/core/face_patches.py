@@ -93,17 +93,15 @@ def compared(
 
     w, a, b = patches(weight), patches(a), patches(b)
     count = w.sum(axis=2, dtype=np.float64)
-    # What a plane over the patch explains is the light: the edge of a shadow is no other print.
     moments = (w @ (plane[:, :, None] * plane[:, None]).reshape(-1, 9)).reshape(rows, columns, 3, 3).astype(np.float64)
     moments += 1e-3 * np.eye(3)
-    a, b = (
-        (
-            v
-            - np.linalg.solve(moments, ((w * v) @ plane)[..., None].astype(np.float64)).astype(np.float32)[..., 0]
-            @ plane.T
-        )
-        for v in (a, b)
-    )
+
+    def without_light(values: Any) -> Any:
+        """What a plane over the patch does not explain: the edge of a shadow is no other print."""
+        fit = np.linalg.solve(moments, ((w * values) @ plane)[..., None].astype(np.float64))[..., 0]
+        return values - fit.astype(np.float32) @ plane.T
+
+    a, b = without_light(a), without_light(b)
     full = np.maximum(count, 1.0)
     var_a, var_b, both = ((w * v).sum(axis=2, dtype=np.float64) / full for v in (a * a, b * b, a * b))
     correlation = both / np.sqrt(var_a * var_b + 1e-6)
