@@ -137,7 +137,7 @@ def check_turns(base_from_gripper: Sequence[Transform], config: WristConfig) -> 
     count = len(base_from_gripper)
     if count < 3:
         raise DegenerateError(f"{count} poses, 3 are needed: turn the wrist and add one")
-    turns = np.array([_log((x.inverse() @ y).rotation) for x, y in _pairs(base_from_gripper)])
+    turns = _logs(np.array([x.rotation.T @ y.rotation for x, y in _pairs(base_from_gripper)]))
     angles = np.linalg.norm(turns, axis=1)
     need = np.degrees(config.min_turn_rad)
     if angles.max() < config.min_turn_rad:
@@ -172,8 +172,8 @@ def _motions(a: Sequence[Transform], b: Sequence[Transform]) -> list[tuple[Trans
 
 
 def _park(pairs: Sequence[tuple[Transform, Transform]]) -> Array:
-    m = sum((np.outer(_log(a.rotation), _log(b.rotation)) for a, b in pairs), np.zeros((3, 3)))
-    return nearest_rotation(m)  # (M^T M)^-1/2 M^T of the paper, by singular values
+    turns_a, turns_b = (_logs(np.array([pair[k].rotation for pair in pairs])) for k in (0, 1))
+    return nearest_rotation(turns_a.T @ turns_b)  # (M^T M)^-1/2 M^T of the paper, by singular values
 
 
 def _horaud(pairs: Sequence[tuple[Transform, Transform]]) -> Array:
@@ -250,12 +250,11 @@ def _solve(a: Sequence[Transform], b: Sequence[Transform], used: npt.NDArray[np.
 
 def _residuals(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Transform) -> Array:
     """Return (6 N,): turn (rad) and shift (m) from what A X B says to Z, in the target's frame."""
-    back = z.inverse()
-    rows = []
-    for p, q in zip(a, b):
-        off = back @ (p @ x @ q)
-        rows += [_log(off.rotation), off.translation]
-    return np.concatenate(rows)
+    turns_a, shifts_a = np.array([p.rotation for p in a]), np.array([p.translation for p in a])
+    turns_b, shifts_b = np.array([q.rotation for q in b]), np.array([q.translation for q in b])
+    turns = z.rotation.T @ turns_a @ x.rotation @ turns_b
+    ends = (turns_a @ x.apply(shifts_b)[:, :, None])[:, :, 0] + shifts_a
+    return np.hstack([_logs(turns), (ends - z.translation) @ z.rotation]).ravel()
 
 
 def _slopes(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Transform, error: Array) -> Array:
@@ -316,11 +315,23 @@ def _mean(poses: Sequence[Transform]) -> Transform:
     return Transform(rotation, np.mean([p.translation for p in poses], axis=0))
 
 
-def _log(rotation: Array) -> Array:
-    """Return the rotation vector (3,) rad of a matrix (3, 3)."""
-    q = Transform(rotation, np.zeros(3)).quaternion()
-    sine = float(np.linalg.norm(q[:3]))
-    return np.asarray(q[:3] * (2 * np.arctan2(sine, q[3]) / sine if sine > 1e-12 else 2.0))
+def _logs(rotations: Array) -> Array:
+    """Return the rotation vectors (N, 3) rad of matrices (N, 3, 3)."""
+    r = rotations
+    # Four times q q^T of each quaternion x, y, z, w; its row with the largest diagonal is divided by no small number.
+    products = np.empty((len(r), 4, 4))
+    products[:, :3, :3] = r + r.transpose(0, 2, 1)
+    trace = np.trace(r, axis1=1, axis2=2)
+    for i in range(3):
+        products[:, i, i] += 1 - trace
+        j, k = (i + 1) % 3, (i + 2) % 3
+        products[:, i, 3] = products[:, 3, i] = r[:, k, j] - r[:, j, k]
+    products[:, 3, 3] = 1 + trace
+    best = np.argmax(np.diagonal(products, axis1=1, axis2=2), axis=1)
+    q = products[np.arange(len(r)), best]
+    q *= np.where(q[:, 3:] < 0, -1.0, 1.0) / np.linalg.norm(q, axis=1, keepdims=True)
+    sine = np.linalg.norm(q[:, :3], axis=1, keepdims=True)
+    return np.asarray(q[:, :3] * np.where(sine > 1e-12, 2 * np.arctan2(sine, q[:, 3:]) / np.maximum(sine, 1e-12), 2.0))
 
 
 def _exp(vector: Array) -> Array:
