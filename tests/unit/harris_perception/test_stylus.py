@@ -163,6 +163,31 @@ def test_two_balls_are_one_too_many() -> None:
     assert found.tip is None and "2 places" in found.reason
 
 
+CUT_BY_A_STEM = """
+  0   0  43 116 105  24   6  28   0   0
+  0  53 129 140  99  16  16  80  55   0
+  0 104 137 136  98  32  42 109  95   0
+ 22 117 135 133 126 101 105 111 100  43
+ 32 113 123 119 118 117 109 103  90  45
+  0  91 107 106 110  99  97  89  73  16
+  0  58  86  94  88  91  81  75  51   0
+  0   0  52  70  71  65  69  54   0   0
+  0   0   0  24  44  42  29   0   0   0
+"""
+
+
+def test_a_fit_that_every_pixel_contradicts_is_a_doubt() -> None:
+    """Seen on the bench: the fit ran away until no pixel had a weight, and solving for its next step failed."""
+    pixels = np.array(CUT_BY_A_STEM.split(), dtype=np.uint8).reshape(9, 10)
+    tip = (0.03, -0.02, 0.745)
+    pictures = [np.full((480, 800, 3), 100, np.uint8) for _ in "lr"]
+    for picture, at in zip(pictures, (STEREO.left.project(tip)[0], STEREO.project_right(tip)[0])):
+        x, y = np.round(at).astype(int)
+        picture[y - 4 : y + 5, x - 5 : x + 5, ::2] += pixels[:, :, np.newaxis]
+    found = tracker().find(*pictures)
+    assert found.tip is None and "shaded disc" in found.reason
+
+
 def test_noise_alone_is_nothing() -> None:
     rng = np.random.default_rng(8)
     pictures = [rng.integers(0, 256, (480, 800, 3), np.uint8) for _ in range(2)]

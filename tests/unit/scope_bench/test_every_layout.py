@@ -7,17 +7,22 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from virtual_robot import camera
+from virtual_robot import camera, parameters
 
 from harris_perception.core.harris import HarrisDetector
 from harris_perception.core.panel_state import PanelReader
 from harris_perception.core.recognition import PanelRecogniser
+from harris_perception.core.stylus import StylusConfig, StylusTracker
+from icu_common.core.camera_model import StereoModel
+from icu_common.core.config import from_mapping
 from icu_common.core.panel_layout import load_layout
 from scope_bench.core import instrument
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel
 
 FOLDER = Path(__file__).parents[3] / "config" / "scopes"
+PINK = ("#e0409a",)
+"""Of the ball's own colour: shining, it hides the ball, and nothing is touched."""
 LAYOUTS = sorted(path.stem for path in FOLDER.glob("*.yaml"))
 
 
@@ -55,3 +60,24 @@ def test_is_drawn_recognised_and_read(name: str) -> None:
         if control.lit_colour and not found.hidden_by:
             dark = state.lamp(control.name, control.lit_colour) == ""
             assert (found.lamp == "off") is dark, (control.name, found.lamp)
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_the_tip_is_measured_before_lamps_that_shine(name: str) -> None:
+    """At contact, while looking before it, and between: lamps, their edges and printed bands are behind the ball."""
+    layout, config = load_layout(FOLDER / f"{name}.yaml"), BenchConfig()
+    panel_from = base_from_panel(config.panel)
+    renderer = Renderer(layout, config, panel_from)
+    stereo = StereoModel(**{side: camera(renderer.rig.calibration(side)) for side in ("left", "right")})
+    tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), stereo)
+    base_from_camera = renderer.rig.rectified_left_from_base().inverse()
+    lamps = [c for c in layout.controls if c.lit_colour and c.lit_colour not in PINK]
+    state = instrument.InstrumentState(lit=tuple(c.name for c in lamps))
+    for lamp in lamps:
+        for above_mm in (0.0, 2.5, 5.0, 7.5, 10.0, 12.5):
+            tip = panel_from.apply(np.array([*lamp.position_mm, lamp.height_mm + 2.0 + above_mm]) / 1000)
+            found = tracker.find(*renderer.render(Moment(tip=tuple(tip), state=state, now_s=above_mm)))
+            assert found.tip is not None, (lamp.name, above_mm, found.reason)
+            error_mm = 1000 * float(np.linalg.norm((base_from_camera.apply(found.tip) - tip)[:2]))
+            print(f"{name} {lamp.name} {above_mm:4.1f} mm above: {error_mm:.3f} mm")
+            assert error_mm < 0.2, (lamp.name, above_mm)

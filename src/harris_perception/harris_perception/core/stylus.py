@@ -21,6 +21,7 @@ from icu_common.core.config import Config, ConfigError, setting
 from icu_common.core.geometry import Array
 
 Picture = npt.NDArray[np.uint8]
+Values = npt.NDArray[np.float32]
 Window = tuple[int, int, int, int]
 """x0, y0, x1, y1 in raw pixels, the last ones not included."""
 
@@ -28,10 +29,10 @@ _ARC_BINS = 36
 _MAX_BLOBS = 12
 _COLOURED = 25.0
 """Grey levels below zero that the chroma of something yellow, green or cyan has."""
-_UNLIKELY = 1.6
-"""What the error of an unlikely background is multiplied by before it is compared with that of the likely one."""
-_BESIDE_PX = (((2.5, 3.25, 4.0), 1.0), ((1.75,), _UNLIKELY))
-"""How far beyond the ball's outline to look for what continues behind it, and by what that error is multiplied."""
+_BEYOND_PX = 1.75
+"""Farther than this beyond its outline nothing is seen of the ball any more."""
+_BESIDE_PX = ((2.0, 2.75), (2.5, 3.25, 4.0))
+"""How far beyond the outline to look for what continues straight behind the ball, where the fill does not do."""
 _MISFIT = 0.04
 """How far a real ball is from Lambert's law, as a share of its chroma; a tighter scale makes the weights jump."""
 
@@ -183,7 +184,7 @@ class StylusTracker:
 
     def _search(self, pictures: tuple[Picture, Picture], windows: tuple[Window, Window]) -> Search:
         models = (self.stereo.left, self.stereo.right)
-        chroma = [_chroma(picture, window) for picture, window in zip(pictures, windows)]
+        chroma = [_chroma(_cut(picture, window)) for picture, window in zip(pictures, windows)]
         blobs = [list(self._blobs(*part)) for part in zip(chroma, windows, models)]
         for side, found in zip(("left", "right"), blobs):
             if not found:
@@ -258,13 +259,13 @@ class StylusTracker:
             raise _Doubt(f"depth {tip[2]:.3f} m is not possible")
         return Search(tip=tip, left=left, right=right, row_error_px=row_error)
 
-    def _outlined(
-        self, chroma: npt.NDArray[np.float32], corner: Array, model: CameraModel, radius: float
-    ) -> tuple[_View, _Circle]:
-        """Measure the outline of one region in its surroundings (h, w) and fit a circle to it.
+    def _outlined(self, colours: Picture, corner: Array, model: CameraModel, radius: float) -> tuple[_View, _Circle]:
+        """Measure the outline of one region in its surroundings (h, w, 3) and fit a circle to it.
 
-        Beside something yellow or green there is more than one answer to what continues behind the ball.
+        Beside something yellow or green the colours next to the ball are continued behind it. Of what may be there the
+        one with the smallest error counts.
         """
+        chroma = _chroma(colours, cv2.CV_32F)
         clipped = np.maximum(chroma, 0)
         border = np.concatenate([clipped[0], clipped[-1], clipped[:, 0], clipped[:, -1]])
         plain = np.full_like(chroma, np.median(border))
@@ -273,22 +274,32 @@ class StylusTracker:
         if chroma.min() > -_COLOURED:
             return view, self._checked(circle, radius)
         centre = model.project(circle.ray)[0] - corner
-        backgrounds = [(chroma, _beside(chroma, centre, radius, gaps), cost) for gaps, cost in _BESIDE_PX]
-        best: tuple[float, _View, _Circle] | None = None
-        doubt = _Doubt()
-        for values, around, cost in [*backgrounds, (clipped, plain, _UNLIKELY)]:
+        mixed = _mixed_chroma(colours)
+        filled = [(values, _filled(values, centre, radius + _BEYOND_PX)) for values in (mixed, chroma)]
+        best, doubt = self._best(filled, corner, model, radius)
+        for gaps in _BESIDE_PX:
+            if best is None:
+                best, doubt = self._best([(mixed, _beside(mixed, centre, radius, gaps))], corner, model, radius)
+        if best is None:
+            raise doubt
+        return best
+
+    def _best(
+        self, backgrounds: Sequence[tuple[Values, Values]], corner: Array, model: CameraModel, radius: float
+    ) -> tuple[tuple[_View, _Circle] | None, _Doubt]:
+        """Return outline and circle of the smallest error among values with their backgrounds, or why there is none."""
+        best, least, doubt = None, np.inf, _Doubt()
+        for values, around in backgrounds:
             try:
                 view = _view(values, around, corner, model, self.config.min_chroma)
                 circle = self._checked(self._circle(view, radius), radius)
-                error = cost * self._refined(view, circle, radius, model).error
+                error = self._refined(view, circle, radius, model).error
             except _Doubt as reason:
                 doubt = reason
                 continue
-            if best is None or error < best[0]:
-                best = error, view, circle
-        if best is None:
-            raise doubt
-        return best[1:]
+            if error < least:
+                best, least = (view, circle), error
+        return best, doubt
 
     def _circle(self, view: _View, radius: float) -> _Circle:
         """Fit a circle to the outline."""
@@ -337,14 +348,24 @@ def _around(at: Array, margin: float, window: Window) -> Window:
     )
 
 
-def _chroma(picture: Picture, window: Window, dtype: int = -1) -> npt.NDArray[Any]:
-    """Return min(red, blue) - green of a window, (h, w): linear in what a pixel has of the ball.
+def _cut(picture: Picture, window: Window) -> Picture:
+    x0, y0, x1, y1 = window
+    return picture[y0:y1, x0:x1]
+
+
+def _chroma(colours: Picture, dtype: int = -1) -> npt.NDArray[Any]:
+    """Return min(red, blue) - green of (h, w, 3): linear in what a pixel has of the ball before something grey.
 
     In uint8, which is quicker, what is below zero becomes zero.
     """
-    x0, y0, x1, y1 = window
-    blue, green, red = cv2.split(picture[y0:y1, x0:x1])
+    blue, green, red = cv2.split(colours)
     return np.asarray(cv2.subtract(cv2.min(blue, red), green, dtype=dtype))
+
+
+def _mixed_chroma(colours: Picture) -> Values:
+    """Return (red + blue) / 2 - green of (h, w, 3): also linear where red and blue of the background differ."""
+    blue, green, red = cv2.split(colours.astype(np.float32))
+    return np.asarray(cv2.subtract(cv2.addWeighted(blue, 0.5, red, 0.5, 0), green))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -360,17 +381,23 @@ class _Circle:
         return 360.0 / _ARC_BINS * int(self.seen.sum())
 
 
-def _surroundings(picture: Picture, box: Window, window: Window) -> tuple[npt.NDArray[np.float32], Array]:
-    """Return the chroma (h, w) around a region, whose box is in pixels of the window, and its first raw pixel (2,)."""
+def _surroundings(picture: Picture, box: Window, window: Window) -> tuple[Picture, Array]:
+    """Return what is around a region, whose box is in pixels of the window, (h, w, 3), and its first raw pixel (2,)."""
     pad = 6
     x0, y0 = max(window[0] + box[0] - pad, window[0]), max(window[1] + box[1] - pad, window[1])
     x1, y1 = min(window[0] + box[2] + pad, window[2]), min(window[1] + box[3] + pad, window[3])
-    return _chroma(picture, (x0, y0, x1, y1), cv2.CV_32F), np.array([x0, y0])
+    return _cut(picture, (x0, y0, x1, y1)), np.array([x0, y0])
 
 
-def _beside(
-    chroma: npt.NDArray[np.float32], centre: Array, radius: float, gaps: Sequence[float]
-) -> npt.NDArray[np.float32]:
+def _filled(chroma: Values, centre: Array, radius: float) -> Values:
+    """Return (h, w) with the disc in it filled from its rim on, lines continued (Bertalmio, Bertozzi, Sapiro 2001)."""
+    rows, columns = np.indices(chroma.shape)
+    disc = (np.hypot(columns - centre[0], rows - centre[1]) < radius).astype(np.uint8)
+    lowest = float(chroma.min())
+    return np.asarray(cv2.inpaint(chroma - lowest, disc, 3, cv2.INPAINT_NS) + lowest, np.float32)
+
+
+def _beside(chroma: Values, centre: Array, radius: float, gaps: Sequence[float]) -> Values:
     """Return what is behind the ball (h, w): the mean of what is seen so far beside it, in the same direction."""
     rows, columns = np.indices(chroma.shape)
     offset = np.column_stack([columns.ravel(), rows.ravel()]) - centre
@@ -396,8 +423,8 @@ class _View:
 
 
 def _view(
-    chroma: npt.NDArray[np.float32],
-    around: npt.NDArray[np.float32],
+    chroma: Values,
+    around: Values,
     corner: Array,
     model: CameraModel,
     min_chroma: float,
@@ -566,6 +593,8 @@ def _fit_shaded(at: Array, view: _View, radius: float, seen: npt.NDArray[np.bool
         if turn < 3:  # a scale that follows the fit for ever keeps it from settling
             noise = max(1.48 * float(np.median(np.abs(error))), _MISFIT * level)
         weight = np.clip(1 - (error / (4.685 * noise)) ** 2, 0, None) ** 2
+        if not weight.any():
+            raise _Doubt("nothing of it is as bright as a shaded disc")
         step = (
             np.exp(-0.5 * across**2) / np.sqrt(2 * np.pi) / state[3] * (shape @ brightness[:4] - brightness[4] - around)
         )
