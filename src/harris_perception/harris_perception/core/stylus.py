@@ -307,7 +307,7 @@ class StylusTracker:
         frame = _touching_frame(view.outline.mean(axis=0))
         at = _in_plane(view.outline, frame, focal)
         outward = _in_plane(view.outer, frame, focal) - at
-        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+        outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-6)  # no slope, no direction
         xyr, weight = _fit_circle(at, outward, radius)
         used = weight > 0.2
         seen = np.zeros(_ARC_BINS, dtype=bool)
