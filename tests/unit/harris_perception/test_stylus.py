@@ -87,6 +87,36 @@ def test_the_centre_is_measured_before_a_lamp_that_shines(lamp: str, lamp_up: fl
     assert np.sqrt((depth**2).mean()) < 0.3
 
 
+def yuyv(picture: Any) -> Any:
+    """Send a picture as cameras do that give two neighbours in a row one colour."""
+    parts = cv2.cvtColor(picture, cv2.COLOR_BGR2YCrCb)
+    colour = parts[:, :, 1:].astype(np.float64)
+    parts[:, :, 1:] = np.repeat(np.round((colour[:, 0::2] + colour[:, 1::2]) / 2), 2, axis=1)
+    return cv2.cvtColor(parts, cv2.COLOR_YCrCb2BGR)
+
+
+@pytest.mark.parametrize("lamp", [None, LAMPS["green"]], ids=["grey", "beside green"])
+@pytest.mark.parametrize("shift", [0, 1], ids=["even", "odd"])
+def test_the_centre_is_measured_where_two_pixels_share_a_colour(lamp: Any, shift: int) -> None:
+    look = Look(shaft_from=0.016, shaft_radius=0.0005, lamp=lamp)
+    seed = 12
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    errors = []
+    for _ in range(6):
+        tip = np.array([rng.uniform(0.01, 0.1), rng.uniform(-0.05, 0.05), rng.uniform(0.6, 0.7)])
+        pictures = render(STEREO, tip, rng, look)
+        for picture in pictures:
+            picture[:, shift : 800 - shift] = yuyv(picture[:, shift : 800 - shift])
+        found = tracker().find(*pictures)
+        assert found.tip is not None, found.reason
+        errors.append((found.tip - tip) * 1000)
+    lateral, depth = np.hypot(*np.array(errors)[:, :2].T), np.array(errors)[:, 2]
+    print(f"lateral rms {np.sqrt((lateral**2).mean()):.3f} mm, depth rms {np.sqrt((depth**2).mean()):.3f} mm")
+    assert np.sqrt((lateral**2).mean()) < 0.12
+    assert np.sqrt((depth**2).mean()) < 0.4
+
+
 @pytest.mark.parametrize("seed", [28, 55])
 def test_a_stem_before_the_ball_is_no_reason_for_doubt(seed: int) -> None:
     """It hides little of the outline, but pixels beside its end within the ball, which counted as the ball's."""

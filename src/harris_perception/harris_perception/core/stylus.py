@@ -33,6 +33,8 @@ _BEYOND_PX = 1.75
 """Farther than this beyond its outline nothing is seen of the ball any more."""
 _BESIDE_PX = ((2.0, 2.75), (2.5, 3.25, 4.0))
 """How far beyond the outline to look for what continues straight behind the ball, where the fill does not do."""
+_PAIRED = 0.4
+"""Colour changes by so much less within pairs of columns than between them when a camera sends one colour for two."""
 _MISFIT = 0.04
 """How far a real ball is from Lambert's law, as a share of its chroma; a tighter scale makes the weights jump."""
 
@@ -265,6 +267,7 @@ class StylusTracker:
         Beside something yellow or green the colours next to the ball are continued behind it. Of what may be there the
         one with the smallest error counts.
         """
+        colours = _without_pairs(colours)
         chroma = _chroma(colours, cv2.CV_32F)
         clipped = np.maximum(chroma, 0)
         border = np.concatenate([clipped[0], clipped[-1], clipped[:, 0], clipped[:, -1]])
@@ -360,6 +363,18 @@ def _chroma(colours: Picture, dtype: int = -1) -> npt.NDArray[Any]:
     """
     blue, green, red = cv2.split(colours)
     return np.asarray(cv2.subtract(cv2.min(blue, red), green, dtype=dtype))
+
+
+def _without_pairs(colours: Picture) -> Picture:
+    """Smooth (h, w, 3) along its rows if two neighbours each have one colour, as YUYV (4:2:2) has when it is unpacked.
+
+    Else the outline is a flight of stairs that no circle fits.
+    """
+    steps = np.abs(np.diff(cv2.subtract(colours[:, :, 2], colours[:, :, 1], dtype=cv2.CV_32F), axis=1))
+    within, between = sorted(float(steps[:, start::2].mean()) for start in (0, 1))
+    if within > _PAIRED * between:
+        return colours
+    return np.asarray(cv2.sepFilter2D(colours, -1, np.array([0.25, 0.5, 0.25]), np.ones(1)), np.uint8)
 
 
 def _mixed_chroma(colours: Picture) -> Values:
