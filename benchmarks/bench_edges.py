@@ -19,7 +19,7 @@ from rows import Row, bound, data_folder, interleaved_ms, row, tune_malloc, writ
 
 from harris_perception.adapters.boundary_files import drawn_pictures, read_drawn
 from harris_perception.core.boundary_evaluation import Finder, counts_of, ods_ois, our_finders, peer_finders
-from harris_perception.core.edges import EDGE, CombinedDetector, EdgeDetector
+from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector
 from harris_perception.core.harris import HarrisDetector
 
 Pictures = list[tuple[np.ndarray, list[np.ndarray]]]
@@ -63,6 +63,7 @@ def speed() -> list[Row]:
     cv2.setNumThreads(1)
     rows = []
     corners, combined, outlines = HarrisDetector(), CombinedDetector(), EdgeDetector()
+    without_regions = EdgeDetector(EdgeConfig(region_px=0.0))
     for width, height in SIZES:
         gray = picture(width, height)
         xy = corners.detect(gray).xy
@@ -71,6 +72,7 @@ def speed() -> list[Row]:
                 "corners": lambda gray=gray: corners.detect(gray),
                 "combined": lambda gray=gray: combined.detect(gray),
                 "outlines": lambda gray=gray, xy=xy: outlines.detect(gray, xy),
+                "without regions": lambda gray=gray, xy=xy: without_regions.detect(gray, xy),
                 "canny": lambda gray=gray: cv2.Canny(gray, 80, 160, L2gradient=True),
                 "soft canny": lambda gray=gray: cv2.Canny(cv2.GaussianBlur(gray, (0, 0), 2.0), 10, 30, L2gradient=True),
             },
@@ -86,6 +88,7 @@ def speed() -> list[Row]:
                 "cv2.Canny, pixels only",
             ),
             row(f"{width}x{height}: outlines as chains [ms]", ms["outlines"], ms["soft canny"], "cv2 blur + Canny"),
+            row(f"{width}x{height}: the same [ms]", ms["outlines"], ms["without regions"], "without regions"),
         ]
     return rows
 

@@ -43,7 +43,8 @@ def test_straight_edge_is_one_chain_within_a_pixel(angle: float, offset: float) 
 def test_strength_is_the_gradient_in_grey_levels_per_pixel() -> None:
     x = np.indices((60, 60))[1].astype(np.float32)
     soft = 100 + 40 * np.tanh((x - 30) / 8)  # slope 5 at x = 30, hardly changed by a blur of 2 px
-    thinned = EdgeDetector(EdgeConfig(coarse_sigma_px=0.0, surround=0.0)).thinned(soft.astype(np.float32))
+    alone = EdgeConfig(coarse_sigma_px=0.0, region_px=0.0, surround=0.0)
+    thinned = EdgeDetector(alone).thinned(soft.astype(np.float32))
     assert set(np.nonzero(thinned.max(axis=0) > 1)[0].tolist()) <= {29, 30, 31}
     assert thinned[30].max() == pytest.approx(5.0, rel=0.1)
 

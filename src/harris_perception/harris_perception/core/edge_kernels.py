@@ -239,3 +239,51 @@ def mean_along(thinned: Array, strength: Array, a: Array, b: Array, c: Array, re
                 total += above + fy * (below - above)
                 count += 1
             row[x] = max(total / np.float32(count), zero)
+
+
+@inlined
+def _walk_a_line(cells: Any, flow: Any, first: int, step: int, count: int, ahead: Any) -> None:
+    """Do an implicit step along every ``step``-th cell (N, K) from ``first`` on, by the algorithm of Thomas.
+
+    ``flow`` (N,) goes from each cell to the next one of the line, from the last nothing; ``ahead`` is written over.
+    """
+    one, before = np.float32(1.0), np.float32(0.0)
+    for i in range(count):
+        here = first + i * step
+        pivot = one / (one + before + flow[here] - (before * ahead[i - 1] if i > 0 else before))
+        ahead[i] = flow[here] * pivot
+        share = before * pivot
+        cell, last = cells[here], cells[here - step if i > 0 else here]
+        for k in range(len(cell)):
+            cell[k] = cell[k] * pivot + share * last[k]
+        before = flow[here]
+    for i in range(count - 2, -1, -1):
+        here = first + i * step
+        cell, following, share = cells[here], cells[here + step], ahead[i]
+        for k in range(len(cell)):
+            cell[k] += share * following[k]
+
+
+@compiled
+def walk(cells: Array, right: Array, down: Array, steps: int) -> None:
+    """Let values diffuse along rows and columns in turn, in place, in implicit steps, which are stable at any length.
+
+    Parameters
+    ----------
+    cells
+        (H, W, K) float32, K values for each cell.
+    right, down
+        (H, W) float32, conductivity to the next cell of the row, and of the column, times the time of a step; zero in
+        the last column, and in the last row.
+    steps
+        How many.
+    """
+    height, width, depth = cells.shape
+    flat = cells.reshape(height * width, depth)
+    along, across = right.reshape(right.size), down.reshape(down.size)
+    ahead = np.empty(max(height, width), np.float32)
+    for _ in range(steps):
+        for y in range(height):
+            _walk_a_line(flat, along, y * width, 1, width, ahead)
+        for x in range(width):
+            _walk_a_line(flat, across, x, width, height, ahead)

@@ -18,7 +18,8 @@ import numpy.typing as npt
 from harris_perception.core import bitmap
 from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edge_tracing as tracing
-from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked, gaussian_taps
+from harris_perception.core.edge_sides import SHRUNK, Sides, structure
+from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked
 from harris_perception.core.sampling import mean_around
 from icu_common.core.config import Config, setting
 
@@ -27,27 +28,8 @@ FLAT, EDGE, CORNER = 0, tracing.EDGE, tracing.CORNER
 
 _NO_STRENGTH = np.empty((0, 0), np.float32)
 
-_SHRUNK = 4
-"""The coarse scale is computed on a picture so many times smaller."""
-
-
-def _bins(low: float, high: float, count: int) -> npt.NDArray[np.float32]:
-    """Return for each of ``count`` overlapping bins how much each of 256 values belongs to it, (count, 256)."""
-    values, centres = np.clip(np.arange(256.0), low, high), np.linspace(low, high, count)
-    share = np.abs(values - centres[:, None]) / (centres[1] - centres[0])
-    return np.asarray(np.maximum(1.0 - share, 0.0), np.float32)
-
-
-_LIGHT_BINS = _bins(0.0, 255.0, 8)
-_COLOR_BINS = _bins(88.0, 168.0, 8)  # colors of photographs lie near to grey, which is 128
-
-_REACH = 2
-_BENDS = [(distance * x, distance * y) for distance in (1, _REACH) for x, y in ((1, 0), (0, 1), (1, 1), (1, -1))]
-"""Texture is how much the light bends: twice a pixel less two opposite ones, so far away (x, y) in px."""
-
-_BENT = 12
-"""Grey levels from which on a bend counts no more: texture, not contrast."""
-
+_LOOKS = 2
+"""Regions are told by edges, and then anew by the edges that these tell."""
 
 _ABOVE_NOISE = 1.5
 """Corners end an outline that are so many times as strong as what starts one; those of a noise of 2 hardly are."""
@@ -83,8 +65,8 @@ class EdgeConfig(TracingConfig):
     """What is an outline.
 
     The window over the products is 1 2 1 both ways. Strengths are multiplied by how different the values (coded in
-    soft bins) and the texture are on either side at a coarse scale, and what surrounds a pixel on average is
-    subtracted, so that texture counts less than outlines.
+    soft bins) and the texture are on either side at a coarse scale, and in the regions that edges part; what
+    surrounds a pixel on average is subtracted, so that texture counts less than outlines.
     """
 
     sigma_d_px: float = setting(1.5, "Scale of the derivatives", minimum=0.5, maximum=10.0, unit="px")
@@ -97,6 +79,13 @@ class EdgeConfig(TracingConfig):
     k: float = setting(
         0.24, "Weight of trace^2 in the response; more keeps bent edges whole", minimum=0.001, maximum=0.24
     )
+    region_px: float = setting(
+        40.0,
+        "How far a walk leads that hardly crosses edges; where it ends must differ on both sides as well, 0 = none",
+        minimum=0.0,
+        maximum=400.0,
+        unit="px",
+    )
     surround: float = setting(
         0.75, "The strength averaged over the surroundings is subtracted so many times", minimum=0.0, maximum=4.0
     )
@@ -108,7 +97,7 @@ class EdgeConfig(TracingConfig):
     high: float = setting(3.0, _STARTS, minimum=0.0, maximum=1e5, unit="grey levels per px")
     low_of_high: float = setting(0.3, "Strength that continues an edge, as a fraction", minimum=0.0, maximum=1.0)
     min_length_px: int = setting(
-        20,
+        14,
         "Connected pieces of fewer pixels are removed, before they are thinned",
         minimum=1,
         maximum=10_000,
@@ -166,8 +155,6 @@ class EdgeDetector:
 
     def __init__(self, config: EdgeConfig | None = None) -> None:
         self.config = config if config is not None else EdgeConfig()
-        self._fine = _half_taps(self.config.sigma_d_px)
-        self._coarse = _half_taps(max(self.config.coarse_sigma_px / _SHRUNK, 0.3))
 
     def warm(self) -> None:
         """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
@@ -184,40 +171,30 @@ class EdgeDetector:
         if 0 in picture.shape[:2]:
             return np.zeros(picture.shape[:2], np.float32)
         config = self.config
-        a, b, c = _structure(channels, self._fine)
-        strength = kernels.strength_of(a, b, c, config.k)
-        size = (strength.shape[1], strength.shape[0])
+        tensor = structure(channels, config.sigma_d_px)
+        strength = kernels.strength_of(*tensor, config.k)
+        graded = [_of_256(channel) for channel, weight in channels if weight > 0.0]
+        sides = Sides(graded, config.texture, config.k)
         if config.coarse_sigma_px > 0.0:
-            kernels.weigh(strength, cv2.resize(self._difference(channels), size, interpolation=cv2.INTER_LINEAR))
+            kernels.weigh(strength, sides.beside(config.coarse_sigma_px))
         if config.surround > 0.0:
             strength = cv2.scaleAdd(mean_around(strength, config.surround_px), -config.surround, strength)
+        maxima = self._maxima(strength, tensor)
+        for _ in range(_LOOKS if config.region_px > 0.0 else 0):
+            weighed = strength.copy()
+            kernels.weigh(weighed, sides.of_regions(maxima, config.region_px))
+            maxima = self._maxima(weighed, tensor)
+        return maxima
+
+    def _maxima(
+        self, strength: npt.NDArray[np.float32], tensor: tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]
+    ) -> npt.NDArray[np.float32]:
+        """Return the maxima of a strength across edges, averaged along them."""
         framed = cv2.copyMakeBorder(strength, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-        maxima = kernels.thin(framed, a, b, c)
-        if config.along_px > 0:
-            kernels.mean_along(maxima, strength, a, b, c, config.along_px)
+        maxima = kernels.thin(framed, *tensor)
+        if self.config.along_px > 0:
+            kernels.mean_along(maxima, strength, *tensor, self.config.along_px)
         return np.asarray(maxima, np.float32)
-
-    def _difference(self, channels: list[tuple[npt.NDArray[Any], float]]) -> npt.NDArray[np.float32]:
-        """Return how different the sides of each pixel of the shrunk picture are, about 1 for nothing in common.
-
-        Each channel is coded by how much of it falls into each of some bins that overlap (the channel representation
-        of G. Granlund); the strength of that picture of many channels compares local histograms. What is compared of
-        texture is how much the light bends on average, in four directions at two distances: a step bends it in few
-        places.
-        """
-        height, width = channels[0][0].shape
-        size = (-(-width // _SHRUNK), -(-height // _SHRUNK))
-        graded = [_of_256(channel, size) for channel, weight in channels if weight > 0.0]
-        coded = []
-        for number, channel in enumerate(graded):
-            small = cv2.resize(channel, size, interpolation=cv2.INTER_AREA)
-            bins = _COLOR_BINS if number else _LIGHT_BINS
-            coded += [(np.asarray(cv2.LUT(small, table), np.float32), 1.0) for table in bins]
-        if self.config.texture > 0.0:
-            coded += [(bends, self.config.texture**2) for bends in _texture(graded[0], size)]
-        strength: npt.NDArray[np.float32] = kernels.strength_of(*_structure(coded, self._coarse), self.config.k)
-        # A smoothed step between two bins has a gradient of sqrt(2) / (sigma sqrt(2 pi)).
-        return strength * np.float32(np.sqrt(np.pi) * self.config.coarse_sigma_px / _SHRUNK)
 
     def _channels(self, picture: npt.NDArray[Any]) -> list[tuple[npt.NDArray[Any], float]]:
         """Return grey, or the three of Lab, each with the weight of its squared gradient."""
@@ -365,35 +342,12 @@ def traced(
     return Edges(labels, points, starts)
 
 
-def _texture(light: npt.NDArray[np.uint8], size: tuple[int, int]) -> list[npt.NDArray[np.float32]]:
-    """Return how much a picture bends in each of some directions, 0 to 1, shrunk to a size (width, height)."""
-    most = np.float32(_BENT * (255 // _BENT))
-    framed = cv2.copyMakeBorder(light, _REACH, _REACH, _REACH, _REACH, cv2.BORDER_REFLECT)
-    bends = (kernels.bends(framed, _REACH, *way, _BENT) for way in _BENDS)
-    return [np.asarray(cv2.resize(each, size, interpolation=cv2.INTER_AREA) / most, np.float32) for each in bends]
-
-
-def _of_256(channel: npt.NDArray[Any], size: tuple[int, int]) -> npt.NDArray[np.uint8]:
+def _of_256(channel: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     """Return a channel in 256 steps; no range is agreed on for others than uint8, so that of it shrunk is taken."""
     if channel.dtype == np.uint8:
         return channel
     finite = np.where(np.isfinite(channel), channel, 0.0)
+    size = (-(-channel.shape[1] // SHRUNK), -(-channel.shape[0] // SHRUNK))
     small = cv2.resize(finite, size, interpolation=cv2.INTER_AREA)
     low, high = float(small.min()), float(small.max())
     return np.asarray(np.clip((finite - low) * (255.0 / max(high - low, 1e-9)), 0.0, 255.0), np.uint8)
-
-
-def _half_taps(sigma: float) -> npt.NDArray[np.float32]:
-    """Return the centre and one side of a sampled Gaussian."""
-    taps = gaussian_taps(sigma)
-    return np.array(taps[len(taps) // 2 :], np.float32)
-
-
-def _structure(
-    channels: list[tuple[npt.NDArray[Any], float]], taps: npt.NDArray[np.float32]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return the weighted sum of the channels' structure tensors as gx^2, gy^2, gx gy."""
-    a, b, c = (np.zeros(channels[0][0].shape, np.float32) for _ in range(3))
-    for channel, weight in channels:
-        kernels.add_structure(channel, taps, weight, a, b, c)
-    return a, b, c

@@ -1,0 +1,145 @@
+"""How different the two sides of an edge are: what lies beside it, and the regions that edges part.
+
+Values are coded by how much of them falls into each of some bins that overlap (the channel representation of
+G. Granlund), and the texture by how much the light bends. Beside an edge the code is averaged by a Gaussian, as local
+histograms are. Of regions it is averaged by where a random walk leads that hardly crosses strong edges: the diffusion
+of P. Perona, J. Malik (PAMI 12(7), 1990), whose conductivity is told by edges that were found before, in implicit steps
+along rows and columns in turn (N. Yanenko, "The Method of Fractional Steps", 1971).
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core import edge_kernels as kernels
+from harris_perception.core.harris import gaussian_taps
+
+Picture = npt.NDArray[np.float32]
+
+SHRUNK = 4
+"""Sides are compared on a picture so many times smaller, in cells of so many pixels each way."""
+
+_REACH = 2
+_WAYS = [(distance * x, distance * y) for distance in (1, _REACH) for x, y in ((1, 0), (0, 1), (1, 1), (1, -1))]
+"""Texture is how much the light bends: twice a pixel less two opposite ones, so far away (x, y) in px."""
+
+_BENT = 12
+"""Grey levels from which on a bend counts no more: texture, not contrast."""
+
+_STEPS = 3
+"""Implicit steps of a walk; more give the same edges."""
+
+_CLOSED = 0.2
+"""An edge lets through exp(-p / 0.2), where p is how sure it is, 0 to 1."""
+
+_STRONG = 0.8
+"""An edge is half sure where it is stronger than so many of the picture's."""
+
+_STEP_CELLS = 0.5
+"""Over so many cells (sigma) the step between two regions is smoothed before its gradient is taken."""
+
+_OF_REGIONS = 10.0
+"""Averages of regions differ less than what lies beside an edge; with this strengths mean about the same as before."""
+
+
+def _bins(low: float, high: float, count: int) -> Picture:
+    """Return for each of ``count`` overlapping bins how much each of 256 values belongs to it, (count, 256)."""
+    values, centres = np.clip(np.arange(256.0), low, high), np.linspace(low, high, count)
+    share = np.abs(values - centres[:, None]) / (centres[1] - centres[0])
+    return np.asarray(np.maximum(1.0 - share, 0.0), np.float32)
+
+
+_LIGHT_BINS = _bins(0.0, 255.0, 8)
+_COLOR_BINS = _bins(88.0, 168.0, 8)  # colors of photographs lie near to grey, which is 128
+
+
+def structure(channels: list[tuple[npt.NDArray[Any], float]], sigma_px: float) -> tuple[Picture, Picture, Picture]:
+    """Return the weighted sum of the structure tensors of channels (H, W) as gx^2, gy^2, gx gy."""
+    taps = np.asarray(gaussian_taps(sigma_px), np.float32)
+    a, b, c = (np.zeros(channels[0][0].shape, np.float32) for _ in range(3))
+    for channel, weight in channels:
+        kernels.add_structure(channel, taps[len(taps) // 2 :], weight, a, b, c)
+    return a, b, c
+
+
+class Sides:
+    """The code of one picture, from which the differences are taken; it is four times smaller.
+
+    Parameters
+    ----------
+    channels
+        Light and, if there are any, colors, (H, W) uint8 each.
+    texture
+        Weight of the texture beside that of the values.
+    k
+        Weight of trace^2 in the response that tells a difference.
+    """
+
+    def __init__(self, channels: list[npt.NDArray[np.uint8]], texture: float, k: float) -> None:
+        height, width = channels[0].shape
+        self._size, self._k = (width, height), k
+        cells = (-(-width // SHRUNK), -(-height // SHRUNK))
+        self._code: list[Picture] = []
+        for number, channel in enumerate(channels):
+            small = cv2.resize(channel, cells, interpolation=cv2.INTER_AREA)
+            bins = _COLOR_BINS if number else _LIGHT_BINS
+            self._code += [np.asarray(cv2.LUT(small, table), np.float32) for table in bins]
+        if texture > 0.0:
+            share = np.float32(texture / (_BENT * (255 // _BENT)))
+            small_bends = (cv2.resize(bent, cells, interpolation=cv2.INTER_AREA) for bent in _bends(channels[0]))
+            self._code += [np.asarray(bent * share, np.float32) for bent in small_bends]
+
+    def beside(self, sigma_px: float) -> Picture:
+        """Return how different the sides of each pixel are at a scale, (H, W), about 1 for nothing in common."""
+        sigma = sigma_px / SHRUNK
+        # A smoothed step between two bins has a gradient of sqrt(2) / (sigma sqrt(2 pi)).
+        return self._difference(self._code, max(sigma, 0.3), float(np.sqrt(np.pi)) * sigma)
+
+    def of_regions(self, thinned: Picture, reach_px: float) -> Picture:
+        """Return how different the regions on both sides of each pixel are, (H, W).
+
+        Parameters
+        ----------
+        thinned
+            (H, W) strengths of edges that are known, zero elsewhere: what a walk hardly crosses.
+        reach_px
+            How far (sigma along each axis) a walk leads where nothing is in its way.
+        """
+        found = thinned[thinned > 0.0]
+        strong = max(float(np.quantile(found, _STRONG)), 1e-3) if found.size else 1.0
+        squares = _most_of_cells(thinned) ** 2
+        walked = _walked(self._code, squares / (squares + np.float32(strong**2)), (reach_px / SHRUNK) ** 2 / 2.0)
+        return self._difference(walked, _STEP_CELLS, _OF_REGIONS)
+
+    def _difference(self, code: list[Picture], sigma: float, scale: float) -> Picture:
+        """Return ``scale`` times the gradient of a code, smoothed by ``sigma`` cells, as large as the picture."""
+        tensor = structure([(each, 1.0) for each in code], sigma)
+        strength = kernels.strength_of(*tensor, self._k) * np.float32(scale)
+        return np.asarray(cv2.resize(strength, self._size, interpolation=cv2.INTER_LINEAR))
+
+
+def _bends(light: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
+    """Return how much a picture bends each way; a step bends it in few places, so that texture tells more."""
+    framed = cv2.copyMakeBorder(light, _REACH, _REACH, _REACH, _REACH, cv2.BORDER_REFLECT)
+    return [kernels.bends(framed, _REACH, *way, _BENT) for way in _WAYS]
+
+
+def _most_of_cells(values: Picture) -> Picture:
+    """Return the greatest value of the pixels of each cell, so that no thin line is lost."""
+    whole = np.pad(values, [(0, -length % SHRUNK) for length in values.shape])
+    return reduce(np.maximum, (whole[y::SHRUNK, x::SHRUNK] for y in range(SHRUNK) for x in range(SHRUNK)))
+
+
+def _walked(code: list[Picture], sure: Picture, time: float) -> list[Picture]:
+    """Return each of ``code`` (h, w) averaged by a walk of a time (cells^2) between cells of edges 0 to 1 (h, w)."""
+    cells = np.stack(code, axis=2)  # one cell's values lie side by side, and are dealt with at once
+    right, down = np.zeros_like(sure), np.zeros_like(sure)
+    right[:, :-1] = np.exp(np.maximum(sure[:, 1:], sure[:, :-1]) / -_CLOSED)
+    down[:-1] = np.exp(np.maximum(sure[1:], sure[:-1]) / -_CLOSED)
+    kernels.walk(cells, right * np.float32(time / _STEPS), down * np.float32(time / _STEPS), _STEPS)
+    return [np.ascontiguousarray(each) for each in np.moveaxis(cells, 2, 0)]
