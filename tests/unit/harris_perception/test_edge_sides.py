@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from harris_perception.core import edge_kernels as kernels
 from harris_perception.core.edge_sides import Sides
-from harris_perception.core.edges import EdgeConfig, EdgeDetector
+from harris_perception.core.edges import EDGE, EdgeConfig, EdgeDetector
 
 
 def flow_matrix(right: np.ndarray, down: np.ndarray, axis: int) -> np.ndarray:
@@ -97,3 +97,15 @@ def test_an_edge_between_regions_outweighs_one_that_runs_out_within_a_region() -
         return float(thinned[between].max() / thinned[within].max())
 
     assert advantage(with_regions) > 1.5 * advantage(without)
+
+
+def test_an_unknown_pixel_hides_its_surroundings_alone() -> None:
+    picture = np.full((120, 160), 60, np.float32)
+    picture[20:70, 30:80] = 180
+    known = EdgeDetector().detect(picture).labels
+    picture[20, 50] = np.nan
+    found = EdgeDetector().detect(picture).labels
+    far = np.hypot(*(np.indices(picture.shape) - np.array([20, 50])[:, None, None])) > 20
+    assert np.count_nonzero(known[far]) > 140
+    for one, other in ((found, known), (known, found)):  # of two pixels beside the step either may be the edge
+        assert cv2.dilate(other, np.ones((3, 3), np.uint8))[far & (one == EDGE)].all()
