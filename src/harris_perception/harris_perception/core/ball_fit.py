@@ -1,0 +1,184 @@
+"""Fits a circle to a ball's outline, then a shaded disc to its pixels, in the plane that touches the viewing sphere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.ball_view import BallView, Doubt
+from icu_common.core.geometry import Array
+
+ARC_BINS = 36
+"""Parts of an outline that are told apart as visible or hidden."""
+
+_MISFIT = 0.04
+"""How far a real ball is from Lambert's law, as a share of its chroma; a tighter scale makes the weights jump."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Circle:
+    """A circle fitted to an outline: its centre's direction (3,), its radius in px, which parts of it are visible."""
+
+    ray: Array
+    radius: float
+    seen: npt.NDArray[np.bool_]
+
+    @property
+    def arc_deg(self) -> float:
+        return 360.0 / ARC_BINS * int(self.seen.sum())
+
+
+def touching_frame(centre: Array) -> Array:
+    """Return the (3, 3) rotation plane_from_camera of the plane touching the viewing sphere at a direction."""
+    z = centre / np.linalg.norm(centre)
+    x = np.cross([0.0, 1.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    return np.array([x, np.cross(z, x), z])
+
+
+def in_plane(rays: Array, frame: Array, focal: float) -> Array:
+    """Return where (N, 3) directions meet such a plane, (N, 2) px for a focal length in px."""
+    turned = rays @ frame.T
+    flat: Array = turned[:, :2] / turned[:, 2:] * focal
+    return flat
+
+
+def arc_bins(offset: Array) -> npt.NDArray[np.intp]:
+    """Return in which of the equal parts of the circle each (N, 2) offset from its centre lies."""
+    turn = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5
+    return np.minimum((turn * ARC_BINS).astype(np.intp), ARC_BINS - 1)
+
+
+def fit_circle(at: Array, outward: Array, radius: float) -> tuple[Array, Array]:
+    """Fit a circle of about ``radius`` to the part of an outline that lies on one.
+
+    Every outline point with its normal proposes a centre; the proposal that most points agree with starts a
+    least-squares fit with Tukey's weights. The radius is known to about 4 %, which enters as one more observation.
+
+    Returns
+    -------
+    xyr, weight
+        (3,) centre and radius in pixels, (N,) weights from 0 to 1.
+    """
+    proposed = at - radius * outward
+    offset = at[None] - proposed[:, None]
+    distance = np.linalg.norm(offset, axis=2)
+    facing = np.einsum("ijk,jk->ij", offset, outward) > 0.7 * distance
+    near = np.abs(distance - radius) < max(0.6, 0.1 * radius)
+    xyr = np.r_[proposed[int(np.argmax((near & facing).sum(axis=1)))], radius]
+    weight = np.zeros(len(at))
+    for _ in range(8):
+        offset = at - xyr[:2]
+        distance = np.maximum(np.hypot(*offset.T), 1e-9)
+        error = distance - xyr[2]
+        facing_now = np.einsum("ij,ij->i", offset, outward) > 0.6 * distance
+        close = np.abs(error[facing_now & (np.abs(error) < 1.5)])
+        scale = 4.685 * max(1.48 * float(np.median(close)), 0.08) if len(close) else 1.0
+        weight = np.where(facing_now, np.clip(1 - (error / scale) ** 2, 0, None) ** 2, 0.0)
+        jacobian = np.column_stack([-offset / distance[:, None], -np.ones(len(at))])
+        weighted = jacobian * weight[:, None]
+        normal = weighted.T @ jacobian
+        prior = (0.2 / (0.04 * radius)) ** 2  # outline points are good to about 0.2 px
+        normal[2, 2] += prior
+        right = -weighted.T @ error
+        right[2] += prior * (radius - xyr[2])
+        normal[np.diag_indices(3)] += 1e-9
+        change = np.linalg.solve(normal, right)
+        xyr = xyr + np.clip(change, -radius, radius)
+        if np.abs(change).max() < 1e-2:
+            break
+    return xyr, weight
+
+
+def fit_shaded(at: Array, view: BallView, radius: float, seen: npt.NDArray[np.bool_]) -> tuple[Array, float, float]:
+    """Fit a shaded, blurred disc to the pixels around the visible part of the outline.
+
+    A half-level outline moves inwards where the ball is dark. Here the chroma of a pixel is the ball's, which varies
+    linearly with the surface normal (Lambert), times the share of the pixel that the ball covers, a normal
+    distribution's integral across the outline, and ``view.around`` for the rest; Gauss-Newton with Tukey's weights over
+    centre, radius, blur and brightness.
+
+    Parameters
+    ----------
+    at
+        (N, 2) the view's pixels in the plane touching at the first centre.
+    view
+        What they show.
+    radius
+        The expected radius in pixels.
+    seen
+        (36,) which parts of the outline are visible.
+
+    Returns
+    -------
+    centre, radius, error
+        (2,) and float in pixels, and the rms difference as a share of the ball's chroma.
+    """
+    distance = np.hypot(*at.T)
+    # The ends of the visible part are blurred with what hides the rest.
+    clear = seen & np.roll(seen, 1) & np.roll(seen, -1)
+    use = (distance < radius + 3.0) & (clear[arc_bins(at)] & (distance > radius - 2.5) | view.inner)
+    # A thin stem hides few directions of the outline and many of the ball within it, with a pixel of blur around.
+    hidden = at[~view.above & (distance < radius - 1.0)]
+    at, chroma, around, inner = at[use], view.chroma[use], view.around[use], view.inner[use]
+    shown = (np.linalg.norm(at[:, None] - hidden, axis=2) > 1.5).all(axis=1)
+    state = np.array([0.0, 0.0, radius, 0.8])  # x, y, radius, blur
+    expected = state.copy()
+    trust = np.array([0.0, 0.0, 1 / (0.01 * radius), 1 / 0.3])  # how well radius and blur are known beforehand
+    # Shading is at most as strong as the ball's chroma itself.
+    level = max(float(np.median(chroma[inner])), 1.0) if inner.any() else 1.0
+    still = np.array([1e-3, 1.0, 1.0, 1.0, 1e-3]) / level
+    diagonal = np.diag_indices(9)
+    brightness: Array = np.zeros(5)
+    noise = 1.0
+    for turn in range(7):
+        offset = at - state[:2]
+        distance = np.maximum(np.hypot(*offset.T), 1e-6)
+        toward = offset / distance[:, None]
+        sine = np.minimum(distance / state[2], 1.0)
+        across = (state[2] - distance) / state[3]
+        cover = 0.5 * (1 + _erf(across / np.sqrt(2)))
+        shape = np.column_stack([np.ones(len(at)), toward * sine[:, None], np.sqrt(1 - sine**2)])
+        basis = np.column_stack([shape * cover[:, None], 1 - cover])
+        behind = around * (1 - cover)
+        if turn == 0:
+            brightness = np.asarray(np.linalg.lstsq(basis, chroma - behind, rcond=1e-3)[0])
+        error = chroma - behind - basis @ brightness
+        if turn < 3:  # a scale that follows the fit for ever keeps it from settling
+            noise = max(1.48 * float(np.median(np.abs(error))), _MISFIT * level)
+        weight = np.clip(1 - (error / (4.685 * noise)) ** 2, 0, None) ** 2
+        if not weight.any():
+            raise Doubt("nothing of it is as bright as a shaded disc")
+        step = (
+            np.exp(-0.5 * across**2) / np.sqrt(2 * np.pi) / state[3] * (shape @ brightness[:4] - brightness[4] - around)
+        )
+        # How brightness at a place changes when the centre moves counts too, or the iteration creeps.
+        drift = np.where(distance < state[2], cover, 0.0)[:, None] / state[2]
+        moved = drift * (brightness[3] * toward * (sine / np.maximum(shape[:, 3], 0.4))[:, None] - brightness[1:3])
+        slope = np.column_stack([toward * step[:, None] + moved, step, -across * step])
+        joint = np.column_stack([slope, basis])
+        weighted = joint * weight[:, None]
+        normal = weighted.T @ joint / noise**2
+        known = weighted.T @ error / noise**2
+        normal[diagonal] += np.r_[trust, still] ** 2
+        known += np.r_[trust**2 * (expected - state), -(still**2) * brightness]
+        change = np.linalg.solve(normal, known)
+        state, brightness = state + np.clip(change[:4], -0.5, 0.5), brightness + change[4:]
+        state[3] = min(max(state[3], 0.3), 2.5)
+        if np.abs(change[:3]).max() < 1e-2:
+            break
+    if np.hypot(*state[:2]) > 1.5:
+        raise Doubt("outline and brightness disagree about the centre")
+    # Not weighted: what the fit left out counts against the ball, but not what the stem hides.
+    spread = float(np.sqrt(np.mean(error[shown] ** 2))) if shown.any() else np.inf
+    return state[:2], float(state[2]), spread / level
+
+
+def _erf(x: Array) -> Array:
+    """Approximate the error function to 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
+    t = 1 / (1 + 0.3275911 * np.abs(x))
+    series = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
+    value: Array = np.sign(x) * (1 - series * np.exp(-x * x))
+    return value
