@@ -163,8 +163,8 @@ def load(path: Path) -> StoredCalibration:
             left=CameraModel.from_mapping(document["left_camera"]),
             right=None if right is None else CameraModel.from_mapping(right),
             machine=str(document["machine"]),
-            rms_m=float(document["rms_m"]),
-            sigma_m=float(document["predicted_sigma_m"]),
+            rms_m=_error(document, "rms_m"),
+            sigma_m=_error(document, "predicted_sigma_m"),
             held_out_m=float(document["held_out_max_m"]),
             samples=int(document["samples"]),
             made_at=str(document["made_at"]),
@@ -267,6 +267,13 @@ def _mounting(document: Any) -> str:
     if mounting not in ("fixed", "carriage"):
         raise CalibrationFileError(f"mounting {mounting!r}: 'fixed' or 'carriage' is needed")
     return mounting
+
+
+def _error(document: Any, key: str) -> float:
+    value = float(_numbers(document, key, ()))
+    if value < 0.0:
+        raise CalibrationFileError(f"{key} = {document[key]!r} is below 0")
+    return value
 
 
 def _numbers(document: Any, key: str, shape: tuple[int, ...], *, known: bool = True) -> Array:
