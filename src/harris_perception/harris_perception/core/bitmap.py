@@ -62,15 +62,20 @@ def ones(word: np.uint64) -> int:
 
 
 @called
-def window(words: Array, here: int, row: int) -> np.uint64:
-    """Return the bits of a window of 3x3, in the order of rows; ``row`` is the bytes of one."""
+def window(octets: Array, here: int, row: int) -> np.uint64:
+    """Return the bits of a window of 3x3, in the order of rows; ``row`` is the bytes of one.
+
+    Two bytes of each row hold them, which become one load.
+    """
     before = np.uint64(here - 1)
     shift, middle = before & np.uint64(7), before >> np.uint64(3)
-    seven = np.uint64(7)
-    above = (words[middle - np.uint64(row)] >> shift) & seven
-    beside = (words[middle] >> shift) & seven
-    below = (words[middle + np.uint64(row)] >> shift) & seven
-    return np.uint64(above | (beside << np.uint64(3)) | (below << np.uint64(6)))
+    above, below = middle - np.uint64(row), middle + np.uint64(row)
+    seven, eight = np.uint64(7), np.uint64(8)
+    north = np.uint64(octets[above]) | (np.uint64(octets[above + _ONE]) << eight)
+    same = np.uint64(octets[middle]) | (np.uint64(octets[middle + _ONE]) << eight)
+    south = np.uint64(octets[below]) | (np.uint64(octets[below + _ONE]) << eight)
+    seen = ((north >> shift) & seven) | (((same >> shift) & seven) << np.uint64(3))
+    return np.uint64(seen | (((south >> shift) & seven) << np.uint64(6)))
 
 
 @called

@@ -2,7 +2,7 @@
 
 Everything here works on bitmaps, which are framed by empty pixels, so that neighbours are constant distances and need
 no test for the border. Pieces grow by words of 64 pixels, and crowded pixels, ends and nodes are counted in the bits of
-whole rows. Where single pixels are looked at, their eight neighbours are read from three words as the bits of a byte,
+all rows. Where single pixels are looked at, their eight neighbours are read from three rows as the bits of a byte,
 and what follows from them is one look at a table of 256 patterns.
 """
 
@@ -69,9 +69,9 @@ _ONWARD = np.where(_COUNT[_STEPS] == 2, _AHEAD[:, _STEPS], 8).astype(np.uint8)
 
 
 @called
-def _pattern(words: Array, here: int, row: int) -> np.uint8:
+def _pattern(octets: Array, here: int, row: int) -> np.uint8:
     """Return as bits in circular order which of the eight neighbours are set; ``row`` is the bytes of one."""
-    return np.uint8(_NEIGHBOURS[window(words, here, row)])
+    return np.uint8(_NEIGHBOURS[window(octets, here, row)])
 
 
 @called
@@ -83,14 +83,15 @@ def _connected(bits: Array, strong: Array, strength: Array, row: int, least: int
     # Growing lists would make the flood slower, counting the pixels first, too; what is not written costs nothing.
     places, reached = np.empty(64 * len(bits), np.int32), np.empty(64 * len(bits), np.uint64)
     kept = np.zeros(len(bits), np.uint64)
-    left = 0
+    left, line = 0, np.uint64(row)  # for indices without sign, which need no test for negative ones
     for i in range(len(strong)):
         while strong[i] & bits[i]:
             seeds = strong[i] & bits[i]
             places[0], reached[0] = i, seeds & (~seeds + _ONE)
             count, done, size, total = 1, 0, 0, 0.0
             while done < count:
-                here, seeds = int(places[done]), reached[done]
+                at = np.uint64(done)
+                here, seeds = np.uint64(places[at]), reached[at]
                 free = bits[here] | seeds
                 found = seeds | (free & ~(free + seeds))  # up by what a sum carries, down step by step
                 more = free & (found >> _ONE) & ~found
@@ -98,25 +99,25 @@ def _connected(bits: Array, strong: Array, strength: Array, row: int, least: int
                     found |= more
                     more = free & (more >> _ONE)
                 bits[here] = free & ~found
-                reached[done] = found
+                reached[at] = found
                 done += 1
                 size += ones(found)
                 wide = found | (found << _ONE) | (found >> _ONE)
-                for beside in (here - row, here + row):
+                for beside in (here - line, here + line):
                     more = wide & bits[beside]
                     if more:
                         bits[beside] &= ~more
-                        places[count], reached[count] = beside, more
+                        places[np.uint64(count)], reached[np.uint64(count)] = beside, more
                         count += 1
                 if found & _OUTERMOST:
                     for side in range(2):
                         edge = found >> _LAST if side else found & _ONE
                         there = edge << np.uint64(0 if side else 63)
-                        for beside in range(here - row + 2 * side - 1, here + row + 2 * side, row):
-                            more = there & bits[beside]
+                        for beyond in range(int(here) - row + 2 * side - 1, int(here) + row + 2 * side, row):
+                            more = there & bits[beyond]
                             if more:
-                                bits[beside] &= ~more
-                                places[count], reached[count] = beside, more
+                                bits[beyond] &= ~more
+                                places[count], reached[count] = beyond, more
                                 count += 1
             if weight > 0.0:
                 for j in range(count):
@@ -128,7 +129,7 @@ def _connected(bits: Array, strong: Array, strength: Array, row: int, least: int
             if size >= least and total >= weight:
                 left += size
                 for j in range(count):
-                    kept[places[j]] |= reached[j]
+                    kept[np.uint64(places[j])] |= reached[j]
     for i in range(len(bits)):
         bits[i] = kept[i]
     return left
@@ -145,9 +146,9 @@ def _counted(one: Any, other: Any, third: Any, fourth: Any) -> tuple[Any, Any, A
 
 
 @inlined
-def _classified_row(above: Any, here: Any, below: Any, kind: int, result: Any, n: int) -> None:
+def _classified_words(above: Any, here: Any, below: Any, kind: int, result: Any, n: int) -> None:
     first, last = np.uint64(1), np.uint64(63)
-    for i in range(1, n):
+    for i in range(1, n - 1):
         north, middle, south = above[i], here[i], below[i]
         west, east = (middle << first) | (here[i - 1] >> last), (middle >> first) | (here[i + 1] << last)
         nw, ne = (north << first) | (above[i - 1] >> last), (north >> first) | (above[i + 1] << last)
@@ -172,15 +173,17 @@ def _classified(bits: Array, row: int, kind: int, result: Array) -> None:
 
     Crowded ones have three neighbours or more, or are needless; ends have at most one. Nodes are where a line does not
     just go through: of steps to other pixels, without the needless diagonal ones, they have other than two.
+
+    All rows are one loop, as the rows of small pictures are too short to be vectorised each by itself.
     """
-    for y in range(1, len(bits) // row - 2):
-        above, here, below, out = bits[(y - 1) * row :], bits[y * row :], bits[(y + 1) * row :], result[y * row :]
-        if kind == _CROWDED:
-            _classified_row(above, here, below, _CROWDED, out, row)
-        elif kind == _ENDS:
-            _classified_row(above, here, below, _ENDS, out, row)
-        else:
-            _classified_row(above, here, below, _NODES, out, row)
+    n = len(bits) - 2 * row
+    above, here, below, out = bits[:n], bits[row : row + n], bits[2 * row :], result[row : row + n]
+    if kind == _CROWDED:
+        _classified_words(above, here, below, _CROWDED, out, n)
+    elif kind == _ENDS:
+        _classified_words(above, here, below, _ENDS, out, n)
+    else:
+        _classified_words(above, here, below, _NODES, out, n)
 
 
 @called
@@ -198,26 +201,26 @@ def _places(bits: Array, most: int) -> Array:
 
 
 @called
-def _thin_out(bits: Array, words: Array, places: Array, row: int) -> None:
+def _thin_out(bits: Array, octets: Array, places: Array, row: int) -> None:
     """Remove needless pixels among these places, the last first; of two equal ones the first stays, as of maxima."""
     changed = True
     while changed:
         changed = False
         for i in range(len(places) - 1, -1, -1):
-            if _CERTAIN[_pattern(words, places[i], row)] and has(bits, places[i]):
+            if _CERTAIN[_pattern(octets, places[i], row)] and has(bits, places[i]):
                 clear(bits, places[i])
                 changed = True
     for i in range(len(places) - 1, -1, -1):
-        if _NEEDLESS[_pattern(words, places[i], row)] and has(bits, places[i]):
+        if _NEEDLESS[_pattern(octets, places[i], row)] and has(bits, places[i]):
             clear(bits, places[i])
 
 
 @called
-def _branch(words: Array, end: int, steps: Array, path: Array) -> tuple[int, int]:
+def _branch(octets: Array, end: int, steps: Array, path: Array) -> tuple[int, int]:
     """Follow a line from its free end into ``path``; return its length and where it branches, or 0, -1."""
     here, length, back = end, 0, 0
     while length < len(path):
-        pattern = _pattern(words, here, steps[2] >> 3) & ~back
+        pattern = _pattern(octets, here, steps[2] >> 3) & ~back
         if pattern == 0:
             break  # a line of its own
         way = _FIRST[pattern]
@@ -231,7 +234,7 @@ def _branch(words: Array, end: int, steps: Array, path: Array) -> tuple[int, int
 
 
 @called
-def _prune(bits: Array, words: Array, crowded: Array, most: int, steps: Array, longest: int) -> None:
+def _prune(bits: Array, octets: Array, crowded: Array, most: int, steps: Array, longest: int) -> None:
     """Remove branches of up to ``longest`` pixels that end freely, shortest first, and what becomes needless then.
 
     All that may branch are among ``crowded``; there may be ``most`` ends.
@@ -244,7 +247,7 @@ def _prune(bits: Array, words: Array, crowded: Array, most: int, steps: Array, l
     count = 0
     for i in range(len(crowded)):  # ends are many, branches few: seen from there, most ends need no look
         branch = crowded[i]
-        pattern = _pattern(words, branch, row)
+        pattern = _pattern(octets, branch, row)
         if _COUNT[pattern] < 3 or not has(bits, branch):
             continue
         while pattern:
@@ -253,10 +256,10 @@ def _prune(bits: Array, words: Array, crowded: Array, most: int, steps: Array, l
             here = branch
             for _ in range(longest):
                 here += steps[way]
-                ahead = _pattern(words, here, row) & ~(1 << (way ^ 4))
+                ahead = _pattern(octets, here, row) & ~(1 << (way ^ 4))
                 if ahead == 0 and not has(marked, here):
                     put(marked, here)
-                    ends[count], (lengths[count], _) = here, _branch(words, here, steps, path)
+                    ends[count], (lengths[count], _) = here, _branch(octets, here, steps, path)
                     count += 1
                 if ahead == 0 or ahead & (ahead - 1):
                     break
@@ -267,25 +270,25 @@ def _prune(bits: Array, words: Array, crowded: Array, most: int, steps: Array, l
         while i < count:
             end = ends[i]
             i += 1
-            if lengths[i - 1] > shortest or not has(bits, end) or _COUNT[_pattern(words, end, row)] != 1:
+            if lengths[i - 1] > shortest or not has(bits, end) or _COUNT[_pattern(octets, end, row)] != 1:
                 continue
-            length, branch = _branch(words, end, steps, path)
+            length, branch = _branch(octets, end, steps, path)
             if length == 0 or length > shortest:
                 lengths[i - 1] = length if length > 0 else longest + 1
                 continue
             for j in range(length):
                 clear(bits, path[j])
             near = 0
-            pattern = _pattern(words, branch, row)
+            pattern = _pattern(octets, branch, row)
             while pattern:
                 beside[near] = branch + steps[_FIRST[pattern]]
                 pattern &= pattern - 1
                 near += 1
             beside[near] = branch
-            _thin_out(bits, words, beside[: near + 1], row)
+            _thin_out(bits, octets, beside[: near + 1], row)
             for j in range(near + 1):
                 alive = has(bits, beside[j])
-                if count < len(ends) and alive and _COUNT[_pattern(words, beside[j], row)] == 1:
+                if count < len(ends) and alive and _COUNT[_pattern(octets, beside[j], row)] == 1:
                     ends[count], lengths[count] = beside[j], 0
                     count += 1
 
@@ -396,28 +399,18 @@ def _lead(
 
 
 @called
-def _follow(bits: Array, linked: Array, chain: Array, filled: int, steps: Array, way: int) -> int:
+def _follow(octets: Array, linked: Array, chain: Array, filled: int, steps: Array, way: int) -> int:
     """Append to ``chain``, whose last pixel is the first of ``filled``, up to a node or what is linked already.
 
     ``way`` is the direction of the first step. Returns the new ``filled``.
     """
-    row, seven = np.uint64(steps[2] >> 6), np.uint64(7)
+    row = steps[2] >> 3
     here, to = np.int64(chain[filled - 1]), np.uint64(way)
     while True:
         here += steps[to]
         chain[np.uint64(filled)] = here
         filled += 1
-        # The window of 3x3, mostly of three whole words: each pixel waits for the one before.
-        before = np.uint64(here - 1)
-        shift, at = before & _LAST, before >> np.uint64(6)
-        above, beside, below = bits[at - row] >> shift, bits[at] >> shift, bits[at + row] >> shift
-        if shift > np.uint64(61):
-            rest = np.uint64(64) - shift
-            above |= bits[at - row + _ONE] << rest
-            beside |= bits[at + _ONE] << rest
-            below |= bits[at + row + _ONE] << rest
-        seen = (above & seven) | ((beside & seven) << np.uint64(3)) | ((below & seven) << np.uint64(6))
-        to = np.uint64(_ONWARD[to, seen])
+        to = np.uint64(_ONWARD[to, window(octets, here, row)])  # each pixel waits for the one before
         if to == 8 or has(linked, here):
             return filled
         put(linked, here)
@@ -425,7 +418,7 @@ def _follow(bits: Array, linked: Array, chain: Array, filled: int, steps: Array,
 
 @called
 def _link(
-    bits: Array, words: Array, most: int, spare: Array, labels: Array, corners: Array, steps: Array
+    bits: Array, octets: Array, most: int, spare: Array, labels: Array, corners: Array, steps: Array
 ) -> tuple[Array, Array]:
     """Return chains of neighbouring pixels between ends, branches and corners: points (N, 2) x, y, starts (M + 1,).
 
@@ -441,7 +434,7 @@ def _link(
     patterns = np.empty(len(node_places), np.uint8)
     for i in range(len(corners)):  # a line that goes through a corner is two
         here = (corners[i, 1] + 1) * stride + corners[i, 0] + MARGIN
-        pattern = _STEPS[window(words, here, row)]
+        pattern = _STEPS[window(octets, here, row)]
         if _COUNT[pattern] == 2 and has(bits, here) and not has(linked, here):
             node_places[nodes], patterns[nodes] = here, pattern
             put(linked, here)
@@ -450,7 +443,7 @@ def _link(
     parted = nodes
     for i in range(len(others)):
         clear(spare, others[i])
-        pattern = _STEPS[window(words, others[i], row)]
+        pattern = _STEPS[window(octets, others[i], row)]
         node_places[nodes], patterns[nodes] = others[i], pattern
         links += max(_COUNT[pattern], 1)
         nodes += 1
@@ -474,7 +467,7 @@ def _link(
             if has(linked, beside) and not has(spare, beside):  # already, from its other end
                 continue
             chain[filled] = node
-            filled = _follow(bits, linked, chain, filled + 1, steps, way)
+            filled = _follow(octets, linked, chain, filled + 1, steps, way)
             chains += 1
             starts[chains] = filled
         put(linked, node)
@@ -482,8 +475,8 @@ def _link(
         while bits[i] & ~linked[i]:
             chain[filled] = 64 * i + lowest(bits[i] & ~linked[i])
             put(linked, chain[filled])
-            way = _FIRST[_pattern(words, chain[filled], row)]
-            filled = _follow(bits, linked, chain, filled + 1, steps, way)
+            way = _FIRST[_pattern(octets, chain[filled], row)]
+            filled = _follow(octets, linked, chain, filled + 1, steps, way)
             chains += 1
             starts[chains] = filled
     points = np.empty((filled, 2), np.int32)
@@ -499,6 +492,7 @@ def _link(
 @compiled
 def trace(
     bits: Array,
+    octets: Array,
     words: Array,
     strong_words: Array,
     strength: Array,
@@ -517,6 +511,8 @@ def trace(
     bits
         (2, H + 3, B) uint64, bitmaps (see bitmap.py) of the pixels where an edge may be, and of strong ones among them:
         what is connected with one of these is kept. Both are written over.
+    octets
+        The memory of the first as bytes.
     words, strong_words
         The memory of both, as words of 64 bits that begin at every byte.
     strength
@@ -556,12 +552,12 @@ def trace(
     most = _connected(flat, strong, strength, stride >> 6, least, weight)
     _classified(flat, stride >> 6, _CROWDED, strong)
     crowded = _places(strong, most)
-    _thin_out(flat, words, crowded, stride >> 3)
+    _thin_out(flat, octets, crowded, stride >> 3)
     if longest > 0:
-        _prune(flat, words, crowded, most, steps, longest)
+        _prune(flat, octets, crowded, most, steps, longest)
     if farthest > 0.0 and len(corners) > 0:
         most += _lead(flat, words, strong, strong_words, corners, stride >> 3, farthest)
-    points, starts = _link(flat, words, most, strong, labels, corners, steps)
+    points, starts = _link(flat, octets, most, strong, labels, corners, steps)
     for i in range(len(places)):
         labels[places[i, 1], places[i, 0]] = CORNER
     return True, points, starts

@@ -327,6 +327,7 @@ def traced(
     xy = np.asarray(corners_xy, np.float32).reshape(-1, 2)
     inside, points, starts = tracing.trace(
         bits.view(np.uint64),
+        bits[0].reshape(-1),
         bitmap.wide(bits[0]),
         bitmap.wide(bits[1]),
         strength,
