@@ -65,7 +65,7 @@ _COUNT, _FIRST, _NEEDLESS, _CERTAIN, _AHEAD, _DIRECT = _tables()
 _NEIGHBOURS = (((np.arange(512)[:, None] >> (3 * _DY + _DX + 4)) & 1) << np.arange(8)).sum(axis=1).astype(np.uint8)
 _STEPS = _DIRECT[_NEIGHBOURS]
 # The next direction of a line by (direction, window); 8 where a line does not go on by itself.
-_ONWARD = np.where(_COUNT[_STEPS] == 2, _AHEAD[:, _STEPS], 8).astype(np.uint8)
+_ONWARD = np.ascontiguousarray(np.where(_COUNT[_STEPS] == 2, _AHEAD[:, _STEPS], 8), np.uint8)
 
 
 @called
@@ -399,19 +399,33 @@ def _lead(
 
 
 @called
-def _follow(octets: Array, linked: Array, chain: Array, filled: int, steps: Array, way: int) -> int:
+def _onward(steps: Array) -> Array:
+    """Return what a line does next, by its direction and the window, (8, 512): the distance times 8, and a direction.
+
+    It is 0 where a line does not go on by itself. As one number both are there sooner than one by the other.
+    """
+    onward, values = np.empty((8, 512), np.int32), np.zeros(9, np.int32)
+    for way in range(8):
+        values[way] = 8 * steps[way] + way
+    for way in range(8):
+        for seen in range(512):
+            onward[way, seen] = values[_ONWARD[way, seen]]
+    return onward
+
+
+@called
+def _follow(octets: Array, linked: Array, chain: Array, filled: int, row: int, onward: Array, step: int) -> int:
     """Append to ``chain``, whose last pixel is the first of ``filled``, up to a node or what is linked already.
 
-    ``way`` is the direction of the first step. Returns the new ``filled``.
+    ``step`` is the first one, as in ``onward``; ``row`` is the bytes of one. Returns the new ``filled``.
     """
-    row = steps[2] >> 3
-    here, to = np.int64(chain[filled - 1]), np.uint64(way)
+    here = int(chain[filled - 1])
     while True:
-        here += steps[to]
+        here += step >> 3
         chain[np.uint64(filled)] = here
         filled += 1
-        to = np.uint64(_ONWARD[to, window(octets, here, row)])  # each pixel waits for the one before
-        if to == 8 or has(linked, here):
+        step = int(onward[np.uint64(step & 7), window(octets, here, row)])  # each pixel waits for the one before
+        if step == 0 or has(linked, here):
             return filled
         put(linked, here)
 
@@ -452,6 +466,7 @@ def _link(
     # At most; what is not written costs nothing.
     chain, starts = np.empty(2 * most + 2 * links + 2, np.int32), np.empty(most + links + 2, np.int64)
     filled = chains = starts[0] = 0
+    onward = _onward(steps)
     for i in range(nodes):
         node, pattern = node_places[i], patterns[i]
         clear(spare, node)
@@ -467,7 +482,7 @@ def _link(
             if has(linked, beside) and not has(spare, beside):  # already, from its other end
                 continue
             chain[filled] = node
-            filled = _follow(octets, linked, chain, filled + 1, steps, way)
+            filled = _follow(octets, linked, chain, filled + 1, row, onward, 8 * steps[way] + way)
             chains += 1
             starts[chains] = filled
         put(linked, node)
@@ -476,7 +491,7 @@ def _link(
             chain[filled] = 64 * i + lowest(bits[i] & ~linked[i])
             put(linked, chain[filled])
             way = _FIRST[_pattern(octets, chain[filled], row)]
-            filled = _follow(octets, linked, chain, filled + 1, steps, way)
+            filled = _follow(octets, linked, chain, filled + 1, row, onward, 8 * steps[way] + way)
             chains += 1
             starts[chains] = filled
     points = np.empty((filled, 2), np.int32)
