@@ -25,8 +25,9 @@ ONLY_ELSEWHERE = {
         *("camera_sources", "camera_node", "corners_node", "stereo_node", "dense_stereo_node", "stylus_node"),
         *("recognition_node", "in_step", "conversions", "geometry", "stroke_font", "real_time", "compiled"),
         *("harris", "edges", "edge_kernels", "harris_kernels", "harris_laplace", "edge_tracing", "deriche", "matching"),
-        *("stereo_matching", "stylus", "plane_fit", "planar_pose", "reprojection", "structure", "edge_alignment"),
-        *("overlay", "foxglove_sidecar", "passwords", "secret_files", "audit", "turned_away", "front_door"),
+        *("stereo_matching", "stylus", "ball_view", "ball_fit", "plane_fit", "planar_pose", "reprojection"),
+        *("structure", "edge_alignment", "overlay", "foxglove_sidecar", "passwords", "secret_files", "audit"),
+        *("turned_away", "front_door"),
     ),
 }
 _UNSAID = re.compile(  # calls whose texts go to a log, or to nobody

@@ -364,6 +364,7 @@ export const PHRASES_DE = [
   ["mounting {}: 'fixed' or 'carriage' is needed", "Befestigung {}: nötig ist 'fixed' oder 'carriage'"],
   ["{} = {}: finite numbers of shape {} are needed", "{} = {}: nötig sind endliche Zahlen der Form {}"],
   ["format {} is needed", "nötig ist Format {}"],
+  ["{} = {} is below 0", "{} = {} liegt unter 0"],
   ["base_from_reading {} cannot be inverted", "base_from_reading {} ist nicht umkehrbar"],
   ["{}: not a hand-eye calibration: {}", "{}: keine Hand-Auge-Kalibrierung: {}"],
   ["it was made with a {} picture of {} x {} px, now it has {} x {} px", "sie wurde mit einem {} Bild von {} x {} px gemacht, jetzt hat es {} x {} px"],
