@@ -38,7 +38,6 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
     A pixel is needless when at least two neighbours are set and they stay in one piece without it (Yokoi's number,
     8-connected), so that no connection is lost. It is certain to be so when it is not the end of a line that is wider
     than a pixel, which has two neighbours side by side: as long as there are others, these would go one by one.
-    Then a table tells the next direction of a line from the one before, straight on first, by (direction, pattern).
     """
     full = np.array([[pattern >> i & 1 for i in range(8)] for pattern in range(256)])
     empty = 1 - full
@@ -47,25 +46,20 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
     count = full.sum(axis=1)
     needless = (count >= 2) & (pieces == 1)
     certain = needless & ((count > 2) | (full[:, 0::2].sum(axis=1) == 2))
-    ahead = np.zeros((8, 256), np.uint8)
-    for way in range(8):
-        for turn in (-3, 3, -2, 2, -1, 1, 0):  # the later the better
-            to = (way + turn) % 8
-            ahead[way, full[:, to] == 1] = to
     # What a pixel with a common side leads to as well needs no diagonal step.
     direct = full.copy()
     direct[:, 1::2] &= empty[:, 0::2] & np.roll(empty, -2, axis=1)[:, 0::2]
     steps = (direct << np.arange(8)).sum(axis=1).astype(np.uint8)
-    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, certain, ahead, steps
+    return count.astype(np.uint8), full.argmax(axis=1).astype(np.uint8), needless, certain, steps
 
 
-_COUNT, _FIRST, _NEEDLESS, _CERTAIN, _AHEAD, _DIRECT = _tables()
+_COUNT, _FIRST, _NEEDLESS, _CERTAIN, _DIRECT = _tables()
 
 # The neighbours in circular order by the nine bits of a window of 3x3, in the order of rows.
 _NEIGHBOURS = (((np.arange(512)[:, None] >> (3 * _DY + _DX + 4)) & 1) << np.arange(8)).sum(axis=1).astype(np.uint8)
 _STEPS = _DIRECT[_NEIGHBOURS]
-# The next direction of a line by (direction, window); 8 where a line does not go on by itself.
-_ONWARD = np.ascontiguousarray(np.where(_COUNT[_STEPS] == 2, _AHEAD[:, _STEPS], 8), np.uint8)
+# In place of a step.
+_STOP = 2**31 - 1
 
 
 @called
@@ -399,35 +393,35 @@ def _lead(
 
 
 @called
-def _onward(steps: Array) -> Array:
-    """Return what a line does next, by its direction and the window, (8, 512): the distance times 8, and a direction.
+def _sums(steps: Array) -> Array:
+    """Return by the window (512,) the sum of a pixel's two steps, or a stop where a line does not go on by itself.
 
-    It is 0 where a line does not go on by itself. As one number both are there sooner than one by the other.
+    Less the step back it is the one ahead, so that no direction need be known, on which the next look would wait.
     """
-    onward, values = np.empty((8, 512), np.int32), np.zeros(9, np.int32)
-    for way in range(8):
-        values[way] = 8 * steps[way] + way
-    for way in range(8):
-        for seen in range(512):
-            onward[way, seen] = values[_ONWARD[way, seen]]
-    return onward
+    sums = np.empty(512, np.int32)
+    for seen in range(512):
+        pattern = _STEPS[seen]
+        rest = pattern & (pattern - 1)
+        sums[seen] = steps[_FIRST[pattern]] + steps[_FIRST[rest]] if _COUNT[pattern] == 2 else _STOP
+    return sums
 
 
 @called
-def _follow(octets: Array, linked: Array, chain: Array, filled: int, row: int, onward: Array, step: int) -> int:
+def _follow(octets: Array, linked: Array, chain: Array, filled: int, row: int, sums: Array, step: int) -> int:
     """Append to ``chain``, whose last pixel is the first of ``filled``, up to a node or what is linked already.
 
-    ``step`` is the first one, as in ``onward``; ``row`` is the bytes of one. Returns the new ``filled``.
+    ``step`` is the first one; ``row`` is the bytes of one. Returns the new ``filled``.
     """
-    here = int(chain[filled - 1])
+    before = int(chain[filled - 1])
+    here = before + step
     while True:
-        here += step >> 3
         chain[np.uint64(filled)] = here
         filled += 1
-        step = int(onward[np.uint64(step & 7), window(octets, here, row)])  # each pixel waits for the one before
-        if step == 0 or has(linked, here):
+        both = int(sums[window(octets, here, row)])  # each pixel waits for the one before
+        if both == _STOP or has(linked, here):
             return filled
         put(linked, here)
+        before, here = here, here + (here - before) + both
 
 
 @called
@@ -466,7 +460,7 @@ def _link(
     # At most; what is not written costs nothing.
     chain, starts = np.empty(2 * most + 2 * links + 2, np.int32), np.empty(most + links + 2, np.int64)
     filled = chains = starts[0] = 0
-    onward = _onward(steps)
+    sums = _sums(steps)
     for i in range(nodes):
         node, pattern = node_places[i], patterns[i]
         clear(spare, node)
@@ -482,7 +476,7 @@ def _link(
             if has(linked, beside) and not has(spare, beside):  # already, from its other end
                 continue
             chain[filled] = node
-            filled = _follow(octets, linked, chain, filled + 1, row, onward, 8 * steps[way] + way)
+            filled = _follow(octets, linked, chain, filled + 1, row, sums, steps[way])
             chains += 1
             starts[chains] = filled
         put(linked, node)
@@ -490,8 +484,8 @@ def _link(
         while bits[i] & ~linked[i]:
             chain[filled] = 64 * i + lowest(bits[i] & ~linked[i])
             put(linked, chain[filled])
-            way = _FIRST[_pattern(octets, chain[filled], row)]
-            filled = _follow(octets, linked, chain, filled + 1, row, onward, 8 * steps[way] + way)
+            way = _FIRST[_STEPS[window(octets, chain[filled], row)]]
+            filled = _follow(octets, linked, chain, filled + 1, row, sums, steps[way])
             chains += 1
             starts[chains] = filled
     points = np.empty((filled, 2), np.int32)
