@@ -77,8 +77,8 @@ PANEL = PanelMap(
 )
 
 
-KNOB = np.array([0.211, 0.092, 0.015])
-"""The centre of the top of CH1_SCALE in panel_link."""
+KNOB, BUTTON = np.array([0.211, 0.092, 0.015]), np.array([0.208, 0.127, 0.003])
+"""The centres of the tops of CH1_SCALE and RUN_STOP in panel_link."""
 
 
 class Bench:
@@ -110,6 +110,7 @@ class Bench:
         self.knob_deg = 20.0
         self.knob_slips = 0.0
         self.lamp = "green"
+        self.dazzle_m = 0.0  # so near to RUN_STOP its lamp, if it shines, hides the tip
         self.hidden: dict[str, str] = {}
         self.screen_changed_ns = 0
         self.actions: list[msg.Action] = []
@@ -223,9 +224,13 @@ class Bench:
                 self.tell(msg.PanelControls(panel=PANEL))
         if "state" in self.talking and self._steps % 9 == 1:
             self.tell(msg.PanelState(seen=self._panel_seen()))
-        if "tip" in self.talking:
+        if "tip" in self.talking and not self._dazzled():
             seen = self.tip_in_base() + self.noise_m * self.rng.standard_normal(3)
             self.tell(msg.TipSeen(in_camera=self.camera_from_base().apply(seen), stamp_ns=self.now_ns))
+
+    def _dazzled(self) -> bool:
+        place = BASE_FROM_PANEL.inverse().apply(self.tip_in_base())[:2]
+        return self.lamp != "off" and float(np.linalg.norm(place - BUTTON[:2])) < self.dazzle_m
 
     def camera_from_base(self) -> Transform:
         """Where base_link truly is in the camera's frame."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
 import pytest
-from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, PANEL, Bench, RidingBench
+from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, PANEL, Bench, RidingBench, config
 
-from gantry_driver.core.controller import Phase
-from icu_common.core.geometry import Transform
+from gantry_driver.core import controller_messages as msg
+from gantry_driver.core.controller import Controller, Phase
+from gantry_driver.core.targets import PanelControl
+from icu_common.core.geometry import Array, Transform
 from icu_common.core.results import Outcome
 
 SEEDS = range(20)
@@ -54,6 +57,91 @@ def test_without_servoing_the_same_machine_misses() -> None:
         bench.go(*BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])[:2])
         errors.append(np.linalg.norm(bench.tip_in_base()[:2] - BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])[:2]))
     assert np.median(errors) > 0.0004, "the errors are too small to show anything"
+
+
+def dazzling_bench(kind: type[Bench], within_m: float, **changes: object) -> Bench:
+    """A sloppy bench whose RUN_STOP shines in the ball's colour."""
+    bench = sloppy_bench(8, kind)
+    bench.controller = Controller(config(camera_on_carriage=kind is RidingBench, **changes))
+    bench.talking.add("state")
+    bench.dazzle_m = within_m
+    return bench.start()
+
+
+def away(bench: Bench, tip: Array) -> float:
+    """How far the tip is from RUN_STOP, sideways, in metres."""
+    return float(np.linalg.norm((tip - BASE_FROM_PANEL.apply(BUTTON))[:2]))
+
+
+@pytest.mark.parametrize("kind", [Bench, RidingBench])
+@pytest.mark.parametrize("gesture", ["press", "long", "double"])
+def test_a_lit_control_that_hides_the_tip_is_touched_by_a_look_from_beside_it(kind: type[Bench], gesture: str) -> None:
+    bench = dazzling_bench(kind, 0.015)
+    result = bench.do(f"{gesture}:RUN_STOP")
+    assert result.outcome is Outcome.REACHED, result
+    contact = min(bench.lowest, key=lambda p: p[2])
+    assert contact[2] == pytest.approx(BASE_FROM_PANEL.apply(BUTTON)[2] + 0.001, abs=2e-5)
+    # What scale and skew of the machine change within 20 mm, up to 0.14 mm, comes on top.
+    assert away(bench, contact) < 0.0004
+    details = dict(result.details)
+    assert result.reason == "the tip was measured beside the target, as it could not be seen before it"
+    assert details["measured_by"] == "cameras beside it" and int(details["corrections"]) >= 1
+    assert result.error_m == pytest.approx(float(details["hover_error_m"]), abs=1e-6) and result.error_m < 0.00025
+    beside = [p for p in bench.lowest if away(bench, p) > 0.015]
+    hover = bench.paths[0][-1][2]
+    assert min(p[2] for p in beside) == pytest.approx(-hover, abs=1e-9), "beside it the stylus stays as high as above"
+
+
+def test_the_tip_that_is_seen_in_contact_counts_although_it_was_hidden_before() -> None:
+    bench = dazzling_bench(Bench, 0.015)
+
+    def out(running: Bench) -> None:
+        running.lamp = "off"
+
+    bench.on_phase[Phase.CONTACT] = out
+    result = bench.do("press:RUN_STOP")
+    assert result.outcome is Outcome.REACHED
+    assert dict(result.details)["measured_by"] == "cameras" and result.reason == ""
+    contact = min(bench.lowest, key=lambda p: p[2])
+    assert abs(result.error_m - away(bench, contact)) < 0.0001
+
+
+@pytest.mark.parametrize(
+    "within_m, changes, looks",
+    [
+        (0.05, {}, 3),  # it shines that far: nothing is seen from beside either
+        (0.015, {"beside_m": 0.0}, 1),
+    ],
+)
+def test_a_tip_that_is_seen_from_nowhere_touches_nothing(
+    within_m: float, changes: dict[str, object], looks: int
+) -> None:
+    bench = dazzling_bench(Bench, within_m, **changes)
+    hover = BASE_FROM_PANEL.apply(BUTTON)[2] + 0.009
+    result = bench.do("press:RUN_STOP")
+    assert result.outcome is Outcome.ABORTED
+    assert "the tip was seen 0 times, 4 times" in result.reason and "the stylus is up" in result.reason
+    assert min(p[2] for p in bench.lowest) > hover and bench.readings[2] == 0.0
+    assert sum(state == "looking" for state in bench.states) == looks
+
+
+def test_an_arc_is_not_followed_from_a_place_that_was_not_seen() -> None:
+    bench = dazzling_bench(Bench, 0.06)  # as far as CH1_SCALE
+    result = bench.do("turn:CH1_SCALE:20")
+    assert result.outcome is Outcome.ABORTED and "the tip was seen 0 times" in result.reason
+    assert sum(state == "looking" for state in bench.states) == 1
+
+
+def test_it_is_looked_from_beside_where_nothing_stands_in_the_way() -> None:
+    bench = dazzling_bench(Bench, 0.015)
+    knob = PanelControl(
+        name="TALL", kind="knob", centre=np.array([0.188, 0.127]), size=np.full(2, 0.012), height=0.02, round=True
+    )
+    bench.tell(msg.PanelControls(panel=dataclasses.replace(PANEL, controls=(*PANEL.controls, knob))))
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+    top = BASE_FROM_PANEL.apply([*knob.centre, knob.height])
+    near = [p[2] for p in bench.lowest if np.linalg.norm((p - top)[:2]) < 0.006 + 0.0025]
+    assert min(near, default=0.0) > top[2] + 0.002 + 0.003 - 1e-6, "the ball's bottom passes 3 mm above"
 
 
 def test_every_correction_arrives_from_the_same_side() -> None:

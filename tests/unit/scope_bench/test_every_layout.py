@@ -22,7 +22,7 @@ from scope_bench.core.renderer import Moment, Renderer, base_from_panel
 
 FOLDER = Path(__file__).parents[3] / "config" / "scopes"
 PINK = ("#e0409a",)
-"""Of the ball's own colour: shining, it hides the ball, and nothing is touched."""
+"""Of the ball's own colour: shining, it hides the ball, which is measured beside it then."""
 LAYOUTS = sorted(path.stem for path in FOLDER.glob("*.yaml"))
 
 

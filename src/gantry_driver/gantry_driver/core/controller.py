@@ -42,6 +42,8 @@ from icu_common.core.gesture import TURNING, Gesture, GestureError, Point, parse
 from icu_common.core.results import GoalResult, Outcome
 
 MAX_TIPS = 50
+MOST_BESIDE = 2
+"""From so many places beside a target is looked for the tip: each takes seconds, with the stylus over the panel."""
 ASK_AGAIN_S = 0.5
 CLOCK_JUMP_S = 0.5
 """Time that runs back farther than this between two events ends the goal: no deadline would hold any more."""
@@ -79,6 +81,7 @@ class Controller:
         (Phase.LOOK, Step.SEEN): lambda self, job: self._judge_hover(job),
         (Phase.LOOK, Step.UNSEEN): lambda self, job: self._unseen_hover(job),
         (Phase.CORRECT, Step.ARRIVED): lambda self, job: self._look_at_hover(job),
+        (Phase.RETURN, Step.ARRIVED): lambda self, job: self._touch_down(job),
         (Phase.TOUCH, Step.ARRIVED): lambda self, job: self._look_at_contact(job),
         (Phase.CONTACT, Step.SEEN): lambda self, job: self._leave_contact(job),
         (Phase.CONTACT, Step.UNSEEN): lambda self, job: self._leave_contact(job),
@@ -367,11 +370,10 @@ class Controller:
         way = gesture.argument if job.knob is None else job.knob.way_deg
         if gesture.kind in TURNING and not abs(way) > 0:
             way = 1.0  # not known before the knob has been looked at: any turn tells whether it can be reached
-        wander = config.max_correction_m + config.motion.approach_m * math.sqrt(2)
         stands = math.nan if job.knob is None else job.knob.seen_deg
         if job.knob is not None and math.isnan(stands):
             stands = 0.0  # as little known; a dimple is not touched before its marker has been seen
-        touch = targets.resolve(gesture, scene, config.touch, wander_m=wander, turn_deg=way, knob_deg=stands)
+        touch = targets.resolve(gesture, scene, config.touch, wander_m=config.wander_m(), turn_deg=way, knob_deg=stands)
         if config.motion.stylus_two_positions:
             touch = targets.with_two_positions(touch, config.motion.stylus_max_m)
         job.touch, job.goal_base = touch, touch.in_base
@@ -379,7 +381,7 @@ class Controller:
         motion_plan.check_reach(job.readings_at(np.vstack([heights, touch.arc])), config.motion)
 
     def _way_to(self, job: Job) -> Path:
-        """Return the way to the job's first place; raises OutOfReach."""
+        """Return the way to where the job's tip goes before a touch; raises OutOfReach."""
         first = job.readings_at(job.tip_goal()[np.newaxis])[0]
         return motion_plan.travel(self._world.here, first[:2], first[2], self.config.motion)
 
@@ -538,18 +540,16 @@ class Controller:
         spread = float(np.linalg.norm((tips - mean)[:, :2], axis=1).max())
         return mean if spread <= self.config.tip_spread_m else None
 
-    def _seen_error(self, job: Job, height_z: float) -> Array:
-        """(3,) seen tip minus target, the target being the surface point raised to base z ``height_z``."""
-        assert job.touch is not None
+    def _seen_error(self, job: Job, place: Array) -> Array:
+        """(3,) seen tip minus where it ought to be, (3,) in base_link."""
         seen = self._seen_in_base(job)
         assert seen is not None
-        error: Array = seen - np.array([*job.touch.in_base[:2], height_z])
+        error: Array = seen - place
         return error
 
     def _judge_hover(self, job: Job) -> None:
-        assert job.touch is not None
         config = self.config
-        error = self._seen_error(job, job.touch.hover_z)
+        error = self._seen_error(job, job.tip_goal())
         sideways = float(np.linalg.norm(error[:2]))
         job.hover_error_m = sideways
         if sideways > config.max_correction_m or abs(error[2]) > config.max_depth_error_m:
@@ -562,11 +562,11 @@ class Controller:
                 ),
             )
         elif sideways <= config.tolerance_m:
-            self._touch_down(job)
+            self._touch_or_return(job)
         elif job.corrections < config.max_corrections:
             self._correct(job, error[:2])
         elif sideways <= config.max_error_m:
-            self._touch_down(job)
+            self._touch_or_return(job)
         else:
             self._break_off(
                 job,
@@ -579,13 +579,37 @@ class Controller:
     def _correct(self, job: Job, error_xy: Array) -> None:
         job.corrections += 1
         job.correction = job.correction - np.linalg.solve(job.base_from_reading, error_xy)
-        assert job.touch is not None
-        aim = job.readings_at(job.touch.in_base[np.newaxis])[0]
+        aim = job.readings_at(job.tip_goal()[np.newaxis])[0]
         self._try(job, Phase.CORRECT, lambda: motion_plan.shift(self._world.here, aim[:2], self.config.motion))
 
     def _unseen_hover(self, job: Job) -> None:
-        if self.config.require_servo:
+        if not self.config.require_servo:
+            self._touch_down(job)
+            return
+        job.beside = self._places_beside(job) if job.beside is None else job.beside[1:]
+        if job.beside:
+            self._try(job, Phase.APPROACH, lambda: self._way_to(job))
+        else:
             self._break_off(job, Fault(cause=self._unseen_text()))
+
+    def _places_beside(self, job: Job) -> list[Array]:
+        """Return from where to look for a tip that is not seen above the target, before things of the ball's colour.
+
+        An arc is followed only from a place that is known to be right, so for it there are none.
+        """
+        config, touch = self.config, job.touch
+        assert touch is not None and job.scene is not None
+        if config.beside_m == 0 or len(touch.arc):
+            return []
+        places = targets.places_beside(touch, job.scene, config.touch, by_m=config.beside_m, wander_m=config.wander_m())
+        reached = [p for p in places if motion_plan.reaches(job.readings_at(p[np.newaxis]), config.motion)]
+        return reached[:MOST_BESIDE]
+
+    def _touch_or_return(self, job: Job) -> None:
+        """Touch, or first go from beside to above the target, with the correction that was found there."""
+        if job.beside:
+            job.beside, job.measured_beside = [], True
+            self._try(job, Phase.RETURN, lambda: self._way_to(job))
         else:
             self._touch_down(job)
 
@@ -624,7 +648,10 @@ class Controller:
         """Measure the error at contact; return whether it is good, else leave the reason in ``job.complaint``."""
         assert job.touch is not None
         if self._seen_in_base(job) is not None:
-            job.error_m = float(np.linalg.norm(self._seen_error(job, job.touch.touch_z)[:2]))
+            place = np.array([*job.touch.in_base[:2], job.touch.touch_z])
+            job.error_m, job.measured_beside = float(np.linalg.norm(self._seen_error(job, place)[:2])), False
+        elif job.measured_beside:
+            job.error_m = job.hover_error_m
         if math.isnan(job.error_m) and self.config.require_servo:
             job.complaint = f"touched, but not measured: {self._unseen_text()}"
         elif job.error_m > self.config.max_error_m:
@@ -755,6 +782,8 @@ class Controller:
         self._go(Phase.BREAK_OFF, motion_plan.lift(self._world.here, self.config.motion))
 
     def _finish(self, job: Job, outcome: Outcome, reason: str = "") -> None:
+        if outcome is Outcome.REACHED and job.measured_beside:
+            reason = "the tip was measured beside the target, as it could not be seen before it"
         self.phase = Phase.IDLE
         self._job = None
         self._publish(job, outcome, reason)
@@ -766,7 +795,8 @@ class Controller:
             details.append(("control", job.touch.control))
             details.append(("target_base_m", " ".join(f"{v:.5f}" for v in job.touch.in_base)))
         if outcome.final:
-            measured = "readings" if job.touch is None else "cameras"
+            cameras = "cameras beside it" if job.measured_beside else "cameras"
+            measured = "readings" if job.touch is None else cameras
             details.append(("measured_by", "nothing" if math.isnan(job.error_m) else measured))
             if job.touch is not None:
                 details.append(("corrections", str(job.corrections)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from gantry_driver.core.motion_plan import MotionConfig
@@ -33,6 +34,13 @@ class ControllerConfig(Config):
     )
     settle_s: float = setting(0.1, "Standstill before a picture counts", minimum=0.0, maximum=5.0, unit="s")
     look_timeout_s: float = setting(3.0, "Time for one look", minimum=0.1, maximum=30.0, unit="s")
+    beside_m: float = setting(
+        0.02,
+        "Way beside a target above which the tip is not seen, to look at it from there; 0: it is not touched then",
+        minimum=0.0,
+        maximum=0.1,
+        unit="m",
+    )
     press_s: float = setting(0.3, "Time in contact of a press", minimum=0.0, maximum=5.0, unit="s")
     long_press_s: float = setting(1.5, "The same of a long press", minimum=0.0, maximum=30.0, unit="s")
     double_lift_m: float = setting(
@@ -102,6 +110,10 @@ class ControllerConfig(Config):
     )
     motion: MotionConfig = nested(MotionConfig)
     touch: TouchConfig = nested(TouchConfig)
+
+    def wander_m(self) -> float:
+        """Return how far beside its place the tip may be while it hovers, in metres."""
+        return self.max_correction_m + self.motion.approach_m * math.sqrt(2)
 
     def __post_init__(self) -> None:
         super(ControllerConfig, self).__post_init__()

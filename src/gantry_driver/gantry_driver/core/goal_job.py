@@ -24,6 +24,7 @@ class Phase(str, Enum):
     APPROACH = "moving above the target"
     LOOK = "looking at the tip"
     CORRECT = "moving by the seen error"
+    RETURN = "moving back above the target"
     TOUCH = "touching down"
     CONTACT = "touching: looking at the contact"
     TURN = "touching: turning"
@@ -38,6 +39,7 @@ MOVING = (
     Phase.MOVE,
     Phase.APPROACH,
     Phase.CORRECT,
+    Phase.RETURN,
     Phase.TOUCH,
     Phase.TURN,
     Phase.LIFT,
@@ -48,7 +50,7 @@ LOOKING = (Phase.LOOK, Phase.CONTACT, Phase.MEASURE)
 """Here the tip is looked at."""
 UP = (Phase.LIFT, Phase.MEASURE, Phase.ASIDE, Phase.READ)
 """Here the touch is done, and neither a stalled camera nor a moved panel matters any more."""
-FREE_VIEW = (Phase.APPROACH, Phase.LOOK, Phase.CORRECT)
+FREE_VIEW = (Phase.APPROACH, Phase.LOOK, Phase.CORRECT, Phase.RETURN)
 """Here nothing but the stylus may hide the control."""
 STANDING = (Phase.LOOK, Phase.TOUCH, Phase.CONTACT)
 """Here x and y rest: what cameras on the carriage see belongs to what is read."""
@@ -104,6 +106,9 @@ class Job:
     went_aside: bool = False
     goal_base: Array
     hold_s: float = 0.0
+    beside: list[Array] | None = None
+    """Places beside the target to look at the tip from, the present one first; None where no look needs them yet."""
+    measured_beside: bool = False
     correction: Array = field(default_factory=lambda: np.zeros(2))
     corrections: int = 0
     hover_error_m: float = math.nan
@@ -114,8 +119,10 @@ class Job:
     fault: Fault | None = None
 
     def tip_goal(self) -> Array:
-        """Return where in base_link (3,) the tip goes first: the point itself, or above the place to touch."""
-        return self.goal_base if self.touch is None else np.array([*self.goal_base[:2], self.touch.hover_z])
+        """Return where in base_link (3,) the tip goes before a touch: the point itself, above the target, or beside."""
+        if self.touch is None:
+            return self.goal_base
+        return self.beside[0] if self.beside else np.array([*self.goal_base[:2], self.touch.hover_z])
 
     def readings_at(self, base_points: Array) -> Array:
         """Map (N, 3) base points to readings, with the correction found so far."""

@@ -84,6 +84,15 @@ def check_reach(points: npt.ArrayLike, config: MotionConfig) -> None:
                 raise OutOfReach(f"{name} = {value:.4f} m lies outside {low:.4f} to {high:.4f} m")
 
 
+def reaches(points: npt.ArrayLike, config: MotionConfig) -> bool:
+    """Tell whether all readings (N, 3) lie inside the limits."""
+    try:
+        check_reach(points, config)
+    except OutOfReach:
+        return False
+    return True
+
+
 def travel(start: Array, aim_xy: Array, extension_m: float, config: MotionConfig) -> Path:
     """Retract, cross to ``aim_xy`` (2,) by way of the approach point, and lower to ``extension_m``."""
     check_reach([*aim_xy, extension_m], config)

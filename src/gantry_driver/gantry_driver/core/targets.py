@@ -303,6 +303,21 @@ def resolve(
     )
 
 
+def places_beside(touch: Touch, scene: Scene, config: TouchConfig, *, by_m: float, wander_m: float) -> list[Array]:
+    """Return where the ball may hover ``by_m`` beside a touch, above the panel; the lowest first.
+
+    Each is a centre of the ball (3,) in base_link, as high as above the touch at least.
+    """
+    low, high = scene.panel.extent
+    places = []
+    for step in ((-by_m, 0.0), (by_m, 0.0), (0.0, -by_m), (0.0, by_m)):
+        base_xy = touch.in_base[:2] + step
+        point, _ = _down(base_xy, scene)
+        if ((low <= point[:2]) & (point[:2] <= high)).all():
+            places.append(np.array([*base_xy, max(touch.hover_z, _hover_z(point, scene, config, wander_m))]))
+    return sorted(places, key=lambda place: float(place[2]))
+
+
 def with_two_positions(touch: Touch, down_m: float) -> Touch:
     """Return the same touch for a stylus that is either retracted or extended by ``down_m`` (m).
 

@@ -31,7 +31,7 @@ class GoalResult:
     goal
         The goal as text, for people.
     reason
-        Why it was rejected or aborted; empty when there is nothing to say.
+        Why it was rejected or aborted, or how else it was reached than usual; empty when there is nothing to say.
     error_m
         Measured distance between target and tip in metres; NaN where nothing was measured.
     duration_s
