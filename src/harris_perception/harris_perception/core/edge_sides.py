@@ -9,7 +9,7 @@ along rows and columns in turn (N. Yanenko, "The Method of Fractional Steps", 19
 
 from __future__ import annotations
 
-from functools import reduce
+from functools import cached_property, reduce
 from typing import Any
 
 import cv2
@@ -68,7 +68,7 @@ def structure(channels: list[tuple[npt.NDArray[Any], float]], sigma_px: float) -
 
 
 class Sides:
-    """The code of one picture, from which the differences are taken; it is four times smaller.
+    """The code of one picture, from which the differences are taken; it is four times smaller, and made when needed.
 
     Parameters
     ----------
@@ -83,16 +83,21 @@ class Sides:
     def __init__(self, channels: list[npt.NDArray[np.uint8]], texture: float, k: float) -> None:
         height, width = channels[0].shape
         self._size, self._k = (width, height), k
-        cells = (-(-width // SHRUNK), -(-height // SHRUNK))
-        self._code: list[Picture] = []
-        for number, channel in enumerate(channels):
+        self._channels, self._texture = channels, texture
+
+    @cached_property
+    def _code(self) -> list[Picture]:
+        cells = (-(-self._size[0] // SHRUNK), -(-self._size[1] // SHRUNK))
+        code: list[Picture] = []
+        for number, channel in enumerate(self._channels):
             small = cv2.resize(channel, cells, interpolation=cv2.INTER_AREA)
             bins = _COLOR_BINS if number else _LIGHT_BINS
-            self._code += [np.asarray(cv2.LUT(small, table), np.float32) for table in bins]
-        if texture > 0.0:
-            share = np.float32(texture / (_BENT * (255 // _BENT)))
-            small_bends = (cv2.resize(bent, cells, interpolation=cv2.INTER_AREA) for bent in _bends(channels[0]))
-            self._code += [np.asarray(bent * share, np.float32) for bent in small_bends]
+            code += [np.asarray(cv2.LUT(small, table), np.float32) for table in bins]
+        if self._texture > 0.0:
+            share = np.float32(self._texture / (_BENT * (255 // _BENT)))
+            small_bends = (cv2.resize(bent, cells, interpolation=cv2.INTER_AREA) for bent in _bends(self._channels[0]))
+            code += [np.asarray(bent * share, np.float32) for bent in small_bends]
+        return code
 
     def beside(self, sigma_px: float) -> Picture:
         """Return how different the sides of each pixel are at a scale, (H, W), about 1 for nothing in common."""
