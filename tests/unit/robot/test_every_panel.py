@@ -1,0 +1,38 @@
+"""Every button of every panel in config/scopes, pressed once by the whole robot with its cameras; truth is the bench's.
+
+CH3 of mso_dark_6 stands below a band of the ball's own colour: there the tip is measured beside it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from virtual_robot import CONFIG, VirtualRobot
+
+from icu_common.core.results import Outcome
+
+LAYOUTS = sorted(path.stem for path in (CONFIG / "scopes").glob("*.yaml"))
+BEFORE_THE_BALLS_COLOUR = {("mso_dark_6", "CH3")}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_button_is_pressed_in_its_middle(layout: str) -> None:
+    robot = VirtualRobot(7, layout=layout)
+    robot.prepare(calibrate=False)
+    buttons = [c for c in robot.layout.controls if c.kind == "button"]
+    assert len(buttons) >= 4
+    for button in buttons:
+        robot.look_at_panel()
+        robot.take_records()
+        result = robot.command(f"press:{button.name}")
+        records = robot.take_records()
+        assert result.outcome is Outcome.REACHED, (button.name, result.reason)
+        contacts = [r for r in records if r["event"] == "contact"]
+        assert {r["control"] for r in contacts} == {button.name}
+        assert not [r for r in records if r["event"] == "collision"]
+        off_mm = math.dist(contacts[0]["tip_panel_mm"][:2], button.position_mm)
+        by = dict(result.details)["measured_by"]
+        print(f"{button.name}: {off_mm:.3f} mm off, told {1000 * result.error_m:.3f} by {by}")
+        assert off_mm < 0.25 and result.error_m < 0.00025, button.name
+        assert by == ("cameras beside it" if (layout, button.name) in BEFORE_THE_BALLS_COLOUR else "cameras")
