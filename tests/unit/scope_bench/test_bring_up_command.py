@@ -16,6 +16,9 @@ CONFIG = Path(__file__).parents[3] / "config"
     [
         (["--set", "recognition.rate_hz"], "error: --set recognition.rate_hz: PROGRAM.PARAMETER=VALUE is needed"),
         (["--set", "recognition=5"], "error: --set recognition=5: PROGRAM.PARAMETER=VALUE is needed"),
+        (["--set", "recognition.rate_hz="], "error: --set recognition.rate_hz: a value is needed"),
+        (["--set", "recognition.layout=[1"], "error: --set recognition: 'layout=[1': the value cannot be read"),
+        (["--set", "mock_grbl.link=/tmp/b"], "error: --set mock_grbl.link=/tmp/b: mock_grbl is no node"),
         (["--set", "nobody.rate_hz=5"], "error: no program nobody; there are "),
         (["--only", "nobody"], "error: no program nobody; there are "),
         (["--profile", "replay", "--prepare"], "error: --prepare moves the machine; profile replay has none"),

@@ -68,8 +68,8 @@ def test_command_line_of_a_node(config: Path) -> None:
         *("-r", "image:=/bed_1/stereo/left/image", "-r", "local:=/abs", "-r", "/diagnostics:=/bed_1/diagnostics"),
         *("--params-file", f"{config}/params/eye.yaml", "--params-file", "/v.yaml"),
     ]
-    values = yaml.safe_load(eye.values_document())["/**"]["ros__parameters"]
-    assert values == {"a": 2, "part": {"gain": 2.5}, "path": f"{config}/x", "layout": f"{config}/scopes/dial.yaml"}
+    values = yaml.safe_load(eye.values_document())["/bed_1/stereo/eye"]["ros__parameters"]
+    assert values == {"a": 2, "part.gain": 2.5, "path": f"{config}/x", "layout": f"{config}/scopes/dial.yaml"}
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
 import re
@@ -15,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
+from icu_common.core.yaml_text import values_of_pairs
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import prepare_transport
 from scope_bench.adapters.processes import ProcessGroup, find_executable
@@ -115,6 +117,7 @@ class BringUp:
                 scope=self.options.scope,
             )
             self._check_names(programs)
+            programs = [self._with_single_values(program) for program in programs]
             return self._run_programs(programs, Path(temporary))
 
     def _check_names(self, programs: list[Program]) -> None:
@@ -176,16 +179,24 @@ class BringUp:
     def _arguments(self, program: Program, temporary: Path) -> list[str]:
         values = temporary / f"{program.name}.yaml"
         values.write_text(program.values_document(), encoding="utf-8")
-        return [*program.ros_arguments(values), *self._single_values(program.name)]
+        return program.ros_arguments(values)
 
     def _start_preparation(self, group: ProcessGroup, here: Path) -> None:
         path = find_executable("gantry_driver", "gantry_prepare", here)
         namespace = self.options.namespace.strip("/")
         group.start_once("prepare", [str(path), *(["--ros-args", "-r", f"__ns:=/{namespace}"] if namespace else [])])
 
-    def _single_values(self, name: str) -> list[str]:
-        values = [text.partition(".")[2] for text in self.options.set if text.partition(".")[0] == name]
-        return [part for value in values for part in ("-p", value.replace("=", ":=", 1))]
+    def _with_single_values(self, program: Program) -> Program:
+        given = [text for text in self.options.set if text.partition(".")[0] == program.name]
+        if given and not program.is_node:
+            raise GraphError(f"--set {given[0]}: {program.name} is no node and has no parameters")
+        try:
+            values = values_of_pairs(text.partition(".")[2] for text in given)
+        except ValueError as error:
+            raise GraphError(f"--set {program.name}: {error}") from error
+        for name in (name for name, value in values.items() if value is None):
+            raise GraphError(f"--set {program.name}.{name}: a value is needed; \"''\" is the empty text")
+        return dataclasses.replace(program, parameters={**program.parameters, **values})
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self.stopping = True

@@ -68,8 +68,13 @@ class Program:
         return result
 
     def values_document(self) -> str:
-        """Return the single values as a ROS parameter file."""
-        return yaml.safe_dump({"/**": {"ros__parameters": _nest(self.parameters)}}, sort_keys=True)
+        """Return the single values as a ROS parameter file.
+
+        It names the node in full: rcl keeps one list for each name, in the order in which the names come, so that what
+        stands for all nodes (/**) would lose to what an earlier file has for this one.
+        """
+        node = str(PurePosixPath(self.namespace) / self.name)
+        return yaml.safe_dump({node: {"ros__parameters": dict(self.parameters)}}, sort_keys=True)
 
 
 def load_graph(
@@ -191,14 +196,3 @@ def _fill(value: Any, words: Mapping[str, str]) -> Any:
     if isinstance(value, Mapping):
         return {key: _fill(item, words) for key, item in value.items()}
     return value
-
-
-def _nest(values: Mapping[str, Any]) -> dict[str, Any]:
-    result: dict[str, Any] = {}
-    for name, value in values.items():
-        *groups, last = name.split(".")
-        place = result
-        for group in groups:
-            place = place.setdefault(group, {})
-        place[last] = value
-    return result

@@ -1,0 +1,71 @@
+"""What ``bring_up --set`` gives reaches its node, also where a file for this node names another value."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+from ros_rig import Ros
+
+from scope_bench.cli import bring_up
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+
+def started(ros: Ros, given: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, Any]]:
+    """Return what each program's node would take its parameters from, as rclpy reads its command line."""
+    taken: dict[str, dict[str, Any]] = {}
+
+    class Reader:
+        gave_up = ()
+
+        def __init__(self, *_: Any) -> None:
+            self.misconfigured: list[str] = []
+
+        def start(self, name: str, command: list[str], **_: Any) -> None:
+            node = Node("any", context=ros.context, cli_args=command[1:], use_global_arguments=False)
+            taken[name] = {key: parameter.value for key, parameter in node._parameter_overrides.items()}
+            node.destroy_node()
+
+        def running(self) -> dict[str, dict[str, Any]]:
+            return taken
+
+        def watch(self, _: float) -> None:
+            self.misconfigured = ["the test's end"]
+
+        def stop(self) -> list[str]:
+            return []
+
+    monkeypatch.setattr(bring_up, "ProcessGroup", Reader)
+    monkeypatch.setattr(bring_up, "find_executable", lambda _, executable, __: Path(executable))
+    monkeypatch.setattr("signal.signal", lambda *_: None)  # the test keeps its own
+    monkeypatch.setattr("sys.argv", ["bring_up", "--config", str(CONFIG), "--state", str(tmp_path / "state"), *given])
+    assert bring_up.main() == 0
+    return taken
+
+
+def test_a_single_value_wins_over_the_file_of_the_profile(
+    ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = ["--profile", "hardware", "--only", "serial_driver", "--only", "camera"]
+    given += ["--set", "serial_driver.port=/dev/ttyACM0"]
+    given += ["--set", "serial_driver.machine.travel_mm=[300.0, 200.0, 40.0]"]
+    given += ["--set", 'camera.right_device="4"', "--set", "camera.left_calibration=/lab/left.yaml"]
+    given += ["--set", "camera.rate_hz=3e+1"]
+    taken = started(ros, given, tmp_path, monkeypatch)
+    driver, camera = taken["serial_driver"], taken["camera"]
+    assert (driver["port"], driver["machine.travel_mm"]) == ("/dev/ttyACM0", [300.0, 200.0, 40.0])
+    assert driver["machine.homing_direction_mask"] == 3  # what is not given stays
+    assert (camera["right_device"], camera["left_device"]) == ("4", "0")
+    assert camera["left_calibration"] == "/lab/left.yaml"
+    assert camera["right_calibration"] == f"{CONFIG}/cameras/right.yaml"
+    assert camera["rate_hz"] == 30.0
+
+
+def test_a_single_value_of_a_robot_in_a_namespace(ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = ["--profile", "carriage", "--namespace", "bed_1/left", "--only", "gantry_controller"]
+    given += ["--set", "gantry_controller.look_timeout_s=20.0"]
+    controller = started(ros, given, tmp_path, monkeypatch)["gantry_controller"]
+    assert (controller["look_timeout_s"], controller["camera_timeout_s"]) == (20.0, 4.0)
