@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from ros_rig import Ros
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
@@ -185,6 +186,26 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path, command: Star
     assert b == [] and beats == [] and orders == []
     assert [m.data for m in ways[:2]] == ["way 0", "way 1"], "where it went can be seen"
     assert "not played: /b, /gantry/sequence, /operator/heartbeat\n" in output
+
+
+def test_a_topic_of_a_type_that_is_not_installed_is_left_out_by_name(ros: Ros, tmp_path: Path, command: Start) -> None:
+    """A bag may come from another computer; the other topics are played."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    types.register(get_types_from_msg("string text", "lab_msgs/msg/Note"))
+    with BagWriter(tmp_path / "bag", keep_free=0, types=types) as bag:
+        for name, kind in (("/note", "lab_msgs/msg/Note"), ("/words", "std_msgs/msg/String")):
+            bag.add_topic(BagTopic(name=name, type=kind))
+            for i in range(3):
+                bag.write(name, 10**9 + i, serialize_message(String(data=f"{i}")))
+    listener = ros.plain("listener")
+    words = ros.collect(listener, String, "/words", qos.RESULTS)
+    output = command("bag_play", str(tmp_path / "bag"), "--wait", "60").end()
+    assert output.startswith("not played, as lab_msgs/msg/Note is not installed here: /note\n[")
+    assert output.endswith("3 messages played\n")
+    ros.spin_until(lambda: len(words) == 3, 10.0, lambda: len(words))
+    asked = command("bag_play", str(tmp_path / "bag"), "--topics", "/note").process
+    assert asked.communicate(timeout=20.0)[0] == "error: /note: lab_msgs/msg/Note is not installed here\n"
+    assert asked.returncode == 1
 
 
 def test_the_player_does_not_tell_more_than_it_has_played(ros: Ros, tmp_path: Path, command: Start) -> None:

@@ -25,6 +25,7 @@ from scope_bench.cli.bounds import check_bounds
 from scope_bench.cli.progress import ProgressLine
 from scope_bench.core.play_clock import PlayClock, progress_bar
 from scope_bench.nodes.bag_player import ASIDE, MOVING, BagPlayer
+from scope_bench.nodes.bag_qos import message_class
 from scope_bench.nodes.step_player import StepPlayer
 
 
@@ -58,19 +59,33 @@ def chosen(bag: BagReader, options: argparse.Namespace) -> list[BagTopic]:
     Raises
     ------
     BagError
-        If one that was named is not in the bag.
+        If one that was named is not in the bag, or of a type that is not installed here.
     """
     names, in_step = {topic.name for topic in bag.topics}, bool(options.in_step)
     unknown = {*(options.topics or ()), *options.exclude} - names
     if unknown:
         raise BagError(f"{bag.path} has no {', '.join(sorted(unknown))}; it has {', '.join(sorted(names))}")
-    return [
+    wanted = [
         topic
         for topic in bag.topics
         if (options.topics is None or topic.name in options.topics)
         and topic.name not in options.exclude
         and (options.moving or not topic.name.endswith(MOVING) or (topic.name.endswith(tuple(ASIDE)) and not in_step))
     ]
+    strange = [topic for topic in wanted if not _installed(topic.type)]
+    for topic in strange if options.topics is not None else ():
+        raise BagError(f"{topic.name}: {topic.type} is not installed here")
+    for kind in sorted({topic.type for topic in strange}):
+        print(f"not played, as {kind} is not installed here: {', '.join(t.name for t in strange if t.type == kind)}")
+    return [topic for topic in wanted if topic not in strange]
+
+
+def _installed(kind: str) -> bool:
+    try:
+        message_class(kind)
+    except (ImportError, AttributeError, ValueError):
+        return False
+    return True
 
 
 class Playing:
@@ -98,7 +113,7 @@ class Playing:
     def run(self) -> None:
         """Play until the end or a signal."""
         try:
-            left_out = sorted({t.name for t in self._bag.topics} - set(self._names))
+            left_out = sorted({t.name for t in self._bag.topics if _installed(t.type)} - set(self._names))
             if left_out:
                 print(f"not played: {', '.join(left_out)}")
             if self._step is not None:
