@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import nav_msgs.msg
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
@@ -145,6 +146,26 @@ def test_what_is_recorded_is_played_again(ros: Ros, tmp_path: Path, storage: str
     assert [m.data for m in heard] == spoken and latched[-1].data == "ready"
     stamps = [m.clock.sec * 10**9 + m.clock.nanosec for m in times]
     assert stamps == sorted(stamps) and stamps[-1] - stamps[0] <= recorded + 1e9
+
+
+@pytest.mark.skipif(
+    not hasattr(nav_msgs.msg, "Goals") or "nav_msgs/msg/Goals" in get_typestore(Stores.ROS2_JAZZY).types,
+    reason="a type is needed that is installed and that bags cannot describe",
+)
+def test_a_topic_whose_definition_is_not_known_does_not_end_the_recording(ros: Ros, tmp_path: Path) -> None:
+    """Any program on this computer may publish a type that bags cannot describe; the robot's topics are recorded."""
+    talker = ros.plain("talker")
+    talker.create_publisher(nav_msgs.msg.Goals, "goals", qos.RESULTS)
+    words = talker.create_publisher(String, "words", qos.RESULTS)
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
+    recorder = ros.node(lambda **options: BagRecorder(sink, ["goals", "words"], **options))
+    ros.spin_until(lambda: words.get_subscription_count() and not recorder.missing, 10.0, lambda: recorder.missing)
+    words.publish(String(data="ready"))
+    ros.spin_until(lambda: sink.messages == 1 or sink.failure, 10.0)
+    sink.close()
+    assert (sink.failure, sink.dropped, recorder.recorded) == ("", 0, {"/words"})
+    with BagReader(tmp_path / "bag") as bag:
+        assert [(topic.name, topic.count) for topic in bag.topics] == [("/words", 1)]
 
 
 def test_a_player_keeps_what_is_recorded_for_latecomers_and_never_less_than_fifty_for_the_others() -> None:

@@ -70,6 +70,16 @@ class BagTopic:
     qos: tuple[Qos, ...] = ()
 
 
+def is_known(kind: str) -> bool:
+    """Return whether a bag can describe messages of this type without being given its definition."""
+    return kind in _known_types().types
+
+
+@functools.cache
+def _known_types() -> Typestore:
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
 class BagWriter:
     """Writes one bag; ``close`` makes it complete.
 

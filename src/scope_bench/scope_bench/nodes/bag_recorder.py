@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.validate_topic_name import validate_topic_name
 
 from scope_bench.adapters.bag_sink import BagSink
-from scope_bench.adapters.bags import BagTopic
+from scope_bench.adapters.bags import BagTopic, is_known
 from scope_bench.nodes.bag_qos import listening_qos, message_class, recorded_qos
 
 _LOOK_S = 0.1
@@ -61,6 +61,8 @@ class BagRecorder(Node):
             if len(kinds) > 1:
                 raise ValueError(f"it has several types: {', '.join(kinds)}")
             kind = message_class(kinds[0])
+            if not is_known(kinds[0]):
+                raise ValueError(f"the definition of {kinds[0]} is not known")
         except (ImportError, AttributeError, ValueError) as error:
             self._ignored.add(name)
             self.get_logger().error(f"{name} is not recorded: {error}")
