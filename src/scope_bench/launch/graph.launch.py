@@ -10,6 +10,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
 from launch import LaunchContext, LaunchDescription
+from scope_bench.cli.bring_up import state_folder
 from scope_bench.core.graph_description import load_graph
 
 
@@ -18,8 +19,8 @@ def start(context: LaunchContext) -> list:
         name: LaunchConfiguration(name).perform(context)
         for name in ("profile", "config", "state", "namespace", "scope", "package", "run")
     }
-    state = Path(values["state"]).expanduser()
-    state.mkdir(parents=True, exist_ok=True, mode=0o700)
+    given = Path(values["state"]).expanduser() if values["state"] else None
+    state = state_folder(given, values["namespace"])
     run = Path(values["run"] or mkdtemp(prefix="icu_gantry_"))
     run.mkdir(parents=True, exist_ok=True)
     programs, _ = load_graph(
@@ -57,7 +58,11 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("profile", default_value="bench", description="profile of graph.yaml"),
             DeclareLaunchArgument("config", default_value=config, description="folder with graph.yaml"),
-            DeclareLaunchArgument("state", default_value="~/.local/state/icu_gantry", description="kept files"),
+            DeclareLaunchArgument(
+                "state",
+                default_value="",
+                description="folder of kept files; without: the user's, one for each namespace",
+            ),
             DeclareLaunchArgument("namespace", default_value="", description="the robot's namespace"),
             DeclareLaunchArgument("scope", default_value="", description="model in config/scopes"),
             DeclareLaunchArgument("package", default_value="", description="only this package's part of the graph"),

@@ -162,6 +162,29 @@ def test_ros2_launch_starts_the_graph_that_bring_up_starts(
         assert given["remappings"] == list(program.remappings)
 
 
+@pytest.mark.parametrize("namespace", ["", "bed_1"])
+def test_ros2_launch_keeps_each_robots_files_where_bring_up_does(
+    namespace: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two robots on one host: the calibration of one is wrong for the other."""
+    for name, module in launch_modules(ROOT).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    launch = runpy.run_path(str(ROOT / "src/scope_bench/launch/graph.launch.py"))
+    context = {
+        a.values[0]: a.keywords["default_value"]
+        for a in launch["generate_launch_description"]().values[0]
+        if type(a).__name__ == "DeclareLaunchArgument"
+    }
+    started = launch["start"](context | {"profile": "hardware", "namespace": namespace, "run": str(tmp_path / "run")})
+    given = {action.keywords["name"]: action.keywords["parameters"][-1] for action in started}
+    folder = tmp_path / "state" / "icu_gantry" / namespace
+    assert given["hand_eye"]["calibration_file"] == str(folder / "hand_eye.yaml")
+    assert given["ui_bridge"]["passwords_file"] == str(folder / "passwords")
+    assert folder.stat().st_mode & 0o777 == 0o700
+
+
 @pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem)
 def test_benchmarks_find_what_they_import_of_the_project(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Tests do not run them, and some imports wait inside functions."""
