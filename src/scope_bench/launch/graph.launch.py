@@ -10,7 +10,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
 from launch import LaunchContext, LaunchDescription
-from scope_bench.cli.bring_up import state_folder
+from scope_bench.cli.bring_up import state_folder, true_configuration
 from scope_bench.core.graph_description import load_graph
 
 
@@ -53,7 +53,7 @@ def start(context: LaunchContext) -> list:
 
 
 def generate_launch_description() -> LaunchDescription:
-    config = get_package_share_directory("scope_bench") + "/config"
+    config = str(true_configuration(Path(get_package_share_directory("scope_bench")) / "config"))
     return LaunchDescription(
         [
             DeclareLaunchArgument("profile", default_value="bench", description="profile of graph.yaml"),

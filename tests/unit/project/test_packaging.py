@@ -166,8 +166,10 @@ def test_ros2_launch_starts_the_graph_that_bring_up_starts(
 def test_ros2_launch_keeps_each_robots_files_where_bring_up_does(
     namespace: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two robots on one host: the calibration of one is wrong for the other."""
-    for name, module in launch_modules(ROOT).items():
+    """Two robots on one host: the calibration of one is wrong for the other. New cameras' files need no new build."""
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config" / "graph.yaml").symlink_to(ROOT / "config" / "graph.yaml")  # as colcon does, file by file
+    for name, module in launch_modules(tmp_path).items():
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
@@ -181,6 +183,7 @@ def test_ros2_launch_keeps_each_robots_files_where_bring_up_does(
     given = {action.keywords["name"]: action.keywords["parameters"][-1] for action in started}
     folder = tmp_path / "state" / "icu_gantry" / namespace
     assert given["hand_eye"]["calibration_file"] == str(folder / "hand_eye.yaml")
+    assert given["camera"]["left_calibration"] == str(ROOT / "config" / "cameras" / "left.yaml")
     assert given["ui_bridge"]["passwords_file"] == str(folder / "passwords")
     assert folder.stat().st_mode & 0o777 == 0o700
 

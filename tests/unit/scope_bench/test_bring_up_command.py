@@ -46,3 +46,20 @@ def test_a_namespace_that_is_none_makes_no_folder(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("sys.argv", ["bring_up", "--config", str(CONFIG), "--namespace", "../../elsewhere"])
     monkeypatch.setattr("signal.signal", lambda *_: None)
     assert bring_up.main() == 2 and list(tmp_path.iterdir()) == []
+
+
+def test_files_that_are_added_to_the_sources_configuration_are_found_without_a_new_build(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``colcon build --symlink-install`` links file by file; what is put beside them, or taught, would not be there."""
+    source, built = tmp_path / "config", tmp_path / "install" / "scope_bench" / "share" / "scope_bench" / "config"
+    for folder in (source, built):
+        folder.mkdir(parents=True)
+    (source / "graph.yaml").write_text("programs: {}")
+    (built / "graph.yaml").symlink_to(source / "graph.yaml")
+    monkeypatch.delenv("ICU_CONFIG", raising=False)
+    monkeypatch.setattr("sys.argv", [str(tmp_path / "install" / "scope_bench" / "lib" / "scope_bench" / "bring_up")])
+    assert bring_up.configuration_folder() == source.resolve()
+    (built / "graph.yaml").unlink()
+    (built / "graph.yaml").write_text("programs: {}")  # as without --symlink-install
+    assert bring_up.configuration_folder() == built.resolve()

@@ -31,7 +31,7 @@ _SETTING = re.compile(r"\w+\.[\w.]+=.*", re.DOTALL)
 
 
 def configuration_folder() -> Path:
-    """Return the folder with graph.yaml: $ICU_CONFIG, else the one that was installed with this package.
+    """Return the folder with graph.yaml: $ICU_CONFIG, else :func:`true_configuration` of what was installed.
 
     Raises
     ------
@@ -41,14 +41,24 @@ def configuration_folder() -> Path:
     own = Path(sys.argv[0]).resolve()
     shares = [own.parents[2] / "share"] if len(own.parents) > 2 else []
     shares += [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    places = [Path(os.environ["ICU_CONFIG"])] if "ICU_CONFIG" in os.environ else []
-    places += [share / "scope_bench" / "config" for share in shares]
+    named = [Path(os.environ["ICU_CONFIG"])] if "ICU_CONFIG" in os.environ else []
+    installed = [share / "scope_bench" / "config" for share in shares]
+    places = [*named, *installed]
     for place in places:
         if (place / "graph.yaml").is_file():
-            return place.resolve()
+            return place.resolve() if place in named else true_configuration(place)
     raise FileNotFoundError(
         f"no graph.yaml in {', '.join(map(str, places))}; name its folder with --config or ICU_CONFIG"
     )
+
+
+def true_configuration(installed: Path) -> Path:
+    """Return the folder to which the link of an installed graph.yaml leads, else that folder itself.
+
+    ``colcon build --symlink-install`` links each file alone: calibrations, layouts and what is taught would be missing
+    in the installed folder until the next build, or lost with it.
+    """
+    return (installed / "graph.yaml").resolve().parent
 
 
 def parser() -> argparse.ArgumentParser:
