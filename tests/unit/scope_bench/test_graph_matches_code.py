@@ -82,6 +82,15 @@ def test_parameter_file_names_every_setting(program: Program) -> None:
     assert declared - named - set(program.parameters) == set()
 
 
+def test_cameras_on_the_carriage_of_hardware_are_set_up_in_its_file() -> None:
+    """carriage.yaml says that its keys go into hardware.yaml there: every node that has some must read that file."""
+    named = {node.removeprefix("/**/") for node in file_values(ROOT / "config" / "params" / "carriage.yaml")}
+    readers = {
+        p.name for p in programs("hardware") if ROOT / "config" / "params" / "hardware.yaml" in p.parameter_files
+    }
+    assert named - {"bench"} - readers == set()
+
+
 def test_every_parameter_file_is_used() -> None:
     used = {path for profile in PROFILES for p in programs(profile) for path in p.parameter_files}
     assert set((ROOT / "config" / "params").glob("*.yaml")) == used
