@@ -81,3 +81,22 @@ def test_a_wrong_value_ends_the_process_with_its_reason(ros: Ros, tmp_path: Path
     process = start(ros, tmp_path, [["corners", ["--ros-args", "-p", setting]]])
     output, _ = process.communicate(timeout=60)
     assert process.returncode == 2 and reason in output and "Traceback" not in output
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_a_parameter_file_that_cannot_be_read_ends_the_process_with_file_and_line(
+    ros: Ros, tmp_path: Path, together: bool
+) -> None:
+    """As bring-up's other lines are hidden, the reason must stand in the one that begins with "error:"."""
+    wrong = tmp_path / "mine.yaml"
+    wrong.write_text("/**:\n  ros__parameters:\n    travel_mm: [360.0, 220, 60.0]\n")
+    given = ["--ros-args", "--params-file", str(wrong)]
+    if together:
+        process = start(ros, tmp_path, [["corners", given]])
+    else:
+        command = [sys.executable, "-m", "scope_bench.nodes.beds_node", *given]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 2 and "Traceback" not in output
+    (reason,) = [line for line in output.splitlines() if line.startswith("error: ")]
+    assert f"{wrong}'. Error: Sequence should be of same type" in reason and "line_num 3" in reason

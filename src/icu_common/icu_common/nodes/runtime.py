@@ -111,10 +111,28 @@ class Session:
 
 
 @contextlib.contextmanager
+def _readable() -> Iterator[None]:
+    """Raise a ConfigError for what rcl cannot read of the arguments and parameter files, with rcl's reason."""
+    try:
+        yield
+    except RuntimeError as error:  # as rclpy's own errors are
+        if "Couldn't parse" not in str(error):
+            raise
+        raise ConfigError(str(error)) from error
+
+
+@contextlib.contextmanager
 def ros_session(arguments: Sequence[str] | None = None, shared_memory: bool = True) -> Iterator[Session]:
-    """Start rclpy with the graph's transport, and shut it down at the end."""
+    """Start rclpy with the graph's transport, and shut it down at the end.
+
+    Raises
+    ------
+    ConfigError
+        If an argument or a parameter file cannot be read.
+    """
     prepare_transport(shared_memory)
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    with _readable():
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         yield Session()
     finally:
@@ -179,29 +197,35 @@ def _tell_ready() -> None:
 
 
 def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None, shared_memory: bool = True) -> int:
-    with ros_session(arguments, shared_memory) as session:
-        nodes: list[Node] = []
-        hearing = Hearing() if os.environ.pop(AFTER_CRASH_VARIABLE, "") else None
-        if hearing is not None:
-            hearing.install()
-        try:
-            for make in makers:
+    try:
+        with ros_session(arguments, shared_memory) as session:
+            return _spin(session, makers)
+    except (ConfigError, ParameterException) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
+    nodes: list[Node] = []
+    hearing = Hearing() if os.environ.pop(AFTER_CRASH_VARIABLE, "") else None
+    if hearing is not None:
+        hearing.install()
+    try:
+        for make in makers:
+            with _readable():
                 nodes.append(make())
-                session.executor.add_node(nodes[-1])
-            _tell_ready()
-            while session.goes_on:
-                session.spin()
-                if hearing is not None and (topic := hearing.deaf(time.monotonic())):
-                    print(
-                        f"error: {topic}: a camera is there and has not been heard for {hearing.limit_s:g} s: "
-                        "ending, to be started anew",
-                        file=sys.stderr,
-                    )
-                    return DEAF
-        except (ConfigError, ParameterException) as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 2
-        finally:
-            for node in nodes:
-                session.end(node)
+            session.executor.add_node(nodes[-1])
+        _tell_ready()
+        while session.goes_on:
+            session.spin()
+            if hearing is not None and (topic := hearing.deaf(time.monotonic())):
+                print(
+                    f"error: {topic}: a camera is there and has not been heard for {hearing.limit_s:g} s: "
+                    "ending, to be started anew",
+                    file=sys.stderr,
+                )
+                return DEAF
+    finally:
+        for node in nodes:
+            session.end(node)
     return 0
