@@ -82,9 +82,14 @@ def test_command_line_of_a_node(config: Path) -> None:
         (
             "    when:\n      bench:",
             "    set: {b: 1}\n    when:\n      bench:",
-            r"line 18: 'set' stands here a second time",
+            r"graph\.yaml:18: 'set' stands here a second time",
         ),
         ("params/eye.yaml", "params/ear.yaml", r"eye: parameter file .*ear\.yaml does not exist"),
+        ("only: [bench], arguments", "only: [bnech], arguments", "board: only 'bnech': the profiles are bench, test"),
+        ("extends: bench", "extend: bench", "profile test: unknown key extend; known: about, extends, set"),
+        ("scope: dial", "scope: [dial", r"graph.yaml:2: expected ',' or '\]'"),
+        ("profiles:", "profile:", "graph.yaml: profiles is missing"),
+        ("  board:\n", "  board: none\n  other:\n", "graph.yaml: programs: board: a mapping is needed"),
     ],
 )
 def test_errors(config: Path, old: str, new: str, message: str) -> None:
@@ -92,6 +97,34 @@ def test_errors(config: Path, old: str, new: str, message: str) -> None:
     (config / "graph.yaml").write_text(TABLE.replace(old, new))
     with pytest.raises(GraphError, match=message):
         load(config, "bench")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "/**/eye: {ros__parameters: {a: 1}}\n/**/eey: {ros__parameters: {b: 1}}",
+            r"eye\.yaml:2: /\*\*/eey is none of the nodes that read this file: /stereo/eye",
+        ),
+        ("/other/eye: {ros__parameters: {a: 1}}", r"eye\.yaml:1: /other/eye is none of"),
+        ("eye: {ros__parameters: {a: 1}}", r"eye\.yaml:1: eye is none of"),
+        ("/**:\n  ros__parameters:\n\ta: 1", r"eye\.yaml:3: found character '\\t' that cannot start any token"),
+        ("# für das Gerät", r"eye\.yaml: 'utf-8' codec can't decode"),
+        ("[a]", r"eye\.yaml:1: a mapping of nodes to their ros__parameters is needed"),
+    ],
+)
+def test_a_parameter_file_that_is_wrong_or_would_be_ignored_in_part_is_refused(
+    config: Path, text: str, message: str
+) -> None:
+    (config / "params" / "eye.yaml").write_text(text, encoding="latin-1")
+    with pytest.raises(GraphError, match=message):
+        load(config, "bench")
+
+
+@pytest.mark.parametrize("node", ["/**", "/**/eye", "/stereo/eye", "stereo/eye", "/stereo/*", '"/*/eye"'])
+def test_every_way_to_name_a_node_in_a_parameter_file_is_known(config: Path, node: str) -> None:
+    (config / "params" / "eye.yaml").write_text(f"{node}: {{ros__parameters: {{a: 1}}}}")
+    assert load(config, "bench")["eye"].parameter_files == (config / "params" / "eye.yaml",)
 
 
 def test_unknown_scope_and_profile(config: Path) -> None:

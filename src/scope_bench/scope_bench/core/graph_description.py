@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import yaml
 
+from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
+
+_PROFILE_KEYS = {"about", "extends", "set"}
 _KEYS = {"package", "executable", "namespace", "only", "ros", "ends_last", "when"}
 _ADDABLE = {"parameters", "set", "remap", "arguments", "waits_for"}
 
@@ -101,11 +105,12 @@ def load_graph(
     Raises
     ------
     GraphError
-        For unknown and repeated keys, unknown profiles and scopes, and parameter files that do not exist.
+        For what is no YAML, unknown and repeated keys, unknown profiles and scopes, and parameter files that do not
+        exist or have values for a node that does not read them.
     """
-    text = (config / "graph.yaml").read_text(encoding="utf-8")
-    _refuse_repeated_keys(yaml.compose(text, yaml.SafeLoader))
-    document = yaml.safe_load(text)
+    _refuse_repeated_keys(_read(config / "graph.yaml", yaml.compose))
+    document = _read(config / "graph.yaml", yaml.load)
+    _check_form(document)
     profiles = list(document["profiles"])
     chain = _chain(document["profiles"], profile)
     layout = config / "scopes" / f"{scope or document['scope']}.yaml"
@@ -145,7 +150,38 @@ def load_graph(
                 waits_for=Path(_fill(waits[-1], words)) if waits else None,
             )
         )
+    _refuse_unread_values(programs)
     return programs, profiles
+
+
+def _read(path: Path, parse: Callable[..., Any]) -> Any:
+    try:
+        return parse(path.read_text(encoding="utf-8"), Loader)
+    except UNREADABLE as error:
+        raise GraphError(f"{path.name}:{mistake(error)}") from error
+    except UnicodeDecodeError as error:
+        raise GraphError(f"{path.name}: {error}") from error
+
+
+def _refuse_unread_values(programs: Sequence[Program]) -> None:
+    """A node ignores what a parameter file has for others; nobody would read values under a name that none has."""
+    for path in dict.fromkeys(path for program in programs for path in program.parameter_files):
+        readers = [str(PurePosixPath(p.namespace) / p.name) for p in programs if path in p.parameter_files]
+        root = _read(path, yaml.compose)
+        if root is not None and not isinstance(root, yaml.MappingNode):
+            raise GraphError(f"{path.name}:1: a mapping of nodes to their ros__parameters is needed")
+        for key, _ in root.value if root is not None else ():
+            if not any(_pattern(key.value).fullmatch(reader) for reader in readers):
+                raise GraphError(
+                    f"{path.name}:{key.start_mark.line + 1}: {key.value} is none of the nodes that read this file: "
+                    f"{', '.join(readers)}"
+                )
+
+
+def _pattern(node: str) -> re.Pattern[str]:
+    """Return what a node's name in a parameter file stands for, as rcl reads it: * is one name, ** any number."""
+    forms = {"*": r"/\w+", "**": r"(/\w+)*"}
+    return re.compile("".join(forms.get(part, "/" + re.escape(part)) for part in node.removeprefix("/").split("/")))
 
 
 def _refuse_repeated_keys(node: Any) -> None:
@@ -154,7 +190,7 @@ def _refuse_repeated_keys(node: Any) -> None:
         seen = set()
         for key, value in node.value:
             if key.value in seen:
-                raise GraphError(f"graph.yaml, line {key.start_mark.line + 1}: {key.value!r} stands here a second time")
+                raise GraphError(f"graph.yaml:{key.start_mark.line + 1}: {key.value!r} stands here a second time")
             seen.add(key.value)
             _refuse_repeated_keys(value)
     elif isinstance(node, yaml.SequenceNode):
@@ -170,6 +206,20 @@ def _chain(profiles: Mapping[str, Any], profile: str) -> list[str]:
     return [*(_chain(profiles, base) if base else []), profile]
 
 
+def _check_form(document: Any) -> None:
+    for key in ("scope", "profiles", "programs"):
+        if not isinstance(document, dict) or key not in document:
+            raise GraphError(f"graph.yaml: {key} is missing")
+    for group in ("profiles", "programs"):
+        for name, entry in document[group].items():
+            if not isinstance(entry, dict):
+                raise GraphError(f"graph.yaml: {group}: {name}: a mapping is needed")
+    for name, entry in document["profiles"].items():
+        if unknown := set(entry) - _PROFILE_KEYS:
+            known = ", ".join(sorted(_PROFILE_KEYS))
+            raise GraphError(f"profile {name}: unknown key {', '.join(sorted(unknown))}; known: {known}")
+
+
 def _check_keys(name: str, entry: Mapping[str, Any], profiles: list[str]) -> None:
     for key in ("package", "executable"):
         if key not in entry:
@@ -179,6 +229,9 @@ def _check_keys(name: str, entry: Mapping[str, Any], profiles: list[str]) -> Non
         raise GraphError(
             f"{name}: unknown key {', '.join(sorted(unknown))}; known: {', '.join(sorted(_KEYS | _ADDABLE))}"
         )
+    for profile in entry.get("only", ()):
+        if profile not in profiles:
+            raise GraphError(f"{name}: only {profile!r}: the profiles are {', '.join(profiles)}")
     for profile, addition in entry.get("when", {}).items():
         if profile not in profiles:
             raise GraphError(f"{name}: when {profile!r}: the profiles are {', '.join(profiles)}")
