@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -63,3 +67,48 @@ def test_files_that_are_added_to_the_sources_configuration_are_found_without_a_n
     (built / "graph.yaml").unlink()
     (built / "graph.yaml").write_text("programs: {}")  # as without --symlink-install
     assert bring_up.configuration_folder() == built.resolve()
+
+
+PROGRAM = """\
+#!/bin/sh
+trap 'echo "$0 ends" >> "$LOG"; exit 0' INT
+trap 'echo "$0 is terminated" >> "$LOG"; exit 0' TERM
+while true; do echo "error: still here"; sleep 0.1; done
+"""
+TWO = """\
+scope: dial
+profiles: {bench: {about: two programs}}
+programs:
+  board: {package: p, executable: board, ros: false, ends_last: true}
+  driver: {package: p, executable: driver, ros: false}
+"""
+
+
+@pytest.mark.parametrize("how", ["the terminal is closed", "nobody reads its output any more"])
+def test_bring_up_ends_every_program_in_order_when(how: str, tmp_path: Path) -> None:
+    """A driver lifts the stylus while the board still answers, however bring-up comes to its end."""
+    for folder in ("config/scopes", "lib/p", "tmp"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "config" / "graph.yaml").write_text(TWO)
+    (tmp_path / "config" / "scopes" / "dial.yaml").touch()
+    for name in ("board", "driver"):
+        (tmp_path / "lib" / "p" / name).write_text(PROGRAM)
+        (tmp_path / "lib" / "p" / name).chmod(0o755)
+    environment = {**os.environ, "AMENT_PREFIX_PATH": str(tmp_path), "TMPDIR": str(tmp_path / "tmp")}
+    command = [sys.executable, "-m", "scope_bench.cli.bring_up", "--config", str(tmp_path / "config")]
+    with subprocess.Popen(
+        [*command, "--state", str(tmp_path / "state")],
+        env=environment | {"LOG": str(tmp_path / "log")},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        while "driver | error: still here" not in process.stdout.readline():
+            assert process.poll() is None
+        if how == "the terminal is closed":
+            process.send_signal(signal.SIGHUP)
+        process.stdout.close()
+        assert process.wait(20.0) == 0
+    ended = (tmp_path / "log").read_text().splitlines()
+    assert ended == [f"{tmp_path}/lib/p/{name} ends" for name in ("driver", "board")]
+    assert list((tmp_path / "tmp").iterdir()) == []

@@ -12,7 +12,6 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
@@ -95,9 +94,8 @@ def state_folder(given: Path | None, namespace: str = "") -> Path:
 class BringUp:
     """Starts the programs and prints what they say."""
 
-    def __init__(self, options: argparse.Namespace, say: Callable[[str], None]) -> None:
+    def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
-        self.say = say
         self.stopping = False
         self.complete = False
         self.page = ""
@@ -106,6 +104,8 @@ class BringUp:
         """Run until a signal comes; return the exit code."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._stop)
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup wants it
+            signal.signal(signal.SIGHUP, self._stop)
         if self.options.namespace and not _NAMESPACE.fullmatch(self.options.namespace):
             raise GraphError(
                 f"--namespace {self.options.namespace}: names of letters, digits and _ are needed, "
@@ -211,6 +211,14 @@ class BringUp:
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self.stopping = True
 
+    def say(self, text: str) -> None:
+        """Print a line; once nobody can read it any more, end as by a signal."""
+        try:
+            print(text, flush=True)
+        except OSError:  # the terminal is closed, or the reader of a pipe has gone
+            self.stopping = True
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
     def _output(self, name: str, line: str) -> None:
         found = re.search(r"https?://\S+\?token=\S+", line)
         self.page = found[0] if found else self.page
@@ -225,7 +233,7 @@ class BringUp:
 
 def main() -> int:
     """Run the command."""
-    bring_up = BringUp(parser().parse_args(), lambda text: print(text, flush=True))
+    bring_up = BringUp(parser().parse_args())
     try:
         return bring_up.run()
     except (GraphError, OSError) as error:
