@@ -161,7 +161,7 @@ class Playing:
         if self._options.clock and now_s >= self._next_clock_s:
             self._next_clock_s = now_s + 1.0 / self._options.clock
             self._node.show_time(bag_ns)
-        if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0] and sys.stdin.read(1) == " ":
+        if _has_keys() and select.select([sys.stdin], [], [], 0)[0] and sys.stdin.read(1) == " ":
             self._toggle()
         # Where messages are late, as in step with others, the clock is ahead of what has been played.
         done_s, whole_s = (min(bag_ns, newest_ns) - self._bag.start_ns) / 1e9, self._bag.duration_ns / 1e9
@@ -173,10 +173,20 @@ class Playing:
         return self._clock.toggle(time.monotonic())
 
 
+def _has_keys() -> bool:
+    """Whether keys of a terminal come here: who touches one from its background is stopped by the kernel."""
+    if not sys.stdin.isatty():
+        return False
+    try:
+        return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except OSError:  # a terminal that does not control this process stops nobody
+        return True
+
+
 @contextlib.contextmanager
 def single_keys() -> Iterator[None]:
     """Let the terminal hand over each key at once."""
-    if not sys.stdin.isatty():
+    if not _has_keys():
         yield
         return
     before = termios.tcgetattr(sys.stdin)
