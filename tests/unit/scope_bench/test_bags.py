@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.typesys import Stores, get_typestore
 
-from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, PictureCodec
+from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX, PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic, BagWriter, repair
 from scope_bench.cli import bag_info
@@ -414,6 +414,35 @@ def test_pictures_survive_png_and_nearly_jpeg(encoding: str, channels: int) -> N
         assert np.abs(back.data.reshape(bgr.shape).astype(int) - bgr).max() <= tolerance
     with pytest.raises(ValueError, match="quality = 101: 1 to 100"):
         PictureCodec("jpeg", 101)
+
+
+def test_pictures_that_cannot_be_compressed_are_kept_as_they_are(tmp_path: Path) -> None:
+    """A depth camera beside the robot's own does not end the recording."""
+    header = TYPES.types["std_msgs/msg/Header"](
+        stamp=TYPES.types["builtin_interfaces/msg/Time"](sec=12, nanosec=34), frame_id="eye"
+    )
+
+    def picture(encoding: str, size: int) -> bytes:
+        data = np.zeros(12 * size, np.uint8)
+        image = TYPES.types[IMAGE](
+            header=header, height=3, width=4, encoding=encoding, is_bigendian=0, step=4 * size, data=data
+        )
+        return bytes(TYPES.serialize_cdr(image, IMAGE))
+
+    depth, colour = picture("32FC1", 4), picture("bgr8", 3)
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0), PictureCodec())
+    for name in ("/depth", "/colour", "/silent"):
+        sink.add_topic(BagTopic(name=name, type=IMAGE))
+    for stamp_ns in (1, 2):
+        sink.put("/depth", stamp_ns, depth)
+        sink.put("/colour", stamp_ns, colour)
+    sink.close()
+    assert (sink.failure, sink.dropped, sink.messages) == ("", 0, 4)
+    with BagReader(tmp_path / "bag") as bag:
+        kinds = {topic.name: (topic.type, topic.count) for topic in bag.topics}
+        kept = [data for _, _, data in bag.messages(["/depth"])]
+    compressed = {name + SUFFIX: (COMPRESSED, count) for name, count in (("/colour", 2), ("/silent", 0))}
+    assert kinds == {"/depth": (IMAGE, 2), **compressed} and kept == [depth, depth]
 
 
 def test_an_error_of_any_kind_ends_the_writing_and_is_told(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ class BagSink:
     open_writer
         Makes the bag.
     codec
-        Compresses pictures; None: they are written as they are.
+        Compresses pictures; None: they are written as they are, and so are those that it cannot compress.
     limit_bytes
         The most that may wait.
 
@@ -45,6 +45,7 @@ class BagSink:
         self._size = self.dropped = self.messages = self.bytes = 0
         self.failure = ""
         self._ending = self._opened = False
+        self._undecided: dict[str, BagTopic] = {}
         self._pictures: set[str] = set()
         self._change = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="bag")
@@ -92,6 +93,8 @@ class BagSink:
             with writer:
                 while (item := self._next()) is not None:
                     self._write(writer, item)
+                for topic in self._undecided.values():
+                    self._announce(writer, topic, compressed=True)
         except (BagError, ValueError) as error:
             self._fail(error)
         except Exception as error:
@@ -106,17 +109,37 @@ class BagSink:
     def _write(self, writer: BagWriter, item: BagTopic | tuple[str, int, bytes]) -> None:
         if isinstance(item, BagTopic):
             if self._codec is not None and item.type == IMAGE:
-                self._pictures.add(item.name)
-                item = BagTopic(name=item.name + SUFFIX, type=COMPRESSED, qos=item.qos)
-            writer.add_topic(item)
+                self._undecided[item.name] = item  # until its first picture tells whether it can be compressed
+            else:
+                writer.add_topic(item)
             return
         topic, stamp_ns, data = item
         with self._change:
             self._size -= len(data)
-        if topic in self._pictures and self._codec is not None:
-            topic, data = topic + SUFFIX, self._codec.pack(data)
+        packed = self._packed(topic, data)
+        if (announced := self._undecided.pop(topic, None)) is not None:
+            self._announce(writer, announced, compressed=packed is not None)
+        if packed is not None:
+            topic, data = topic + SUFFIX, packed
         writer.write(topic, stamp_ns, data)
         self.messages, self.bytes = writer.messages, writer.bytes
+
+    def _packed(self, topic: str, data: bytes) -> bytes | None:
+        """Return the compressed picture, None for what is no picture or of a topic that is kept as it is."""
+        if self._codec is None or topic not in {*self._undecided, *self._pictures}:
+            return None
+        try:
+            return self._codec.pack(data)
+        except ValueError:
+            if topic in self._pictures:
+                raise
+            return None
+
+    def _announce(self, writer: BagWriter, topic: BagTopic, *, compressed: bool) -> None:
+        if compressed:
+            self._pictures.add(topic.name)
+            topic = BagTopic(name=topic.name + SUFFIX, type=COMPRESSED, qos=topic.qos)
+        writer.add_topic(topic)
 
     def _fail(self, error: Exception) -> None:
         with self._change:
