@@ -38,6 +38,8 @@ def test_mapping_round_trip() -> None:
         ({"count": True}, "int is needed"),
         ({"count": 1.5}, "int is needed"),
         ({"names": [1]}, "str is needed"),
+        ({"names": 3}, "names = 3: a tuple of str is needed"),
+        ({"names": None}, "names = None: a tuple of str is needed"),
         ({"cuont": 1}, "no setting cuont; it has count, names, part.gain"),
     ],
 )

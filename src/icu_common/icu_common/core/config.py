@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -160,7 +160,7 @@ def from_mapping(config_class: type[C], values: Mapping[str, Any]) -> C:
 
 
 def _convert(item: ConfigItem, value: Any) -> Any:
-    if typing.get_origin(item.kind) is tuple and not isinstance(value, (str, tuple)):
+    if typing.get_origin(item.kind) is tuple and isinstance(value, Iterable) and not isinstance(value, (str, tuple)):
         element = typing.get_args(item.kind)[0]
         value = tuple(float(v) if element is float and type(v) is int else v for v in value)
     elif item.kind is float and type(value) is int:
