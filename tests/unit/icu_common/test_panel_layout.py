@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import pytest
 
+from icu_common.core.gesture import parse_gesture
 from icu_common.core.panel_layout import LayoutError, Text, load_layout, parse_layout
 
 GOOD = """\
@@ -63,6 +65,17 @@ def test_good_layout() -> None:
             "shape: circle\n    marks_deg:\n      LOW: 0\n      HIGH: 190\n",
             r"f\.yaml:14: mark HIGH = 190 is not within -180 to 180 degrees",
         ),
+        ("name: RUN\n", "name: L\u00d6SCHEN\n", r"f\.yaml:4: name 'L\u00d6SCHEN': a letter from A to Z, then letters"),
+        (
+            "shape: circle\n",
+            "shape: circle\n    marks_deg:\n      \u00d6L: 0\n",
+            r"f\.yaml:14: mark '\u00d6L': a letter from A to Z",
+        ),
+        (
+            "shape: circle\n",
+            "shape: circle\n    marks_deg:\n      INF: 0\n",
+            r"f\.yaml:14: mark 'INF': .* and neither nan nor inf, which are numbers",
+        ),
         (
             "height_mm: 3\n",
             "height_mm: 3\n    dimple: {}\n",
@@ -91,6 +104,23 @@ def test_errors_name_the_line(old: str, new: str, message: str) -> None:
     assert old in GOOD
     with pytest.raises(LayoutError, match=message):
         parse_layout(GOOD.replace(old, new, 1), "f.yaml")
+
+
+@pytest.mark.parametrize(
+    "name", ["LOW", "x_1", "L\u00d6SCHEN", "\u00d6L", "1X", "A B", "_", "", "nan", "INF", "Infinity", "INFUSION"]
+)
+def test_what_a_layout_names_can_be_named_in_a_gesture(name: str) -> None:
+    """Another name would stand on the page, and every press on it would be refused."""
+    marked = GOOD.replace("shape: circle\n", f"shape: circle\n    marks_deg: {{{name!r}: 60}}\n")
+    for text, command in (
+        (GOOD.replace("name: RUN\n", f"name: {name!r}\n"), f"press:{name}"),
+        (marked, f"set:KNOB:{name}"),
+    ):
+        assert text != GOOD
+        with contextlib.suppress(LayoutError):
+            parse_layout(text)
+            gesture = parse_gesture(command)
+            assert name in (gesture.target, gesture.mark)
 
 
 def test_marks_of_a_knob() -> None:

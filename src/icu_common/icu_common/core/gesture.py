@@ -11,6 +11,7 @@ TURNING = ("turn", "click", "set")
 """Gestures that turn a knob."""
 MAX_CLICKS = 60
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+_NUMBERS = ("nan", "inf", "infinity")
 _POINT = re.compile(r"([^,@]+),([^,@]+)@([A-Za-z_][A-Za-z0-9_]*)\Z")
 MAX_LENGTH = 200
 
@@ -66,6 +67,16 @@ class Gesture:
         return ":".join(parts) + (f" id={self.id}" if self.id else "")
 
 
+def is_name(text: str) -> bool:
+    """Return whether a control of this name can be the target of a gesture."""
+    return _NAME.match(text) is not None
+
+
+def is_mark(text: str) -> bool:
+    """Return whether a knob can be set to a marked position of this name."""
+    return is_name(text) and text.lower() not in _NUMBERS
+
+
 def parse_gesture(text: str) -> Gesture:
     """Parse a command.
 
@@ -107,7 +118,7 @@ def parse_gesture(text: str) -> Gesture:
         raise GestureError(f"{kind} needs {_NEEDS[kind]}, found nothing")
     elif kind == "drag":
         to = _point(parts[2])
-    elif kind == "set" and _NAME.match(parts[2]) and parts[2].lower() not in ("nan", "inf", "infinity"):
+    elif kind == "set" and is_mark(parts[2]):
         mark = parts[2]
     else:
         argument = _finite(parts[2], "argument")
@@ -149,7 +160,7 @@ def _target(text: str) -> str | Point:
     point = _POINT.match(text)
     if point:
         return Point(x=_finite(point[1], "x"), y=_finite(point[2], "y"), frame=point[3])
-    if not _NAME.match(text):
+    if not is_name(text):
         raise GestureError(f"target {text!r} is neither a control's name nor x,y@frame")
     return text
 

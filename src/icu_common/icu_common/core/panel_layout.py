@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from icu_common.core.fiducial import DICTIONARIES, Fiducial, count_of
+from icu_common.core.gesture import is_mark, is_name
 from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
 CONTROL_KINDS = ("button", "knob", "touch_area", "connector")
@@ -256,8 +257,8 @@ class _Reader:
         fields = {"name", "kind", "position_mm", "size_mm", "shape", "height_mm", "label", "colour", "lit_colour"}
         self.known(entry, fields | {"detent_deg", "marks_deg", "dimple"})
         name = self.text(entry, "name")
-        if not name.replace("_", "").isalnum() or not name[0].isalpha():
-            raise self.error(entry, f"name {name!r}: a letter, then letters, digits and '_' are needed")
+        if not is_name(name):
+            raise self.error(entry, f"name {name!r}: a letter from A to Z, then letters, digits and '_' are needed")
         x, y = self.numbers(entry, "position_mm", 2)
         width, height = self.numbers(entry, "size_mm", 2, positive=True)
         kind, shape = self.choice(entry, "kind", CONTROL_KINDS), self.choice(entry, "shape", SHAPES, "rectangle")
@@ -325,8 +326,12 @@ class _Reader:
             raise self.error(entry, f"marks_deg = {given!r}: a mapping of names to degrees is needed")
         found = []
         for name in (key for key in given if key != "__line__"):
-            if not isinstance(name, str) or not name.replace("_", "").isalnum() or not name[0].isalpha():
-                raise self.error(given, f"mark {name!r}: a letter, then letters, digits and '_' are needed")
+            if not isinstance(name, str) or not is_mark(name):
+                raise self.error(
+                    given,
+                    f"mark {name!r}: a letter from A to Z, then letters, digits and '_' are needed, "
+                    "and neither nan nor inf, which are numbers",
+                )
             degrees = self.one_number(given, name, 0.0)
             if not -180 <= degrees <= 180:
                 raise self.error(given, f"mark {name} = {degrees:g} is not within -180 to 180 degrees")
