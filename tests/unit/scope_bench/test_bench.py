@@ -13,6 +13,7 @@ from icu_common.core.panel_layout import load_layout
 from scope_bench.core.bench import Bench
 from scope_bench.core.configuration import BenchConfig, PanelConfig
 from scope_bench.core.renderer import Renderer
+from scope_bench.core.touch import TouchEvent
 
 ROOT = Path(__file__).parents[3]
 LAYOUT = load_layout(ROOT / "config/scopes/dso_bench_4.yaml")
@@ -215,3 +216,22 @@ def test_cameras_on_the_carriage_see_the_tip_at_rest_and_the_panel_moving() -> N
     assert rig.bench.moment(halfway).crossing is False, "the second way had no length"
     rig.go(60.0, 40.0, 30)
     assert rig.bench.moment(rig.time - 0.5).crossing
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "config" / "scopes").glob("*.yaml")))
+def test_every_click_of_a_knob_is_one_step_as_far_apart_as_its_layout_says(name: str) -> None:
+    layout = load_layout(ROOT / "config" / "scopes" / f"{name}.yaml")
+    for knob in (c for c in layout.controls if c.detent_deg and c.name in ("CH1_SCALE", "TIME_SCALE", "TRIG_LEVEL")):
+        bench = Bench(layout, BenchConfig())
+        seen = []
+        for number in range(4):
+            tip_mm = (*knob.position_mm, knob.height_mm)
+            event = TouchEvent(
+                kind="turn", control=knob.name, time_s=float(number), tip_mm=tip_mm, degrees=knob.detent_deg
+            )
+            if number:
+                bench.touch.on_event(event)
+            state = bench.state
+            seen.append((state.volts_index[0], state.time_index, round(state.trigger_div * 5)))
+        moved = np.abs(np.diff(seen, axis=0)).sum(axis=1)
+        assert moved.tolist() == [1, 1, 1], knob.name

@@ -41,7 +41,7 @@ def _state(options: argparse.Namespace, layout: PanelLayout) -> InstrumentState:
             angle_deg = _finite(degrees)
         except (ValueError, argparse.ArgumentTypeError):
             raise ValueError(f"--turn {item}: NAME=DEGREES is needed") from None
-        state = turn(state, layout.control(name).name, angle_deg)
+        state = turn(state, name, angle_deg, layout.control(name).detent_deg)
     return state
 
 

@@ -176,7 +176,8 @@ class Bench:
         elif event.kind == "unpress":
             state = instrument.release(state, event.control)
         elif event.kind == "turn":
-            state = instrument.turn(state, event.control, event.degrees)
+            detent_deg = self.layout.control(event.control).detent_deg
+            state = instrument.turn(state, event.control, event.degrees, detent_deg)
         elif event.kind in ("contact", "drag") and event.control:
             state = self._touched_screen(event)
         if event.kind == "release":

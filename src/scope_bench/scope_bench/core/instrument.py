@@ -119,16 +119,17 @@ def advance(state: InstrumentState, now_s: float) -> InstrumentState:
     return state
 
 
-def turn(state: InstrumentState, name: str, degrees: float) -> InstrumentState:
+def turn(state: InstrumentState, name: str, degrees: float, detent_deg: float = 0.0) -> InstrumentState:
     """Turn a knob by ``degrees``, counter-clockwise positive; what it sets changes at its detents.
 
+    They are ``detent_deg`` apart, as its layout says; 0: as is usual for its kind.
     Clockwise gives fewer volts or seconds per division, and moves traces and levels up or right.
     """
     before = state.knob_deg(name)
     after = before + degrees
     knobs = {**dict(state.knobs), name: after}
     state = dataclasses.replace(state, knobs=tuple(sorted(knobs.items())))
-    pitch = SCALE_DETENT_DEG if name.endswith("_SCALE") else POSITION_DETENT_DEG
+    pitch = detent_deg or (SCALE_DETENT_DEG if name.endswith("_SCALE") else POSITION_DETENT_DEG)
     steps = round(after / pitch) - round(before / pitch)
     if not steps:
         return state
