@@ -330,6 +330,33 @@ def test_recorded_pictures_come_back_as_pictures(ros: Ros, tmp_path: Path, comma
     assert (seen[0].header.stamp.nanosec, seen[0].header.frame_id, seen[0].encoding) == (77, "eye", "bgr8")
 
 
+def test_a_recording_of_the_page_ends_whole_when_its_bridge_is_killed(ros: Ros, tmp_path: Path) -> None:
+    """The bridge that is started anew knows nothing of it: it would go on, unseen, until the disk is full."""
+    program = tmp_path / "bag_record"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m scope_bench.cli.bag_record "$@"\n')
+    program.chmod(0o755)
+    bridge = (
+        "import sys, time; from pathlib import Path; from scope_ui_bridge.adapters.recorder import Recorder\n"
+        "Recorder(sys.argv[1], Path(sys.argv[2])).start(lambda ok, text: print(text, flush=True)); time.sleep(60)"
+    )
+    environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.context.get_domain_id()), ROS_LOG_DIR=str(tmp_path / "log"))
+    with subprocess.Popen(
+        [sys.executable, "-c", bridge, str(tmp_path / "sessions"), str(program)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        folder = Path(process.stdout.readline().removeprefix("recording to ").strip())
+        assert folder.parent == tmp_path / "sessions"
+        process.kill()
+        ros.spin_until((folder / "metadata.yaml").is_file, 20.0)
+        assert "Traceback" not in process.stderr.read(), "which ends with the recorder"
+    with BagReader(folder) as bag:
+        assert bag.count >= 0
+
+
 def test_the_recorder_as_a_program_keeps_the_bag_whole_when_it_is_killed(
     ros: Ros, tmp_path: Path, command: Start
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import re
 import sys
 import time
@@ -30,6 +31,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--compress", choices=("jpeg", "png"), help="pictures as topic/compressed")
     result.add_argument("--quality", type=int, default=85, help="of JPEG, 1 to 100 (default: %(default)s)")
     result.add_argument("--duration", type=float, default=float("inf"), metavar="S", help="end after so long")
+    result.add_argument("--child-of", type=int, metavar="PID", help="end when this parent process has ended")
     result.add_argument("--keep-free", type=float, default=64.0, metavar="MB", help="end when the disk has less")
     return result
 
@@ -54,10 +56,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _record(sink, path, options, given[split:])
     finally:
         sink.close()
-    print(f"{path}: {sink.messages} messages, {sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped")
+    if not _orphaned(options):  # else nobody reads it
+        print(f"{path}: {sink.messages} messages, {sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped")
     if sink.failure:
         print(f"error: the recording has ended: {sink.failure}", file=sys.stderr)
     return 1 if sink.failure else 0
+
+
+def _orphaned(options: argparse.Namespace) -> bool:
+    return options.child_of is not None and os.getppid() != options.child_of
 
 
 def _check_pattern(exclude: str) -> None:
@@ -77,6 +84,8 @@ def _record(sink: BagSink, path: Path, options: argparse.Namespace, ros_argument
         start_s = time.monotonic()
         try:
             while session.goes_on and not sink.failure and (now_s := time.monotonic()) - start_s < options.duration:
+                if _orphaned(options):
+                    break
                 session.spin()
                 waiting = f", nobody publishes {', '.join(node.missing)}" if node.missing else ""
                 line.show(

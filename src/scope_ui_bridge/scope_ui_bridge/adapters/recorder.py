@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import subprocess
 import sys
@@ -60,6 +61,7 @@ class Recorder:
                 raise GraphError("bag_record is not installed beside this program")
             self._output = self._folder / time.strftime("%Y-%m-%d_%H-%M-%S")
             command = [str(self._program), "-o", str(self._output), "--compress", "jpeg"]
+            command += ["--child-of", str(os.getpid())]  # whoever comes after a killed bridge does not know of it
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
