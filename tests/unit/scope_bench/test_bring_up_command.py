@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -84,9 +85,9 @@ programs:
 """
 
 
-@pytest.mark.parametrize("how", ["the terminal is closed", "nobody reads its output any more"])
-def test_bring_up_ends_every_program_in_order_when(how: str, tmp_path: Path) -> None:
-    """A driver lifts the stylus while the board still answers, however bring-up comes to its end."""
+@pytest.fixture
+def two(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start bring_up with two programs, a board and a driver, in a ROS domain of its own."""
     for folder in ("config/scopes", "lib/p", "tmp"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "config" / "graph.yaml").write_text(TWO)
@@ -95,20 +96,64 @@ def test_bring_up_ends_every_program_in_order_when(how: str, tmp_path: Path) -> 
         (tmp_path / "lib" / "p" / name).write_text(PROGRAM)
         (tmp_path / "lib" / "p" / name).chmod(0o755)
     environment = {**os.environ, "AMENT_PREFIX_PATH": str(tmp_path), "TMPDIR": str(tmp_path / "tmp")}
+    environment |= {"LOG": str(tmp_path / "log"), "ROS_DOMAIN_ID": f"of {tmp_path.name} {os.getpid()}"}
     command = [sys.executable, "-m", "scope_bench.cli.bring_up", "--config", str(tmp_path / "config")]
-    with subprocess.Popen(
-        [*command, "--state", str(tmp_path / "state")],
-        env=environment | {"LOG": str(tmp_path / "log")},
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stdout is not None
-        while "driver | error: still here" not in process.stdout.readline():
-            assert process.poll() is None
+    command += ["--state", str(tmp_path / "state")]
+
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> subprocess.Popen[str]:
+        pipe = subprocess.PIPE
+        started.append(subprocess.Popen([*command, *arguments], env=environment, stdout=pipe, stderr=pipe, text=True))
+        return started[-1]
+
+    yield start
+    for process in started:
+        with process:
+            process.terminate()
+
+
+def until_it_runs(process: subprocess.Popen[str]) -> None:
+    assert process.stdout is not None
+    while "driver | error: still here" not in process.stdout.readline():
+        assert process.poll() is None
+
+
+@pytest.mark.parametrize("how", ["the terminal is closed", "nobody reads its output any more"])
+def test_bring_up_ends_every_program_in_order_when(
+    how: str, tmp_path: Path, two: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """A driver lifts the stylus while the board still answers, however bring-up comes to its end."""
+    with two() as process:
+        until_it_runs(process)
         if how == "the terminal is closed":
             process.send_signal(signal.SIGHUP)
+        assert process.stdout is not None
         process.stdout.close()
         assert process.wait(20.0) == 0
     ended = (tmp_path / "log").read_text().splitlines()
     assert ended == [f"{tmp_path}/lib/p/{name} ends" for name in ("driver", "board")]
     assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_a_second_graph_under_the_same_names_is_refused(two: Callable[..., subprocess.Popen[str]]) -> None:
+    """A demo beside a real machine would enable it, home it and send it goals: the topics are the same."""
+    with two() as first:
+        until_it_runs(first)
+        for more in ([], ["--without", "board"]):
+            output, error = two(*more).communicate(timeout=20.0)
+            assert (
+                "started" not in output and "a graph of these names runs already in ROS domain of test_a_sec" in error
+            )
+        for beside in (["--only", "driver"], ["--namespace", "bed_2"]):
+            with two(*beside) as other:
+                until_it_runs(other)
+                other.send_signal(signal.SIGINT)
+                other.communicate(timeout=20.0)
+                assert other.returncode == 0
+        first.send_signal(signal.SIGINT)
+        first.communicate(timeout=20.0)
+    with two() as again:
+        until_it_runs(again)
+        again.send_signal(signal.SIGINT)
+        again.communicate(timeout=20.0)

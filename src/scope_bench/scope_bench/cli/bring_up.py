@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
+import errno
 import json
 import os
 import re
 import signal
+import socket
 import stat
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 
@@ -25,6 +29,8 @@ IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "http://", "https:
 """Lines with one of these are shown without --verbose."""
 WAIT_S = 60.0
 """So long a program waits for the simulated device that it belongs to."""
+_LONGEST_NAME = 100
+"""Bytes of a Unix socket's name, of 108."""
 _NAMESPACE = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*/?", re.ASCII)
 _SETTING = re.compile(r"\w+\.[\w.]+=.*", re.DOTALL)
 
@@ -128,7 +134,28 @@ class BringUp:
             )
             self._check_names(programs)
             programs = [self._with_single_values(program) for program in programs]
-            return self._run_programs(programs, Path(temporary))
+            with self._hold_names():
+                return self._run_programs(programs, Path(temporary))
+
+    @contextlib.contextmanager
+    def _hold_names(self) -> Iterator[None]:
+        """Keep a second graph from the same topics and services; single programs (--only) may come to a graph."""
+        if self.options.only:
+            yield
+            return
+        domain, namespace = os.environ.get("ROS_DOMAIN_ID") or "0", self.options.namespace.strip("/")
+        with socket.socket(socket.AF_UNIX) as holder:
+            try:
+                # An abstract name: it is the network namespace's own, as the domain is, and ends with the process.
+                holder.bind(f"\0icu_gantry/{domain}/{namespace}".encode()[:_LONGEST_NAME])
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE:
+                    raise
+                raise GraphError(
+                    f"a graph of these names runs already in ROS domain {domain}: end it, "
+                    "or take another --namespace or ROS_DOMAIN_ID"
+                ) from None
+            yield
 
     def _check_names(self, programs: list[Program]) -> None:
         for text in self.options.set:
