@@ -919,6 +919,27 @@ def test_a_servo_that_is_down_between_two_moves_is_lifted_by_a_stop(program: lis
     assert "M3S200" in rig.board.received and rig.machine.homed
 
 
+@pytest.mark.parametrize("lift", [True, False])
+def test_a_servo_that_was_up_is_not_left_limp_over_the_panel_by_a_stop(lift: bool) -> None:
+    """The reset with which a stop ends takes the servo's pulses away; the next motion must not cross with it so."""
+    config = DriverConfig(enabled_at_start=True, lift_on_stop=lift, stylus=StylusConfig(kind="servo_m3", dwell_s=0.1))
+    rig = Rig(config).homed()
+    assert rig.go((0.25, 0.0, 0.0)).outcome.value == "accepted"
+    rig.until(lambda: rig.board.mpos[0] > -280)
+    rig.board.received.clear()
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.machine.homed and ("M3S200" in rig.board.received) is lift
+    assert rig.machine.reset(rig.now) == ""
+    rig.run_for(0.3)
+    x, y, stylus = rig.machine.reading_m or (0.0, 0.0, 0.0)
+    assert rig.state == "idle" and stylus == (0.0 if lift else config.stylus.stroke_m), "limp may be down"
+    assert rig.go((x, y, 0.0), (0.0, 0.0, 0.0)).outcome.value == "accepted"
+    rig.until(lambda: "reached" in rig.outcomes())
+    lines = [text for text in rig.board.received if "X" in text or "M3" in text]
+    assert lines[0] == "M3S200" and "X" in lines[-1]
+
+
 def test_a_pause_that_presses_for_longer_than_a_rest_may_is_a_stop() -> None:
     rig = Rig(DriverConfig(enabled_at_start=True, max_rest_extended_s=3.0)).homed()
     rig.go((0.1, 0.1, 0.0), (0.3, 0.1, 0.0))

@@ -398,6 +398,8 @@ class Machine(Connection):
             self.dialect, self.firmware = banner.dialect, banner.version
             self._identify(now, self.reason if self.phase is Phase.SYNCHRONISE else "")
         elif event.expected and self.phase in (Phase.RESETTING, Phase.ALARM):
+            # It has switched spindle and coolant off: a solenoid is up, but a servo without pulses may sink.
+            self._stylus_down, self._lowers = self.config.stylus.kind == "servo_m3", False
             self.session.poll_now()
         elif self.phase in (Phase.ALARM, Phase.ALARM_RESET):
             # GRBL resets itself after most alarms, which are still the reason; what is on the wire must not run.
@@ -596,8 +598,6 @@ class Machine(Connection):
             self._after_reset(report, now)
 
     def _after_reset(self, report: Report, now: float) -> None:
-        if self.config.stylus.kind == "solenoid_m8":
-            self._stylus_down = self._lowers = False  # GRBL's reset switches coolant, and with it the solenoid, off.
         if not (self._lift and report.state == "Idle" and self.homed and self._stylus_is_down()):
             self._enter(Phase.STOPPED, now, self.reason)
             return
