@@ -199,6 +199,10 @@ class Bench:
         """The ball's true centre."""
         return np.array([*(self.true_axes @ self.carriage), -self.readings[2]]) + self.tip_offset
 
+    def tip_seen_in_base(self) -> Array:
+        """Where the cameras take the ball's centre to be."""
+        return self.tip_in_base()
+
     # The world
 
     def _step(self) -> None:
@@ -225,7 +229,7 @@ class Bench:
         if "state" in self.talking and self._steps % 9 == 1:
             self.tell(msg.PanelState(seen=self._panel_seen()))
         if "tip" in self.talking and not self._dazzled():
-            seen = self.tip_in_base() + self.noise_m * self.rng.standard_normal(3)
+            seen = self.tip_seen_in_base() + self.noise_m * self.rng.standard_normal(3)
             self.tell(msg.TipSeen(in_camera=self.camera_from_base().apply(seen), stamp_ns=self.now_ns))
 
     def _dazzled(self) -> bool:

@@ -158,6 +158,36 @@ def test_every_correction_arrives_from_the_same_side() -> None:
         assert path[0][2] == bench.paths[0][-1][2], "corrections stay at the hover height"
 
 
+class DazzledBench(Bench):
+    """Its cameras take a light that stays where it is for the ball, from the first look on."""
+
+    light: Array | None = None
+
+    def tip_seen_in_base(self) -> Array:
+        return self.tip_in_base() if self.light is None else self.light
+
+
+def test_corrections_that_change_nothing_do_not_lead_the_stylus_into_a_neighbour() -> None:
+    bench = DazzledBench().start()
+    assert isinstance(bench, DazzledBench)
+
+    def dazzle(running: Bench) -> None:
+        assert isinstance(running, DazzledBench)
+        running.light = running.tip_in_base() - (0.0, 0.0045, 0.0)
+
+    bench.on_phase[Phase.LOOK] = dazzle
+    bench.lowest.clear()
+    result = bench.do("press:CH1")
+    assert result.outcome is Outcome.ABORTED
+    # What the hover height was found for; beyond it the knob above CH1 is 4 mm higher than the ball's lower end.
+    above = BASE_FROM_PANEL.apply([0.211, 0.071, 0.003])
+    low = np.array([p for p in bench.lowest if p[2] < above[2] + 0.015])
+    assert len(low) and np.linalg.norm(low[:, :2] - above[:2], axis=1).max() < 0.0065
+    assert result.reason == (
+        "the seen errors add up to a correction by 9.00 mm, 5 mm are allowed: calibrate again; the stylus is up"
+    )
+
+
 def test_cameras_on_the_carriage_notice_a_panel_that_moves() -> None:
     bench = RidingBench(seed=3).start()
     assert isinstance(bench, RidingBench)

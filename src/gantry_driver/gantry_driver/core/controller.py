@@ -577,8 +577,15 @@ class Controller:
             )
 
     def _correct(self, job: Job, error_xy: Array) -> None:
+        correction = job.correction - np.linalg.solve(job.base_from_reading, error_xy)
+        total, most = float(np.linalg.norm(job.base_from_reading @ correction)), self.config.max_correction_m
+        if total > most:
+            # What is seen does not follow the machine, and only so far beside its place is the way known to be clear.
+            cause = f"the seen errors add up to a correction by {1000 * total:.2f} mm, {1000 * most:g} mm are allowed"
+            self._break_off(job, Fault(cause=f"{cause}: calibrate again"))
+            return
         job.corrections += 1
-        job.correction = job.correction - np.linalg.solve(job.base_from_reading, error_xy)
+        job.correction = correction
         aim = job.readings_at(job.tip_goal()[np.newaxis])[0]
         self._try(job, Phase.CORRECT, lambda: motion_plan.shift(self._world.here, aim[:2], self.config.motion))
 

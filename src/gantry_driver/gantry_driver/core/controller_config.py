@@ -22,7 +22,11 @@ class ControllerConfig(Config):
     )
     max_corrections: int = setting(3, "Corrections before the error is judged by max_error_m", minimum=0, maximum=20)
     max_correction_m: float = setting(
-        0.005, "Seen error that means a wrong calibration or a wrong tip", minimum=1e-4, maximum=0.05, unit="m"
+        0.005,
+        "Seen error, or sum of corrections, that means a wrong calibration or a wrong tip",
+        minimum=1e-4,
+        maximum=0.05,
+        unit="m",
     )
     max_depth_error_m: float = setting(
         0.003, "Seen error along base z that means the same", minimum=1e-4, maximum=0.05, unit="m"

@@ -267,6 +267,8 @@ export const PHRASES_DE = [
   ["the driver {} the motion: {}", "der Treiber hat die Bewegung {}: {}"],
   ["no reason given", "ohne Grund"],
   ["the tip is seen {} mm beside and {} mm above its place, {} and {} mm are allowed: calibrate again", "die Spitze ist {} mm neben und {} mm über ihrer Stelle zu sehen, {} und {} mm sind erlaubt: neu kalibrieren"],
+  ["the seen errors add up to a correction by {} mm, {} mm are allowed", "die gesehenen Fehler ergeben zusammen eine Korrektur um {} mm, {} mm sind erlaubt"],
+  ["{}: calibrate again", "{}: neu kalibrieren"],
   ["the seen error is {} mm after {} corrections, {} mm are allowed", "der gesehene Fehler ist nach {1} Korrekturen {0} mm, {2} mm sind erlaubt"],
   ["the tip was seen {} times, {} times within {} mm are needed", "die Spitze wurde {}-mal gesehen, nötig ist {}-mal innerhalb von {} mm"],
   ["moving back above the target", "fährt zurück über das Ziel"],
