@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harris_perception.core.plane_fit import PlaneConfig, fit_plane
+from icu_common.core.config import ConfigError
 
 FB = 1700 * 0.12
 
@@ -68,6 +70,21 @@ def test_the_same_seed_gives_the_same_plane() -> None:
     fits = [fit_plane(points, sigma, PlaneConfig(), np.random.default_rng(7)) for _ in range(2)]
     assert fits[0] is not None and fits[1] is not None
     assert np.array_equal(fits[0].plane.normal, fits[1].plane.normal) and fits[0].plane.offset == fits[1].plane.offset
+
+
+def test_the_most_hypotheses_find_the_same_plane_without_much_memory() -> None:
+    """What is held for all of them at once would be 80 MB and several times that while it is compared."""
+    with pytest.raises(ConfigError, match=r"hypotheses = 5001 is above its maximum 5000"):
+        PlaneConfig(hypotheses=5001)
+    points, sigma, normal = seen_plane(np.random.default_rng(5), 20, 0.65, 2000, 0.08)
+    tracemalloc.start()
+    try:
+        fit = fit_plane(points, sigma, PlaneConfig(hypotheses=5000), np.random.default_rng(0))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert fit is not None and np.degrees(np.arccos(min(1.0, fit.plane.normal @ normal))) < 0.15
+    assert fit.inlier.mean() > 0.9 and peak < 40e6
 
 
 def test_no_plane_is_invented() -> None:

@@ -16,6 +16,8 @@ from icu_common.core.config import Config, setting
 from icu_common.core.geometry import Array, Plane, Transform
 
 _TURNS = 10
+_AT_ONCE = 1_000_000
+"""Distances of points from planes that are held at a time; more of them would not fit the processor's cache."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +27,7 @@ class PlaneConfig(Config):
     tolerance_m: float = setting(
         0.001, "Points of the plane lie within this depth of it.", minimum=1e-5, maximum=0.1, unit="m"
     )
-    hypotheses: int = setting(400, "Planes through three points that are tried.", minimum=10, maximum=100_000)
+    hypotheses: int = setting(400, "Planes through three points that are tried.", minimum=10, maximum=5000)
     min_points: int = setting(20, "Fewer points on the plane are no plane.", minimum=4, maximum=100_000)
     min_share: float = setting(0.3, "A smaller share of all points is no plane.", minimum=0.0, maximum=1.0)
 
@@ -159,8 +161,15 @@ def _consensus(
     if not usable.any():
         return None
     planes = np.linalg.solve(corners[usable], inverse[triples[usable]][:, :, None])[:, :, 0]
-    near = _near(planes @ design.T, inverse, z, config.tolerance_m)
-    return np.asarray(near[int(np.argmax(near.sum(axis=1)))])
+    best, most = np.zeros(len(z), np.bool_), -1
+    step = max(1, _AT_ONCE // len(z))
+    for start in range(0, len(planes), step):
+        near = _near(planes[start : start + step] @ design.T, inverse, z, config.tolerance_m)
+        counts = near.sum(axis=1)
+        first = int(np.argmax(counts))
+        if counts[first] > most:
+            best, most = near[first].copy(), int(counts[first])
+    return best
 
 
 def _near(predicted: Array, inverse: Array, z: Array, tolerance_m: float) -> npt.NDArray[np.bool_]:
