@@ -192,6 +192,15 @@ def test_points_are_metric_whatever_the_binning_and_the_principal_points(binning
     assert np.abs(back - middle).max() < 0.02
 
 
+@pytest.mark.parametrize("binning", [1, 2])
+def test_nothing_is_searched_beyond_the_picture_however_near_a_thing_may_be(binning: int) -> None:
+    """At 1 cm the disparity would be 20,400 px; searching so far takes most of a minute for one pair."""
+    dense = DenseStereo(stereo_model(), DenseConfig(min_depth_m=0.01, binning=binning), CONFIG)
+    width = 800 // binning
+    assert width <= dense.largest_px < width + 20
+    assert dense.least_px <= dense.focal_px * dense.baseline_m / 1.5
+
+
 def test_the_black_borders_of_turned_pictures_stay_unknown() -> None:
     stereo = stereo_model()
     turned = cv2.Rodrigues(np.array([0.05, 0.0, 0.0]))[0]  # both cameras nod: 85 rows come from outside

@@ -289,14 +289,14 @@ class DenseStereo:
         # A pixel of the small picture covers several of the large one, and centres are at whole numbers in both.
         centre = (stereo.left.p[:2, 2] + 0.5) / config.binning - 0.5
         self._offset_px = float(stereo.left.p[0, 2] - stereo.right.p[0, 2]) / config.binning
+        width, height = (size // config.binning for size in stereo.left.size)
         product = self.focal_px * self.baseline_m
-        self._matcher = SemiGlobalMatcher(
-            product / config.max_depth_m + self._offset_px, product / config.min_depth_m + self._offset_px, matching
-        )
+        low, high = (product / depth + self._offset_px for depth in (config.max_depth_m, config.min_depth_m))
+        # No picture shows a disparity beyond its width, and a pair takes the square of what is searched.
+        self._matcher = SemiGlobalMatcher(low, max(low, min(high, width)), matching)
         self.first_column = max(self._matcher.least_px, 0)
         self.least_px = self._matcher.least_px - self._offset_px
         self.largest_px = self.least_px + self._matcher.count - 1
-        width, height = (size // config.binning for size in stereo.left.size)
         if width <= self.first_column:
             raise ValueError(f"max_depth_m = {config.max_depth_m}: pictures {width} px wide show nothing so near")
         across = (np.arange(width, dtype=np.float64) - centre[0]) / self.focal_px
