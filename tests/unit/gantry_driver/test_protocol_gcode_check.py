@@ -13,6 +13,7 @@ from gantry_driver.core.gcode_check import Bounds, GcodeError, ProgramChecker
 
 BOUNDS = Bounds(low_mm=(-360.0, -220.0, -60.0), high_mm=(0.0, 0.0, 0.0), rapid_mm_min=(12000.0, 12000.0, 3000.0))
 START = (-100.0, -100.0, -1.0)
+LONG = "G1 G17 G21 G40 M3 M8 N9999999 T255 S9.123456 F9999.123456 X-100.123456 Y-100.123456 Z-9.123456"
 
 
 def checked(*lines: str, **kwargs: object) -> list[str]:
@@ -33,6 +34,18 @@ def checked(*lines: str, **kwargs: object) -> list[str]:
         (["M6 T1"], 1, 1, "M6 is not supported"),
         (["G1 X-10"], 1, 4, "no feed rate (error:22)"),
         (["G93 G1 X-10 F10", "X-20"], 2, 1, "no feed rate"),
+        (["G93 G1 X-10 F600", "G94 X-20"], 2, 5, "no feed rate"),
+        (["G93 G1 X-10 F600", "M2", "X-20"], 3, 1, "no feed rate"),
+        (["G1 F600", "G93", "G94", "X-20"], 4, 1, "no feed rate"),
+        (["G1 X-10 F0.0000001"], 1, 4, "no feed rate"),
+        (["G1 X-10 F" + "9" * 400], 1, 9, "F has a number that no board can read (error:2)"),
+        (["G4 P" + "9" * 400], 1, 4, "P has a number that no board can read (error:2)"),
+        (["N10000000 G0 X-10"], 1, 1, "N10000000 is above 9999999 (error:27)"),
+        (["G1 X-10 F100 I5"], 1, 14, "I is of no use here (error:36)"),
+        (["G0 X-10 P1"], 1, 9, "P is of no use here (error:36)"),
+        (["G2 X-90 R6 J1 F100"], 1, 12, "J is of no use here (error:36)"),
+        (["L2"], 1, 1, "L is of no use here (error:36)"),
+        (["T256"], 1, 1, "T256 is above 255 (error:38)"),
         (["(a comment", "G0"], 1, 1, "the comment has no end"),
         (["", "$100=5"], 2, 1, "system commands are not part of a program"),
         (["G0 X1"], 1, 4, "X = 1.000 mm (machine) is outside -360 to 0 mm (ALARM:2)"),
@@ -56,7 +69,7 @@ def checked(*lines: str, **kwargs: object) -> list[str]:
         (["G2 X-90 Y-100 I4 F100"], 1, 4, "radii differ by 2.000 mm (error:33)"),
         (["G2 Z-5 I1 F100"], 1, 4, "axis word of its plane (error:26)"),
         (["G1 X-10 F-5"], 1, 9, "negative"),
-        (["G0 " + "X-1.23456 " * 1 + "N" + "1" * 80], 1, 80, "80 can be sent"),
+        ([LONG], 1, 80, "bytes with the newline, 80 can be sent"),
     ],
 )
 def test_refusals_name_line_column_and_reason(lines: list[str], line: int, column: int, reason: str) -> None:

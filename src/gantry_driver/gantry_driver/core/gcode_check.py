@@ -56,6 +56,8 @@ _REFUSED = {
 }
 _VALUES = "FIJKLNPRSTXYZ"
 _WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))?")
+_LARGEST = {"N": (9_999_999.0, 27), "T": (255.0, 38)}
+"""Largest value of a word, and GRBL's error for a larger one."""
 _PLANES = {"G17": (0, 1, 2), "G18": (2, 0, 1), "G19": (1, 2, 0)}
 _REALTIME = frozenset("?!~\x18")
 _ROUNDING_MM = 1e-3
@@ -161,6 +163,7 @@ class ProgramChecker:
         commands = self._commands(words)
         values = self._values(words)
         seconds, feed = self._follow(commands, values, words)
+        self._all_used(commands, values)
         text = self._written(words, feed)
         if len(text) + 1 > MAX_LINE_BYTES:
             raise self._error(MAX_LINE_BYTES, f"{len(text) + 1} bytes with the newline, {MAX_LINE_BYTES} can be sent")
@@ -201,7 +204,10 @@ class ProgramChecker:
                 raise self._error(column, f"{packed[place]!r}: a letter is expected (error:1)")
             if match[2] is None:
                 raise self._error(column, f"{match[1]} has no number (error:2)")
-            words.append(_Word(letter=match[1], value=float(match[2]), column=column))
+            value = float(match[2])
+            if math.isinf(value):
+                raise self._error(column, f"{match[1]} has a number that no board can read (error:2)")
+            words.append(_Word(letter=match[1], value=value, column=column))
             place = match.end()
         return words
 
@@ -255,6 +261,9 @@ class ProgramChecker:
                 raise self._error(word.column, f"{word.letter} is given twice (error:25)")
             if word.letter in "FPST" and word.value < 0:
                 raise self._error(word.column, f"{word.letter}{word.value:g} is negative (error:4)")
+            most, code = _LARGEST.get(word.letter, (math.inf, 0))
+            if word.value > most:
+                raise self._error(word.column, f"{word.letter}{word.value:.0f} is above {most:.0f} (error:{code})")
             found[word.letter] = word
         return found
 
@@ -266,7 +275,7 @@ class ProgramChecker:
         modes.scale = {"G20": 25.4, "G21": 1.0}.get(commands.get("units", ""), modes.scale)
         modes.plane = commands.get("plane", modes.plane)
         modes.distance = commands.get("distance", modes.distance)
-        modes.feed_mode = commands.get("feed mode", modes.feed_mode)
+        self._feed_by(commands.get("feed mode", modes.feed_mode))
         system = commands.get("coordinate system", modes.system)
         if system not in self._offsets:
             raise self._error(words[0].column, f"the offset of {system} is not known here")
@@ -275,7 +284,7 @@ class ProgramChecker:
             modes.feed = values["F"].value * (modes.scale if modes.feed_mode == "G94" else 1.0)
         if "program" in commands:
             modes.motion, modes.plane, modes.distance, modes.system = "G1", "G17", "G90", "G54"
-            modes.feed_mode = "G94"
+            self._feed_by("G94")
         special = commands.get("non-modal", "")
         axes = [values[letter] for letter in "XYZ" if letter in values]
         if axes and (taken := _NO_AXES.intersection(commands.values())):
@@ -298,9 +307,25 @@ class ProgramChecker:
             if "motion" in commands and modes.motion in ("G2", "G3"):
                 raise self._error(words[0].column, "an arc needs an axis word of its plane (error:26)")
             return 0.0, 0.0
-        if modes.motion != "G0" and (modes.feed <= 0 or (modes.feed_mode == "G93" and "F" not in values)):
+        none = _plain(modes.feed / modes.scale) == "0"
+        if modes.motion != "G0" and (none or (modes.feed_mode == "G93" and "F" not in values)):
             raise self._error(axes[0].column, "no feed rate (error:22)")
         return self._move(special == "G53", values, axes)
+
+    def _all_used(self, commands: dict[str, str], values: dict[str, _Word]) -> None:
+        used = "FNSTXYZ"
+        if commands.get("non-modal") == "G4":
+            used += "P"
+        elif self._modes.motion in ("G2", "G3") and not values.keys().isdisjoint("XYZ"):
+            used += "R" if "R" in values else "IJK"
+        for letter, word in values.items():
+            if letter not in used:
+                raise self._error(word.column, f"{letter} is of no use here (error:36)")
+
+    def _feed_by(self, mode: str) -> None:
+        """Take a feed mode; what F meant in another one is no feed in this."""
+        if mode != self._modes.feed_mode:
+            self._modes.feed_mode, self._modes.feed = mode, 0.0
 
     def _shift(self, special: str, values: dict[str, _Word], axes: list[_Word], words: list[_Word]) -> None:
         modes = self._modes
