@@ -110,6 +110,20 @@ def test_wrong_detections_are_left_out(wrong: int) -> None:
         np.testing.assert_allclose(result.camera_from_base.translation, TRUE_POSE.translation, atol=0.0004)
 
 
+@pytest.mark.parametrize("wrong", [0, 1, 4])
+@pytest.mark.parametrize("seed", range(3))
+def test_of_many_samples_the_first_ones_count_no_more_than_others(seed: int, wrong: int) -> None:
+    rng = np.random.default_rng(seed)
+    readings = np.column_stack([rng.uniform((0.03, 0.03), (0.33, 0.18), (300, 2)), rng.choice([0.0, 0.012], 300)])
+    data = samples(readings, rng)
+    for i in range(wrong):
+        data[i] = Sample(reading=data[i].reading, tip=data[i].tip + (0.02, 0.01, 0.0), covariance=NOISE)
+    result = calibrate(data, CAMERAS)
+    left_out = np.flatnonzero(~result.fit.used)
+    assert left_out[:wrong].tolist() == list(range(wrong)) and len(left_out) <= wrong + 2
+    np.testing.assert_allclose(result.camera_from_base.translation, TRUE_POSE.translation, atol=0.0002)
+
+
 def test_the_misfit_is_that_of_the_fit_that_is_used() -> None:
     for seed in range(5):
         data = samples(grid(), np.random.default_rng(seed))

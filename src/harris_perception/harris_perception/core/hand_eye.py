@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,8 @@ from harris_perception.core.reprojection import RayError, pair_pixels, refine_po
 from icu_common.core.camera_model import StereoModel
 from icu_common.core.config import Config, setting
 from icu_common.core.geometry import Array, Transform, nearest_rotation
+
+_SUBSETS, _MOST_LISTED = 3000, 200_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -482,9 +485,7 @@ def _consensus(design: Array, tips: Array, shape: Array, config: HandEyeConfig) 
     count, unknown = design.shape
     whiten = np.linalg.cholesky(np.linalg.inv(shape))
     flat = tips @ whiten
-    # Elemental subsets, all of them or evenly taken ones (Rousseeuw, Leroy, "Robust Regression and Outlier Detection").
-    subsets = np.array(list(itertools.islice(itertools.combinations(range(count), unknown), 200_000)))
-    subsets = subsets[:: max(1, len(subsets) // 3000)]
+    subsets = _subsets(count, unknown)
     matrices = design[subsets]
     sound = np.abs(np.linalg.det(matrices)) > 1e-3 * np.abs(np.linalg.det(matrices)).max()
     models = np.linalg.solve(matrices[sound], flat[subsets[sound]])
@@ -505,6 +506,19 @@ def _consensus(design: Array, tips: Array, shape: Array, config: HandEyeConfig) 
         used = again
     _check_left_out(used, config)
     return np.asarray(used)
+
+
+def _subsets(count: int, size: int) -> npt.NDArray[np.intp]:
+    """Return elemental subsets (M, size) of ``count`` samples: all of them, evenly taken ones, or chance ones of many.
+
+    See Rousseeuw, Leroy, "Robust Regression and Outlier Detection". The first of all in their order have the first
+    sample in common, and where that is wrong so are all models.
+    """
+    if math.comb(count, size) > _MOST_LISTED:
+        chance = np.random.default_rng(0).random((_SUBSETS, count))
+        return np.argsort(chance, axis=1)[:, :size]
+    subsets = np.array(list(itertools.combinations(range(count), size)))
+    return subsets[:: max(1, len(subsets) // _SUBSETS)]
 
 
 def _check_left_out(used: npt.NDArray[np.bool_], config: HandEyeConfig) -> None:
