@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from unit.harris_perception import panel_scene as scene
 
+from harris_perception.core.edge_alignment import edge_points
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_search import SearchConfig
 from harris_perception.core.planar_pose import FacePoints, fit_pose, homography_of_pose, map_points, planar_pose
@@ -173,6 +174,18 @@ def test_face_without_print_is_refused() -> None:
     worded = dataclasses.replace(bare, artwork=(Text(text="ONLY WORDS", at_mm=(50.0, 20.0), height_mm=9.0),))
     with pytest.raises(ValueError, match="the face of bare has too little print"):
         PanelRecogniser(worded)
+
+
+def test_a_large_face_full_of_edges_is_measured_as_a_part_of_it_is() -> None:
+    """More points than OpenCV takes in one table: 233 x 233 cells, each with an edge."""
+    stripes = np.tile(np.where(np.arange(1400) // 6 % 2, 220, 20).astype(np.uint8), (1400, 1))
+    points, part = (edge_points(p, np.ones(p.shape, bool)) for p in (stripes, stripes[:300]))
+    assert len(points) > 50_000 and len(part) < 12_000
+    of_part = points.px[:, 1] < 270
+    same = part.px[:, 1] < 270
+    np.testing.assert_array_equal(points.px[of_part], part.px[same])
+    np.testing.assert_array_equal(points.profiles[of_part], part.profiles[same])
+    np.testing.assert_array_equal(points.contrast[of_part], part.contrast[same])
 
 
 # Real photographs.

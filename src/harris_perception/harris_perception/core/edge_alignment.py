@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.sampling import sampled
 from icu_common.core.geometry import Array
 
 _HALF_PX = 4.0
@@ -144,9 +145,9 @@ def _profiles(gray: npt.NDArray[np.uint8], px: Array, across: Array, half_px: fl
         return np.empty((0, len(steps)))
     along = across[:, ::-1] * (-1.0, 1.0)
     middle = px[:, None] + steps[None, :, None] * across[:, None]
-    smooth = cv2.GaussianBlur(gray, (0, 0), 0.7)
+    smooth = np.asarray(cv2.GaussianBlur(gray, (0, 0), 0.7), np.uint8)
     total = np.zeros((len(px), len(steps)))
     for beside in _BESIDE_PX:
         at = (middle + beside * along[:, None]).astype(np.float32)
-        total += cv2.remap(smooth, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        total += sampled(smooth, at[..., 0], at[..., 1])
     return total / len(_BESIDE_PX)
