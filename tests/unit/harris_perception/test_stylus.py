@@ -201,6 +201,18 @@ def test_a_fit_that_every_pixel_contradicts_is_a_doubt() -> None:
     assert found.tip is None and "shaded disc" in found.reason
 
 
+def test_a_ball_larger_than_one_table_of_pixels_is_measured_before_something_green() -> None:
+    """Of 212 px across, with what is around it, more pixels than OpenCV takes in one row are looked up."""
+    ball_m, tip = 0.05, np.array([0.06, 0.0, 0.4])
+    pictures = [np.full((480, 800, 3), (60, 150, 60), np.uint8) for _ in "lr"]
+    radius = round(16 * STEREO.focal_px * ball_m / 2 / 0.4)
+    draw(pictures, tip, lambda picture, at: cv2.circle(picture, at, radius, MAGENTA, -1, cv2.LINE_AA, 4))
+    found = tracker(ball_diameter_m=ball_m, max_fit_error=1.0).find(*pictures)
+    assert found.tip is not None and np.abs(found.tip - tip).max() < 0.005, found.reason
+    doubted = tracker(ball_diameter_m=ball_m, max_fit_error=0.01).find(*pictures)
+    assert doubted.tip is None and "shaded disc" in doubted.reason
+
+
 def test_noise_alone_is_nothing() -> None:
     rng = np.random.default_rng(8)
     pictures = [rng.integers(0, 256, (480, 800, 3), np.uint8) for _ in range(2)]

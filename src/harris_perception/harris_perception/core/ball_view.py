@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.sampling import sampled
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array
 
@@ -132,6 +133,4 @@ def ball_view(
 def _sample(values: npt.NDArray[Any], at: Array) -> Array:
     """Interpolate (h, w) float32 linearly at (N, 2) pixels."""
     x, y = at.T.astype(np.float32)
-    taken = cv2.remap(values, x[None], y[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    result: Array = np.asarray(taken, np.float64)[0]
-    return result
+    return np.asarray(sampled(values, x[None], y[None])[0], np.float64)
