@@ -12,6 +12,7 @@ from harris_perception.core import repeatable
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.repeatability import repeatability, warps
 from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector, noise_of
+from icu_common.core.config import ConfigError
 
 ABOVE_NOISE = RepeatableDetector(RepeatableConfig(max_corners=1000, least=0.0))
 
@@ -104,6 +105,15 @@ def test_corners_may_be_more_than_opencv_takes_at_once() -> None:
     picture = np.random.default_rng(6).integers(0, 256, (1000, 1000), np.uint8)
     everything = RepeatableConfig(max_corners=0, above_noise=0.0, above_around=0.0, diffusion_steps=0)
     assert len(RepeatableDetector(everything).detect(picture)) > 32_768
+
+
+def test_more_diffusion_than_a_picture_has_time_for_is_refused() -> None:
+    """A step takes about 6 ms of 1280 x 720 px; as many as fit into half a second may be asked for."""
+    with pytest.raises(ConfigError, match="diffusion_steps = 101 is above its maximum 100"):
+        RepeatableConfig(diffusion_steps=101)
+    picture = np.kron(np.indices((6, 6)).sum(axis=0) % 2 * 100, np.ones((12, 12))).astype(np.float32)
+    noisy = picture + np.random.default_rng(7).normal(0, 1.0, picture.shape).astype(np.float32)
+    assert len(RepeatableDetector(RepeatableConfig(diffusion_steps=100)).detect(noisy)) >= 25
 
 
 def test_colour_is_refused() -> None:

@@ -57,7 +57,7 @@ class RepeatableConfig(Config):
         30.0, "Standard deviation of the Gaussian that tells how far around", minimum=8.0, maximum=500.0, unit="px"
     )
     least: float = setting(0.2, "This part of max_corners is kept however weak", minimum=0.0, maximum=1.0)
-    diffusion_steps: int = setting(3, "Steps of diffusion of the picture before all else", minimum=0, maximum=1000)
+    diffusion_steps: int = setting(3, "Steps of diffusion of the picture before all else", minimum=0, maximum=100)
 
 
 class RepeatableDetector:
