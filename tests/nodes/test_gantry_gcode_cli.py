@@ -96,6 +96,18 @@ def test_a_program_is_run_and_every_line_is_executed(board: GrblBoard, program: 
     assert board.mpos() == pytest.approx((-359.0, -219.0, -1.0), abs=0.02)
 
 
+def test_a_program_whose_check_takes_longer_than_a_heartbeat_may_is_started(
+    board: GrblBoard, program: Callable[..., Path]
+) -> None:
+    moves = [f"G1 X{-300 - k % 50} Y{-100 - k % 40} F9000" for k in range(40_000)]
+    terminal = Terminal("run", str(program(*moves)), "--port", str(board.port))
+    terminal.until("   1 %  ", 60.0)
+    terminal.process.send_signal(signal.SIGINT)
+    terminal.until("interrupted: holding")
+    assert terminal.end() == 1
+    assert "heartbeat" not in terminal.seen and "no status report" not in terminal.seen
+
+
 def test_a_refused_program_does_not_open_the_port(
     program: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -760,6 +760,20 @@ def test_a_program_is_checked_as_a_whole_and_then_streamed() -> None:
     assert rig.board.mpos[0] == -349.0
 
 
+def test_a_program_is_not_started_from_elsewhere_than_where_it_was_checked() -> None:
+    rig = Rig().homed()
+    checker = rig.machine.program_checker()
+    checked = list(checker.check_all(["G91", "G1 X50 F6000"]))
+    rig.go((0.1, 0.1, 0.0))
+    rig.until(lambda: "reached" in rig.outcomes())
+    refused = rig.machine.run_checked("p", checker, checked, rig.now)
+    assert refused.reason == "place or work offset have changed since the program was checked"
+    assert rig.machine.session.pending == 0 and rig.state == "idle"
+    again = rig.machine.program_checker()
+    lines = list(again.check_all(["G91", "G1 X50 F6000"]))
+    assert rig.machine.run_checked("p", again, lines, rig.now).outcome.value == "accepted"
+
+
 def test_what_homing_and_the_settings_check_rest_on_is_fixed_while_the_node_runs() -> None:
     items = {item.name: item.setting.read_only for item in settings_of(DriverConfig)}
     fixed = {name for name in items if name.startswith("machine.")}

@@ -18,6 +18,7 @@ import select
 import signal
 import sys
 import termios
+import time
 import tty
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -36,6 +37,7 @@ from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, StateChanged
 from gantry_driver.core.progress import duration_text, progress_text
 from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile, profile_text
+from gantry_driver.core.trajectory_gcode import TrajectoryError
 from icu_common.core.config import ConfigError, from_mapping
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
@@ -145,7 +147,7 @@ class Runner:
         self._turn_until(lambda: self._machine.state != "homing", key)
         self._need("idle")
         before = self._machine.counts.executed
-        self._link.call(lambda machine, now: machine.run_program("program", source, now))
+        self._start(source)
         seconds = [line.seconds for line in lines]
 
         def over() -> bool:
@@ -157,6 +159,21 @@ class Runner:
         self._turn_until(over, key)
         assert self._result is not None
         return self._result
+
+    def _start(self, source: Sequence[str]) -> None:
+        """Check the program from here and start it; the check, which may take seconds, does not hold the link up."""
+        try:
+            checker = self._link.call(lambda machine, now: machine.program_checker())
+            checked = list(checker.check_all(source))
+        except (TrajectoryError, GcodeError) as error:
+            raise Failed(str(error)) from error
+
+        def start(machine: Machine, now: float) -> None:
+            machine.heartbeat(now)
+            machine.run_checked("program", checker, checked, now)
+            machine.heartbeat(time.monotonic())  # to queue many lines takes a while, too
+
+        self._link.call(start)
 
     def settings(self) -> dict[int, str]:
         """Connect and return the board's settings.

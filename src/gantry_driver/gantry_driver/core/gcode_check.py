@@ -132,6 +132,8 @@ class ProgramChecker:
         self._bounds = bounds
         self._at = [float(v) for v in start_mm[:3]]
         self._offsets = dict(offsets_mm or {"G54": (0.0, 0.0, 0.0)})
+        self.begins = (self.position_mm, dict(self._offsets))
+        """Where the program starts, and with which offsets."""
         self._modes = _Modes()
         self._number = 0
 

@@ -18,7 +18,7 @@ from gantry_driver.core.connection import (
     Goal,
     Reading,
 )
-from gantry_driver.core.gcode_check import Bounds, GcodeError, ProgramChecker
+from gantry_driver.core.gcode_check import Bounds, CheckedLine, GcodeError, ProgramChecker
 from gantry_driver.core.grbl_messages import (
     Alarm,
     Dialect,
@@ -260,21 +260,46 @@ class Machine(Connection):
         try:
             if refusal := self._goal_refusal(0.0, now):
                 raise TrajectoryError(refusal)
-            if self.session.wco_mm is None:
-                raise TrajectoryError("the board has not told its work offset (WCO) yet")
-            start = mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config)
-            checker = ProgramChecker(self.bounds(), start, {"G54": _three(self.session.wco_mm[:3])})
-            lines = [(line.text, line.seconds) for line in checker.check_all(source)]
+            checker = self.program_checker()
+            checked = list(checker.check_all(source))
         except (TrajectoryError, GcodeError) as error:
-            return self._answer(
-                GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error))
-            )
+            return self._refuse_program(goal_id, error)
+        return self.run_checked(goal_id, checker, checked, now)
+
+    def program_checker(self) -> ProgramChecker:
+        """Return what checks a program that is to start here and now.
+
+        Raises
+        ------
+        TrajectoryError
+            While the board's work offset is not known.
+        """
+        if self.session.wco_mm is None:
+            raise TrajectoryError("the board has not told its work offset (WCO) yet")
+        start = mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config)
+        return ProgramChecker(self.bounds(), start, {"G54": _three(self.session.wco_mm[:3])})
+
+    def run_checked(
+        self, goal_id: str, checker: ProgramChecker, checked: Sequence[CheckedLine], now: float
+    ) -> GoalResult:
+        """Start a program that :meth:`program_checker` has passed; checking a long one takes seconds."""
+        try:
+            if refusal := self._goal_refusal(0.0, now):
+                raise TrajectoryError(refusal)
+            if self.program_checker().begins != checker.begins:
+                raise TrajectoryError("place or work offset have changed since the program was checked")
+        except TrajectoryError as error:
+            return self._refuse_program(goal_id, error)
+        lines = [(line.text, line.seconds) for line in checked]
         self._may_lower([text for text, _ in lines])
         text = f"program of {len(lines)} lines, about {sum(seconds for _, seconds in lines):.1f} s"
         end = reading_m(checker.position_mm, self._stylus_down, self.config)
         # The checker begins with these modes; the board may have been left with others.
         modes = [(mode, 0.0) for mode in PROGRAM_MODES]
         return self._start(goal_id, text, [*modes, *lines, (SYNCHRONISE, 0.0)], end, now)
+
+    def _refuse_program(self, goal_id: str, error: Exception) -> GoalResult:
+        return self._answer(GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error)))
 
     def _may_lower(self, lines: Iterable[str]) -> None:
         """Note where a stylus without a Z axis ends, and that it may be down before that."""

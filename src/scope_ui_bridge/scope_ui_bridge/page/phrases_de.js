@@ -70,6 +70,7 @@ export const PHRASES_DE = [
   ["it has these settings", "sie hat diese Einstellungen schon"],
   ["the board has no settings", "die Platine hat keine Einstellungen"],
   ["the board has not told its work offset (WCO) yet", "die Platine hat ihren Werkstückversatz (WCO) noch nicht gemeldet"],
+  ["place or work offset have changed since the program was checked", "Ort oder Werkstückversatz haben sich seit der Prüfung des Programms geändert"],
   ["the configuration", "die Konfiguration"],
   ["the profile has no setting", "das Profil hat keine Einstellung"],
   ["{} cannot be written", "{} kann nicht geschrieben werden"],
