@@ -692,6 +692,18 @@ def test_a_servo_outside_its_range_is_refused() -> None:
         StylusConfig(servo_down=1200.0)
 
 
+def test_no_more_points_may_be_allowed_than_are_written_within_a_heartbeat() -> None:
+    """Writing 100,000 takes two seconds, in which neither a heartbeat nor a report of the board is heard."""
+    with pytest.raises(ConfigError, match="max_points = 10001 is above its maximum 10000"):
+        DriverConfig(max_points=10_001)
+    rig = Rig(DriverConfig(enabled_at_start=True, max_points=10_000)).homed()
+    points = [((0.1 + 0.001 * (k % 50)), 0.1, 0.0) for k in range(10_001)]
+    assert "the trajectory has 10001 points, 1 to 10000 are needed" in rig.go(*points).reason
+    assert rig.go(*points[1:]).outcome.value == "accepted"
+    rig.run_for(0.5)
+    assert rig.state == "moving"
+
+
 @pytest.mark.parametrize("rate", ["status_rate_hz", "moving_status_rate_hz"])
 def test_a_silence_shorter_than_the_time_between_reports_is_refused(rate: str) -> None:
     with pytest.raises(ConfigError, match=r"status_timeout_s = 0\.2: .* 0\.3 s at 5 Hz"):

@@ -149,7 +149,7 @@ class DriverConfig(Config):
         3.0, "Time in which an idle board must have answered a line", minimum=0.5, maximum=60.0, unit="s"
     )
     goal_max_age_s: float = setting(1.0, "Older trajectories are refused", minimum=0.05, maximum=60.0, unit="s")
-    max_points: int = setting(2000, "Points of one trajectory", minimum=1, maximum=100_000)
+    max_points: int = setting(2000, "Points of one trajectory", minimum=1, maximum=10_000)
     feed_m_s: float = setting(0.15, "Speed in x and y where a point names none", minimum=1e-4, maximum=1.0, unit="m/s")
     stylus_feed_m_s: float = setting(
         0.03, "Speed of the stylus where a point names none, and of its retreat", minimum=1e-4, maximum=0.5, unit="m/s"
