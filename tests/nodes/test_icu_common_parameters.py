@@ -31,7 +31,11 @@ class Probe(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("probe", **kwargs)
         self.changes: list[Outer] = []
-        self.live = LiveParameters(self, Outer, self.changes.append)
+        self.live = LiveParameters(self, Outer, self.changes.append, self.examine)
+
+    def examine(self, config: Outer) -> None:
+        if config.rate == 13:
+            raise ConfigError("rate = 13 brings bad luck")
 
 
 def test_defaults_overrides_and_descriptors(ros: Any) -> None:
@@ -54,6 +58,7 @@ def test_good_change_is_applied_and_reported(ros: Any) -> None:
     ("name", "value", "word"),
     [
         ("rate", 61, "rate"),
+        ("rate", 13, "brings bad luck"),
         ("inner.gain", float("nan"), "gain"),
         ("mode", "warp", "fast, slow"),
         ("port", "q", "read-only"),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Float32, String
 from unit.harris_perception import panel_scene as scene
@@ -260,17 +261,17 @@ def test_layout_that_is_wrong_is_named_with_its_line(ros: Any, tmp_path: Path) -
         ros.node(RecognitionNode, {"layout": str(path)})
 
 
-def test_a_change_that_cannot_be_used_keeps_the_old_search(ros: Any) -> None:
-    rig = Rig(ros)
-    old = rig.node._recogniser
-    config = dataclasses.replace(rig.node._live.config)
-    rig.node._on_config(config)
-    assert rig.node._recogniser is not old
-    kept = rig.node._recogniser
-    search = dataclasses.replace(config.recognition.search, px_per_mm=0.2)
-    recognition = dataclasses.replace(config.recognition, search=search)
-    rig.node._on_config(dataclasses.replace(config, recognition=recognition))
-    assert rig.node._recogniser is kept
+def test_a_change_that_cannot_be_used_is_refused_and_others_are_taken(ros: Any) -> None:
+    node = Rig(ros).node
+    old = node._recogniser
+    for name, value in (("recognition.search.px_per_mm", 0.2), ("recognition.refine.min_points", 5000)):
+        (refused,) = node.set_parameters([Parameter(name, value=value)])
+        assert not refused.successful and "too little print to be recognised" in refused.reason
+        assert node.get_parameter(name).value != value and node._recogniser is old
+    assert node.set_parameters([Parameter("state.lit_chroma", value=20.0)])[0].successful
+    assert node._reader.config.lit_chroma == 20.0
+    assert node.set_parameters([Parameter("recognition.refine.min_points", value=30)])[0].successful
+    assert node._recogniser is not old and node._recogniser.config.refine.min_points == 30
 
 
 def test_a_panel_is_taught_by_messages(ros: Any, tmp_path: Path) -> None:

@@ -104,8 +104,9 @@ class RecognitionNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("recognition", **options)
-        self._live = LiveParameters(self, RecognitionNodeConfig, self._on_config)
+        self._live = LiveParameters(self, RecognitionNodeConfig, self._use, self._prepare)
         self._layout, self._picture = _designated(self._live.config)
+        self._prepare(self._live.config)
         self._use(self._live.config)
         self._camera: tuple[CameraInfo, CameraModel] | None = None
         self._corners: OrderedDict[int, npt.NDArray[np.float32]] = OrderedDict()
@@ -141,22 +142,20 @@ class RecognitionNode(Node):
         """Finish what is being taught."""
         self._teacher.close()
 
-    def _use(self, config: RecognitionNodeConfig) -> None:
+    def _prepare(self, config: RecognitionNodeConfig) -> None:
+        """Make the recogniser of a configuration, which is refused if the panel cannot be recognised with it."""
         scale = config.template_px_per_mm
         try:
-            self._recogniser = PanelRecogniser(self._layout, config.recognition, config.harris, self._picture, scale)
+            self._next = PanelRecogniser(self._layout, config.recognition, config.harris, self._picture, scale)
         except ValueError as error:
             raise ConfigError(str(error)) from error
+
+    def _use(self, config: RecognitionNodeConfig) -> None:
+        self._recogniser = self._next
         self._agreement = PoseAgreement(config.recognition.agreement, self._layout.size_mm)
         self._reader = PanelReader(self._layout, config.state)
         self._detector = HarrisDetector(config.harris)
         self._markers = MarkerFinder(self._layout)
-
-    def _on_config(self, config: RecognitionNodeConfig) -> None:
-        try:
-            self._use(config)
-        except ConfigError as error:
-            self.get_logger().error(f"{error}; the panel is searched as before")
 
     def _on_camera(self, message: CameraInfo) -> None:
         if self._camera is not None and same_camera(self._camera[0], message):

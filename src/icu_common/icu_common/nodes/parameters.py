@@ -28,6 +28,8 @@ class LiveParameters(Generic[C]):
         A frozen dataclass derived from :class:`icu_common.core.config.Config`.
     on_change
         Called with the new configuration after every accepted change.
+    check
+        Called with a changed configuration before it is accepted; a ConfigError refuses it.
 
     Raises
     ------
@@ -35,9 +37,15 @@ class LiveParameters(Generic[C]):
         If a parameter file has a key that the configuration does not know, or a value that it refuses.
     """
 
-    def __init__(self, node: Node, config_class: type[C], on_change: Callable[[C], None] | None = None) -> None:
+    def __init__(
+        self,
+        node: Node,
+        config_class: type[C],
+        on_change: Callable[[C], None] | None = None,
+        check: Callable[[C], None] | None = None,
+    ) -> None:
         self._config_class = config_class
-        self._on_change = on_change
+        self._on_change, self._check = on_change, check
         items = {item.name: item for item in settings_of(config_class)}
         _refuse_unknown(node, items)
         values: dict[str, Any] = {}
@@ -58,9 +66,12 @@ class LiveParameters(Generic[C]):
         values = to_mapping(self._config)
         mine = {p.name: p.value for p in parameters if p.name in values}
         try:
-            self._pending = from_mapping(self._config_class, {**values, **mine})
+            pending = from_mapping(self._config_class, {**values, **mine})
+            if self._check is not None and pending != self._config:
+                self._check(pending)
         except (ConfigError, TypeError) as error:
             return SetParametersResult(successful=False, reason=str(error))
+        self._pending = pending
         return SetParametersResult(successful=True)
 
     def _after_set(self, parameters: list[Parameter]) -> None:
