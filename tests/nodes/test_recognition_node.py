@@ -299,6 +299,14 @@ def test_a_panel_is_taught_by_messages(ros: Any, tmp_path: Path) -> None:
         ros.spin_until(lambda: len(answers) > before, 30.0)
         return result_of_message(answers[-1])
 
+    for name in ("early", "late"):  # of a picture that has not come
+        requests.publish(String(data=json.dumps(lesson | {"id": name, "stamp": str(START + 1)})))
+    ros.spin_until(lambda: len(answers) == 1, 10.0)
+    early = result_of_message(answers[0])
+    assert (early.goal_id, early.outcome) == ("early", Outcome.REJECTED)
+    assert early.reason == f"another panel was to be taught before the picture of {START + 1} came"
+    ros.spin_until(lambda: len(answers) == 2, 10.0)
+    assert result_of_message(answers[1]).goal_id == "late" and "within 5 s" in result_of_message(answers[1]).reason
     wrong = ask(corners=corners[::-1])
     assert wrong.outcome is Outcome.REJECTED and "do not go round the face" in wrong.reason
     empty = ask(np.zeros((0, 0, 3), np.uint8))

@@ -70,6 +70,9 @@ class PanelTeacher:
         if not self._folder:
             self._refuse(request, "teach_folder is not set: there is nowhere to write a layout")
             return
+        if self._waiting is not None:
+            before = self._waiting[0]
+            self._refuse(before, f"another panel was to be taught before the picture of {before.stamp_ns} came")
         self._waiting = request, self._seconds() + _PICTURE_WAIT_S
         self._try()
 

@@ -477,6 +477,7 @@ export const PHRASES_DE = [
   ["wrote {} and {}", "geschrieben: {} und {}"],
   ["teach_folder is not set: there is nowhere to write a layout", "teach_folder ist nicht gesetzt: es gibt keinen Ort für eine Beschreibung"],
   ["the picture of {} did not come within {} s", "das Bild von {} kam nicht innerhalb von {} s"],
+  ["another panel was to be taught before the picture of {} came", "eine andere Front sollte angelernt werden, bevor das Bild von {} kam"],
   ["{}:1: a mapping with model, size_mm and controls is needed", "{}:1: nötig ist eine Zuordnung mit model, size_mm und controls"],
   ["artwork needs one of rectangle_mm, circle_mm, line_from_to_mm, text", "artwork braucht eines von rectangle_mm, circle_mm, line_from_to_mm, text"],
   ["key {} stands twice", "Schlüssel {} steht zweimal da"],
