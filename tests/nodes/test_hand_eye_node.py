@@ -413,14 +413,31 @@ def test_contacts_are_kept_and_refused_with_the_reason(ros: Any) -> None:
     contact = rig.probe.create_publisher(PointStamped, "contact", qos.RESULTS)
     ros.spin_until(lambda: contact.get_subscription_count() == 1, 10.0)
     rig.reading = np.array([0.12, 0.08, 0.033])
-    rig.watch(lambda: rig.node._reading is not None, 10.0)
+    rig.watch(lambda: rig.node._reading is not None and not rig.node._watch.unrest(rig.now()), 10.0)
     contact.publish(point_message((0.1, 0.05, 0.0), header(1, BASE)))
     for count in range(6):
         contact.publish(point_message((0.1, 0.05, 0.001), header(1, "panel_link")))
-        ros.spin_until(lambda c=count: len(rig.node._contacts) == min(c + 1, 5), 10.0)
+        rig.watch(lambda c=count: len(rig.node._contacts) == min(c + 1, 5), 10.0)
     kept = rig.node._contacts[0]
     np.testing.assert_allclose(kept.in_panel, (0.1, 0.05, 0.003))
     np.testing.assert_allclose(kept.reading, rig.reading)
+
+
+def test_a_contact_counts_only_where_the_machine_is_known_to_stand(ros: Any) -> None:
+    rig = Rig(ros, **{"still.settle_s": 0.3})
+    touched = point_message((0.1, 0.05, 0.001), header(1, "panel_link"))
+    rig.reading = np.array([0.12, 0.08, 0.033])
+    rig.watch(lambda: rig.node._reading is not None, 10.0)
+    rig.reading = np.array([0.12, 0.08, 0.034])
+    rig.watch(lambda: rig.node._reading[2] > 0.0335, 10.0)
+    rig.node._on_contact(touched)
+    assert rig.node._contacts == [], "it moves"
+    rig.watch(lambda: not rig.node._watch.unrest(rig.now()), 10.0)
+    rig.node._on_contact(touched)
+    assert len(rig.node._contacts) == 1
+    ros.spin_until(lambda: rig.node._watch.unrest(rig.now()) == "no joint_states arrive", 10.0)
+    rig.node._on_contact(touched)
+    assert len(rig.node._contacts) == 1, "where it stands is not known any more"
 
 
 class RidingRig(Rig):

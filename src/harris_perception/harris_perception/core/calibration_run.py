@@ -127,6 +127,15 @@ class StillWatch:
             self.restart(max(stamp_ns, self._since_ns))
         self._reading_ns = max(stamp_ns, self._reading_ns)
 
+    def unrest(self, now_ns: int) -> str:
+        """Return why the machine is not known to stand still, empty when it is."""
+        settle_s = self._config.settle_s
+        if self._reading is None or now_ns - self._reading_ns > self._config.fresh_s * 1e9:
+            return "no joint_states arrive"
+        return (
+            "" if now_ns - self._since_ns >= settle_s * 1e9 else f"the machine has not stood still for {settle_s:g} s"
+        )
+
     def tip(self, stamp_ns: int, tip: Array) -> None:
         """Take a sighting (3,) m of ``stamp_ns``; those of a moving or settling machine are dropped."""
         if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:

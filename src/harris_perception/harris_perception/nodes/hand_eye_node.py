@@ -274,6 +274,8 @@ class HandEyeNode(Node):
             why = f"{point.tolist()} in {message.header.frame_id!r}: a finite point in {PANEL!r} is needed"
         elif self._reading is None:
             why = "no joint_states arrive"
+        elif unrest := self._watch.unrest(self._now_ns()):
+            why = unrest
         elif self._procedure is not None:
             why = "a calibration is running"
         elif len(self._contacts) >= MAX_CONTACTS:

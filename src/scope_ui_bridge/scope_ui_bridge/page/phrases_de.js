@@ -190,6 +190,7 @@ export const PHRASES_DE = [
   ["no joint_states", "keine Gelenkwerte"],
   ["no joint_states {}", "{} keine Gelenkwerte"],
   ["no joint_states arrive", "es kommen keine Gelenkwerte"],
+  ["the machine has not stood still for {} s", "die Maschine hat noch keine {} s lang stillgestanden"],
   ["lost the operator: no heartbeat {}", "Bediener verloren: {} kein Herzschlag"],
   ["no operator (heartbeat)", "kein Bediener (Herzschlag)"],
   ["no operator heartbeat {}, at most {} s are allowed", "{} kein Herzschlag des Bedieners, höchstens {} s sind erlaubt"],
