@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import resource
 import stat
 import threading
 from pathlib import Path
@@ -52,6 +53,26 @@ def test_damage_is_found_and_refused(tmp_path: Path, damage: str) -> None:
     path.write_text("\n".join(text) + "\n", encoding="utf-8")
     with pytest.raises(AuditError, match=r"line [234]"):
         AuditFile(path)
+
+
+def test_a_record_that_did_not_fit_on_the_disk_leaves_the_chain_whole(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    audit = AuditFile(path)
+    audit.append({"command": "press:1"})
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # Half of the next line fits, as on a disk that becomes full.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 60, hard))
+    try:
+        for _ in range(2):
+            with pytest.raises(OSError, match="File too large"):
+                audit.append({"command": "press:2"})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    audit.append({"command": "press:3"})
+    audit.close()
+    assert verify(lines(path))[0] == 2
+    assert [json.loads(line)["command"] for line in lines(path)] == ["press:1", "press:3"]
+    AuditFile(path).close()
 
 
 def test_the_token_file_is_for_its_owner_only_and_replaces_a_link(tmp_path: Path) -> None:

@@ -62,14 +62,19 @@ class AuditFile:
         if path.exists():
             with path.open(encoding="utf-8", errors=BAD_BYTES) as lines:
                 self._count, self._previous = verify(lines)
-        self._file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "w", encoding="utf-8")
+        self._file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "wb", buffering=0)
 
     def append(self, record: dict[str, Any]) -> None:
-        """Write one record and wait for the disk."""
+        """Write one record and wait for the disk; one that could not be written (OSError) leaves nothing behind."""
         line, digest = chain_line(self._count + 1, self._previous, record)
-        self._file.write(line + "\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        rest, end = (line + "\n").encode(), os.fstat(self._file.fileno()).st_size
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+            os.fsync(self._file.fileno())
+        except OSError:
+            self._file.truncate(end)  # a part of it would break the chain for all that follow
+            raise
         self._count, self._previous = self._count + 1, digest
 
     def close(self) -> None:
