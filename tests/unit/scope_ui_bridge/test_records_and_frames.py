@@ -5,9 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import resource
+import signal
 import stat
 import threading
+from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
 
 import pytest
 
@@ -126,6 +129,46 @@ def test_the_mailbox_keeps_the_newest_picture_and_every_result() -> None:
     got = asyncio.run(scenario())
     assert [n for kind, n in got if kind == "picture"] == [49]
     assert [n for kind, n in got if kind == "result"] == list(range(50))
+
+
+class Interrupting(str):
+    """A name during whose keeping the process gets a signal."""
+
+    __slots__ = ()
+
+    def __hash__(self) -> int:
+        signal.raise_signal(signal.SIGUSR1)
+        return super().__hash__()
+
+
+@pytest.fixture
+def given_up() -> Iterator[None]:
+    """End a call that hangs, with an error."""
+
+    def give_up(number: int, frame: FrameType | None) -> None:
+        raise TimeoutError("it hangs")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.setitimer(signal.ITIMER_REAL, 5.0)
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def test_a_signal_for_a_new_token_may_come_while_a_picture_is_handed_over(given_up: None) -> None:
+    got: list[str] = []
+
+    async def scenario() -> None:
+        box = Mailbox(asyncio.get_running_loop())
+        before = signal.signal(signal.SIGUSR1, lambda number, frame: box.each(got.append, "token"))
+        try:
+            box.newest(Interrupting("picture"), got.append, "picture")
+        finally:
+            signal.signal(signal.SIGUSR1, before)
+        await asyncio.sleep(0)
+
+    asyncio.run(scenario())
+    assert sorted(got) == ["picture", "token"]
 
 
 def test_posting_to_a_closed_loop_does_nothing() -> None:

@@ -22,7 +22,8 @@ class Mailbox:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._lock = threading.Lock()
+        # A signal's handler may post while its own thread is posting: it would wait for itself at a plain lock.
+        self._lock = threading.RLock()
         self._newest: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {}
         self._ordered: deque[tuple[Callable[..., None], tuple[Any, ...]]] = deque()
         self._awake = False
