@@ -171,6 +171,22 @@ def test_a_signal_for_a_new_token_may_come_while_a_picture_is_handed_over(given_
     assert sorted(got) == ["picture", "token"]
 
 
+def test_what_fails_does_not_take_the_others_along(caplog: pytest.LogCaptureFixture) -> None:
+    got: list[str] = []
+
+    async def scenario() -> None:
+        box = Mailbox(asyncio.get_running_loop())
+        box.each(got.append, "first")
+        box.each(float, "no number")
+        box.each(got.append, "second")
+        box.newest("picture", got.append, "picture")
+        await asyncio.sleep(0)
+
+    asyncio.run(scenario())
+    assert got == ["first", "second", "picture"]
+    assert "could not convert string to float: 'no number'" in caplog.text
+
+
 def test_posting_to_a_closed_loop_does_nothing() -> None:
     loop = asyncio.new_event_loop()
     loop.close()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 from collections import deque
 from collections.abc import Callable
 from typing import Any
+
+_LOG = logging.getLogger(__name__)
 
 
 class Mailbox:
@@ -57,4 +60,7 @@ class Mailbox:
             self._ordered.clear()
             self._newest.clear()
         for function, arguments in calls:
-            function(*arguments)
+            try:
+                function(*arguments)
+            except Exception:  # the others are somebody else's
+                _LOG.exception("a value was not taken")
