@@ -31,7 +31,7 @@ async def no_cookie(rig: Rig, client: Page) -> None:
 
 async def invented_cookie(rig: Rig, client: Page) -> None:
     async with page(rig, sign_in=False) as stranger:
-        await refused_socket(rig, stranger, **stranger.origin, Cookie="icu_session=invented")
+        await refused_socket(rig, stranger, **stranger.origin, Cookie=f"icu_session_{rig.server.port}=invented")
 
 
 async def wrong_origin(rig: Rig, client: Page) -> None:

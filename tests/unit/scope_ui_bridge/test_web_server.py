@@ -51,7 +51,7 @@ def test_the_token_gives_a_strict_cookie_once_and_the_page_with_its_headers() ->
                 assert 'id="stop"' in await answer.text()
                 cookie = answer.headers["Set-Cookie"]
                 policy = answer.headers["Content-Security-Policy"]
-            assert cookie.startswith(f"{COOKIE}=")
+            assert cookie.startswith(f"{COOKIE}_{rig.server.port}=")
             assert "HttpOnly" in cookie
             assert "SameSite=Strict" in cookie
             assert "frame-ancestors 'none'" in policy
@@ -82,6 +82,27 @@ def test_the_sign_in_form_works_and_failures_are_slowed_down() -> None:
             async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
                 assert answer.status == 200
                 assert 'id="stop"' in await answer.text()
+
+    with_rig(scenario)
+
+
+def test_one_browser_is_signed_in_at_two_robots_of_one_host() -> None:
+    async def scenario(rig: Rig) -> None:
+        # Browsers keep cookies by host, whatever the port; so does this jar.
+        with Rig() as other:
+            async with page(rig) as client:
+                beside = Page(other, client.session)
+                token = other.sign_in.issue_token()  # the rigs' secrets are numbered: now both sessions' differ
+                async with client.session.get(f"{other.url}/", params={"token": token}) as answer:
+                    assert answer.status == 200
+                for bed in (client, beside):
+                    async with client.session.post(f"{bed.rig.url}/stop", headers=bed.origin) as answer:
+                        assert answer.status == 200
+                    assert len(bed.rig.graph.named("stop")) == 1
+                async with client.session.post(f"{other.url}/sign-out", headers=beside.origin) as answer:
+                    assert answer.status == 401
+                async with client.session.get("/session") as answer:
+                    assert answer.status == 200, "who signs out there is still signed in here"
 
     with_rig(scenario)
 

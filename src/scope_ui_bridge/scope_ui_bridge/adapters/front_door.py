@@ -22,6 +22,7 @@ from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.sign_in import Session, SignIn
 
 COOKIE = "icu_session"
+"""The cookie's name, before the port: browsers send it to every port of a host, where other robots may be served."""
 PAGE = Path(__file__).resolve().parent.parent / "page"
 _BODY_TIMEOUT_S = 5.0
 _SPEAK_WITHIN_S = 5.0
@@ -134,7 +135,7 @@ class FrontDoor:
 
     def session(self, request: web.Request) -> Session | None:
         """Return who sent a request."""
-        return self._sign_in.session(request.cookies.get(COOKIE, ""), time.monotonic())
+        return self._sign_in.session(request.cookies.get(_cookie(request), ""), time.monotonic())
 
     # --- requests --------------------------------------------------------------------------------------------------
 
@@ -176,7 +177,9 @@ class FrontDoor:
         session = self._sign_in.session(secret, time.monotonic())
         assert session is not None
         self._record({"wall_s": round(time.time(), 3), "who": session.name, "command": "sign-in", "result": "done"})
-        welcome.set_cookie(COOKIE, secret, httponly=True, samesite="Strict", secure=self._config.tls, path="/")
+        welcome.set_cookie(
+            _cookie(request), secret, httponly=True, samesite="Strict", secure=self._config.tls, path="/"
+        )
         return welcome
 
     async def _by_password(self, name: str, password: str, remote: str) -> str:
@@ -212,9 +215,9 @@ class FrontDoor:
         return web.Response(status=status, text=text, content_type="text/html")
 
     async def _leave(self, request: web.Request) -> web.StreamResponse:
-        self._sign_in.leave(request.cookies.get(COOKIE, ""))
+        self._sign_in.leave(request.cookies.get(_cookie(request), ""))
         response = web.Response(status=303, headers={"Location": "/"})
-        response.del_cookie(COOKIE, path="/")
+        response.del_cookie(_cookie(request), path="/")
         return response
 
     async def _session_state(self, request: web.Request) -> web.StreamResponse:
@@ -222,3 +225,8 @@ class FrontDoor:
         if session is None:
             return web.json_response({"signed_in": False}, status=401)
         return web.json_response({"signed_in": True, "name": session.name, "role": session.role.value})
+
+
+def _cookie(request: web.Request) -> str:
+    """Return the cookie's name, by the port that the browser has named."""
+    return f"{COOKIE}_{request.url.port}"
