@@ -294,6 +294,33 @@ def test_the_way_of_the_tip_is_shown_while_it_moves(ros: Any, bridge: Any) -> No
     assert np.allclose(frame["path"], camera().project(base.apply(np.array(driven))), atol=0.06)
 
 
+def test_nothing_is_drawn_by_a_calibration_that_was_withdrawn(ros: Any, bridge: Any) -> None:
+    graph, browser, _, _ = bridge
+    base = Transform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.7]))
+    transform = transform_message(base, header(graph.now(), CAMERA_LEFT), BASE)
+    graph.publish("calibration/camera_from_base", transform)
+    graph.publish("gantry/target", point_message([0.1, 0.05, 0.0], header(0, BASE)))
+
+    def look(axes: list[float], position: list[float], drawn: bool) -> Any:
+        graph.publish("calibration/axes", Float64MultiArray(data=axes))
+        graph.publish("joint_states", joint_message(JOINTS, [0.1, 0.05, 0.02], header(graph.now(), "")))
+        graph.publish("left/camera_info", camera_info_message(camera(), header(graph.now(), CAMERA_LEFT)))
+        stamp = header(graph.now(), CAMERA_LEFT)
+        graph.publish("left/image_raw", image_message(np.full((480, 640, 3), 90, np.uint8), "bgr8", stamp))
+        return browser.frames and (browser.frames[-1]["target"], browser.state().get("position_mm")) == (
+            [462.4, 168.1] if drawn else None,
+            position,
+        )
+
+    told = lambda: (browser.frames[-1:], browser.state())  # noqa: E731
+    ros.spin_until(lambda: look([1.0, 0.1, 0.0, 1.0], [105.0, 50.0, 20.0], True), WITHIN_S, told)
+    ros.spin_until(lambda: look([], [100.0, 50.0, 20.0], False), WITHIN_S, told)
+    graph.publish("calibration/camera_from_base", transform)  # it is latched, and may come after the withdrawal
+    came = len(browser.frames) + 5
+    ros.spin_until(lambda: look([], [100.0, 50.0, 20.0], False) and len(browser.frames) > came, WITHIN_S, told)
+    ros.spin_until(lambda: look([1.0, 0.0, 0.0, 1.0], [100.0, 50.0, 20.0], True), WITHIN_S, told)
+
+
 def test_the_page_shows_what_the_topics_say(ros: Any, bridge: Any) -> None:
     graph, browser, _, _ = bridge
 

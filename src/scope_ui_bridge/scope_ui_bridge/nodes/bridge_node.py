@@ -30,6 +30,7 @@ from visualization_msgs.msg import MarkerArray
 
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import CAMERA_LEFT, JOINTS
+from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import Control, LayoutError, PanelLayout, load_layout
 from icu_common.core.sequence import Sequence, parse_file
 from icu_common.nodes import qos
@@ -106,6 +107,8 @@ class BridgeNode(Node):
         self._replay = config.replay
         self._cameras: dict[str, CameraInfo] = {}
         self._axes = np.eye(2)
+        self._withdrawn = False
+        self._camera_from_base: Transform | None = None
         self._layers: dict[tuple[str, str], Any] = {}
         self._roll = Roll(SILENT_S)
         self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "")
@@ -282,12 +285,20 @@ class BridgeNode(Node):
 
     def _calibration_seen(self, message: TransformStamped) -> None:
         check_frame(message.header, CAMERA_LEFT)
-        self._mail.newest("calibrated", setattr, self._scene, "camera_from_base", transform_of_message(message))
+        self._camera_from_base = transform_of_message(message)
+        self._use_calibration()
 
     def _axes_seen(self, message: Float64MultiArray) -> None:
-        if len(message.data) != 4 or not np.isfinite(message.data).all():
+        self._withdrawn = len(message.data) == 0
+        if not self._withdrawn and (len(message.data) != 4 or not np.isfinite(message.data).all()):
             raise ValueError(f"{list(message.data)}: 4 finite values are needed")
-        self._axes = np.array(message.data).reshape(2, 2)
+        self._axes = np.eye(2) if self._withdrawn else np.array(message.data).reshape(2, 2)
+        self._use_calibration()
+
+    def _use_calibration(self) -> None:
+        # Without axes the calibration was withdrawn; its transform is still latched, and may come after them.
+        known = None if self._withdrawn else self._camera_from_base
+        self._mail.newest("calibrated", setattr, self._scene, "camera_from_base", known)
 
     def _joints_seen(self, message: JointState) -> None:
         reading = joint_positions(message, JOINTS)
