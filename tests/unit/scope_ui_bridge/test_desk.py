@@ -457,12 +457,26 @@ def test_hand_over_is_asked_for_and_not_done_while_something_moves() -> None:
     other, _ = rig.desk.join("Operator 2")
     rig.ask(other, type="lease", step="request")
     rig.desk.machine.set_state("driver", "moving")
-    assert refusal(rig.ask(rig.a, type="lease", step="grant")) == "busy_moving"
+    assert refusal(rig.ask(rig.a, type="lease", step="grant", to=other)) == "busy_moving"
     rig.desk.machine.set_state("driver", "idle")
-    effects = rig.ask(rig.a, type="lease", step="grant")
+    effects = rig.ask(rig.a, type="lease", step="grant", to=other)
     assert rig.desk.lease.holder == other
     assert {"type": "selection", "selection": None} in [e.message for e in of_type(effects, Broadcast)]
     assert refusal(rig.select(control="RUN_STOP")) == "no_lease"
+
+
+def test_control_is_handed_over_only_to_whose_request_was_read() -> None:
+    rig = Rig()
+    read, _ = rig.desk.join("Operator 2")
+    quick, _ = rig.desk.join("Operator 3")
+    rig.ask(read, type="lease", step="request")
+    rig.ask(quick, type="lease", step="request")
+    assert refusal(rig.ask(rig.a, type="lease", step="grant", to=read)) == "other_request"
+    assert refusal(rig.ask(rig.a, type="lease", step="decline", to=read)) == "other_request"
+    assert refusal(rig.ask(rig.a, type="lease", step="grant")) == "malformed"
+    assert (rig.desk.lease.holder, rig.desk.lease.requester) == (rig.a, quick)
+    assert answer(rig.ask(rig.a, type="lease", step="grant", to=quick))["ok"]
+    assert rig.desk.lease.holder == quick
 
 
 def test_there_is_room_for_so_many_pages() -> None:

@@ -130,7 +130,7 @@ def test_while_a_sequence_is_at_work_nothing_else_is_begun_even_between_two_gest
     assert rig.desk.moving
     other, _ = rig.desk.join("Operator 2")
     rig.ask(other, type="lease", step="request")
-    assert refusal(rig.ask(rig.a, type="lease", step="grant")) == "busy_moving"
+    assert refusal(rig.ask(rig.a, type="lease", step="grant", to="v2")) == "busy_moving"
     rig.desk.set_sequencer("")
     assert of_type(rig.act(), SendCommand), "a sequencer that is gone holds nobody up"
 

@@ -26,6 +26,8 @@ def test_each_kind_of_message_is_typed() -> None:
     assert wire.decode(text(type="stop")) == wire.Stop(seq=1, boot="b", epoch=0)
     assert wire.decode(text(type="stop", press="x7")) == wire.Stop(seq=1, boot="b", epoch=0, press="x7")
     assert wire.decode(text(type="lease", step="take")) == wire.Lease(seq=1, boot="b", epoch=0, step="take")
+    granted = wire.decode(text(type="lease", step="grant", to="v2"))
+    assert granted == wire.Lease(seq=1, boot="b", epoch=0, step="grant", to="v2")
     assert wire.decode(text(type="call", service="home")) == wire.Call(seq=1, boot="b", epoch=0, service="home")
     stamp = "1795225165871340849"  # does not fit into a double
     select = wire.decode(text(type="select", camera="left", stamp=stamp, u=10.5, v=3))

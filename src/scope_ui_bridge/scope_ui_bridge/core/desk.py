@@ -213,7 +213,7 @@ class Desk:
                 return []
             return self._stop_unseen("stopped_page_blind", message.silence_ms / 1e3, now)
         if isinstance(message, wire.Lease):
-            return [*self._lease_step(viewer, message.step, now), self._answer(viewer, message.seq)]
+            return [*self._lease_step(viewer, message, now), self._answer(viewer, message.seq)]
         self.lease.check(viewer, message.epoch)
         effects: list[Effect]
         if isinstance(message, wire.Select):
@@ -334,7 +334,8 @@ class Desk:
         effects = self.stop(_WATCHDOG, now, code, silence_s=silence_s) if moving else []
         return effects + self._clear_selection()
 
-    def _lease_step(self, viewer: str, step: str, now: Now) -> list[Effect]:
+    def _lease_step(self, viewer: str, message: wire.Lease, now: Now) -> list[Effect]:
+        step = message.step
         if step in ("take", "request"):
             if self.config.replay:
                 raise Refusal("replay")
@@ -347,11 +348,11 @@ class Desk:
         elif step == "release":
             return self._lose_lease(viewer, "stopped_released", now) + [self._state_effect(now)]
         elif step == "decline":
-            self.lease.decline(viewer)
+            self.lease.decline(viewer, message.to)
         else:
             if self.moving:
                 raise Refusal("busy_moving")
-            self.lease.grant(viewer, now.mono_s)
+            self.lease.grant(viewer, message.to, now.mono_s)
         cleared = self._clear_selection() if self.lease.epoch != epoch else []
         return [*cleared, self._state_effect(now)]
 

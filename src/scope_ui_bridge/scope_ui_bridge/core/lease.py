@@ -39,16 +39,14 @@ class OperatorLease:
         elif self.holder != viewer:
             self.requester = viewer
 
-    def grant(self, viewer: str, now_s: float) -> None:
-        """Hand the lease of ``viewer`` over to who asked for it."""
-        self.check(viewer)
-        if not self.requester:
-            raise Refusal("no_request")
-        self._give(self.requester, now_s)
+    def grant(self, viewer: str, to: str, now_s: float) -> None:
+        """Hand the lease of ``viewer`` over to ``to``, who asked for it."""
+        self._check_request(viewer, to)
+        self._give(to, now_s)
 
-    def decline(self, viewer: str) -> None:
-        """Turn the request down."""
-        self.check(viewer)
+    def decline(self, viewer: str, to: str) -> None:
+        """Turn the request of ``to`` down."""
+        self._check_request(viewer, to)
         self.requester = ""
 
     def release(self, viewer: str) -> bool:
@@ -76,6 +74,13 @@ class OperatorLease:
             raise Refusal("no_lease", holder=self.holder)
         if epoch is not None and epoch != self.epoch:
             raise Refusal("stale_epoch", found=epoch, epoch=self.epoch)
+
+    def _check_request(self, viewer: str, to: str) -> None:
+        self.check(viewer)
+        if not self.requester:
+            raise Refusal("no_request")
+        if to != self.requester:  # somebody else has asked since that name was read
+            raise Refusal("other_request")
 
     def _give(self, viewer: str, now_s: float) -> None:
         if viewer != self.holder:

@@ -59,9 +59,10 @@ class Stop(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lease(Message):
-    """``step``: take, release, request, grant (hand over) or decline."""
+    """``step``: take, release, request, grant (hand over) or decline; the last two name whose request it was."""
 
     step: str
+    to: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,7 +255,8 @@ def _typed(raw: dict[str, Any]) -> Message:
     elif kind == "stop":
         message = Stop(**head, press=read.text("press") if "press" in raw else "")
     elif kind == "lease":
-        message = Lease(**head, step=read.choice("step", LEASE_STEPS))
+        step = read.choice("step", LEASE_STEPS)
+        message = Lease(**head, step=step, to=read.text("to") if step in ("grant", "decline") else "")
     elif kind == "select":
         control = read.text("control") if "control" in raw else ""
         point = (read.number("u"), read.number("v")) if "u" in raw else None

@@ -130,8 +130,12 @@ export function wireActions() {
   wireStop();
   wireSelection();
   wireGestures();
-  for (const step of ["take", "request", "release", "grant", "decline"]) {
+  for (const step of ["take", "request", "release"]) {
     find(`lease-${step}`).addEventListener("click", () => desk.ask("lease", { step }));
+  }
+  for (const step of ["grant", "decline"]) {
+    // The request whose name stands there: another one may have come since.
+    find(`lease-${step}`).addEventListener("click", () => desk.ask("lease", { step, to: find("lease-text").dataset.asking }));
   }
   wireCalls();
   wireKeys();

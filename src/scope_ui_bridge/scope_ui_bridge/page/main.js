@@ -218,6 +218,7 @@ function renderLease() {
   if (asked) text = t("lease_asked", { name: asking });
   if (requester === me.id && me.id) text = t("lease_waiting", { name });
   put(find("lease-text"), text);
+  find("lease-text").dataset.asking = asked ? requester : "";
   find("lease-card").dataset.look = mine ? "mine" : "";
   find("lease-take").hidden = Boolean(holder) || !may;
   find("lease-request").hidden = !holder || mine || requester === me.id || !may;

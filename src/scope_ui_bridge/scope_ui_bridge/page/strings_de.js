@@ -171,6 +171,7 @@ export const DE = {
   lease_held: "Jemand anders bedient.",
   no_lease: "Zuerst die Bedienung übernehmen.",
   no_request: "Niemand bittet um die Bedienung.",
+  other_request: "Inzwischen bittet jemand anders um die Bedienung; noch einmal hinsehen.",
   stale_epoch: "Die Bedienung hat inzwischen gewechselt; noch einmal hinsehen.",
   busy_moving: "Nicht, während sich etwas bewegt.",
   busy_pending: "Der letzte Befehl ist noch nicht zu Ende.",

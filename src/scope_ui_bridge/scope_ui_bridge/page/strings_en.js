@@ -171,6 +171,7 @@ export const EN = {
   lease_held: "Somebody else is in control.",
   no_lease: "Take control first.",
   no_request: "Nobody asks for control.",
+  other_request: "Somebody else asks for control now; look again.",
   stale_epoch: "Control has changed hands since; look again.",
   busy_moving: "Not while something moves.",
   busy_pending: "The last command is not finished yet.",
