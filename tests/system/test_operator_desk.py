@@ -211,6 +211,26 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     operator.sees("#chip-driver", "Idle")
 
 
+def test_a_choice_that_is_refused_is_not_shown_as_chosen_and_can_be_made_again(operator: Operator) -> None:
+    page = operator.page
+    page.click("#freeze")
+    page.select_option("#chooser", "MENU")
+    operator.sees("#refusal", "A kept picture")
+    assert page.inner_text("#selection-name") == "Nothing selected"
+    chosen = lambda: page.input_value("#chooser")  # noqa: E731
+    operator.until(lambda: chosen() == "", 5.0, lambda: f"{chosen()!r} is shown as chosen")
+    page.click("#freeze")
+    page.focus("#chooser")
+    page.keyboard.type("Menu")
+    operator.sees("#selection-name", "Menu")
+    assert chosen() == "MENU"
+    page.click("#lease-release")
+    operator.sees("#selection-name", "Nothing selected")
+    page.select_option("#chooser", "MENU")
+    operator.sees("#refusal", "Take control first")
+    operator.until(lambda: chosen() == "", 5.0, lambda: f"{chosen()!r} is shown as chosen")
+
+
 def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrument: Instrument) -> None:
     person = Operator(browser, instrument.new_address())
     page = person.page

@@ -49,8 +49,9 @@ function wireStop() {
 
 function wireSelection() {
   find("clear").addEventListener("click", () => desk.select({}));
-  find("chooser").addEventListener("change", (event) => {
-    if (event.target.value) choose({ control: event.target.value, byKey: false });
+  find("chooser").addEventListener("change", async ({ target: chooser }) => {
+    if (chooser.value) await choose({ control: chooser.value, byKey: false });
+    chooser.value = desk.selection?.control ?? ""; // one that was refused can be chosen again
   });
 }
 
