@@ -101,6 +101,16 @@ def test_wrong_sequences_are_refused_and_nothing_goes_out(steps: Any, code: str,
     assert words in str(answer(effects)["values"])
 
 
+@pytest.mark.parametrize(
+    ("steps", "code"), [(["press:RUN_STOP => screen"] * 160, "oversized"), (["press:RUN_STOP\t=> screen"], "malformed")]
+)
+def test_what_cannot_be_read_is_answered_by_its_number(steps: list[str], code: str) -> None:
+    # Without the number the page would wait for an answer until it says that there is no link.
+    rig = Rig()
+    found = answer(rig.ask(rig.a, type="sequence", steps=steps, camera="left", stamp=str(rig.stamp)))
+    assert (found["seq"], found["code"]) == (rig.seq, code)
+
+
 def test_a_sequence_needs_what_a_gesture_needs() -> None:
     rig = Rig()
     other, _ = rig.desk.join("Operator 2")

@@ -159,6 +159,7 @@ class Desk:
             try:
                 message = wire.decode(text)
             except Refusal:
+                seq = wire.seq_of(text)
                 self._limit_rate(viewer, now)
                 raise
             seq = message.seq

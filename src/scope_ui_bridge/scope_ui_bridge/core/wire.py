@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -17,6 +18,7 @@ from scope_ui_bridge.core.refusal import Refusal
 
 MAX_BYTES = 4096
 _MAX_INTEGER = 2**53
+_SEQ = re.compile(r'"seq": ?([0-9]{1,15})[,}]')
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,6 +189,12 @@ def decode(text: str | bytes) -> Message:
     if size > MAX_BYTES:
         raise Refusal("oversized", size=size, limit=MAX_BYTES)
     return _typed(decode_object(text))
+
+
+def seq_of(text: str | bytes) -> int | None:
+    """Return the number of a message that cannot be read, for the answer to it; None where it bears none."""
+    found = _SEQ.search(text if isinstance(text, str) else text.decode("utf-8", "replace"))
+    return int(found[1]) if found else None
 
 
 def decode_object(text: str | bytes) -> dict[str, Any]:
