@@ -350,6 +350,21 @@ def test_the_page_shows_what_the_topics_say(ros: Any, bridge: Any) -> None:
     assert (knob["angle_deg"], knob["detent_deg"], knob["marks"]) == (36, 18.0, {"X1": 30.0})
 
 
+def test_what_has_ended_is_in_no_state_any_more(ros: Any, bridge: Any) -> None:
+    graph, browser, _, _ = bridge
+    shown(ros, graph, browser)
+    parts = {"driver": "gantry/driver_state", "controller": "gantry/state", "calibration": "calibration/state"}
+    assert [browser.state()[part]["state"] for part in parts] == ["idle", "ready", "calibrated"]
+    for topic in parts.values():
+        graph.probe.destroy_publisher(graph.publishers.pop(topic))
+    gone = lambda: not any(browser.state()[part]["state"] for part in parts)  # noqa: E731
+    ros.spin_until(gone, WITHIN_S, browser.state)
+    graph.publishers["gantry/state"] = graph.probe.create_publisher(String, "gantry/state", qos.LATCHED)
+    graph.publish("gantry/state", String(data="waiting: not homed"))
+    back = lambda: browser.state()["controller"] == {"state": "waiting", "reason": "not homed"}  # noqa: E731
+    ros.spin_until(back, WITHIN_S, browser.state)
+
+
 def test_a_control_is_pressed_and_the_result_comes_back(ros: Any, bridge: Any) -> None:
     graph, browser, _, folder = bridge
     assert browser.ask(type="lease", step="take")["ok"]

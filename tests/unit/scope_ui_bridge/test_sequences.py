@@ -44,12 +44,12 @@ def test_typed_steps_go_out_as_a_file_and_are_followed_step_by_step() -> None:
     assert order.record["command"] == "press:RUN_STOP => effect ; turn:CH1_SCALE:30.0 ; press:RUN_STOP"
     assert rig.desk.still_wanted(order)
     assert logged(hear(rig, run_id, Outcome.ACCEPTED))[0]["status"] == "accepted"
-    rig.desk.set_sequencer("step 2/3: turn:CH1_SCALE:30.0")
+    rig.desk.set_state("sequencer", "step 2/3: turn:CH1_SCALE:30.0")
     shown = told(rig.wait(0.1, alive=True))
     assert (shown["number"], shown["status"], len(shown["steps"]), shown["who"]) == (2, "accepted", 3, "Operator 1")
     step = GoalResult(goal_id=f"{run_id}.2", goal="turn:CH1_SCALE:30.0", outcome=Outcome.ACCEPTED)
     assert logged(rig.desk.result(step, rig.now))[0]["who"] == "Operator 1", "its steps are the operator's"
-    rig.desk.set_sequencer("idle")
+    rig.desk.set_state("sequencer", "idle")
     (entry,) = logged(hear(rig, run_id, Outcome.REACHED, done=3))
     assert (entry["action"], entry["status"]) == ("sequence 3", "reached")
     assert told(rig.wait(0.1, alive=True))["status"] == "reached"
@@ -59,9 +59,9 @@ def test_the_step_that_fails_is_named_with_its_reason() -> None:
     rig = Rig()
     run_id = started(rig).record["goal_id"]
     hear(rig, run_id, Outcome.ACCEPTED)
-    rig.desk.set_sequencer("step 2/3: turn:CH1_SCALE:30.0")
+    rig.desk.set_state("sequencer", "step 2/3: turn:CH1_SCALE:30.0")
     hear(rig, run_id, Outcome.ABORTED, 1, "step 2 of 3, turn:CH1_SCALE:30.0: rejected: too far")
-    rig.desk.set_sequencer("idle")
+    rig.desk.set_state("sequencer", "idle")
     shown = told(rig.wait(0.1, alive=True))
     assert (shown["number"], shown["status"]) == (2, "aborted") and "too far" in shown["reason"]
     _, hello = rig.desk.join("Operator 2")
@@ -132,7 +132,7 @@ def test_a_sequence_needs_what_a_gesture_needs() -> None:
 def test_while_a_sequence_is_at_work_nothing_else_is_begun_even_between_two_gestures() -> None:
     rig = Rig()
     rig.select(control="RUN_STOP")
-    rig.desk.set_sequencer("step 1/2: press:RUN_STOP")
+    rig.desk.set_state("sequencer", "step 1/2: press:RUN_STOP")
     effects = rig.act()
     assert refusal(effects) == "sequence_runs"
     assert answer(effects)["values"] == {"step": "step 1/2: press:RUN_STOP"}
@@ -141,14 +141,14 @@ def test_while_a_sequence_is_at_work_nothing_else_is_begun_even_between_two_gest
     other, _ = rig.desk.join("Operator 2")
     rig.ask(other, type="lease", step="request")
     assert refusal(rig.ask(rig.a, type="lease", step="grant", to="v2")) == "busy_moving"
-    rig.desk.set_sequencer("")
+    rig.desk.set_state("sequencer", "")
     assert of_type(rig.act(), SendCommand), "a sequencer that is gone holds nobody up"
 
 
 def test_a_silent_page_stops_a_sequence_between_two_gestures() -> None:
     rig = Rig()
     hear(rig, started(rig).record["goal_id"], Outcome.ACCEPTED)
-    rig.desk.set_sequencer("step 1/3: press:RUN_STOP")
+    rig.desk.set_state("sequencer", "step 1/3: press:RUN_STOP")
     rig.wait(5.0, alive=True)
     (stop,) = of_type(rig.wait(0.7), StopNow)
     assert stop.record["target"] == "stopped_link_lost", "nothing tells of a page that still answers"

@@ -457,10 +457,11 @@ class Desk:
         details = {**dict(result.details), "type": "taught", "ok": done, "reason": result.reason}
         return [Broadcast(message=details), *self._log.ended(known, result, now)]
 
-    def set_sequencer(self, text: str) -> None:
-        """Note the sequencer's state; empty when there is none."""
-        self.machine.set_state("sequencer", text)
-        self.sequence.set_state(text)
+    def set_state(self, part: str, text: str) -> None:
+        """Note the state of driver, controller, calibration or sequencer; empty when there is none."""
+        self.machine.set_state(part, text)
+        if part == "sequencer":
+            self.sequence.set_state(text)
 
     def sequence_result(self, result: GoalResult, now: Now) -> list[Effect]:
         """Note an answer of the sequencer, to this page's sequences or anybody's."""

@@ -80,7 +80,12 @@ _SERVICES = {
     "save": "calibration/save",
 }
 
-
+_STATES = {
+    "controller": "gantry/state",
+    "driver": "gantry/driver_state",
+    "calibration": "calibration/state",
+    "sequencer": "gantry/sequence_state",
+}
 _REPORTERS = {"hand_eye": "calibration", "serial_driver": "driver", "calibration_capture": "cameras"}
 _LAYER_TOPICS = {
     (CORNERS, "left"): "left/corners",
@@ -127,7 +132,7 @@ class BridgeNode(Node):
             raise
         self.create_timer(1.0, self._check_server)
         self.create_timer(0.5, self._call_the_roll)
-        self.create_timer(1.0, self._check_sequencer)
+        self.create_timer(1.0, self._check_states)
         self.issue_token()
 
     @property
@@ -181,9 +186,8 @@ class BridgeNode(Node):
         self._hear(PointStamped, "gantry/target", qos.LATCHED, self._target_seen)
         way = "gantry/recorded_trajectory" if self._replay else "gantry/trajectory"  # bag_play's name for it
         self._hear(JointTrajectory, way, qos.COMMAND, self._trajectory_seen)
-        self._hear(String, "gantry/state", qos.LATCHED, self._state_taker("controller"))
-        self._hear(String, "gantry/driver_state", qos.LATCHED, self._state_taker("driver"))
-        self._hear(String, "calibration/state", qos.LATCHED, self._state_taker("calibration"))
+        for part, topic in _STATES.items():
+            self._hear(String, topic, qos.LATCHED, self._state_taker(part))
         self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, self._calibration_seen)
         self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, self._axes_seen)
         self._hear(JointState, "joint_states", qos.SENSOR, self._joints_seen)
@@ -191,7 +195,6 @@ class BridgeNode(Node):
         self._hear(Log, "/rosout", qos.RESULTS, self._said)
         self._hear(DiagnosticArray, "gantry/result", qos.RESULTS, self._result_seen)
         self._hear(DiagnosticArray, "panel/teach/result", qos.RESULTS, self._taught)
-        self._hear(String, "gantry/sequence_state", qos.LATCHED, self._sequencer_seen)
         self._hear(DiagnosticArray, "gantry/sequence_result", qos.RESULTS, self._sequence_result_seen)
 
         self.create_timer(_LAYERS_PERIOD_S, self._hear_layers)
@@ -237,7 +240,7 @@ class BridgeNode(Node):
         return self.ros_ns() if self._replay else stamp_ns(message.header.stamp)
 
     def _state_taker(self, part: str) -> Callable[[String], None]:
-        return lambda message: self._mail.newest(part, self._desk.machine.set_state, part, message.data)
+        return lambda message: self._mail.newest(part, self._desk.set_state, part, message.data)
 
     def _camera_seen(self, side: str, message: CameraInfo) -> None:
         # Every picture repeats the calibration; only a new one is work.
@@ -332,19 +335,17 @@ class BridgeNode(Node):
     def _result_seen(self, message: DiagnosticArray) -> None:
         self._server.post(self._desk.result, result_of_message(message))
 
-    def _sequencer_seen(self, message: String) -> None:
-        self._mail.newest("sequencer", self._desk.set_sequencer, message.data)
-
     def _sequence_result_seen(self, message: DiagnosticArray) -> None:
         self._server.post(self._desk.sequence_result, result_of_message(message))
 
     def _taught(self, message: DiagnosticArray) -> None:
         self._server.post(self._desk.taught, result_of_message(message))
 
-    def _check_sequencer(self) -> None:
-        # A sequencer that has died leaves its last state behind; it does nothing any more.
-        if self.count_publishers("gantry/sequence_state") == 0:
-            self._mail.newest("sequencer", self._desk.set_sequencer, "")
+    def _check_states(self) -> None:
+        # Who has died leaves the last state behind; it does nothing any more.
+        for part, topic in _STATES.items():
+            if self.count_publishers(topic) == 0:
+                self._mail.newest(part, self._desk.set_state, part, "")
 
     def _read_sequences(self, config: BridgeConfig) -> dict[str, Sequence]:
         found: dict[str, Sequence] = {}
