@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -312,6 +313,42 @@ def test_a_picture_that_hangs_alone_stops_the_motion_and_comes_back(browser: Any
     instrument.tell("motion 1.5")
     page.click("#reset")
     person.sees("#chip-driver", "Idle")
+    person.leaves()
+
+
+def test_a_picture_that_was_long_on_its_way_is_shown_as_old_as_it_is(browser: Any, instrument: Instrument) -> None:
+    """The connection of the pictures alone is slow, so that round trips on the other one do not tell."""
+    person = Operator(browser, instrument.new_address())
+    page = person.page
+    on_their_way: list[tuple[float, Any, Any]] = []
+    slow_s = 0.0
+
+    def video(route: Any) -> None:
+        server = route.connect_to_server()
+        route.on_message(server.send)
+        server.on_message(lambda m: on_their_way.append((time.monotonic() + slow_s, route, m)))
+
+    def arrive() -> None:
+        while on_their_way and on_their_way[0][0] <= time.monotonic():
+            _, route, message = on_their_way.pop(0)
+            route.send(message)
+
+    def age_ms() -> int:
+        arrive()
+        shown = re.search(r"(\d+) ms", page.inner_text("#chip-video"))
+        return int(shown[1]) if shown else -1
+
+    page.route_web_socket(re.compile("/video$"), video)
+    page.reload()
+    person.until(lambda: 0 <= age_ms() < 700, 20.0, lambda: page.inner_text("#chip-video"))
+    slow_s = 1.5
+    person.until(lambda: age_ms() >= 1500, 10.0, lambda: page.inner_text("#chip-video"))
+    end = time.monotonic() + 3.0
+    ages: list[int] = []
+    while time.monotonic() < end:
+        ages.append(age_ms())
+        page.wait_for_timeout(20)  # lets the browser's events through
+    assert min(ages) >= 1450, ages
     person.leaves()
 
 

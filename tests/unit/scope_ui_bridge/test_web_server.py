@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -373,6 +374,7 @@ def test_nothing_is_encoded_while_nobody_watches_and_once_for_all_who_do() -> No
                     picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
                     assert abs(float(picture.mean()) - level) < 2
                     assert -1 < about["age_ms"] < 2000
+                    assert 0 <= time.monotonic() * 1e3 - about["sent_ms"] + 0.1 < 2000
             assert rig.server.video.encoded == 3
             rig.offer("right", level=120)
             await right.frame()

@@ -190,11 +190,11 @@ class VideoHub:
     def _message(self, viewer: VideoViewer, frame: _Frame) -> bytes:
         scene = self._desk.scene
         age_ms = (self._ros_ns() - frame.stamp_ns) / 1e6
-        parts = [f'{{"age_ms":{age_ms:.1f}', frame.about]
+        now_s = time.monotonic()  # the bridge's clock in the answers to keep-alives
+        parts = [f'{{"age_ms":{age_ms:.1f},"sent_ms":{now_s * 1e3:.1f}', frame.about]
         if viewer.scene_version != scene.version:
             viewer.scene_version = scene.version
             parts.append('"panel":' + encode(scene.panel(viewer.camera)))
-        now_s = time.monotonic()
         if not viewer.window.light or now_s - viewer.layers_sent_s >= _LAYERS_PERIOD_S:
             viewer.layers_sent_s = now_s
             parts += [f'"{name}":{text}' for name, text in frame.layers.items() if name in viewer.layers]

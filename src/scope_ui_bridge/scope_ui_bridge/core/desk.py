@@ -205,7 +205,8 @@ class Desk:
             self.lease.alive(viewer, now.mono_s)
             if viewer == self.lease.holder:
                 self._causes.alive()
-            return [Send(viewer=viewer, message={"type": "alive", "client_ms": message.client_ms})]
+            clocks = {"client_ms": message.client_ms, "bridge_ms": now.mono_s * 1e3}
+            return [Send(viewer=viewer, message={"type": "alive", **clocks})]
         if isinstance(message, wire.Hidden):
             mine = viewer == self.lease.holder
             return self._lose_lease(viewer, "stopped_page_hidden", now) if mine and self.moving else []

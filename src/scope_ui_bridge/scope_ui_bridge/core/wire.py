@@ -35,7 +35,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alive(Message):
-    """The page draws; ``client_ms`` goes back to it for the round trip."""
+    """The page draws; ``client_ms`` goes back to it, with the bridge's clock, for the round trip."""
 
     client_ms: float
 

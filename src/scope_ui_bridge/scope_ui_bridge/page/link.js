@@ -2,6 +2,7 @@
 
 const SILENT_MS = 1500;
 const ANSWER_MS = 3000;
+const CLOCKS = 25; // answers of the last 5 s: the quickest tells best what the bridge's clock shows
 
 export class Link extends EventTarget {
   #socket = null;
@@ -10,6 +11,7 @@ export class Link extends EventTarget {
   #waiting = new Map();
   #retryMs = 300;
   #lastHeard = 0;
+  #clocks = []; // {rtt, ahead}: round trips, and by how much the bridge's clock is ahead of this page's
   epoch = 0;
   rttMs = null;
 
@@ -27,9 +29,17 @@ export class Link extends EventTarget {
     this.#socket = socket;
     this.#seq = 0;
     this.#boot = "";
+    this.#clocks = [];
     this.#lastHeard = performance.now();
     socket.addEventListener("message", (event) => this.#take(JSON.parse(event.data)));
     socket.addEventListener("close", () => this.#lost(socket));
+  }
+
+  /** How long something was on its way that was sent at `sent` by the bridge's clock and came at `arrived` by ours, ms. */
+  way(sent, arrived) {
+    if (!this.#clocks.length) return (this.rttMs ?? 0) / 2;
+    const { ahead } = this.#clocks.reduce((best, one) => (one.rtt < best.rtt ? one : best));
+    return Math.max(0, arrived + ahead - sent);
   }
 
   /** Call often: gives a connection up on which nothing arrives any more. */
@@ -77,7 +87,9 @@ export class Link extends EventTarget {
   #take(message) {
     this.#lastHeard = performance.now();
     if (message.type === "alive") {
-      const rtt = performance.now() - message.client_ms;
+      const now = performance.now();
+      const rtt = now - message.client_ms;
+      this.#clocks = [...this.#clocks, { rtt, ahead: message.bridge_ms + rtt / 2 - now }].slice(-CLOCKS);
       this.rttMs = this.rttMs === null ? rtt : 0.8 * this.rttMs + 0.2 * rtt;
       return;
     }

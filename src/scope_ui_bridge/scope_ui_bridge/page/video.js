@@ -17,7 +17,7 @@ export class Video extends EventTarget {
   #pending = null;
   #decoding = false;
   #link;
-  shown = null; // {camera, stamp, age_ms, arrived}
+  shown = null; // {camera, stamp, age_ms, light, arrived}; age_ms: when it arrived
 
   constructor(canvas, link) {
     super();
@@ -26,10 +26,10 @@ export class Video extends EventTarget {
     this.#link = link;
   }
 
-  /** Age of the shown picture in ms: age when sent, half the round trip, and the time since it came. */
+  /** Age of the shown picture in ms: age when sent, its way, and the time since it came. */
   get ageMs() {
     if (!this.shown) return Infinity;
-    return this.shown.age_ms + (this.#link.rttMs ?? 0) / 2 + performance.now() - this.shown.arrived;
+    return this.shown.age_ms + performance.now() - this.shown.arrived;
   }
 
   /** How long nothing new has been seen: the picture's age; before the first one of a camera, since any other came. */
@@ -119,7 +119,8 @@ export class Video extends EventTarget {
     this.#context.drawImage(bitmap, 0, 0, about.width, about.height); // light pictures are half as large
     // What was under way when a layer was switched off is not wanted any more.
     for (const layer of COMPUTED) if (!this.#wish[layer]) delete about[layer];
-    this.shown = { camera: about.camera, stamp: about.stamp, age_ms: about.age_ms, light: about.light, arrived };
+    const age_ms = about.age_ms + this.#link.way(about.sent_ms, arrived);
+    this.shown = { camera: about.camera, stamp: about.stamp, age_ms, light: about.light, arrived };
     this.dispatchEvent(new CustomEvent("frame", { detail: about }));
   }
 
