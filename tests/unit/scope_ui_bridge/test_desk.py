@@ -665,6 +665,15 @@ def test_a_new_page_gets_the_log_the_selection_and_the_state() -> None:
     assert hello["limits"] == {"amber_ms": 250.0, "max_age_ms": 500.0, "stale_ms": 1000.0, "jog_step_mm": 10.0}
 
 
+def test_pages_that_are_open_follow_limits_that_change() -> None:
+    rig = Rig()
+    rig.wait(0.2)
+    rig.desk.config = BridgeConfig(frame_max_age_s=0.8, jog_step_max_m=0.005)
+    told = [e.message for e in of_type(rig.wait(0.5), Broadcast) if e.message["type"] == "limits"]
+    changed = {"amber_ms": 250.0, "max_age_ms": 800.0, "stale_ms": 1000.0, "jog_step_mm": 5.0}
+    assert told == [{"type": "limits", "limits": changed}]
+
+
 def test_a_gesture_at_a_pixel_survives_its_text() -> None:
     gesture = Gesture(kind="hold", target=Point(x=700.25, y=3.0, frame="camera_left_optical_frame"), argument=1.0)
     assert parse_gesture(gesture.text()) == gesture

@@ -103,6 +103,7 @@ class Desk:
         self._presses: deque[str] = deque(maxlen=64)
         self._last_heartbeat_s = -math.inf
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
+        self._last_limits = self._limits()
         self._last_facts: dict[str, Any] = {}
         self._last_panel: list[dict[str, Any]] = []
         self._last_sequence: dict[str, Any] = {}
@@ -124,12 +125,6 @@ class Desk:
         self._viewer_count += 1
         viewer = f"v{self._viewer_count}"
         self._viewers[viewer] = _Viewer(name, role)
-        limits = {
-            "amber_ms": self.config.frame_amber_s * 1e3,
-            "max_age_ms": self.config.frame_max_age_s * 1e3,
-            "stale_ms": self.config.frame_stale_s * 1e3,
-            "jog_step_mm": self.config.jog_step_max_m * 1e3,
-        }
         return viewer, {
             "type": "hello",
             "boot": self.boot_id,
@@ -140,10 +135,18 @@ class Desk:
             "panel": self.panel.message,
             "sequence": self.sequence.message(),
             "sequences": self.sequence.stored_message(),
-            "limits": limits,
+            "limits": self._limits(),
             "log": self._log.messages(),
             "selection": self._selection.message() if self._selection else None,
             "state": self._snapshot_now(),
+        }
+
+    def _limits(self) -> dict[str, float]:
+        return {
+            "amber_ms": self.config.frame_amber_s * 1e3,
+            "max_age_ms": self.config.frame_max_age_s * 1e3,
+            "stale_ms": self.config.frame_stale_s * 1e3,
+            "jog_step_mm": self.config.jog_step_max_m * 1e3,
         }
 
     def leave(self, viewer: str, now: Now) -> list[Effect]:
@@ -302,6 +305,10 @@ class Desk:
         effects: list[Effect] = []
         if lines:
             effects += [Send(viewer=viewer, message={"type": "console", "lines": lines}) for viewer in engineers]
+        limits = self._limits()
+        if limits != self._last_limits:
+            self._last_limits = limits
+            effects.append(Broadcast(message={"type": "limits", "limits": limits}))
         if self.machine.facts != self._last_facts:
             self._last_facts = dict(self.machine.facts)
             effects.append(Broadcast(message={"type": "facts", "facts": self._last_facts}))

@@ -62,6 +62,9 @@ link.addEventListener("hello", ({ detail }) => {
   setSelection(detail.selection);
   setState(detail.state);
 });
+link.addEventListener("limits", ({ detail }) => {
+  desk.limits = detail.limits;
+});
 link.addEventListener("facts", ({ detail }) => setFacts(detail.facts));
 link.addEventListener("sequence", ({ detail }) => setSequence(detail.sequence));
 link.addEventListener("held", ({ detail }) => setHeld(detail));
