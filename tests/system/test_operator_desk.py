@@ -88,6 +88,11 @@ def test_the_page_speaks_german(operator: Operator) -> None:
     operator.selects("MENU", "Menu")
     operator.shoots("german")
     speaks_german_for_the_graph(operator)
+    stranger = operator.context.browser.new_context(locale="de-DE")
+    signs_in = stranger.new_page()
+    signs_in.goto(page.url)
+    operator.until(lambda: signs_in.title() == "Anmelden – Ferninstrument", 5.0, signs_in.title)
+    stranger.close()
     wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
     assert wide <= 0
     page.reload()
@@ -108,10 +113,14 @@ def test_what_is_shown_already_changes_its_language_too(operator: Operator, inst
     page.click("#freeze")
     page.click("#stage", position={"x": 5, "y": 5})
     operator.sees("#refusal", "A kept picture")
+    page.click("[data-call=home]")
     page.click("#tab-sequence")
     page.click("#language")
     operator.sees("#lease-text", "Sie bedienen")
     try:
+        home = page.eval_on_selector("[data-call=home]", "(button) => ['armed' in button.dataset, button.textContent]")
+        assert home in ([True, "Bestätigen: Fahrt"], [False, "Referenzfahrt"]), "it says what a click would do"
+        assert page.title().endswith(" – Ferninstrument")
         operator.sees("#refusal", "Ein festgehaltenes Bild")
         operator.sees("#before-time", "davor ·")
         operator.sees("#last", "erledigt")

@@ -60,16 +60,20 @@ function wireCalls() {
   for (const button of document.querySelectorAll("[data-call]")) {
     const service = button.dataset.call;
     let timer = 0;
+    const name = (what) => {
+      button.dataset.text = `${what}_${service}`; // follows the language
+      button.textContent = t(button.dataset.text);
+    };
     const disarm = () => {
       clearTimeout(timer);
       delete button.dataset.armed;
-      button.textContent = t(`call_${service}`);
+      name("call");
     };
     button.addEventListener("click", (event) => {
       if ("armed" in button.dataset && event.detail > 1) return; // a double click is one
       if ("twice" in button.dataset && !("armed" in button.dataset)) {
         button.dataset.armed = "";
-        button.textContent = t(`confirm_${service}`);
+        name("confirm");
         timer = setTimeout(disarm, ARMED_MS);
         return;
       }

@@ -30,6 +30,7 @@ const { link, video } = desk;
 const overlay = new Overlay(find("stage"), find("overlay"), find("controls"), seenText);
 const log = new CommandLog(find("log"));
 const lines = new Console(find("console-lines"));
+let instrument = ""; // its name
 let lastBoot = "";
 let restarted = false;
 let lostControl = false;
@@ -55,8 +56,9 @@ link.addEventListener("hello", ({ detail }) => {
   if (detail.title) {
     delete find("title").dataset.text; // its name is the instrument's, in any language
     find("title").textContent = detail.title;
-    document.title = `${detail.title} – ${t("product")}`;
+    instrument = detail.title;
   }
+  entitle();
   find("tab-console").hidden = find("tab-teach").hidden = desk.me.role !== "engineer";
   log.reset(detail.log);
   setSelection(detail.selection);
@@ -100,6 +102,10 @@ video.addEventListener("frame", ({ detail }) => {
 });
 overlay.addEventListener("controls", showChoices);
 overlay.addEventListener("choose", ({ detail }) => choose(detail));
+
+function entitle() {
+  document.title = instrument ? `${instrument} – ${t("product")}` : t("product");
+}
 
 function showChoices() {
   const options = [new Option(t("choose_placeholder"), "")];
@@ -156,6 +162,7 @@ for (const button of document.querySelectorAll("[data-layer]")) {
 }
 find("language").addEventListener("click", () => {
   keepLanguage(language() === "en" ? "de" : "en");
+  entitle();
   overlay.relabel();
   showChoices();
   log.relabel();
