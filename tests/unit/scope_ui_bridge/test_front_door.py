@@ -160,6 +160,24 @@ def test_wrong_names_and_passwords_look_alike_and_are_slowed_down(passwords: Pat
     with_rig(scenario, passwords_file=str(passwords))
 
 
+def test_a_file_of_passwords_that_others_may_read_opens_nothing_and_is_recorded(
+    passwords: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "audit.jsonl"
+    passwords.chmod(0o644)
+
+    async def scenario(rig: Rig) -> None:
+        rig.server._loop.set_debug(True)  # passwords are checked in a thread, which must not touch the loop's things
+        async with page(rig, sign_in=False) as client:
+            form = {"name": "ada", "password": "correct horse"}
+            async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+                assert answer.status == 401
+
+    with_rig(scenario, passwords_file=str(passwords), audit=AuditFile(path))
+    (found,) = [entry for entry in records(path) if entry["command"] == "passwords_file"]
+    assert "has mode 644; 600 is needed" in found["result"]
+
+
 def test_without_a_file_no_password_is_good() -> None:
     async def scenario(rig: Rig) -> None:
         async with page(rig, sign_in=False) as client:

@@ -187,23 +187,29 @@ class FrontDoor:
         if remote in self._guesses or len(self._guesses) >= _MAX_GUESSES:
             raise Refusal("wait", seconds=1.0)
         self._guesses.append(remote)
+        check = asyncio.get_running_loop().run_in_executor(self._checker, self._check, name, password)
         try:
-            user, good = await asyncio.get_running_loop().run_in_executor(self._checker, self._check, name, password)
+            user, good, problem = await check
         finally:
             self._guesses.remove(remote)
+        if problem:
+            self.turned_away.note("the bridge", "passwords_file", problem)
         role = user.role if user else Role.VIEWER
         return self._sign_in.enter_by_password(good, name, role, remote, time.monotonic())
 
-    def _check(self, name: str, password: str) -> tuple[User | None, bool]:
-        """Check a password, in the checker's thread; an unknown name takes as long as a known one."""
+    def _check(self, name: str, password: str) -> tuple[User | None, bool, str]:
+        """Check a password, in the checker's thread; an unknown name takes as long as a known one.
+
+        Return the user, whether the password is good, and what is wrong with the file.
+        """
+        problem = ""
         self._nobody = self._nobody or hash_password("nobody has this one", os.urandom(16))
         try:
             user = read_users(self._passwords).get(name)
         except (OSError, PasswordError) as error:
-            self.turned_away.note("the bridge", "passwords_file", str(error))
-            user = None
+            user, problem = None, str(error)
         good = matches(password, user.hashed if user else self._nobody)
-        return user, good and user is not None
+        return user, good and user is not None, problem
 
     def _sign_in_page(self, status: int, problem: str) -> web.StreamResponse:
         # Codes and flags are fixed and shown by style alone (see sign_in.html): nothing of the request is echoed.
