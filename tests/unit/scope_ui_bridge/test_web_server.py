@@ -87,6 +87,21 @@ def test_the_sign_in_form_works_and_failures_are_slowed_down() -> None:
     with_rig(scenario)
 
 
+@pytest.mark.parametrize("what", ["image", "iframe", "empty"])
+def test_a_foreign_page_that_guesses_tokens_shuts_nobody_out(what: str) -> None:
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, sign_in=False) as client:
+            # What a browser says of a picture, a frame or a request on a page; a picture needs no Origin.
+            part = {"Sec-Fetch-Dest": what, "Sec-Fetch-Site": "cross-site"}
+            for token in ("guess", rig.token):
+                async with client.session.get("/", params={"token": token}, headers=part) as answer:
+                    assert answer.status == 401
+            async with client.session.get("/", params={"token": rig.token}) as answer:
+                assert answer.status == 200, "neither waits, nor was the token used up"
+
+    with_rig(scenario)
+
+
 def test_one_browser_is_signed_in_at_two_robots_of_one_host() -> None:
     async def scenario(rig: Rig) -> None:
         # Browsers keep cookies by host, whatever the port; so does this jar.

@@ -143,7 +143,9 @@ class FrontDoor:
         if self.session(request) is not None:
             return web.FileResponse(PAGE / "index.html")
         token = request.query.get("token", "")
-        if not token:
+        # A picture or a frame of another site's page needs no Origin: its wrong tokens would make people wait.
+        part_of_a_page = request.headers.get("Sec-Fetch-Dest", "document") != "document"
+        if not token or part_of_a_page:
             return self._sign_in_page(401, "")
         # The page itself is the answer, not a redirect: after a link from elsewhere a browser would not send a
         # SameSite=Strict cookie with the redirected request.
