@@ -412,6 +412,9 @@ def test_zoom_pan_and_a_click_in_the_zoomed_picture(operator: Operator) -> None:
     after = page.locator("[data-control=RUN_STOP]").bounding_box()
     assert after["x"] - before["x"] == pytest.approx(-0.14 * stage["width"], abs=8)
     assert "Nothing" in page.inner_text("#selection-name"), "a drag selects nothing"
+    page.focus("[data-control=MENU]")
+    page.keyboard.press("Enter")  # a key was never dragged
+    operator.sees("#selection-name", "Menu", within_s=5.0)
     operator.selects("RUN_STOP", "Run / Stop")
     page.keyboard.press("0")
     operator.sees("#zoom-fit", "100 %")

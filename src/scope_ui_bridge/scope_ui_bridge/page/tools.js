@@ -56,8 +56,8 @@ function wireZoom() {
   for (const end of ["pointerup", "pointercancel", "pointerleave"]) {
     stage.addEventListener(end, (event) => pointers.delete(event.pointerId));
   }
-  // A drag is no click: nothing may be selected by it.
-  stage.addEventListener("click", (event) => dragged && event.stopPropagation(), true);
+  // A drag is no click: nothing may be selected by it. A key's click (detail 0) belongs to no drag.
+  stage.addEventListener("click", (event) => dragged && event.detail !== 0 && event.stopPropagation(), true);
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.altKey || event.metaKey || event.target.closest("input, select, textarea")) return;
     ({ "+": () => zoom(1.5), "-": () => zoom(1 / 1.5), 0: () => zoom(0) })[event.key]?.();
