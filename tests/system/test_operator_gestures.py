@@ -111,6 +111,9 @@ def test_a_line_is_drawn_clicked_and_given_by_numbers(person: Operator) -> None:
     person.sees("#draw-hint", "where the line ends")
     page.mouse.click(*at(0.3, 0.2))
     person.sees("#selection-detail", r"from \([\d.]+, [\d.]+\) to \([\d.]+, [\d.]+\) mm")
+    page.focus("[data-control=SCREEN]")
+    page.keyboard.press("Enter")  # a key has drawn nothing
+    person.sees("#selection-name", "Screen")
 
     page.keyboard.press("d")  # by keyboard alone
     page.keyboard.press("d")

@@ -59,6 +59,7 @@ function wirePicture(overlay) {
       (event) => {
         if (name === "pointerdown") drawn = on;
         if (!on && !(name === "click" && drawn)) return;
+        if (name === "click" && event.detail === 0) return; // a key's: it chooses, as ever
         event.stopImmediatePropagation();
         handle(event);
       },
