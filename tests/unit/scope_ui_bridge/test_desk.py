@@ -126,6 +126,15 @@ def test_a_click_on_an_old_picture_is_refused_with_age_and_bound() -> None:
     assert (answered["code"], answered["values"]) == ("frame_old", {"age_ms": 510, "limit_ms": 500})
 
 
+def test_a_picture_in_many_forms_is_remembered_as_long_as_in_one() -> None:
+    rig = Rig(BridgeConfig(frame_max_age_s=2.0))
+    for number in range(1, 31):  # two seconds at 15 pictures a second
+        for _ in range(5):  # pages behind five kinds of links
+            rig.desk.machine.frame_offered("left", rig.stamp + number)
+    rig.seconds += 1.9
+    assert answer(rig.select(control="RUN_STOP"))["ok"]
+
+
 def test_a_click_on_a_picture_that_was_never_sent_is_refused() -> None:
     assert refusal(Rig().select(control="RUN_STOP", stamp="123")) == "frame_unknown"
 

@@ -73,8 +73,9 @@ class MachineView:
         self._picture_s = now.mono_s
 
     def frame_offered(self, camera: str, stamp_ns: int) -> None:
-        """Note that pages may have got the picture with this stamp."""
-        self._frames[camera].append(stamp_ns)
+        """Note that pages may have got the picture with this stamp, in one form or another."""
+        if stamp_ns not in self._frames[camera]:
+            self._frames[camera].append(stamp_ns)
 
     @property
     def active(self) -> bool:
