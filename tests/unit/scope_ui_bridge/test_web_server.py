@@ -21,7 +21,7 @@ from icu_common.core.results import GoalResult, Outcome
 from scope_ui_bridge.adapters.front_door import COOKIE, PAGE
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.core.audit import verify
-from scope_ui_bridge.core.effects import Now
+from scope_ui_bridge.core.effects import Broadcast, Now
 
 NOW = Now(mono_s=0.0, ros_ns=0, wall_s=0.0)
 
@@ -232,6 +232,25 @@ def test_garbage_on_the_control_connection_is_answered_and_the_stop_after_it_is_
             assert rig.graph.named("stop") == []
             assert (await client.ask(type="stop"))["ok"]
         assert rig.graph.named("stop") == [("stop",)]
+
+    with_rig(scenario)
+
+
+def test_a_page_that_takes_no_messages_is_let_go_and_comes_back_to_what_holds_now() -> None:
+    async def scenario(rig: Rig) -> None:
+        rig.offer()
+        async with page(rig, take=True) as client:
+            await client.open_video()
+            about, _ = await client.frame()
+            await client.ask(type="select", camera="left", stamp=about["stamp"], control="RUN_STOP")
+
+            def backlog() -> None:
+                rig.server._carry_out(rig.desk._clear_selection())  # would be lost with the rest of the queue
+                rig.server._carry_out([Broadcast(message={"type": "state", "number": n}) for n in range(300)])
+
+            rig.server.mailbox.each(backlog)
+            await until(lambda: rig.desk.lease.holder == "", "its connection has ended")
+            assert (await client.open())["selection"] is None
 
     with_rig(scenario)
 

@@ -95,6 +95,7 @@ class WebServer:
         self._held: tuple[int, str, npt.NDArray[Any]] | None = None
         self._outboxes: dict[str, asyncio.Queue[str]] = {}
         self._controls: dict[str, web.WebSocketResponse] = {}
+        self._transports: dict[str, asyncio.Transport] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._tasks: set[asyncio.Task[Any]] = set()
         self._closing = asyncio.Event()
@@ -261,6 +262,8 @@ class WebServer:
             outbox: asyncio.Queue[str] = asyncio.Queue(_OUTBOX)
             outbox.put_nowait(encode(hello))
             self._outboxes[viewer], self._controls[viewer] = outbox, socket
+            if request.transport is not None:
+                self._transports[viewer] = request.transport
             sender = asyncio.create_task(_send_all(socket, outbox))
             async for message in socket:
                 if message.type is WSMsgType.PONG:
@@ -281,6 +284,7 @@ class WebServer:
             self._sockets.discard(socket)
             self._outboxes.pop(viewer, None)
             self._controls.pop(viewer, None)
+            self._transports.pop(viewer, None)
             if viewer:
                 self._carry_out(self._desk.leave(viewer, self._now()))
             if sender is not None:
@@ -370,11 +374,12 @@ class WebServer:
         try:
             outbox.put_nowait(text)
         except asyncio.QueueFull:
-            # A page that takes nothing for so long is gone or frozen; its queue must not grow.
-            _LOG.warning("viewer %s takes no messages: its queue is emptied", viewer)
-            while not outbox.empty():
-                outbox.get_nowait()
-            outbox.put_nowait(text)
+            # A page that takes nothing for so long is gone or frozen; its queue must not grow. Without some of the
+            # messages it would show what holds no more; when it connects again it is told everything anew.
+            _LOG.warning("viewer %s takes no messages: its connection is ended", viewer)
+            del self._outboxes[viewer]
+            if viewer in self._transports:
+                self._transports[viewer].abort()
 
     async def _send_order(self, order: Order) -> None:
         try:
