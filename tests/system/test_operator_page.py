@@ -267,6 +267,15 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     page.keyboard.press("Enter")
     assert "Press" not in page.inner_text("#log")
     operator.sees("#banner", "picture is old")
+    spoken = page.evaluate("""async () => {
+        const said = [];
+        const heard = new MutationObserver(() => said.push(document.getElementById("refusal").textContent));
+        heard.observe(document.getElementById("refusal"), { childList: true, subtree: true, characterData: true });
+        await new Promise((resolve) => setTimeout(resolve, 2000));
+        heard.disconnect();
+        return said;
+    }""")
+    assert len(spoken) <= 2, f"a screen reader would speak of each: {spoken}"
     instrument.tell("resume")
     operator.until(lambda: page.is_hidden("#stale"), 5.0, lambda: "the picture is live again")
     instrument.tell("confidence 0.2")

@@ -7,6 +7,18 @@ export function put(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+const STEADY_MS = 5000;
+const written = new WeakMap(); // when an element's text was put steadily
+const words = (text) => text.replace(/[\d.]+/g, "");
+
+/** As put; but a number that runs, such as an age, is written every 5 s only: screen readers would never end. */
+export function putSteady(element, text) {
+  const since = performance.now() - (written.get(element) ?? -Infinity);
+  if (words(element.textContent) === words(text) && since < STEADY_MS) return;
+  written.set(element, performance.now());
+  put(element, text);
+}
+
 export function press(button, on) {
   button.setAttribute("aria-pressed", String(on));
 }

@@ -5,7 +5,7 @@ import { CommandLog, ICONS, spoken } from "./command_log.js";
 import { Console } from "./console.js";
 import { renderGuide, sampleGuide, setFacts } from "./guide.js";
 import { desk } from "./desk.js";
-import { find, press, put, say } from "./dom.js";
+import { find, press, put, putSteady, say } from "./dom.js";
 import { renderDraw, wireDraw } from "./draw.js";
 import { renderGestures } from "./gestures.js";
 import { renderMove, wireMove } from "./move.js";
@@ -253,7 +253,8 @@ function renderSelection() {
   find("clear").hidden = !selection;
   find("clear").disabled = !desk.mine;
   const element = find("refusal");
-  put(element, desk.problem || (selection || !desk.mine ? reason : ""));
+  if (desk.problem) put(element, desk.problem);
+  else putSteady(element, selection || !desk.mine ? reason : "");
   element.dataset.look = desk.problem ? "bad" : "";
 }
 

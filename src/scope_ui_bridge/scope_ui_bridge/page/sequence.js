@@ -1,7 +1,7 @@
 // Sequences: chosen, typed or collected from the gesture buttons; started with a second click; followed step by step.
 
 import { desk } from "./desk.js";
-import { find, put, say } from "./dom.js";
+import { find, put, putSteady, say } from "./dom.js";
 import { said } from "./said.js";
 import { t } from "./strings.js";
 
@@ -125,7 +125,8 @@ export function renderSequence() {
   put(button, t(armed() ? "sequence_confirm" : "sequence_start", { count: mine.length }));
   find("sequence-typed").hidden = find("sequence-choice").value !== "";
   const text = running() ? t("sequence_step", { number: run.number, all: run.steps.length }) : run.status ? verdict() : "";
-  put(find("sequence-said"), text || why);
+  if (text) put(find("sequence-said"), text);
+  else putSteady(find("sequence-said"), why);
   find("sequence-said").dataset.status = run.status;
   find("collecting").hidden = !collecting();
 }

@@ -1,5 +1,6 @@
 // Header and banner: states by text and icon as well as by colour.
 
+import { putSteady } from "./dom.js";
 import { said } from "./said.js";
 import { t } from "./strings.js";
 
@@ -44,5 +45,6 @@ export function banner(element, candidates) {
   element.querySelector(".icon").textContent = LOOKS[found.look];
   const line = element.querySelector("p");
   line.setAttribute("role", found.look === "bad" ? "alert" : "status");
-  line.textContent = found.text;
+  if (found.look === "waiting") putSteady(line, found.text);
+  else line.textContent = found.text;
 }
