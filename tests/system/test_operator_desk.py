@@ -474,10 +474,19 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
     end = x()
     assert abs(end / 5 - round(end / 5)) < 0.01
     assert len([row for row in page.locator("#log tr").all_inner_texts() if "Move +x" in row]) == 1
+    instrument.tell("motion 3")
     page.fill("#go-x", "80")
     page.fill("#go-y", "60.5")
     page.click("#go")
-    operator.logs(r"Go to \(80.0, 60.5\) mm.*done", 5.0)
+    operator.sees("#chip-driver", "Moving")
+    page.keyboard.press("Shift+ArrowLeft")
+    answered = """async () => {
+        const { desk } = await import('/page/desk.js');
+        return (await desk.link.ask("jog", { dx: 0, dy: 0, step_mm: 1, ...desk.seen })).ok;
+    }"""
+    assert page.evaluate(answered), "and so has been what the key asked for, and that it was let go"
+    assert page.inner_text("#refusal") == "The last command is not finished yet."
+    operator.logs(r"Go to \(80.0, 60.5\) mm.*done", 10.0)
     assert page.inner_text("#position-x") == "80.0 mm"
     page.click("#tab-plots")
     operator.sees("#plot-position .values", r"X 80.0 · Y 60.5")

@@ -35,7 +35,8 @@ function release() {
   clearTimeout(held.timer);
   const { step_mm } = held;
   held = null;
-  if (desk.mine) desk.ask("jog", { dx: 0, dy: 0, step_mm, ...desk.seen });
+  // Its answer is no news: the reason why moving on was refused is still to be read.
+  if (desk.mine) desk.link.ask("jog", { dx: 0, dy: 0, step_mm, ...desk.seen });
 }
 
 export function wireMove() {
