@@ -474,6 +474,15 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
     end = x()
     assert abs(end / 5 - round(end / 5)) < 0.01
     assert len([row for row in page.locator("#log tr").all_inner_texts() if "Move +x" in row]) == 1
+    page.keyboard.down("Shift")
+    page.keyboard.down("ArrowLeft")
+    operator.until(lambda: x() <= end - 10, 10.0, lambda: f"moved to {x()} mm; {page.inner_text('#log')}")
+    page.click("#freeze")  # what is not seen any more does not go on, though the key is still down
+    operator.sees("#refusal", "A kept picture lies over the live one")
+    operator.logs(r"Move -x.*done", 5.0)
+    page.keyboard.up("ArrowLeft")
+    page.keyboard.up("Shift")
+    page.click("#freeze")
     instrument.tell("motion 3")
     page.fill("#go-x", "80")
     page.fill("#go-y", "60.5")

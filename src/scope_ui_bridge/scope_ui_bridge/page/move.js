@@ -21,10 +21,15 @@ function hold(dx, dy) {
   repeat();
 }
 
-/** Ask again while held; a refusal (a limit, a stop) ends it. */
+/** Ask again while held; a refusal (a limit, a stop) ends it, and so does a picture that lies over the live one. */
 async function repeat() {
   const mine = held;
   if (!mine) return;
+  if (desk.hindrance) {
+    release();
+    desk.refuse(desk.hindrance);
+    return;
+  }
   const { dx, dy, step_mm } = mine;
   mine.timer = setTimeout(repeat, HOLD_MS);
   if (!(await desk.ask("jog", { dx, dy, step_mm, ...desk.seen })) && held === mine) release();
