@@ -52,11 +52,11 @@ class Command:
             text=True,
         )
 
-    def end(self, number: int | None = None, within_s: float = 20.0) -> str:
+    def end(self, number: int | None = None, within_s: float = 20.0, code: int = 0) -> str:
         if number is not None:
             self.process.send_signal(number)
         output, _ = self.process.communicate(timeout=within_s)
-        assert self.process.returncode == 0, output
+        assert self.process.returncode == code, output
         return output
 
 
@@ -208,6 +208,29 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path, command: Star
     assert b == [] and beats == [] and orders == []
     assert [m.data for m in ways[:2]] == ["way 0", "way 1"], "where it went can be seen"
     assert "not played: /b, /gantry/sequence, /operator/heartbeat\n" in output
+
+
+def test_nothing_is_played_beside_a_driver_at_work(ros: Ros, tmp_path: Path, command: Start) -> None:
+    with BagWriter(tmp_path / "bag", keep_free=0) as bag:
+        bag.add_topic(BagTopic(name="/bed_1/gantry/driver_state", type="std_msgs/msg/String"))
+        bag.add_topic(BagTopic(name="/bed_1/panel/alarm", type="std_msgs/msg/String"))
+        for i in range(200):
+            bag.write("/bed_1/panel/alarm", 10**9 + 50_000_000 * i, serialize_message(String(data=f"{i}")))
+    other, driver = ros.plain("other"), ros.plain("driver")
+    other.create_publisher(String, "/gantry/driver_state", qos.LATCHED)  # of another machine: it is none of ours
+    heard = ros.collect(other, String, "/bed_1/panel/alarm", qos.RESULTS)
+    player = command("bag_play", str(tmp_path / "bag"))
+    ros.spin_until(lambda: len(heard) > 5, 15.0, lambda: heard)
+    driver.create_publisher(String, "/bed_1/gantry/driver_state", qos.LATCHED)
+    output = player.end(code=1)
+    assert "error: a driver is at work here (/bed_1/gantry/driver_state)" in output
+    count = len(heard)
+    assert count < 200
+    assert "a driver is at work here" in command("bag_play", str(tmp_path / "bag"), "--wait", "60").end(code=1)
+    assert len(heard) == count
+    player = command("bag_play", str(tmp_path / "bag"), "--moving", "--rate", "10")
+    ros.spin_until(lambda: len(heard) == count + 200, 20.0, lambda: len(heard))
+    player.end()
 
 
 def test_a_topic_of_a_type_that_is_not_installed_is_left_out_by_name(ros: Ros, tmp_path: Path, command: Start) -> None:

@@ -88,6 +88,11 @@ def _installed(kind: str) -> bool:
     return True
 
 
+_DRIVER = "gantry/driver_state"
+_LOOK_S = 0.5
+"""So often is looked for a driver at work, as programs find each other only after a while."""
+
+
 class Playing:
     """One run of the command."""
 
@@ -107,7 +112,7 @@ class Playing:
         self._step = StepPlayer(session, self._node, bag, options.patience) if options.in_step else None
         session.executor.add_node(self._node)
         self._line = ProgressLine()
-        self._next_clock_s = 0.0
+        self._next_clock_s = self._next_look_s = 0.0
         self.played = 0
 
     def run(self) -> None:
@@ -140,6 +145,19 @@ class Playing:
         deadline_s = time.monotonic() + self._options.wait
         while self._session.goes_on and self._node.unheard and time.monotonic() < deadline_s:
             self._session.spin(0.02)
+            self._refuse_beside_a_machine(time.monotonic())
+
+    def _refuse_beside_a_machine(self, now_s: float) -> None:
+        """A controller would take recorded pictures, places and calibrations for those of the machine that it moves."""
+        if self._options.moving or self._step is not None or now_s < self._next_look_s:
+            return
+        self._next_look_s = now_s + _LOOK_S
+        for state in {topic.name for topic in self._bag.topics if topic.name.endswith(_DRIVER)} or {f"/{_DRIVER}"}:
+            if self._node.others(state) > 0:
+                raise BagError(
+                    f"a driver is at work here ({state}), and what was recorded would be taken for what its cameras "
+                    "see: play it in another ROS_DOMAIN_ID, or with --moving"
+                )
 
     def _play_once(self) -> None:
         for topic, stamp_ns, data in self._bag.messages(self._names, self._start_ns):
@@ -157,6 +175,7 @@ class Playing:
     def _serve(self, timeout_s: float, newest_ns: int) -> None:
         self._session.spin(timeout_s)
         now_s = time.monotonic()
+        self._refuse_beside_a_machine(now_s)
         bag_ns = self._clock.bag_ns(now_s)
         if self._options.clock and now_s >= self._next_clock_s:
             self._next_clock_s = now_s + 1.0 / self._options.clock

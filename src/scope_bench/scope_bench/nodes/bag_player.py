@@ -101,6 +101,11 @@ class BagPlayer(Node):
         """Return how many subscriptions each topic has, by absolute names."""
         return {out.topic_name: out.get_subscription_count() for out in self._all_outputs()}
 
+    def others(self, topic: str) -> int:
+        """Return how many others publish a topic, by its absolute name."""
+        mine = [output for output in self._outputs.values() if output.topic_name == topic]
+        return int(self.count_publishers(topic)) - len(mine)
+
     def _all_outputs(self) -> list[Any]:
         return [*self._outputs.values(), *([self._clock_out] if self._clock_out is not None else [])]
 
