@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pty
 import signal
 import subprocess
 import sys
@@ -16,6 +15,7 @@ import nav_msgs.msg
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from nodes.background import output_in_background
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
@@ -263,22 +263,11 @@ def test_the_player_does_not_tell_more_than_it_has_played(ros: Ros, tmp_path: Pa
 def test_a_player_in_the_background_of_a_terminal_plays(ros: Ros, tmp_path: Path) -> None:
     """The kernel stops who sets up a terminal from its background, and nothing would be played."""
     bag = numbered_bag(tmp_path / "bag", ["words"], 3)
-    in_background = "import fcntl, os, termios; fcntl.ioctl(0, termios.TIOCSCTTY); os.execvp('bash', {})".format(
-        ["bash", "-c", f"set -m; {sys.executable} -m scope_bench.cli.bag_play {bag} --wait 0 & wait $!; kill -9 $!"]
+    output = output_in_background(
+        *("scope_bench.cli.bag_play", str(bag), "--wait", "0"),
+        environment={"ROS_DOMAIN_ID": str(ros.context.get_domain_id()), "ROS_LOG_DIR": str(tmp_path / "log")},
     )
-    master, slave = pty.openpty()
-    with os.fdopen(master, "rb"), os.fdopen(slave, "rb") as terminal:
-        done = subprocess.run(
-            [sys.executable, "-c", in_background],
-            env=dict(os.environ, ROS_DOMAIN_ID=str(ros.context.get_domain_id()), ROS_LOG_DIR=str(tmp_path / "log")),
-            stdin=terminal,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-            text=True,
-            timeout=30.0,
-        )
-    assert done.stdout.splitlines()[-1:] == ["3 messages played"]
+    assert output.splitlines()[-1:] == ["3 messages played"]
 
 
 def test_a_player_that_still_waits_for_subscribers_is_not_paused_again(

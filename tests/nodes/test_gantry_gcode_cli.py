@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import serial
+from nodes.background import output_in_background
 from nodes.grbl_board import GrblBoard
 
 from gantry_driver.cli.gantry_gcode import main
@@ -94,6 +95,14 @@ def test_a_program_is_run_and_every_line_is_executed(board: GrblBoard, program: 
     between = [f"X{-300 - 10 * k}Y-100G53G1" for k in range(1, 5)]
     assert moves == ["F9000X-300Y-100G53G1", *between, "F17234X-359Y-219G53G1"]
     assert board.mpos() == pytest.approx((-359.0, -219.0, -1.0), abs=0.02)
+
+
+def test_a_program_is_run_from_the_background_of_a_terminal(board: GrblBoard, program: Callable[..., Path]) -> None:
+    """The kernel stops who sets up a terminal from its background."""
+    path = program("G53 G1 X-300 Y-100 F9000")
+    output = output_in_background("gantry_driver.cli.gantry_gcode", "run", str(path), "--port", str(board.port))
+    assert "reached in " in output
+    assert board.mpos()[:2] == pytest.approx((-300.0, -100.0), abs=0.02)
 
 
 def test_a_program_whose_check_takes_longer_than_a_heartbeat_may_is_started(

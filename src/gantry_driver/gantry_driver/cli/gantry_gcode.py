@@ -12,15 +12,10 @@ own parser check the lines in ``$C`` mode; nothing moves. ``--check`` does not o
 from __future__ import annotations
 
 import argparse
-import contextlib
-import os
-import select
 import signal
 import sys
-import termios
 import time
-import tty
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -38,6 +33,7 @@ from gantry_driver.core.machine_states import Answered, Event, Note, StateChange
 from gantry_driver.core.progress import duration_text, progress_text
 from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile, profile_text
 from gantry_driver.core.trajectory_gcode import TrajectoryError
+from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.config import ConfigError, from_mapping
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
@@ -242,26 +238,11 @@ def _pause_or_resume(machine: Machine, now: float) -> str:
     return machine.resume(now) if machine.reason == "paused" else machine.pause(now)
 
 
-@contextlib.contextmanager
-def keys() -> Iterator[Callable[[], str]]:
-    """Give the keys typed since the last call, without waiting; none where there is no terminal."""
-    if not sys.stdin.isatty():
-        yield lambda: ""
-        return
-    fd = sys.stdin.fileno()
-    old = termios.tcgetattr(fd)
-    tty.setcbreak(fd)
-    try:
-        yield lambda: os.read(fd, 64).decode("ascii", "replace") if select.select([fd], [], [], 0)[0] else ""
-    finally:
-        termios.tcsetattr(fd, termios.TCSADRAIN, old)
-
-
 def run_program(source: Sequence[str], lines: Sequence[CheckedLine], config: DriverConfig) -> int:
     display = Display()
     runner = Runner(config, display)
     try:
-        with keys() as key:
+        with terminal_keys() as key:
             result = runner.run(source, lines, key)
     except Failed as error:
         print(f"error: {error}", file=sys.stderr)

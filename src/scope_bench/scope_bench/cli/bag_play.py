@@ -7,17 +7,14 @@ gantry/recorded_trajectory otherwise, for pages that show them.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 import os
-import select
 import sys
-import termios
 import time
-import tty
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic
@@ -96,8 +93,8 @@ _LOOK_S = 0.5
 class Playing:
     """One run of the command."""
 
-    def __init__(self, bag: BagReader, options: argparse.Namespace, session: Session) -> None:
-        self._bag, self._options, self._session = bag, options, session
+    def __init__(self, bag: BagReader, options: argparse.Namespace, session: Session, keys: Callable[[], str]) -> None:
+        self._bag, self._options, self._session, self._keys = bag, options, session, keys
         self._topics = chosen(bag, options)
         self._names = [topic.name for topic in self._topics]
         self._start_ns = bag.start_ns + round(options.start_offset * 1e9)
@@ -180,7 +177,7 @@ class Playing:
         if self._options.clock and now_s >= self._next_clock_s:
             self._next_clock_s = now_s + 1.0 / self._options.clock
             self._node.show_time(bag_ns)
-        if _has_keys() and select.select([sys.stdin], [], [], 0)[0] and sys.stdin.read(1) == " ":
+        for _ in range(self._keys().count(" ")):
             self._toggle()
         # Where messages are late, as in step with others, the clock is ahead of what has been played.
         done_s, whole_s = (min(bag_ns, newest_ns) - self._bag.start_ns) / 1e9, self._bag.duration_ns / 1e9
@@ -190,30 +187,6 @@ class Playing:
 
     def _toggle(self) -> bool:
         return self._clock.toggle(time.monotonic())
-
-
-def _has_keys() -> bool:
-    """Whether keys of a terminal come here: who touches one from its background is stopped by the kernel."""
-    if not sys.stdin.isatty():
-        return False
-    try:
-        return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
-    except OSError:  # a terminal that does not control this process stops nobody
-        return True
-
-
-@contextlib.contextmanager
-def single_keys() -> Iterator[None]:
-    """Let the terminal hand over each key at once."""
-    if not _has_keys():
-        yield
-        return
-    before = termios.tcgetattr(sys.stdin)
-    tty.setcbreak(sys.stdin)
-    try:
-        yield
-    finally:
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -234,8 +207,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with BagReader(options.bag) as bag:
             if options.start_offset > (whole_s := bag.duration_ns / 1e9):
                 raise ValueError(f"--start-offset {options.start_offset:g}: the bag has {whole_s:.2f} s")
-            with ros_session(given[split:]) as session, single_keys():
-                playing = Playing(bag, options, session)
+            with ros_session(given[split:]) as session, terminal_keys() as keys:
+                playing = Playing(bag, options, session, keys)
                 playing.run()
     except (BagError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
