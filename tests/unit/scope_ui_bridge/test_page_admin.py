@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import io
 import shutil
 import ssl
@@ -66,6 +67,19 @@ def test_the_certificate_serves_the_page_and_strict_cookies(tmp_path: Path, caps
 
     with Rig(tls_certificate=str(certificate), tls_key=str(key)) as rig:
         asyncio.run(scenario(rig))
+
+
+def test_the_chain_goes_on_after_a_record_that_lost_only_its_end_of_line(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    audit = AuditFile(path)
+    audit.append({"command": "stop"})
+    audit.close()
+    path.write_bytes(path.read_bytes().removesuffix(b"\n"))  # as after a power cut
+    audit = AuditFile(path)
+    audit.append({"command": "reset"})
+    audit.close()
+    AuditFile(path).close()
+    assert [json.loads(line)["command"] for line in path.read_text().splitlines()] == ["stop", "reset"]
 
 
 def test_the_audit_file_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -63,6 +63,8 @@ class AuditFile:
             with path.open(encoding="utf-8", errors=BAD_BYTES) as lines:
                 self._count, self._previous = verify(lines)
         self._file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "wb", buffering=0)
+        if path.read_bytes()[-1:] not in (b"", b"\n"):  # a whole record whose end of line was lost with the power
+            self._file.write(b"\n")
 
     def append(self, record: dict[str, Any]) -> None:
         """Write one record and wait for the disk; one that could not be written (OSError) leaves nothing behind."""
