@@ -6,6 +6,7 @@ import asyncio
 import json
 import time
 from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ import pytest
 from unit.scope_ui_bridge.web_rig import Rig, page, until
 
 from scope_ui_bridge.adapters import front_door
-from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
-from scope_ui_bridge.core.passwords import new_user
+from scope_ui_bridge.adapters.secret_files import AuditFile, read_users, write_secret
+from scope_ui_bridge.core.passwords import Role, hash_password, new_user
 
 
 def with_rig(scenario: Callable[[Rig], Awaitable[None]], **options: Any) -> None:
@@ -136,6 +137,41 @@ def test_passwords_open_the_door_with_the_role_of_the_file(passwords: Path) -> N
                 assert taken["ok"] == (role == "engineer")
                 if role == "engineer":
                     await client.ask(type="lease", step="release")
+
+    with_rig(scenario, passwords_file=str(passwords))
+
+
+@pytest.mark.parametrize("change", ["taken out", "another role", "another password"])
+def test_who_is_changed_in_the_file_must_sign_in_anew(passwords: Path, change: str) -> None:
+    before = passwords.read_text()
+    ada = read_users(passwords)["ada"]
+    changed = {
+        "taken out": "",
+        "another role": replace(ada, role=Role.VIEWER).line(),
+        "another password": replace(ada, hashed=hash_password("another horse", b"1" * 16)).line(),
+    }[change]
+
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, sign_in=False) as client:
+            form = {"name": "ada", "password": "correct horse"}
+            async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+                assert answer.status == 200
+            await client.open()
+            assert (await client.ask(type="lease", step="take"))["ok"]
+
+            async def signed_in() -> bool:
+                rig.server.door._look_s = 0.0  # else once a second
+                async with client.session.get("/session") as answer:
+                    return answer.status == 200
+
+            write_secret(passwords, before.replace("eve:", "Eve:"))  # somebody else's line
+            assert await signed_in()
+            passwords.write_text("ada:nonsense")  # in the middle of an edit
+            assert await signed_in()
+            write_secret(passwords, before.replace(ada.line(), changed))
+            assert not await signed_in()
+            await client.send(type="alive", client_ms=1.0)
+            await until(lambda: rig.desk.lease.holder == "", "the page is sent away")
 
     with_rig(scenario, passwords_file=str(passwords))
 

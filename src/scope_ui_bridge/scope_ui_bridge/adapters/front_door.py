@@ -17,7 +17,7 @@ from aiohttp.http_exceptions import BadHttpMessage
 from scope_ui_bridge.adapters.secret_files import read_users
 from scope_ui_bridge.adapters.turned_away import TurnedAway
 from scope_ui_bridge.core.config import BridgeConfig
-from scope_ui_bridge.core.passwords import PasswordError, Role, User, hash_password, matches
+from scope_ui_bridge.core.passwords import PasswordError, User, hash_password, matches
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.sign_in import Session, SignIn
 
@@ -25,6 +25,8 @@ COOKIE = "icu_session"
 """The cookie's name, before the port: browsers send it to every port of a host, where other robots may be served."""
 PAGE = Path(__file__).resolve().parent.parent / "page"
 _BODY_TIMEOUT_S = 5.0
+_LOOK_S = 1.0
+"""So often the file of passwords is read for those who have come in by it."""
 _SPEAK_WITHIN_S = 5.0
 _MAX_CONNECTIONS = 256
 _MAX_PATH = 200  # characters; far below what a file system takes for a name
@@ -70,6 +72,8 @@ class FrontDoor:
         self._checker = ThreadPoolExecutor(1, "password")
         self._guesses: list[str] = []
         self._nobody = ""
+        self._users: dict[str, User] | None = None
+        self._look_s = 0.0
         self._seen_s: dict[Any, float] = {}
         self._spoke: set[Any] = set()
 
@@ -134,8 +138,23 @@ class FrontDoor:
                     connection.transport.abort()
 
     def session(self, request: web.Request) -> Session | None:
-        """Return who sent a request."""
-        return self._sign_in.session(request.cookies.get(_cookie(request), ""), time.monotonic())
+        """Return who sent a request; whose line in the file of passwords is another or gone must sign in anew."""
+        cookie, now_s = request.cookies.get(_cookie(request), ""), time.monotonic()
+        session = self._sign_in.session(cookie, now_s)
+        if session is not None and session.user is not None and not self._still_let_in(session.user, now_s):
+            self._sign_in.leave(cookie)
+            return None
+        return session
+
+    def _still_let_in(self, user: User, now_s: float) -> bool:
+        if now_s >= self._look_s:
+            self._look_s = now_s + _LOOK_S
+            try:
+                self._users = read_users(self._passwords)
+            except (OSError, PasswordError) as error:  # nobody comes in by it, nobody is sent away in mid-work
+                self.turned_away.note("the bridge", "passwords_file", str(error))
+                self._users = None
+        return self._users is None or self._users.get(user.name) == user
 
     # --- requests --------------------------------------------------------------------------------------------------
 
@@ -191,18 +210,17 @@ class FrontDoor:
         self._guesses.append(remote)
         check = asyncio.get_running_loop().run_in_executor(self._checker, self._check, name, password)
         try:
-            user, good, problem = await check
+            user, problem = await check
         finally:
             self._guesses.remove(remote)
         if problem:
             self.turned_away.note("the bridge", "passwords_file", problem)
-        role = user.role if user else Role.VIEWER
-        return self._sign_in.enter_by_password(good, name, role, remote, time.monotonic())
+        return self._sign_in.enter_by_password(user, remote, time.monotonic())
 
-    def _check(self, name: str, password: str) -> tuple[User | None, bool, str]:
+    def _check(self, name: str, password: str) -> tuple[User | None, str]:
         """Check a password, in the checker's thread; an unknown name takes as long as a known one.
 
-        Return the user, whether the password is good, and what is wrong with the file.
+        Return the user if the password is good, and what is wrong with the file.
         """
         problem = ""
         self._nobody = self._nobody or hash_password("nobody has this one", os.urandom(16))
@@ -211,7 +229,7 @@ class FrontDoor:
         except (OSError, PasswordError) as error:
             user, problem = None, str(error)
         good = matches(password, user.hashed if user else self._nobody)
-        return user, good and user is not None, problem
+        return user if good else None, problem
 
     def _sign_in_page(self, status: int, problem: str) -> web.StreamResponse:
         # Codes and flags are fixed and shown by style alone (see sign_in.html): nothing of the request is echoed.

@@ -8,7 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from scope_ui_bridge.core.passwords import Role
+from scope_ui_bridge.core.passwords import Role, User
 from scope_ui_bridge.core.refusal import Refusal
 
 _MAX_REMOTES = 1024
@@ -18,11 +18,15 @@ _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
-    """A signed-in browser; ``name`` is what the others and the records call its user."""
+    """A signed-in browser; ``name`` is what the others and the records call its user.
+
+    ``user`` is the line of the file of passwords by which it was let in, None for a token.
+    """
 
     name: str
     role: Role
     ends_s: float
+    user: User | None = None
 
 
 @dataclass(slots=True)
@@ -83,17 +87,17 @@ class SignIn:
         if failures is not None and now_s < failures.blocked_until_s:
             raise Refusal("wait", seconds=round(failures.blocked_until_s - now_s, 1))
 
-    def enter_by_password(self, good: bool, name: str, role: Role, remote: str, now_s: float) -> str:
-        """Return the cookie's value for a password that was found ``good``; ``wrong_password`` otherwise."""
-        if not good:
+    def enter_by_password(self, user: User | None, remote: str, now_s: float) -> str:
+        """Return the cookie's value for whose password was found good; ``wrong_password`` for None."""
+        if user is None:
             self._failed(remote, now_s)
             raise Refusal("wrong_password")
-        return self._admit(name, role, remote, now_s)
+        return self._admit(user.name, user.role, remote, now_s, user)
 
-    def _admit(self, name: str, role: Role, remote: str, now_s: float) -> str:
+    def _admit(self, name: str, role: Role, remote: str, now_s: float, user: User | None = None) -> str:
         self._failures.pop(remote, None)
         secret = self._new_secret()
-        self._sessions[_digest(secret)] = Session(name=name, role=role, ends_s=now_s + self._lifetime_s)
+        self._sessions[_digest(secret)] = Session(name=name, role=role, ends_s=now_s + self._lifetime_s, user=user)
         while len(self._sessions) > _MAX_SESSIONS:
             self._sessions.popitem(last=False)
         return secret
