@@ -271,10 +271,20 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     whole = True
     person.sees_controls()
     person.sees("#banner", "Viewing")
+    numbers = {"rms_mm": "0.051", "held_out_max_mm": "nan", "predicted_sigma_mm": "0.030"}
+    for facts, done in ({}, "no"), ({"calibration": {**numbers, "held_out_max_mm": "0.1"}}, "yes"):
+        lines[-1].send(json.dumps({"type": "facts", "facts": facts}))
+        person.until(lambda done=done: page.get_attribute("#guide-result", "data-done") == done, 5.0, lambda: done)
+    lines[-1].send(json.dumps({"type": "facts", "facts": {"calibration": numbers}}))
+    person.until(lambda: "checked – mm" in (page.text_content("#guide-numbers") or ""), 5.0, lambda: "a dash")
+    assert page.get_attribute("#guide-result", "data-done") == "no", "nobody knows how good it is"
     whole, hung = False, len(pictures)
     page.route("**/stop*", lambda route: route.abort())
     lines[-1].close()
     person.sees("#banner", "The link to the bridge is lost. This page’s STOP may not arrive")
+    for part in ("driver", "controller", "calibration", "recognition"):
+        person.sees(f"#chip-{part}", "unknown")
+        assert page.get_attribute(f"#chip-{part}", "data-look") == "none", "what was last heard may hold no more"
     page.click("#stop")
     person.sees("#banner", "STOP has not got through. Use the wired emergency stop")
     page.unroute("**/stop*")

@@ -54,6 +54,12 @@ function step(id, done) {
   put(item.querySelector(".unseen"), t(done ? "yes" : "no"));
 }
 
+/** An error that is not known, as of a calibration by hand, is a dash. */
+function millimetres(text) {
+  const value = Number(text);
+  return Number.isFinite(value) ? value.toFixed(3) : "–";
+}
+
 export function renderGuide() {
   const { driver, calibration, tip_seen } = desk.state;
   const { done, all } = progress();
@@ -62,7 +68,7 @@ export function renderGuide() {
   step("guide-machine", ["idle", "moving"].includes(driver.state));
   step("guide-tip", tip_seen);
   step("guide-run", calibrated);
-  step("guide-result", calibrated && Number(held ?? 0) <= GOOD_MM);
+  step("guide-result", calibrated && Number(held) <= GOOD_MM);
   put(find("guide-run-text"), all ? t("guide_run", { done, all }) : t("guide_run_idle"));
   put(find("calibration-text"), calibration.reason
     ? `${t("chip_calibration")}: ${t(`state_${calibration.state}`, { reason: said(calibration.reason) })}${
@@ -70,7 +76,7 @@ export function renderGuide() {
       }`
     : "");
   put(find("guide-numbers"), calibrated && rms
-    ? t("guide_numbers", { rms: Number(rms).toFixed(3), held: Number(held).toFixed(3), predicted: Number(predicted).toFixed(3) })
+    ? t("guide_numbers", { rms: millimetres(rms), held: millimetres(held), predicted: millimetres(predicted) })
     : "");
   const xs = places.map(([x]) => x);
   const ys = places.map(([, y]) => y);

@@ -186,16 +186,20 @@ function showLast(entry) {
 function render() {
   const { state, me } = desk;
   if (!state) return;
-  stateChip("chip-driver", state.driver);
-  stateChip("chip-controller", state.controller);
-  stateChip("chip-calibration", state.calibration);
+  for (const part of ["driver", "controller", "calibration"]) {
+    stateChip(`chip-${part}`, link.silent ? { state: "", reason: "" } : state[part]);
+  }
   const seen = state.confidence > 0;
   const unsure = ["panel_not_seen", "low_confidence", "recognition_silent"].includes(state.refusal?.code);
-  chip(
-    "chip-recognition",
-    unsure || !seen ? "waiting" : "good",
-    seen ? t("recognised", { percent: Math.round(100 * state.confidence) }) : t("not_recognised"),
-  );
+  if (link.silent) {
+    chip("chip-recognition", "none", t("unknown"));
+  } else {
+    chip(
+      "chip-recognition",
+      unsure || !seen ? "waiting" : "good",
+      seen ? t("recognised", { percent: Math.round(100 * state.confidence) }) : t("not_recognised"),
+    );
+  }
   find("stage").classList.toggle("unsure", unsure || !seen);
   find("stage").classList.toggle("moving", state.moving);
   put(find("you"), t("you", { name: me.name, count: state.viewers }));
