@@ -241,6 +241,42 @@ def test_a_choice_that_is_refused_is_not_shown_as_chosen_and_can_be_made_again(o
     operator.until(lambda: chosen() == "", 5.0, lambda: f"{chosen()!r} is shown as chosen")
 
 
+def test_single_keys_are_typed_in_any_way_and_can_be_switched_off(operator: Operator) -> None:
+    page = operator.page
+    typed = "(keys) => document.body.dispatchEvent(new KeyboardEvent('keydown', {key: '[', bubbles: true, ...keys}))"
+    altgr = {"ctrlKey": True, "altKey": True, "modifierAltGraph": True}
+    turned = page.locator("#log tr", has_text="Turn")
+    done = turned.filter(has_text="done")
+    for keys, turns in (({}, True), (altgr, True), ({"altKey": True}, True), ({"ctrlKey": True}, False)):
+        operator.selects("CH1_SCALE", "Channel 1 scale")
+        operator.until(lambda: page.is_enabled("[data-act=turn]"), 5.0, lambda: page.inner_text("#refusal"))
+        before = done.count()
+        page.evaluate(typed, keys)
+        if turns:
+            operator.until(lambda before=before: done.count() > before, 15.0, lambda: page.inner_text("#log"))
+    assert turned.count() == done.count() == 3, "Ctrl is the browser's"
+    page.click("#help-open")
+    page.uncheck("#single-keys")
+    page.click("#help-close")
+    page.keyboard.press("+")
+    page.keyboard.press("?")
+    assert page.is_hidden("#help") and page.inner_text("#zoom-fit") == "100 %"
+    page.reload()
+    operator.takes_control()
+    page.keyboard.press("?")
+    assert page.is_hidden("#help"), "it is remembered"
+    page.click("#help-open")
+    page.check("#single-keys")
+    page.click("#help-close")
+    page.keyboard.press("?")
+    assert page.is_visible("#help")
+    page.click("#help-close")
+    page.keyboard.press("Escape")
+    operator.sees("#banner", "STOPPED", within_s=10.0)
+    page.click("#reset")
+    operator.sees("#chip-driver", "Idle")
+
+
 def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrument: Instrument) -> None:
     person = Operator(browser, instrument.new_address())
     page = person.page

@@ -3,6 +3,7 @@
 import { desk } from "./desk.js";
 import { find, say } from "./dom.js";
 import { act, wireGestures } from "./gestures.js";
+import { singleKey, wireSingleKeys } from "./keys.js";
 import { t } from "./strings.js";
 
 const ARMED_MS = 4000;
@@ -104,9 +105,7 @@ function wireKeys() {
       }
       // A key that is held down is one press: its repeats must not confirm what it has just selected.
       if (event.repeat && event.key === "Enter" && event.target.closest("button")) event.preventDefault();
-      if (event.ctrlKey || event.altKey || event.metaKey || event.repeat || find("help").open) return;
-      if (event.target.closest("input, select, textarea")) return;
-      keys[event.key.toLowerCase()]?.();
+      if (!event.repeat && !find("help").open) keys[singleKey(event)]?.();
     },
     true,
   );
@@ -143,5 +142,6 @@ export function wireActions() {
     find(`lease-${step}`).addEventListener("click", () => desk.ask("lease", { step, to: find("lease-text").dataset.asking }));
   }
   wireCalls();
+  wireSingleKeys();
   wireKeys();
 }

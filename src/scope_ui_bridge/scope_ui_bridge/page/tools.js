@@ -2,6 +2,7 @@
 
 import { desk } from "./desk.js";
 import { fileTime, find, press, put, save } from "./dom.js";
+import { singleKey } from "./keys.js";
 import { t } from "./strings.js";
 
 const MAX_ZOOM = 8;
@@ -59,8 +60,7 @@ function wireZoom() {
   // A drag is no click: nothing may be selected by it. A key's click (detail 0) belongs to no drag.
   stage.addEventListener("click", (event) => dragged && event.detail !== 0 && event.stopPropagation(), true);
   document.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.altKey || event.metaKey || event.target.closest("input, select, textarea")) return;
-    ({ "+": () => zoom(1.5), "-": () => zoom(1 / 1.5), 0: () => zoom(0) })[event.key]?.();
+    ({ "+": () => zoom(1.5), "-": () => zoom(1 / 1.5), 0: () => zoom(0) })[singleKey(event)]?.();
   });
 }
 
