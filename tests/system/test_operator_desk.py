@@ -310,7 +310,9 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     numbers = {"rms_mm": "0.051", "held_out_max_mm": "nan", "predicted_sigma_mm": "0.030"}
     for facts, done in ({}, "no"), ({"calibration": {**numbers, "held_out_max_mm": "0.1"}}, "yes"):
         lines[-1].send(json.dumps({"type": "facts", "facts": facts}))
-        person.until(lambda done=done: page.get_attribute("#guide-result", "data-done") == done, 5.0, lambda: done)
+        person.until(
+            lambda done=done: page.get_attribute("#guide-result", "data-done") == done, 5.0, lambda done=done: done
+        )
     lines[-1].send(json.dumps({"type": "facts", "facts": {"calibration": numbers}}))
     person.until(lambda: "checked – mm" in (page.text_content("#guide-numbers") or ""), 5.0, lambda: "a dash")
     assert page.get_attribute("#guide-result", "data-done") == "no", "nobody knows how good it is"
