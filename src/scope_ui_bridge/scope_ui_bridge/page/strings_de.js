@@ -208,7 +208,7 @@ export const DE = {
   help_zoom: "Bild vergrößern; 0 zeigt alles",
   help_control: "Bedienung übernehmen",
   help_help: "Diese Liste",
-  help_single: "Einzelne Tasten ohne Strg oder Alt bewirken etwas; Esc stoppt immer",
+  help_single: "Tasten ohne Strg oder Alt wirken (Esc stoppt immer)",
   role_viewer: "Sie dürfen zusehen und stoppen, nicht bedienen.",
   role_name_viewer: "Zuschauer",
   role_name_operator: "Bediener",

@@ -208,7 +208,7 @@ export const EN = {
   help_zoom: "Zoom the picture; 0 shows all of it",
   help_control: "Take control",
   help_help: "This list",
-  help_single: "Single keys without Ctrl or Alt do something; Esc always stops",
+  help_single: "Keys without Ctrl or Alt act (Esc always stops)",
   role_viewer: "You may look and stop, not operate.",
   role_name_viewer: "viewer",
   role_name_operator: "operator",
