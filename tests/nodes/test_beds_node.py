@@ -63,6 +63,23 @@ def test_two_beds_on_one_page(ros: Ros) -> None:
             get(f"http://{port}{path}")
 
 
+def test_a_bed_whose_programs_have_ended_shows_no_state(ros: Ros) -> None:
+    node = ros.node(BedsNode, {"beds": ["bed_1"], "port": 0})
+    robot = ros.plain("robot")
+    driver, controller = (
+        robot.create_publisher(String, f"/bed_1/{topic}", qos.LATCHED)
+        for topic in ("gantry/driver_state", "gantry/state")
+    )
+    driver.publish(String(data="moving"))
+    controller.publish(String(data="ready"))
+    states = node._states["bed_1"]
+    ros.spin_until(lambda: (states["driver"], states["controller"]) == ("moving", "ready"), 10.0)
+    robot.destroy_publisher(driver)
+    ros.spin_until(lambda: states["driver"] == "", 10.0, lambda: states)
+    shown = json.loads(get(node.server.address + "state"))["bed_1"]["states"]
+    assert (shown["driver"], shown["controller"]) == ("", "ready")
+
+
 @pytest.mark.parametrize("encoding", ["rgb8", "rgba8"])
 def test_a_bed_has_its_colours_whatever_its_camera_sends(ros: Ros, encoding: str) -> None:
     node = ros.node(BedsNode, {"beds": ["bed_1"], "port": 0})

@@ -64,6 +64,7 @@ class BedsNode(Node):
             self.server = BedsServer(config.port, links, tuple(STATES), self._state, self._picture)
         except OSError as error:
             raise ConfigError(f"port = {config.port}: {error}") from error
+        self.create_timer(1.0, self._check_states)
         self.get_logger().warning(f"beds: {self.server.address}")
 
     def _hear(self, name: str, what: str) -> Callable[[String], None]:
@@ -71,6 +72,13 @@ class BedsNode(Node):
             self._states[name][what] = message.data
 
         return heard
+
+    def _check_states(self) -> None:
+        # Who has died leaves the last state behind; it does nothing any more.
+        for name, states in self._states.items():
+            for what, topic in STATES.items():
+                if self.count_publishers(f"/{name}/{topic}") == 0:
+                    states[what] = ""
 
     def _see(self, name: str) -> Callable[[Image], None]:
         def seen(message: Image) -> None:
@@ -80,7 +88,8 @@ class BedsNode(Node):
 
     def _state(self) -> dict[str, object]:
         now_ns = self.get_clock().now().nanoseconds
-        ages = {name: (now_ns - stamp_ns(picture.header.stamp)) / 1e9 for name, picture in self._pictures.items()}
+        pictures = dict(self._pictures)  # the node's thread may add one meanwhile
+        ages = {name: (now_ns - stamp_ns(picture.header.stamp)) / 1e9 for name, picture in pictures.items()}
         return {name: {"states": states, "age_s": ages.get(name)} for name, states in self._states.items()}
 
     def _picture(self, name: str) -> bytes:
