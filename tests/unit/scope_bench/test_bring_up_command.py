@@ -157,3 +157,10 @@ def test_a_second_graph_under_the_same_names_is_refused(two: Callable[..., subpr
         until_it_runs(again)
         again.send_signal(signal.SIGINT)
         again.communicate(timeout=20.0)
+
+
+def test_a_folder_for_the_state_that_is_there_keeps_its_rights(tmp_path: Path) -> None:
+    shared, fresh = tmp_path / "shared", tmp_path / "fresh"
+    shared.mkdir(mode=0o755)
+    assert bring_up.state_folder(shared) == shared and shared.stat().st_mode & 0o777 == 0o755
+    assert bring_up.state_folder(fresh) == fresh and fresh.stat().st_mode & 0o777 == 0o700

@@ -88,12 +88,14 @@ def parser() -> argparse.ArgumentParser:
 def state_folder(given: Path | None, namespace: str = "") -> Path:
     """Return the folder that keeps calibration and sign-in, made if need be, readable by this user alone.
 
-    Each namespace has its own: one robot's calibration is wrong for another.
+    Each namespace has its own: one robot's calibration is wrong for another. The rights of a ``given`` folder that is
+    there already, such as one that others use as well, are its owner's business.
     """
     base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     folder = given or base / "icu_gantry" / namespace.strip("/")
-    folder.mkdir(parents=True, exist_ok=True)
-    folder.chmod(stat.S_IRWXU)
+    if given is None or not folder.is_dir():
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.chmod(stat.S_IRWXU)
     return folder.resolve()
 
 
