@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import cv2
 import numpy as np
 import pytest
@@ -60,6 +62,18 @@ def test_a_fixed_camera_is_the_same_problem_with_the_inverse() -> None:
     result = calibrate_wrist([g.inverse() for g in grippers], seen)
     assert max(apart(result.gripper_from_camera, base_from_camera)) < 1e-8
     assert max(apart(result.base_from_target, gripper_from_target)) < 1e-8
+
+
+def test_many_poses_take_little_memory() -> None:
+    poses = motions(80, np.random.default_rng(5))
+    tracemalloc.start()
+    try:
+        result = calibrate_wrist(*poses)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert max(apart(result.gripper_from_camera, X)) < 1e-8 and result.used.all()
+    assert peak < 64e6
 
 
 def test_error_is_as_predicted_and_below_every_closed_form() -> None:

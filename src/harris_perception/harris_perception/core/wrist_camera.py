@@ -147,7 +147,7 @@ def check_turns(base_from_gripper: Sequence[Transform], config: WristConfig) -> 
         )
     axes = turns[angles >= config.min_turn_rad] / angles[angles >= config.min_turn_rad, None]
     # The second largest singular value of unit axes is the sine of their spread about the main one.
-    main = np.linalg.svd(axes)[2][0]
+    main = np.linalg.svd(axes, full_matrices=False)[2][0]
     spread = float(np.arcsin(min(1.0, np.linalg.norm(np.cross(axes, main), axis=1).max())))
     if spread < config.min_axes_rad:
         across = np.eye(3)[int(np.argmin(np.abs(main)))]
@@ -198,7 +198,8 @@ def _daniilidis(pairs: Sequence[tuple[Transform, Transform]]) -> Transform:
         top = np.hstack([(qa - qb)[1:, None], _cross((qa + qb)[1:]), np.zeros((3, 4))])
         low = np.hstack([(da - db)[1:, None], _cross((da + db)[1:]), (qa - qb)[1:, None], _cross((qa + qb)[1:])])
         rows += [top, low]
-    v = np.linalg.svd(np.vstack(rows))[2]
+    # Only the right singular vectors count. The left ones of 2000 pairs would be 12000 x 12000.
+    v = np.linalg.svd(np.linalg.qr(np.vstack(rows), mode="r"))[2]
     (u1, v1), (u2, v2) = ((v[k][:4], v[k][4:]) for k in (6, 7))
     # q = l1 u1 + l2 u2 with |q| = 1 and q . d = 0: a quadratic in l1 / l2.
     roots = np.roots([u1 @ v1, u1 @ v2 + u2 @ v1, u2 @ v2]) if abs(u1 @ v1) > 1e-15 else np.zeros(1)
