@@ -64,8 +64,10 @@ def test_a_fixed_camera_is_the_same_problem_with_the_inverse() -> None:
     assert max(apart(result.base_from_target, gripper_from_target)) < 1e-8
 
 
-def test_many_poses_take_little_memory() -> None:
-    poses = motions(80, np.random.default_rng(5))
+@pytest.mark.parametrize("count", [80, 1000])
+def test_many_poses_take_little_memory(count: int) -> None:
+    """Of thousands, as a bag holds them, not all pairs and triples are gone through."""
+    poses = motions(count, np.random.default_rng(5))
     tracemalloc.start()
     try:
         result = calibrate_wrist(*poses)
@@ -73,7 +75,7 @@ def test_many_poses_take_little_memory() -> None:
     finally:
         tracemalloc.stop()
     assert max(apart(result.gripper_from_camera, X)) < 1e-8 and result.used.all()
-    assert peak < 64e6
+    assert peak < 32e6
 
 
 def test_error_is_as_predicted_and_below_every_closed_form() -> None:

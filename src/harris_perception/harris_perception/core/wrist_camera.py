@@ -11,9 +11,8 @@ F. Dornaika, "Hand-eye calibration" (1995); K. Daniilidis, "Hand-eye calibration
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -159,8 +158,34 @@ def check_turns(base_from_gripper: Sequence[Transform], config: WristConfig) -> 
 
 
 def _pairs(poses: Sequence[Transform]) -> list[tuple[Transform, Transform]]:
-    indices = [(i, j) for i in range(len(poses)) for j in range(i + 1, len(poses))]
-    return [(poses[i], poses[j]) for i, j in indices[:: max(1, -(-len(indices) // _MAX_PAIRS))]]
+    return [(poses[i], poses[j]) for i, j in _some_combinations(len(poses), 2, _MAX_PAIRS)]
+
+
+def _some_combinations(count: int, size: int, most: int) -> Iterator[list[int]]:
+    """Yield at most ``most`` of the combinations of numbers below ``count``, evenly over their order.
+
+    Each is told from its place in the order: of thousands of poses there are billions of triples.
+    """
+    total = math.comb(count, size)
+    for place in range(0, total, max(1, -(-total // most))):
+        chosen: list[int] = []
+        behind = total - 1 - place  # how many follow; of those that begin later there are comb(later numbers, size)
+        for left in range(size, 0, -1):
+            later = _most_below(behind, left)
+            behind -= math.comb(later, left)
+            chosen.append(count - 1 - later)
+        yield chosen
+
+
+def _most_below(value: int, size: int) -> int:
+    """Return the largest n with comb(n, size) <= value."""
+    low, high = 0, size
+    while math.comb(high, size) <= value:
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if math.comb(middle, size) <= value else (low, middle)
+    return low
 
 
 def _motions(a: Sequence[Transform], b: Sequence[Transform]) -> list[tuple[Transform, Transform]]:
@@ -274,9 +299,8 @@ def _consensus(a: list[Transform], b: list[Transform], config: WristConfig) -> n
     Least median of squares, as :func:`harris_perception.core.hand_eye._consensus`; of turns and shifts, which have no
     common unit, the product of both medians counts.
     """
-    step = -(-math.comb(len(a), 3) // _SUBSETS)
     best, used = np.inf, np.ones(len(a), dtype=bool)
-    for triple in itertools.islice(itertools.combinations(range(len(a)), 3), 0, None, step):
+    for triple in _some_combinations(len(a), 3, _SUBSETS):
         some_a, some_b = [a[i] for i in triple], [b[i] for i in triple]
         try:
             check_turns(some_a, config)
