@@ -73,6 +73,10 @@ def test_board_files_are_written(tmp_path: Path) -> None:
         (["mono", "{folder}/nothing*.png"], "no pictures"),
         (["mono", "{folder}", "--charuco", "9x6"], "check the dictionary"),
         (["stereo", "{folder}/left[0-2].png", "{folder}/left[3-5].png"], "no left picture has a right one"),
+        (
+            ["stereo", "{folder}", "{folder}", *SMALL, "--names", "cam", "cam"],
+            "--names cam cam: two different names are needed",
+        ),
         (["mono", "{folder}", "--alpha", "2"], "alpha = 2.0 is above its maximum 1"),
         (["board", "{folder}/board.txt"], "must end in .svg or .pdf"),
         (["mono", "--live", "{folder}"], "is not empty"),

@@ -247,6 +247,8 @@ def mono(options: argparse.Namespace) -> int:
 
 
 def stereo(options: argparse.Namespace) -> int:
+    if options.names[0] == options.names[1]:  # results are filed by them
+        raise ValueError(f"--names {' '.join(options.names)}: two different names are needed")
     board, config = _board(options), _config(options)
     places = (options.left, options.right)
     if options.live:
