@@ -110,6 +110,15 @@ def test_the_size_of_a_float_map_s_scale_means_nothing(tmp_path: Path, scale: st
         list(scenes(tmp_path))
 
 
+@pytest.mark.parametrize(("suffix", "content"), [("npy", b""), ("npz", b"PK\x03\x04 cut off"), ("npz", b"")])
+def test_a_disparity_that_was_cut_off_is_named(tmp_path: Path, suffix: str, content: bytes, capsys: Any) -> None:
+    write_scene(tmp_path / "one", "npz", scene())
+    (tmp_path / "one" / "m_disp.npz").unlink()
+    (tmp_path / "one" / f"m_disp.{suffix}").write_bytes(content)
+    assert main([str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    assert f"m_disp.{suffix} is no disparity that can be read" in capsys.readouterr().err
+
+
 def test_each_pair_has_a_name_of_its_own(tmp_path: Path, monkeypatch: Any) -> None:
     """Tables and pictures are filed by it: two pairs in one folder came out as one."""
     for folder, prefix in (("both", "first"), ("both", "second"), ("more/both", ""), ("alone", "x")):

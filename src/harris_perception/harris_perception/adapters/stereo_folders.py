@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -85,7 +86,7 @@ def _disparity(path: Path) -> npt.NDArray[np.float32]:
             values = np.load(path)
         else:
             values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except (OSError, ValueError, IndexError) as error:
+    except (OSError, ValueError, IndexError, EOFError, BadZipFile) as error:
         raise ValueError(f"{path} is no disparity that can be read: {error}") from error
     if values is None or values.ndim != 2:
         raise ValueError(f"{path} is no disparity picture of one channel")
