@@ -166,6 +166,15 @@ def test_what_cannot_be_evaluated_is_said(tmp_path: Path, capsys: Any) -> None:
         StereoScene(name="made", left=known.left[:, :239], right=known.right, truth=known.truth)
     with pytest.raises(ValueError, match="no disparity at all"):
         StereoScene(name="made", left=known.left, right=known.right, truth=known.truth * NAN)
+    write_scene(tmp_path / "one", "npz", known)
+    given = [str(tmp_path), "-o", str(tmp_path / "out"), "--truth-scale"]
+    for scale in ("0", "-1", "nan"):
+        assert main([*given, scale]) == 2
+        assert f"truth scale {scale}: more than 0 is needed" in capsys.readouterr().err
+    for scale, reached in (("7.5", "225"), ("256", "7680")):
+        assert main([*given, scale]) == 2
+        assert f"reaches {reached} px, with pictures 240 px wide below 224 px are possible" in capsys.readouterr().err
+    StereoScene(name="made", left=known.left, right=known.right, truth=known.truth / 30 * np.float32(223.9))
 
 
 def test_goals_on_photographs_with_known_disparity(tmp_path: Path, capsys: Any) -> None:

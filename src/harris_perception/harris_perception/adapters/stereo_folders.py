@@ -41,6 +41,8 @@ def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterat
     """
     if not 0.05 <= scale <= 1.0:
         raise ValueError(f"scale {scale:g}: from 0.05 to 1 is possible")
+    if not truth_scale > 0.0:
+        raise ValueError(f"truth scale {truth_scale:g}: more than 0 is needed")
     found: list[tuple[str, Path, Path, Path]] = []
     for left in sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES):
         for first, second, known in FORMS:

@@ -23,6 +23,8 @@ from harris_perception.core.stereo_matching import MatchConfig, match_corners
 MAX_POINTS = 1500
 ALL_CORNERS = "ours, min_probability 0.45"
 _HALF, _STRIP = 5, 100
+_BEYOND_PX = 8
+"""A picture is to be so much wider than the search for disparities: OpenCV's semi-global matcher demands it."""
 ROWS_PX = 1.5
 """Matches of the peers whose rows differ by more are dropped, as ours are: the pair is rectified."""
 Clock = Callable[[], float]
@@ -46,6 +48,13 @@ class StereoScene:
             raise ValueError(f"{self.name}: left, right and truth have the sizes {shapes}; they must be equal")
         if not np.isfinite(self.truth).any():
             raise ValueError(f"{self.name}: the truth knows no disparity at all")
+        width, most = self.truth.shape[1], float(np.nanmax(self.truth))
+        limit = (width - _BEYOND_PX) // 16 * 16
+        if not most // 16 * 16 < limit:  # else the search would also take memory without end
+            raise ValueError(
+                f"{self.name}: the truth reaches {most:g} px, with pictures {width} px wide below {limit} px are "
+                "possible: is its unit a pixel?"
+            )
 
     def disparities(self) -> int:
         """Return how many disparities from 0 the search needs, a multiple of 16."""
