@@ -42,6 +42,13 @@ def test_poses_become_both_transforms(fixed: bool, tmp_path: Path, capsys: pytes
         np.testing.assert_allclose(document[name]["quaternion_xyzw"], truth.quaternion(), atol=1e-6)
 
 
+def test_a_file_of_a_spreadsheet_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    poses = tmp_path / "poses.csv"
+    poses.write_bytes("\r\n".join(rows()).encode("utf-8-sig"))
+    assert main([str(poses)]) == 0
+    assert "10 poses used" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -33,7 +33,7 @@ def read_poses(path: Path) -> tuple[list[Transform], list[Transform]]:
     """
     grippers: list[Transform] = []
     targets: list[Transform] = []
-    with path.open(newline="", encoding="utf-8") as file:
+    with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets put a mark before the first number
         for number, row in enumerate(csv.reader(file), 1):
             cells = [cell.strip() for cell in row]
             if not any(cells) or cells[0].startswith("#"):
