@@ -49,6 +49,14 @@ def test_a_file_of_a_spreadsheet_is_read(tmp_path: Path, capsys: pytest.CaptureF
     assert "10 poses used" in capsys.readouterr().out
 
 
+def test_the_result_is_not_written_over_the_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    poses = tmp_path / "poses.csv"
+    poses.write_text("\n".join(rows()))
+    assert main([str(poses), "-o", str(tmp_path / "." / "poses.csv")]) == 1
+    assert "the same file is read, another name is needed" in capsys.readouterr().err
+    assert poses.read_text() == "\n".join(rows())
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -114,6 +114,8 @@ def main(arguments: list[str] | None = None) -> int:
         )
     )
     try:
+        if options.output is not None and options.output.resolve() == options.poses.resolve():
+            raise ValueError(f"--output {options.output}: the same file is read, another name is needed")
         grippers, targets = read_poses(options.poses)
         if options.fixed_camera:
             grippers = [g.inverse() for g in grippers]
