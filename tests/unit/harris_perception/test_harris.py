@@ -436,6 +436,18 @@ def test_a_pair_and_bands_of_rows_give_the_same_corners() -> None:
         HarrisDetector(config, bands=0)
 
 
+@pytest.mark.parametrize("chosen", [{}, {"gradient": "gaussian"}, {"suppression_radius_px": 40.0}])
+def test_of_equal_corners_the_same_are_kept_in_any_bands(chosen: dict[str, Any]) -> None:
+    """A picture wider than a strip, with more equal corners than are wanted: the upper ones are kept."""
+    y, x = np.indices((200, 1400))
+    picture = ((x // 16 + y // 16) % 2 * 100 + 50).astype(np.uint8)
+    config = HarrisConfig(max_corners=100, **chosen)
+    expected = HarrisDetector(config).detect(picture)
+    assert len(expected) == 100 and expected.xy[:, 1].max() < (170 if "suppression_radius_px" in chosen else 40)
+    for bands in (2, 3, 5):
+        np.testing.assert_array_equal(HarrisDetector(config, bands=bands).detect(picture).xy, expected.xy)
+
+
 def test_examples_in_docstrings_run() -> None:
     assert doctest.testmod(harris).attempted > 0
     assert doctest.testmod(harris).failed == 0

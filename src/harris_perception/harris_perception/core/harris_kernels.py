@@ -193,11 +193,18 @@ def _collect(
     return found, count, floor
 
 
+@called
+def _reading_order(peak: Any) -> float:
+    """Return a number that grows with the row of a peak, and in a row with the column."""
+    return float(np.floor(np.float64(peak[1]) + 0.5) * 2.0**20 + np.float64(peak[0]))
+
+
 @compiled
 def ranked(peaks: Array, floor: float, limit: int) -> tuple[Array, Array]:
     """Return xy (N, 2) and response (N,) of the ``limit`` strongest peaks (M, 3) above ``floor``, by falling response.
 
-    A radix sort over the bits of the responses, which as positive floats sort like integers; equal ones stay in order.
+    A radix sort over the bits of the responses, which as positive floats sort like integers. Equal ones are in the
+    order of rows, then columns, in whatever strips and bands they were found.
     """
     responses = peaks[:, 2].copy()
     bits = responses.view(np.uint32)
@@ -225,6 +232,19 @@ def ranked(peaks: Array, floor: float, limit: int) -> tuple[Array, Array]:
             starts[value] += 1
         places, moved = moved, places
     kept = min(limit, count)
+    start = 0
+    while start < kept:
+        end, in_order = start + 1, True
+        while end < count and bits[places[end]] == bits[places[start]]:
+            in_order &= _reading_order(peaks[places[end - 1]]) < _reading_order(peaks[places[end]])
+            end += 1
+        if not in_order:
+            equal = places[start:end].copy()
+            keys = np.empty(len(equal), np.float64)
+            for i in range(len(equal)):
+                keys[i] = _reading_order(peaks[equal[i]])
+            places[start:end] = equal[np.argsort(keys)]
+        start = end
     xy, response = np.empty((kept, 2), np.float32), np.empty(kept, np.float32)
     for i in range(kept):
         j = places[i]
