@@ -84,6 +84,14 @@ def test_drawing_has_true_size_and_is_recognised(board: Board, form: str) -> Non
 
 
 @pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=["chessboard", "charuco"])
+@pytest.mark.parametrize("shape", [(0, 0), (1, 1), (12, 12), (5, 300), (16, 16), (17, 40)])
+def test_too_small_a_picture_shows_no_board(board: Board, shape: tuple[int, int]) -> None:
+    for quick in (False, True):
+        for picture in (np.zeros(shape, np.uint8), np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8)):
+            assert BoardDetector(board, quick=quick).detect(picture, "small") is None
+
+
+@pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=["chessboard", "charuco"])
 def test_first_square_is_black_and_as_large_as_said(board: Board) -> None:
     first = next(rectangles(board))
     assert first == (0, 0, 0.024, 0.024, True)

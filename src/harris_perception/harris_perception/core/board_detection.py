@@ -14,6 +14,8 @@ from icu_common.core.geometry import Array
 
 _WINDOW_SHARE = 0.35
 _MIN_CORNERS = 8
+_LEAST_PX = 16
+"""Smaller pictures show no board; OpenCV's finders fail on them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -72,6 +74,8 @@ class BoardDetector:
         name
             What to call the view.
         """
+        if min(gray.shape) < _LEAST_PX:
+            return None
         found = self._charuco.find(gray) if self._charuco is not None else self._chessboard(gray)
         if found is None:
             return None
