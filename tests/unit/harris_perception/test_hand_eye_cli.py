@@ -49,6 +49,16 @@ def test_a_file_of_a_spreadsheet_is_read(tmp_path: Path, capsys: pytest.CaptureF
     assert "10 poses used" in capsys.readouterr().out
 
 
+def test_the_file_numbers_poses_as_the_terminal_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    poses, out = tmp_path / "poses.csv", tmp_path / "out.yaml"
+    lines = rows()
+    lines[3] = ",".join(lines[3].split(",")[:7] + lines[5].split(",")[7:])
+    poses.write_text("\n".join(lines))
+    assert main([str(poses), "-o", str(out)]) == 0
+    assert "9 poses used, left out: 4\n" in capsys.readouterr().out
+    assert yaml.safe_load(out.read_text())["poses_used"] == [1, 2, 3, 5, 6, 7, 8, 9, 10]
+
+
 def test_the_result_is_not_written_over_the_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     poses = tmp_path / "poses.csv"
     poses.write_text("\n".join(rows()))

@@ -1,7 +1,8 @@
 """Hand-eye calibration of an arm whose wrist turns, from a file of poses: AX = XB and AX = ZB.
 
 The file has one row per pose, comma separated, with an optional first line of names: x, y, z in metres and the
-quaternion x, y, z, w of base_from_gripper, then the same seven of camera_from_target.
+quaternion x, y, z, w of base_from_gripper, then the same seven of camera_from_target. Poses are numbered from 1, in the
+file's order.
 """
 
 from __future__ import annotations
@@ -130,7 +131,7 @@ def main(arguments: list[str] | None = None) -> int:
             for name, t in zip(names, (result.gripper_from_camera, result.base_from_target))
         }
         figures = {
-            "poses_used": np.flatnonzero(result.used).tolist(),
+            "poses_used": (np.flatnonzero(result.used) + 1).tolist(),
             "rotation_rms_rad": result.rotation_rms_rad,
             "translation_rms_m": result.translation_rms_m,
             "covariance": result.covariance.tolist(),
