@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from harris_perception.adapters.boundary_files import drawn_pictures
 from harris_perception.cli.harris import main
 from harris_perception.core import boundary_evaluation as boundaries
 
@@ -119,3 +120,10 @@ def test_files_in_another_form_end_with_one_line(
         assert main(["evaluate", str(folder), "-o", str(tmp_path / "out")]) == 2, what
         error = capsys.readouterr().err
         assert error.startswith("error: ") and words in error and error.count("\n") == 1, (what, error)
+
+
+def test_a_drawing_gets_the_picture_of_its_whole_name(tmp_path: Path) -> None:
+    for name in ("a.mat", "a.1.jpg", "a.jpg", "b[1].mat", "b[1].png", "b1.png"):
+        (tmp_path / name).touch()
+    found = [(picture.name, truth.name) for picture, truth in drawn_pictures(tmp_path)]
+    assert found == [("a.jpg", "a.mat"), ("b[1].png", "b[1].mat")]

@@ -33,7 +33,8 @@ def drawn_pictures(folder: Path) -> list[tuple[Path, Path]]:
 def _candidates(path: Path) -> Iterator[Path]:
     other = Path(*("images" if part == "groundTruth" else part for part in path.parent.parts))
     for folder in (path.parent, other):
-        yield from (p for p in sorted(folder.glob(f"{path.stem}.*")) if p.suffix.lower() in SUFFIXES)
+        # Compared whole: a name may hold dots, and what a pattern takes for one of its own.
+        yield from (p for p in sorted(folder.glob("*")) if p.stem == path.stem and p.suffix.lower() in SUFFIXES)
 
 
 def read_drawn(picture: Path, path: Path) -> tuple[npt.NDArray[np.uint8], list[npt.NDArray[np.bool_]]]:
