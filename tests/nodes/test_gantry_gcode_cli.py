@@ -171,6 +171,22 @@ def test_a_dry_run_resets_a_board_that_opening_its_port_does_not_reset(
         board.close()
 
 
+def test_a_dry_run_that_ends_in_an_alarm_leaves_the_board_as_after_a_reset(
+    tmp_path: Path, program: Callable[..., Path]
+) -> None:
+    """For half a second after ALARM:2 a board hears no reset; without one it answers nothing any more."""
+    board = GrblBoard(tmp_path, "--keep-running", "--set", "130=200")
+    try:
+        code, output = run(str(program("G53 G1 X-300 Y-100 F9000")), "--port", str(board.port), "--dry-run")
+        assert code == 1 and output.splitlines()[-1] == "error: line 'F9000X-300Y-100G53G1': ALARM:2", output
+        end = time.monotonic() + 5.0
+        while board.counters()["resets"] < 2:  # one before the program, one after it
+            assert time.monotonic() < end, board.log()[-6:]
+        assert board.log()[-1]["kind"] == "banner"
+    finally:
+        board.close()
+
+
 def test_a_kept_profile_can_be_read_again_though_some_settings_are_texts() -> None:
     """A grblHAL board with a network has such settings; they stay in the file as comments."""
     text = profile_text({110: "12000.000", 302: "192.168.5.1", 74: "", 9: "1"})

@@ -11,6 +11,8 @@ import serial
 ANSWER_WITHIN_S = 5.0
 BANNER_WAIT_S = 2.5
 """An Arduino is reset by the opening of its port and has then been in its boot loader for up to two seconds."""
+RESET_HINT_S = 1.0
+"""After an alarm GRBL hears no reset for half a second, until it asks for one."""
 _ANSWER = re.compile(r"ok|error:\d+|ALARM:\d+")
 
 
@@ -46,6 +48,7 @@ def dry_run(
             for number, line in enumerate(lines):
                 answer = _ask(port, line)
                 if answer.startswith("ALARM"):
+                    _read_line(port, lambda text: text.startswith("[MSG:Reset"), RESET_HINT_S)
                     raise CheckFailed(f"line {line!r}: {answer}")
                 if answer != "ok":
                     yield number, int(answer.partition(":")[2])
