@@ -224,6 +224,23 @@ def test_door_stops_the_spindle_and_restores_it() -> None:
     assert rig.report() == ("Idle", (-50.0, 0.0, 0.0))
 
 
+def test_door_that_opens_again_while_the_spindle_is_restored_stops_it_again() -> None:
+    rig = Rig.free()
+    rig.send(b"M3S800\nG1X-50F600\n", 1.0)
+    rig.send(b"\x84", 0.2)
+    assert rig.send(b"~?", 0.06).startswith(b"<Door:3|")
+    assert rig.machine.truth()["spindle"] == 800.0
+    rig.machine.inject("door", {"on": True})
+    assert rig.run(0.2) == b"[MSG:Check Door]\r\n"
+    assert rig.report()[0] == "Door:1" and rig.machine.truth()["spindle"] == 0.0
+    rig.machine.inject("door", {"on": False})
+    rig.run(0.1)
+    rig.send(b"~", 0.1)
+    assert rig.machine.truth()["spindle"] == 800.0
+    rig.run(15.0)
+    assert rig.report() == ("Idle", (-50.0, 0.0, 0.0))
+
+
 def test_spindle_stop_acts_only_in_hold() -> None:
     rig = Rig.free()
     rig.send(b"M3S800\n\x9e", 0.1)

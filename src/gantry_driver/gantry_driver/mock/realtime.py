@@ -107,8 +107,9 @@ class RealTime(Processor):
             if Flag.DOOR in flags:
                 self._say(reports.CHECK_DOOR)
                 if Suspend.JOG_CANCEL not in suspend and self.state is not State.SLEEP:
-                    if self.state is State.DOOR:
+                    if self.state is State.DOOR and Suspend.RESTORE in suspend:
                         suspend -= {Suspend.RESTORE, Suspend.RESTORED}
+                        self._stop_tools()  # those that run again already; what is to be restored stays known
                     self.state = State.DOOR
                 suspend.add(Suspend.AJAR)
         if Flag.SLEEP in flags:
