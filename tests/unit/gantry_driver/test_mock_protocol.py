@@ -384,3 +384,11 @@ def test_startup_lines_run_after_homing_and_not_after_unlocking() -> None:
     assert rig.run(0.5) == BANNER + UNLOCK
     assert rig.send(b"$X\n", 0.1) == b"[MSG:Caution: Unlocked]\r\n" + OK
     assert rig.send(b"$H\n", 30.0) == b">G20:ok\r\n" + OK
+
+
+@pytest.mark.parametrize("line", ["$100=NAN", "$100=INF", "$1_0=3", "$100=8_0", "$100=1E2", "$100=", "$=5"])
+def test_only_digits_and_a_point_make_a_number_of_a_setting(line: str) -> None:
+    rig = Rig.free()
+    before = rig.send(b"$$\n")
+    assert rig.send(line.encode() + b"\n", 0.1) == b"error:2\r\n"
+    assert rig.send(b"$$\n") == before

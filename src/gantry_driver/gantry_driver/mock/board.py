@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from gantry_driver.mock import reports
 from gantry_driver.mock.execution import Execution
 from gantry_driver.mock.gcode import GcodeError, check_line
@@ -171,8 +173,9 @@ class Board(Execution):
         return 0
 
 
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)")
+
+
 def _number(text: str) -> float | None:
-    try:
-        return float(text) if text and "e" not in text.lower() else None
-    except ValueError:
-        return None
+    """Return a number of digits and a point, which is all the firmware reads."""
+    return float(text) if _NUMBER.fullmatch(text) else None
