@@ -132,6 +132,14 @@ def launch_modules(share: Path) -> dict[str, types.ModuleType]:
 
 
 @pytest.mark.parametrize("profile", ["bench", "test", "hardware", "replay"])
+def test_who_starts_the_graph_depends_on_the_packages_of_its_programs(profile: str, tmp_path: Path) -> None:
+    """Else ``colcon build --packages-up-to scope_bench``, or its package alone, gives a graph that cannot start."""
+    programs, _ = load_graph(ROOT / "config", profile, run=tmp_path / "run", state=tmp_path)
+    named = {d.name for d in parse_package(str(ROOT / "src/scope_bench")).exec_depends}
+    assert {program.package for program in programs} - {"scope_bench"} <= named
+
+
+@pytest.mark.parametrize("profile", ["bench", "test", "hardware", "replay"])
 @pytest.mark.parametrize("namespace", ["", "bed_1"])
 def test_ros2_launch_starts_the_graph_that_bring_up_starts(
     profile: str, namespace: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
