@@ -40,6 +40,16 @@ def test_a_password_is_set_changed_and_removed(
     assert "10 to 256" in capsys.readouterr().err
 
 
+def test_its_files_are_those_that_bring_up_keeps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.setattr("sys.stdin", io.StringIO("first password\n"))
+    assert page_admin.main(["password", "ada"]) == 0
+    assert list(read_users(tmp_path / "icu_gantry" / "passwords")) == ["ada"]
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert page_admin.parser().parse_args(["audit"]).file == tmp_path / "home/.local/state/icu_gantry/audit.jsonl"
+
+
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 def test_the_certificate_serves_the_page_and_strict_cookies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "tls"

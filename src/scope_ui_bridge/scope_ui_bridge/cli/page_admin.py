@@ -19,7 +19,6 @@ from scope_ui_bridge.adapters.secret_files import read_users, write_secret
 from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, verify
 from scope_ui_bridge.core.passwords import PasswordError, Role, new_user
 
-STATE = Path("~/.local/state/icu_gantry")
 _DAYS = 825  # what browsers take at most
 
 
@@ -27,19 +26,25 @@ class AdminError(Exception):
     """It could not be done; the message says why."""
 
 
+def state_folder() -> Path:
+    """Return the folder in which bring-up keeps the page's files, of a robot without a namespace."""
+    return Path(os.environ.get("XDG_STATE_HOME") or "~/.local/state").expanduser() / "icu_gantry"
+
+
 def parser() -> argparse.ArgumentParser:
+    state = state_folder()
     result = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = result.add_subparsers(dest="command", required=True)
     password = commands.add_parser("password", help="let somebody sign in by name, or change role or password")
     password.add_argument("name")
     password.add_argument("--role", choices=[role.value for role in Role], default=Role.OPERATOR.value)
     password.add_argument("--remove", action="store_true", help="let this name in no longer")
-    password.add_argument("--file", type=Path, default=STATE / "passwords", help="default: %(default)s")
+    password.add_argument("--file", type=Path, default=state / "passwords", help="default: %(default)s")
     certificate = commands.add_parser("certificate", help="make a certificate for TLS, signed by itself")
     certificate.add_argument("host", nargs="+", help="names or addresses by which browsers reach this machine")
-    certificate.add_argument("--folder", type=Path, default=STATE / "tls", help="default: %(default)s")
+    certificate.add_argument("--folder", type=Path, default=state / "tls", help="default: %(default)s")
     audit = commands.add_parser("audit", help="check that no record was changed, removed or inserted")
-    audit.add_argument("file", type=Path, nargs="?", default=STATE / "audit.jsonl", help="default: %(default)s")
+    audit.add_argument("file", type=Path, nargs="?", default=state / "audit.jsonl", help="default: %(default)s")
     audit.add_argument("--hash", help="hash of the last line that was noted before, which must be among the records")
     return result
 
