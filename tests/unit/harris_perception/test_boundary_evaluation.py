@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -95,6 +96,20 @@ def test_evaluate_compares_edges_with_what_people_drew(
     picture = cv2.imread(str(out / "boundaries.png"))
     assert picture.shape == (700, 800, 3)
     assert not list(out.glob("repeatability*"))
+
+
+@pytest.mark.parametrize(("module", "package"), [("scipy.io", "scipy"), ("matplotlib", "matplotlib")])
+def test_a_missing_library_is_named_with_the_python_that_lacks_it(
+    module: str,
+    package: str,
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    assert main(["evaluate", str(folder), "-o", str(tmp_path / "out")]) == 2
+    assert f"{sys.executable} -m pip install {package}" in capsys.readouterr().err
 
 
 def broken(folder: Path) -> Iterator[tuple[str, str]]:

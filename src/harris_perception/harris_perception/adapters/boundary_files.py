@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def read_drawn(picture: Path, path: Path) -> tuple[npt.NDArray[np.uint8], list[n
     try:
         from scipy.io import loadmat
     except ImportError as error:
-        raise ValueError(f"{path}: drawn boundaries need scipy (apt install python3-scipy)") from error
+        raise ValueError(f"{path}: drawn boundaries need scipy ({sys.executable} -m pip install scipy)") from error
     bgr = read_bgr(picture)
     try:
         persons = loadmat(str(path))["groundTruth"].ravel()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -272,7 +273,7 @@ def _pyplot() -> Any:
         import matplotlib
     except ImportError as error:
         raise ValueError(
-            "the curves need matplotlib (apt install python3-matplotlib); the tables are written"
+            f"the curves need matplotlib ({sys.executable} -m pip install matplotlib); the tables are written"
         ) from error
     matplotlib.use("Agg")
     from matplotlib import pyplot

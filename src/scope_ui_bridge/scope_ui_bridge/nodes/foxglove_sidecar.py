@@ -88,7 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         import foxglove  # noqa: F401
     except ImportError:
-        print("foxglove_sidecar: foxglove-sdk is missing; pip install foxglove-sdk==0.30.3", file=sys.stderr)
+        advice = f"{sys.executable} -m pip install foxglove-sdk==0.30.3"
+        print(f"foxglove_sidecar: foxglove-sdk is missing; {advice}", file=sys.stderr)
         return 1
     return run(lambda: FoxgloveSidecar(options.port))
 
