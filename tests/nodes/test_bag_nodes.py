@@ -348,8 +348,8 @@ def test_a_recording_of_the_page_ends_whole_when_its_bridge_is_killed(ros: Ros, 
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m scope_bench.cli.bag_record "$@"\n')
     program.chmod(0o755)
     bridge = (
-        "import sys, time; from pathlib import Path; from scope_ui_bridge.adapters.recorder import Recorder\n"
-        "Recorder(sys.argv[1], Path(sys.argv[2])).start(lambda ok, text: print(text, flush=True)); time.sleep(60)"
+        "import signal, sys; from pathlib import Path; from scope_ui_bridge.adapters.recorder import Recorder\n"
+        "Recorder(sys.argv[1], Path(sys.argv[2])).start(lambda ok, text: print(text, flush=True)); signal.pause()"
     )
     environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.context.get_domain_id()), ROS_LOG_DIR=str(tmp_path / "log"))
     with subprocess.Popen(
@@ -365,8 +365,7 @@ def test_a_recording_of_the_page_ends_whole_when_its_bridge_is_killed(ros: Ros, 
         process.kill()
         ros.spin_until((folder / "metadata.yaml").is_file, 20.0)
         assert "Traceback" not in process.stderr.read(), "which ends with the recorder"
-    with BagReader(folder) as bag:
-        assert bag.count >= 0
+    BagReader(folder).close()  # raises BagError for one that is not whole
 
 
 def test_the_recorder_as_a_program_keeps_the_bag_whole_when_it_is_killed(
