@@ -8,6 +8,7 @@ import json
 import re
 import time
 from collections.abc import Iterator
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +160,12 @@ def speaks_german_for_the_graph(operator: Operator) -> None:
         values = [f"<{number}>" for number in range(english.count("{}"))]
         wanted[english.format(*values)] = german.format(*values)
     assert dict(zip(wanted, operator.page.evaluate(say, list(wanted)))) == wanted
+    made = "24 samples, rms 0.085 mm, predicted 0.047 mm, 2026-07-04T02:32:13+00:00"
+    local = datetime(2026, 7, 4, 2, 32, 13, tzinfo=timezone.utc).astimezone()
+    (german,) = operator.page.evaluate(say, [made])
+    assert german == f"24 Stellen, rms 0.085 mm, vorhergesagt 0.047 mm, {local:%d.%m.%Y, %H:%M}", (
+        "the time of the reader's clock"
+    )
     others = "async (action) => (await import('/page/command_log.js')).actionText({ action })"
     said = operator.page.evaluate(others, "move to (0.1, 0.2, 0) m in base_link")
     assert said == "fahren nach (0.1, 0.2, 0) m in base_link", "where somebody else's goal goes"

@@ -1,4 +1,5 @@
-// What the programs of the graph say (reasons, states in sentences), in the page's language; unknown text stays as it is.
+// What the programs of the graph say (reasons, states in sentences), in the page's language and its time; unknown text
+// stays as it is.
 
 import { PHRASES_DE } from "./phrases_de.js";
 
@@ -7,18 +8,26 @@ const GLUE = ["; ", ": "];
 const DEEPEST = 6;
 const LONGEST = 1000;
 const MANY = 2000;
+const MOMENT = /\b\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:\d\d)/g;
 const known = new Map();
 
 /** Return it in the page's language. */
 export function said(text) {
   const language = document.documentElement.lang;
-  if (typeof text !== "string" || !(language in PHRASES) || text.length > LONGEST) return text ?? "";
+  if (typeof text !== "string" || text.length > LONGEST) return text ?? "";
   const key = `${language} ${text}`;
   if (!known.has(key)) {
     if (known.size > MANY) known.clear();
-    known.set(key, translated(text, PHRASES[language], 0));
+    const words = language in PHRASES ? translated(text, PHRASES[language], 0) : text;
+    known.set(key, words.replace(MOMENT, (moment) => ofTheClock(moment, language)));
   }
   return known.get(key);
+}
+
+function ofTheClock(moment, language) {
+  const time = new Date(moment);
+  if (Number.isNaN(time.getTime())) return moment;
+  return time.toLocaleString(language, { dateStyle: "medium", timeStyle: "short", hourCycle: "h23" });
 }
 
 /** Templates without values by their text; the others as pieces between the values, those that say most first. */
@@ -34,10 +43,11 @@ function translated(text, { whole, parts }, depth) {
   if (whole.has(text)) return whole.get(text);
   const [, quote, inner] = /^(['"])(.*)\1$/.exec(text) ?? [];
   if (inner) return `${quote}${again(inner)}${quote}`;
-  // A value that holds two sentences may have swallowed the end of another phrase, so it is the second choice.
-  for (const isOne of [(value) => !value.includes("; "), () => true]) {
+  // A value that holds two sentences may have swallowed the end of another phrase, so it is the second choice; that one
+  // says nothing ("24 samples{}" with nothing more about them) is the third.
+  for (const [least, isOne] of [[1, (value) => !value.includes("; ")], [1, () => true], [0, (value) => !value.includes("; ")]]) {
     for (const { pieces, to } of parts) {
-      const values = valuesOf(text, pieces);
+      const values = valuesOf(text, pieces, least);
       if (values?.every(isOne)) return filled(to, values.map(again));
     }
   }
@@ -53,20 +63,21 @@ function translated(text, { whole, parts }, depth) {
   return text;
 }
 
-/** What stands between the pieces, each value as short as it can be; null when they are not there in this order. */
-function valuesOf(text, pieces) {
+/** What stands between the pieces, each value as short as it can be but of `least` letters; null when they are not
+ * there in this order. */
+function valuesOf(text, pieces, least) {
   const last = pieces.at(-1);
   if (!text.startsWith(pieces[0]) || !text.endsWith(last)) return null;
   const end = text.length - last.length;
   const values = [];
   let from = pieces[0].length;
   for (const piece of pieces.slice(1, -1)) {
-    const at = text.indexOf(piece, from + 1);
+    const at = text.indexOf(piece, from + least);
     if (at < 0 || at + piece.length > end) return null;
     values.push(text.slice(from, at));
     from = at + piece.length;
   }
-  if (end <= from) return null;
+  if (end < from + least) return null;
   return [...values, text.slice(from, end)];
 }
 
