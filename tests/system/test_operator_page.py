@@ -362,8 +362,21 @@ def test_words_can_be_read_and_buttons_can_be_hit(browser: Any, instrument: Inst
         assert small == []
         wide = operator.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
         assert wide <= 0, "nothing to scroll sideways"
+        assert operator.page.evaluate(_CUT_NAMES) == []
         operator.leaves()
 
+
+# Whatever is seen of them, controls are told apart by their whole names.
+_CUT_NAMES = """async () => {
+  const { setPanel, renderPanel } = await import('/page/panel_seen.js');
+  const shown = [1, 2].map((n) => ({ name: `CH${n}_POSITION`, label: `Channel ${n} position` }));
+  setPanel(shown.map(({ name }) => ({ name, hidden_by: 'stylus', marks: {}, angle_deg: null, changed_ms: 0 })));
+  renderPanel(shown);
+  const names = [...document.querySelectorAll('#seen dt')];
+  if (names.length !== 2) return [`${names.length} names`];
+  return names.filter((e) => !e.textContent.startsWith('Channel') || e.scrollWidth > e.clientWidth)
+    .map((e) => `${e.textContent}: ${e.scrollWidth} in ${e.clientWidth} px`);
+}"""
 
 _CONTRAST = """() => {
   const parse = (c) => { const v = c.match(/[\\d.]+/g).map(Number); return v.length > 3 ? v : [...v, 1]; };

@@ -1,5 +1,6 @@
 // What the machine's programs say, for engineers: read only.
 
+import { find } from "./dom.js";
 import { t } from "./strings.js";
 
 const MAX_LINES = 300;
@@ -30,4 +31,16 @@ export class Console {
     while (element.children.length > MAX_LINES) element.firstElementChild.remove();
     if (atEnd) element.scrollTop = element.scrollHeight;
   }
+}
+
+/** Show what the driver counts, by name. */
+export function showCounts(counts = {}) {
+  find("driver-facts").replaceChildren(...Object.entries(counts).map(([name, value]) => {
+    const item = document.createElement("div");
+    const [term, said] = ["dt", "dd"].map((tag) => document.createElement(tag));
+    term.textContent = name.replaceAll("_", " ");
+    said.textContent = value;
+    item.append(term, said);
+    return item;
+  }));
 }

@@ -14,8 +14,6 @@ let lastDone = 0;
 
 export function setFacts(next) {
   facts = next;
-  const text = Object.entries(facts.driver ?? {}).map(([name, value]) => `${name} ${value}`);
-  put(find("driver-facts"), text.join(" · "));
   const { progress: boards = "", ...covered } = facts.cameras ?? {};
   const reach = Object.fromEntries(Object.entries(covered).map(([name, value]) => [name, value.replace(" to ", "–")]));
   put(find("camera-coverage"), boards && t("guide_boards", { boards: said(boards), ...reach }));

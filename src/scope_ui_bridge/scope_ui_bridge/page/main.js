@@ -2,7 +2,7 @@
 
 import { choose, wireActions } from "./actions.js";
 import { CommandLog, ICONS, spoken } from "./command_log.js";
-import { Console } from "./console.js";
+import { Console, showCounts } from "./console.js";
 import { renderGuide, sampleGuide, setFacts } from "./guide.js";
 import { desk } from "./desk.js";
 import { find, press, put, putSteady, say } from "./dom.js";
@@ -49,7 +49,7 @@ link.addEventListener("hello", ({ detail }) => {
   lastBoot = detail.boot;
   desk.me = detail.you;
   desk.replay = detail.replay;
-  setFacts(detail.facts);
+  showFacts(detail);
   setPanel(detail.panel);
   setSequences(detail.sequences, detail.sequence);
   desk.limits = detail.limits;
@@ -67,7 +67,7 @@ link.addEventListener("hello", ({ detail }) => {
 link.addEventListener("limits", ({ detail }) => {
   desk.limits = detail.limits;
 });
-link.addEventListener("facts", ({ detail }) => setFacts(detail.facts));
+link.addEventListener("facts", ({ detail }) => showFacts(detail));
 link.addEventListener("sequence", ({ detail }) => setSequence(detail.sequence));
 link.addEventListener("held", ({ detail }) => setHeld(detail));
 link.addEventListener("taught", ({ detail }) => taught(detail));
@@ -126,6 +126,11 @@ function setState(next) {
   if (requester === desk.me.id || holder !== declinedBy) declinedBy = "";
   wasMine = mine;
   render();
+}
+
+function showFacts({ facts }) {
+  setFacts(facts);
+  showCounts(facts.driver);
 }
 
 function setSelection(next) {

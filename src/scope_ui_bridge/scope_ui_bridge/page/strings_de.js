@@ -240,7 +240,7 @@ export const DE = {
   jog_up: "Nach oben",
   jog_down: "Nach unten",
   jog_step_label: "Weite",
-  go_to: "Zu einer Stelle fahren",
+  go_to: "Zu einer Stelle fahren (mm)",
   go: "Fahren",
   call_accept_settings: "Einstellungen der Platine annehmen",
   confirm_accept_settings: "Bestätigen: annehmen",

@@ -240,7 +240,7 @@ export const EN = {
   jog_up: "Up",
   jog_down: "Down",
   jog_step_label: "Step",
-  go_to: "Go to a point",
+  go_to: "Go to a point (mm)",
   go: "Go",
   call_accept_settings: "Accept the board’s settings",
   confirm_accept_settings: "Confirm: accept",
