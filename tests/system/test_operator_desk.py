@@ -580,6 +580,9 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
     page.click("#tab-console")
     page.click("#stop")
     operator.sees("#console-lines", r"warn ui_bridge: stop")
+    page.reload()
+    operator.sees("#console-lines", r"warn ui_bridge: stop")  # also what was said before one came
+    operator.takes_control()
     page.evaluate("async (counts) => (await import('/page/console.js')).showCounts(counts)", {"bytes_sent": "12"})
     assert page.locator("#driver-facts > div > *").all_inner_texts() == ["bytes sent", "12"]
     page.click("#reset")

@@ -408,6 +408,22 @@ def test_what_programs_say_goes_to_engineers_and_their_reports_to_all() -> None:
     assert not [e for e in of_type(later, (Send, Broadcast)) if e.message["type"] in ("console", "facts")]
 
 
+def test_an_engineer_who_comes_later_reads_what_was_said_before() -> None:
+    rig = Rig()
+    for number in range(150):
+        rig.desk.said({"wall_ms": number, "level": "warn", "name": "serial_driver", "text": f"line {number}"})
+        rig.wait(0.05, alive=True)
+    rig.desk.said({"wall_ms": 150, "level": "error", "name": "serial_driver", "text": "line 150"})
+    _, viewers = rig.desk.join("Guest", Role.VIEWER)
+    engineer, hello = rig.desk.join("Ada", Role.ENGINEER)
+    assert (viewers["console"], [line["text"] for line in hello["console"]]) == (
+        [],
+        [f"line {n}" for n in range(50, 150)],
+    )
+    (said,) = [e for e in of_type(rig.wait(0.05, alive=True), Send) if e.message["type"] == "console"]
+    assert (said.viewer, [line["text"] for line in said.message["lines"]]) == (engineer, ["line 150"]), "once each"
+
+
 def test_other_settings_are_accepted_by_engineers_only() -> None:
     rig = Rig()
     assert refusal(rig.ask(rig.a, type="call", service="accept_settings")) == "role_needed"

@@ -54,6 +54,7 @@ _SAME_STOP_S = 0.5
 _WATCHDOG = "Watchdog"
 _TIP_SEEN_NS = 1_000_000_000
 _MAX_LINES = 40  # in one tick
+_KEPT_LINES = 100  # for engineers who come later
 _FOR_ENGINEERS = ("accept_settings",)
 
 
@@ -109,6 +110,7 @@ class Desk:
         self._last_sequence: dict[str, Any] = {}
         self._ros_ns = 0
         self._said: list[dict[str, Any]] = []
+        self._passed_on: deque[dict[str, Any]] = deque(maxlen=_KEPT_LINES)
 
     # --- pages -----------------------------------------------------------------------------------------------------
 
@@ -137,6 +139,7 @@ class Desk:
             "sequences": self.sequence.stored_message(),
             "limits": self._limits(),
             "log": self._log.messages(),
+            "console": list(self._passed_on) if role is Role.ENGINEER else [],
             "selection": self._selection.message() if self._selection else None,
             "state": self._snapshot_now(),
         }
@@ -301,6 +304,7 @@ class Desk:
 
     def _pass_on(self) -> list[Effect]:
         lines, self._said = self._said, []
+        self._passed_on.extend(lines)
         engineers = [viewer for viewer, page in self._viewers.items() if page.role is Role.ENGINEER]
         effects: list[Effect] = []
         if lines:

@@ -10,8 +10,14 @@ export class Console {
 
   constructor(element) {
     this.#element = element;
-    element.textContent = t("console_empty");
-    element.dataset.text = "console_empty"; // follows the language
+    this.reset([]);
+  }
+
+  /** Show these lines alone. */
+  reset(lines) {
+    this.#element.textContent = t("console_empty");
+    this.#element.dataset.text = "console_empty"; // follows the language
+    if (lines.length > 0) this.add(lines);
   }
 
   add(lines) {

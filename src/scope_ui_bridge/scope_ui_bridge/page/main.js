@@ -61,6 +61,7 @@ link.addEventListener("hello", ({ detail }) => {
   entitle();
   find("tab-console").hidden = find("tab-teach").hidden = desk.me.role !== "engineer";
   log.reset(detail.log);
+  lines.reset(detail.console);
   setSelection(detail.selection);
   setState(detail.state);
 });
