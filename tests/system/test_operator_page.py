@@ -337,10 +337,11 @@ def test_a_click_before_the_page_has_drawn_that_it_cannot_be_done_gets_the_reaso
 
 def test_words_can_be_read_and_buttons_can_be_hit(browser: Any, instrument: Instrument) -> None:
     """WCAG 2.2 AA: contrast of text at least 4.5 (3 for large text), targets of the desk at least 44 px."""
-    for number, (scheme, size) in enumerate([("light", (1280, 800)), ("dark", (820, 1180))]):
+    for number, (scheme, size) in enumerate([("light", (1280, 800)), ("dark", (820, 1180)), ("light", (390, 844))]):
         address = instrument.address() if number == 0 else instrument.new_address()
         operator = Operator(browser, address, color_scheme=scheme, viewport=dict(zip(("width", "height"), size)))
         operator.takes_control()
+        assert operator.page.evaluate(_HIT_BY_OTHERS) == []
         operator.selects("CH1_SCALE", "Channel 1 scale")
         operator.page.click("#stop")
         operator.sees("#banner", "STOPPED")
@@ -362,9 +363,21 @@ def test_words_can_be_read_and_buttons_can_be_hit(browser: Any, instrument: Inst
         assert small == []
         wide = operator.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
         assert wide <= 0, "nothing to scroll sideways"
+        log = "e => { e.querySelector('.number').textContent = '0.42 mm'; return e.scrollWidth - e.clientWidth; }"
+        assert operator.page.eval_on_selector(".log-rows", log) <= 0, "0.42 mm that is cut reads 0.42 m"
         assert operator.page.evaluate(_CUT_NAMES) == []
         operator.leaves()
 
+
+# What lies under the middle of each control is that control, however small the picture is.
+_HIT_BY_OTHERS = """() => {
+  document.getElementById('stage').scrollIntoView({ block: 'center' });
+  return [...document.querySelectorAll('#controls [data-kind=button], #controls [data-kind=knob]')].map((button) => {
+    const r = button.getBoundingClientRect();
+    const hit = document.elementFromPoint(r.x + r.width / 2, r.y + r.height / 2);
+    return hit === button ? '' : `${button.dataset.control}: ${hit?.dataset.control ?? hit?.outerHTML.slice(0, 60)}`;
+  }).filter(Boolean);
+}"""
 
 # Whatever is seen of them, controls are told apart by their whole names.
 _CUT_NAMES = """async () => {

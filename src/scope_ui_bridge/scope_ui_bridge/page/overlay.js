@@ -4,6 +4,7 @@
 import { t } from "./strings.js";
 
 const NS = "http://www.w3.org/2000/svg";
+const ROOM = 1000; // px of the picture around a control that is alone: more than is ever wanted
 
 export class Overlay extends EventTarget {
   #svg;
@@ -118,7 +119,8 @@ export class Overlay extends EventTarget {
 
   #placeAll() {
     const [width, height] = this.#size;
-    for (const control of this.#panel.controls) {
+    const rooms = roomsOf(this.#panel.controls);
+    for (const [number, control] of this.#panel.controls.entries()) {
       const style = this.#buttons.get(control.name)?.style;
       if (!style) continue;
       const [x, y, w, h] = control.box;
@@ -128,6 +130,8 @@ export class Overlay extends EventTarget {
       style.height = `${(100 * h) / height}%`;
       style.setProperty("--w", `${(100 * w) / width}%`);
       style.setProperty("--h", `${(100 * h) / width}%`);
+      style.setProperty("--room-x", `${(100 * rooms[number][0]) / width}%`);
+      style.setProperty("--room-y", `${(100 * rooms[number][1]) / width}%`);
       style.zIndex = String(Math.max(1, 1000 - Math.round(Math.sqrt(w * h)))); // small controls lie on top
     }
   }
@@ -215,6 +219,17 @@ function arrow([u, v], [toU, toV]) {
   const [du, dv] = [(12 * (toU - u)) / length, (12 * (toV - v)) / length];
   const head = [[-du - dv / 2, -dv + du / 2], [-du + dv / 2, -dv - du / 2]].map(([a, b]) => `M${toU} ${toV}l${a} ${b}`);
   return `M${u - 6} ${v}a6 6 0 1 0 12 0a6 6 0 1 0 -12 0M${u} ${v}L${toU} ${toV}${head.join("")}`;
+}
+
+/** How far around each control, in px of the picture, a click may still mean it: up to half way to the next ones. */
+function roomsOf(controls) {
+  const rooms = controls.map(() => [ROOM, ROOM]);
+  controls.forEach(({ box: one }, a) => controls.slice(0, a).forEach(({ box: other }, b) => {
+    const gaps = [0, 1].map((axis) => Math.max(one[axis], other[axis]) - Math.min(one[axis] + one[axis + 2], other[axis] + other[axis + 2]));
+    const axis = gaps[0] > gaps[1] ? 0 : 1; // that they are farther apart along
+    for (const room of [rooms[a], rooms[b]]) room[axis] = Math.min(room[axis], Math.max(0, gaps[axis] / 2));
+  }));
+  return rooms;
 }
 
 function centre(control) {
