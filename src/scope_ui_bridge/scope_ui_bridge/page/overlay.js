@@ -221,13 +221,16 @@ function arrow([u, v], [toU, toV]) {
   return `M${u - 6} ${v}a6 6 0 1 0 12 0a6 6 0 1 0 -12 0M${u} ${v}L${toU} ${toV}${head.join("")}`;
 }
 
-/** How far around each control, in px of the picture, a click may still mean it: up to half way to the next ones. */
+/** How far around each control, in px of the picture, a click may still mean it: half way to the middles of others. */
 function roomsOf(controls) {
   const rooms = controls.map(() => [ROOM, ROOM]);
-  controls.forEach(({ box: one }, a) => controls.slice(0, a).forEach(({ box: other }, b) => {
-    const gaps = [0, 1].map((axis) => Math.max(one[axis], other[axis]) - Math.min(one[axis] + one[axis + 2], other[axis] + other[axis + 2]));
+  controls.forEach((one, a) => controls.slice(0, a).forEach((other, b) => {
+    const apart = [0, 1].map((axis) => Math.abs(centre(one)[axis] - centre(other)[axis]));
+    const gaps = apart.map((distance, axis) => distance - (one.box[axis + 2] + other.box[axis + 2]) / 2);
     const axis = gaps[0] > gaps[1] ? 0 : 1; // that they are farther apart along
-    for (const room of [rooms[a], rooms[b]]) room[axis] = Math.min(room[axis], Math.max(0, gaps[axis] / 2));
+    for (const [room, { box }] of [[rooms[a], one], [rooms[b], other]]) {
+      room[axis] = Math.min(room[axis], Math.max(0, (apart[axis] - box[axis + 2]) / 2));
+    }
   }));
   return rooms;
 }
