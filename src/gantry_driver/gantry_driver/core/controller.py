@@ -1,16 +1,14 @@
 """The gantry controller as a state machine: events and time in, actions out; no ROS, no clock.
 
 One goal at a time. A goal runs through phases; the table ``Controller._NEXT`` lists every transition; what ends a goal
-early, and what keeps one from starting, stands in ``world``. Look-move-touch follows image-based
-look-and-move control (Hutchinson, Hager, Corke, "A tutorial on visual servo control", 1996): move, stand still, measure
-tip against target, correct, and only then touch.
+early, and what keeps one from starting, stands in ``world``; what is made of a look at the tip, in ``servo``.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -28,12 +26,14 @@ from gantry_driver.core.goal_job import (
     STANDING,
     STATES,
     UP,
+    Aim,
     Fault,
     Job,
     Phase,
     Step,
 )
 from gantry_driver.core.motion_plan import OutOfReach, Path
+from gantry_driver.core.servo import NO_LOOK, Look, contact_complaint, judge
 from gantry_driver.core.targets import Refused
 from gantry_driver.core.world import EXTENDED_M, NANO, World
 from icu_common.core.frames import BASE, CAMERA_LEFT
@@ -67,9 +67,7 @@ class Controller:
         self._phase_ns = 0
         self._end: Array | None = None
         self._arrived_ns: int | None = None
-        self._look_after_ns = self._look_until_ns = 0
-        self._tips: deque[Array] = deque()
-        self._tips_needed = 1
+        self._tip_look = NO_LOOK
         self._asked_ns = 0
 
     # Every transition of a goal. A method either enters another phase or finishes the goal.
@@ -187,8 +185,7 @@ class Controller:
                 world.base_from_reading = event.base_from_reading
             case msg.TipSeen():
                 # Pictures come late: those of the contact still count when the stylus is on its way up.
-                if self._look_after_ns < event.stamp_ns <= self._look_until_ns:
-                    self._tips.append(event.in_camera)
+                self._tip_look = self._tip_look.with_tip(event.in_camera, event.stamp_ns)
             case msg.CameraSeen():
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
             case msg.Heartbeat():
@@ -308,10 +305,10 @@ class Controller:
             text=self._point_text(goal),
             kind="move",
             started_ns=self._now_ns,
-            base_from_reading=np.eye(2) if axes is None else axes,
+            aim=Aim(base_from_reading=np.eye(2) if axes is None else axes),
             goal_base=goal.xyz,
         )
-        motion_plan.check_reach(job.readings_at(goal.xyz[np.newaxis]), self.config.motion)
+        motion_plan.check_reach(job.aim.readings_at(goal.xyz[np.newaxis]), self.config.motion)
         if goal.xyz[2] < 0:
             self._check_clear(goal.xyz)
         return job
@@ -346,7 +343,7 @@ class Controller:
             text=text,
             kind=gesture.kind,
             started_ns=self._now_ns,
-            base_from_reading=scene.base_from_reading,
+            aim=Aim(base_from_reading=scene.base_from_reading),
             scene=scene,
             gesture=gesture,
             knob=knob,
@@ -378,11 +375,11 @@ class Controller:
             touch = targets.with_two_positions(touch, config.motion.stylus_max_m)
         job.touch, job.goal_base = touch, touch.in_base
         heights = np.array([[*touch.in_base[:2], z] for z in (touch.hover_z, touch.touch_z)])
-        motion_plan.check_reach(job.readings_at(np.vstack([heights, touch.arc])), config.motion)
+        motion_plan.check_reach(job.aim.readings_at(np.vstack([heights, touch.arc])), config.motion)
 
     def _way_to(self, job: Job) -> Path:
         """Return the way to where the job's tip goes before a touch; raises OutOfReach."""
-        first = job.readings_at(job.tip_goal()[np.newaxis])[0]
+        first = job.aim.readings_at(job.tip_goal()[np.newaxis])[0]
         return motion_plan.travel(self._world.here, first[:2], first[2], self.config.motion)
 
     # Phases: each entry sets what the phase waits for and its deadline
@@ -414,7 +411,7 @@ class Controller:
         control, config = job.scene.control(name), self.config
         top = job.scene.base_from_panel.apply(np.array([[*control.centre, control.height]]))
         by_m = config.aside_m + float(control.size[0]) / 2
-        middle = job.readings_at(top)[0, :2]
+        middle = job.aim.readings_at(top)[0, :2]
         self._try(job, Phase.ASIDE, lambda: motion_plan.aside(self._world.here, middle, by_m, config.motion))
 
     def _read_from_aside(self, job: Job) -> None:
@@ -453,9 +450,8 @@ class Controller:
 
     def _look(self, phase: Phase, settle_s: float, timeout_s: float, *, needed: int, kept: int) -> None:
         self.phase = phase
-        self._tips, self._tips_needed = deque(maxlen=kept), needed
-        self._look_after_ns, self._look_until_ns = self._now_ns + _nanoseconds(settle_s), _FAR_NS
-        self._deadline_ns = self._look_after_ns + _nanoseconds(timeout_s)
+        self._tip_look = Look(after_ns=self._now_ns + _nanoseconds(settle_s), needed=needed, kept=kept)
+        self._deadline_ns = self._tip_look.after_ns + _nanoseconds(timeout_s)
 
     def _advance(self) -> None:
         """Find out whether the phase has ended and follow the table, until nothing more happens at this instant."""
@@ -526,68 +522,24 @@ class Controller:
     # Look, judge, correct, touch
 
     def _seen_in_base(self, job: Job) -> Array | None:
-        if len(self._tips) < self._tips_needed:
-            return None
         assert job.scene is not None
-        base_from_camera = job.scene.camera_from_base.inverse()
-        if self.config.camera_on_carriage:
-            # The tip rests in these pictures; it is the panel that shows how far it is from its place.
-            if not self._world.panel_is_still(self.config) or self._world.camera_from_panel is None:
-                return None
-            base_from_camera = job.scene.base_from_panel @ self._world.camera_from_panel.inverse()
-        tips = base_from_camera.apply(np.array(self._tips))
-        mean: Array = tips.mean(axis=0)
-        spread = float(np.linalg.norm((tips - mean)[:, :2], axis=1).max())
-        return mean if spread <= self.config.tip_spread_m else None
-
-    def _seen_error(self, job: Job, place: Array) -> Array:
-        """(3,) seen tip minus where it ought to be, (3,) in base_link."""
-        seen = self._seen_in_base(job)
-        assert seen is not None
-        error: Array = seen - place
-        return error
+        base_from_camera = self._world.base_from_camera(job.scene, self.config)
+        return None if base_from_camera is None else self._tip_look.seen(base_from_camera, self.config.tip_spread_m)
 
     def _judge_hover(self, job: Job) -> None:
-        config = self.config
-        error = self._seen_error(job, job.tip_goal())
-        sideways = float(np.linalg.norm(error[:2]))
-        job.hover_error_m = sideways
-        if sideways > config.max_correction_m or abs(error[2]) > config.max_depth_error_m:
-            self._break_off(
-                job,
-                Fault(
-                    cause=f"the tip is seen {1000 * sideways:.2f} mm beside and {1000 * error[2]:+.2f} mm above its "
-                    f"place, {1000 * config.max_correction_m:g} and {1000 * config.max_depth_error_m:g} mm are "
-                    "allowed: calibrate again"
-                ),
-            )
-        elif sideways <= config.tolerance_m:
-            self._touch_or_return(job)
-        elif job.corrections < config.max_corrections:
-            self._correct(job, error[:2])
-        elif sideways <= config.max_error_m:
-            self._touch_or_return(job)
-        else:
-            self._break_off(
-                job,
-                Fault(
-                    cause=f"the seen error is {1000 * sideways:.2f} mm after {job.corrections} corrections, "
-                    f"{1000 * config.max_error_m:g} mm are allowed"
-                ),
-            )
-
-    def _correct(self, job: Job, error_xy: Array) -> None:
-        correction = job.correction - np.linalg.solve(job.base_from_reading, error_xy)
-        total, most = float(np.linalg.norm(job.base_from_reading @ correction)), self.config.max_correction_m
-        if total > most:
-            # What is seen does not follow the machine, and only so far beside its place is the way known to be clear.
-            cause = f"the seen errors add up to a correction by {1000 * total:.2f} mm, {1000 * most:g} mm are allowed"
-            self._break_off(job, Fault(cause=f"{cause}: calibrate again"))
-            return
-        job.corrections += 1
-        job.correction = correction
-        aim = job.readings_at(job.tip_goal()[np.newaxis])[0]
-        self._try(job, Phase.CORRECT, lambda: motion_plan.shift(self._world.here, aim[:2], self.config.motion))
+        seen = self._seen_in_base(job)
+        assert seen is not None
+        error = seen - job.tip_goal()
+        job.hover_error_m = float(np.linalg.norm(error[:2]))
+        match judge(error, job.aim, self.config):
+            case None:
+                self._touch_or_return(job)
+            case Fault() as fault:
+                self._break_off(job, fault)
+            case aim:
+                job.aim = aim
+                place = aim.readings_at(job.tip_goal()[np.newaxis])[0, :2]
+                self._try(job, Phase.CORRECT, lambda: motion_plan.shift(self._world.here, place, self.config.motion))
 
     def _unseen_hover(self, job: Job) -> None:
         if not self.config.require_servo:
@@ -597,7 +549,7 @@ class Controller:
         if job.beside:
             self._try(job, Phase.APPROACH, lambda: self._way_to(job))
         else:
-            self._break_off(job, Fault(cause=self._unseen_text()))
+            self._break_off(job, Fault(cause=self._tip_look.unseen_text(self.config.tip_spread_m)))
 
     def _places_beside(self, job: Job) -> list[Array]:
         """Return from where to look for a tip that is not seen above the target, before things of the ball's colour.
@@ -609,7 +561,7 @@ class Controller:
         if config.beside_m == 0 or len(touch.arc):
             return []
         places = targets.places_beside(touch, job.scene, config.touch, by_m=config.beside_m, wander_m=config.wander_m())
-        reached = [p for p in places if motion_plan.reaches(job.readings_at(p[np.newaxis]), config.motion)]
+        reached = [p for p in places if motion_plan.reaches(job.aim.readings_at(p[np.newaxis]), config.motion)]
         return reached[:MOST_BESIDE]
 
     def _touch_or_return(self, job: Job) -> None:
@@ -619,10 +571,6 @@ class Controller:
             self._try(job, Phase.RETURN, lambda: self._way_to(job))
         else:
             self._touch_down(job)
-
-    def _unseen_text(self) -> str:
-        spread_mm = 1000 * self.config.tip_spread_m
-        return f"the tip was seen {len(self._tips)} times, {self._tips_needed} times within {spread_mm:g} mm are needed"
 
     def _touch_down(self, job: Job) -> None:
         assert job.touch is not None
@@ -636,43 +584,39 @@ class Controller:
             self._try(job, Phase.TOUCH, lambda: motion_plan.plunge(here, depth, config.motion))
 
     def _leave_contact(self, job: Job) -> None:
-        self._look_until_ns = self._now_ns
+        self._tip_look = replace(self._tip_look, until_ns=self._now_ns)
         assert job.touch is not None
         if not len(job.touch.arc):
             self._lift(job)
-        elif not self._measure_contact(job):
+        elif complaint := self._measure_contact(job):
             # A knob is turned, or a touch drawn on, only from a place that is known to be right.
-            self._break_off(job, Fault(cause=job.complaint))
+            self._break_off(job, Fault(cause=complaint))
         else:
             if job.knob is not None:
                 job.knob.turns += 1
-            arc = job.readings_at(job.touch.arc)
+            arc = job.aim.readings_at(job.touch.arc)
             motion = self.config.motion
             speed = motion.drag_speed_m_s if job.kind == "drag" else motion.turn_speed_m_s
             self._try(job, Phase.TURN, lambda: motion_plan.follow(self._world.here, arc, speed, motion))
 
-    def _measure_contact(self, job: Job) -> bool:
-        """Measure the error at contact; return whether it is good, else leave the reason in ``job.complaint``."""
+    def _measure_contact(self, job: Job) -> str:
+        """Measure the error at contact; return what is wrong with it, empty for nothing."""
         assert job.touch is not None
-        if self._seen_in_base(job) is not None:
-            place = np.array([*job.touch.in_base[:2], job.touch.touch_z])
-            job.error_m, job.measured_beside = float(np.linalg.norm(self._seen_error(job, place)[:2])), False
+        seen = self._seen_in_base(job)
+        if seen is not None:
+            place = job.touch.in_base
+            job.error_m, job.measured_beside = float(np.linalg.norm(seen[:2] - place[:2])), False
         elif job.measured_beside:
             job.error_m = job.hover_error_m
-        if math.isnan(job.error_m) and self.config.require_servo:
-            job.complaint = f"touched, but not measured: {self._unseen_text()}"
-        elif job.error_m > self.config.max_error_m:
-            bound = 1000 * self.config.max_error_m
-            job.complaint = f"touched {1000 * job.error_m:.2f} mm beside the target, {bound:g} mm are allowed"
-        return not job.complaint
+        return contact_complaint(job.error_m, self._tip_look, self.config)
 
     def _wait_for_pictures(self, job: Job) -> None:
         self.phase = Phase.MEASURE
         self._deadline_ns = self._now_ns + _nanoseconds(self.config.picture_wait_s)
 
     def _judge_contact(self, job: Job) -> None:
-        if not self._measure_contact(job):
-            self._finish(job, Outcome.ABORTED, f"{job.complaint}; the stylus is up")
+        if complaint := self._measure_contact(job):
+            self._finish(job, Outcome.ABORTED, f"{complaint}; the stylus is up")
         elif job.knob is not None and not math.isnan(job.knob.goal_deg):
             self._move_aside(job, job.knob.name)
         elif job.knob is None and job.before is not None and self._may_have_effect(job):
@@ -724,7 +668,7 @@ class Controller:
             self._turn_again(job)
 
     def _turn_again(self, job: Job) -> None:
-        job.correction, job.corrections, job.error_m = np.zeros(2), 0, math.nan
+        job.aim, job.error_m = Aim(base_from_reading=job.aim.base_from_reading), math.nan
         try:
             self._aim(job)
         except (Refused, OutOfReach) as error:
@@ -748,7 +692,7 @@ class Controller:
 
     def _finish_move(self, job: Job) -> None:
         readings = self._world.here
-        at = np.array([*(job.base_from_reading @ readings[:2]), -readings[2]])
+        at = np.array([*(job.aim.base_from_reading @ readings[:2]), -readings[2]])
         job.error_m = float(np.linalg.norm(at - job.goal_base))
         self._finish(job, Outcome.REACHED)
 
@@ -806,7 +750,7 @@ class Controller:
             measured = "readings" if job.touch is None else cameras
             details.append(("measured_by", "nothing" if math.isnan(job.error_m) else measured))
             if job.touch is not None:
-                details.append(("corrections", str(job.corrections)))
+                details.append(("corrections", str(job.aim.corrections)))
                 details.append(("hover_error_m", f"{job.hover_error_m:.6f}"))
                 details.append(("effect", job.effect or "not looked for"))
             if job.knob is not None:
@@ -828,9 +772,6 @@ class Controller:
         self.counts[Outcome.REJECTED] += 1
         result = GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=reason)
         self._actions.append(msg.PublishResult(result=result))
-
-
-_FAR_NS = 2**63
 
 
 def _nanoseconds(seconds: float) -> int:

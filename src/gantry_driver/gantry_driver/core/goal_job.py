@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -88,6 +88,28 @@ class Fault:
     stop: bool = False
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Aim:
+    """How points of base_link become readings: by the axes (2, 2), and by the correction (2,) in readings found so far.
+
+    ``corrections`` counts what it was found by.
+    """
+
+    base_from_reading: Array
+    correction: Array = field(default_factory=lambda: np.zeros(2))
+    corrections: int = 0
+
+    def readings_at(self, base_points: Array) -> Array:
+        """Map (N, 3) base points to readings."""
+        xy = np.linalg.solve(self.base_from_reading, base_points[:, :2].T).T + self.correction
+        return np.column_stack([xy, -base_points[:, 2]])
+
+    def corrected(self, error_xy: Array) -> Aim:
+        """Return the aim after a tip was seen ``error_xy`` (2,) in base_link from its place."""
+        correction = self.correction - np.linalg.solve(self.base_from_reading, error_xy)
+        return replace(self, correction=correction, corrections=self.corrections + 1)
+
+
 @dataclass(slots=True, kw_only=True, eq=False)
 class Job:
     """The goal in work."""
@@ -96,7 +118,7 @@ class Job:
     text: str
     kind: str
     started_ns: int
-    base_from_reading: Array
+    aim: Aim
     scene: Scene | None = None
     touch: Touch | None = None
     gesture: Gesture | None = None
@@ -109,13 +131,10 @@ class Job:
     beside: list[Array] | None = None
     """Places beside the target to look at the tip from, the present one first; None where no look needs them yet."""
     measured_beside: bool = False
-    correction: Array = field(default_factory=lambda: np.zeros(2))
-    corrections: int = 0
     hover_error_m: float = math.nan
     error_m: float = math.nan
     plunge_ns: int = 0
     down_ns: int = 0
-    complaint: str = ""
     fault: Fault | None = None
 
     def tip_goal(self) -> Array:
@@ -123,8 +142,3 @@ class Job:
         if self.touch is None:
             return self.goal_base
         return self.beside[0] if self.beside else np.array([*self.goal_base[:2], self.touch.hover_z])
-
-    def readings_at(self, base_points: Array) -> Array:
-        """Map (N, 3) base points to readings, with the correction found so far."""
-        xy = np.linalg.solve(self.base_from_reading, base_points[:, :2].T).T + self.correction
-        return np.column_stack([xy, -base_points[:, 2]])

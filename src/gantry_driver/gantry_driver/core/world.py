@@ -126,6 +126,15 @@ class World:
         settled_ns = self.crossed_ns + round(config.settle_s * NANO)
         return not config.camera_on_carriage or self.panel_stamp_ns > settled_ns
 
+    def base_from_camera(self, scene: Scene, config: ControllerConfig) -> Transform | None:
+        """Return where the camera that sees the tip is; None while cameras on the carriage have not told."""
+        if not config.camera_on_carriage:
+            return scene.camera_from_base.inverse()
+        # The tip rests in these pictures; it is the panel that shows how far it is from its place.
+        if not self.panel_is_still(config) or self.camera_from_panel is None:
+            return None
+        return scene.base_from_panel @ self.camera_from_panel.inverse()
+
     def take_seen(self, seen: PanelSeen) -> None:
         """Take what is seen of the controls, and remember since when each is hidden by something strange."""
         self.seen = seen
