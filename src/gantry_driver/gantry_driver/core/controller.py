@@ -1,7 +1,8 @@
 """The gantry controller as a state machine: events and time in, actions out; no ROS, no clock.
 
-One goal at a time. A goal runs through phases; the table ``Controller._NEXT`` lists every transition; what ends a goal
-early, and what keeps one from starting, stands in ``world``; what is made of a look at the tip, in ``servo``.
+One goal at a time. A goal runs through phases; the table ``Controller._NEXT`` lists every transition. How it becomes a
+job stands in ``goal_intake``; what ends it early, and what keeps one from starting, in ``world``; what is made of a
+look at the tip, in ``servo``.
 """
 
 from __future__ import annotations
@@ -9,18 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
 from gantry_driver.core import controller_messages as msg
-from gantry_driver.core import motion_plan, targets
+from gantry_driver.core import goal_intake, motion_plan
 from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.effects import Knob, effect, knob_of
+from gantry_driver.core.effects import Knob, effect
 from gantry_driver.core.goal_job import (
     FREE_VIEW,
     LOOKING,
     MOVING,
+    NANO,
     OTHERWISE,
     PUSHING,
     STANDING,
@@ -33,17 +36,14 @@ from gantry_driver.core.goal_job import (
     Step,
 )
 from gantry_driver.core.motion_plan import OutOfReach, Path
-from gantry_driver.core.servo import NO_LOOK, Look, contact_complaint, judge
+from gantry_driver.core.servo import NO_LOOK, Look, contact_complaint, judge, places_beside
 from gantry_driver.core.targets import Refused
-from gantry_driver.core.world import EXTENDED_M, NANO, World
-from icu_common.core.frames import BASE, CAMERA_LEFT
+from gantry_driver.core.world import EXTENDED_M, World
 from icu_common.core.geometry import Array
-from icu_common.core.gesture import TURNING, Gesture, GestureError, Point, parse_gesture
+from icu_common.core.gesture import GestureError, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
 
 MAX_TIPS = 50
-MOST_BESIDE = 2
-"""From so many places beside a target is looked for the tip: each takes seconds, with the stylus over the panel."""
 ASK_AGAIN_S = 0.5
 CLOCK_JUMP_S = 0.5
 """Time that runs back farther than this between two events ends the goal: no deadline would hold any more."""
@@ -159,7 +159,8 @@ class Controller:
         world = self._world
         match event:
             case msg.PointGoal():
-                self._accept_or_reject(str(event.stamp_ns), self._point_text(event), lambda: self._point_job(event))
+                goal_id, text = str(event.stamp_ns), goal_intake.text_of(event)
+                self._accept_or_reject(goal_id, text, lambda: goal_intake.point_job(event, world, self.config))
             case msg.Command():
                 self._take_command(event.text)
             case msg.DriverState():
@@ -247,14 +248,9 @@ class Controller:
         except GestureError as error:
             self._reject(_id_in(text), text, str(error))
             return
-        self._accept_or_reject(gesture.id or text, text, lambda: self._gesture_job(gesture, text, gesture.id or text))
-
-    def _point_text(self, goal: msg.PointGoal) -> str:
-        x, y, z = goal.xyz
-        if goal.frame == BASE:
-            return f"move to ({x:g}, {y:g}, {z:g}) m in {BASE}"
-        unit = "px" if goal.frame == CAMERA_LEFT else "m"
-        return f"press ({x:g}, {y:g}) {unit} in {goal.frame}"
+        goal_id = gesture.id or text
+        make_job = partial(goal_intake.gesture_job, gesture, text, goal_id, self._world, self.config)
+        self._accept_or_reject(goal_id, text, make_job)
 
     def _accept_or_reject(self, goal_id: str, text: str, make_job: Callable[[], Job]) -> None:
         try:
@@ -271,111 +267,8 @@ class Controller:
         self._job = job
         self._world.unchecked = False
         self._publish(job, Outcome.ACCEPTED)
-        self._actions.append(msg.ShowTarget(in_base=job.goal_base))
+        self._actions.append(msg.ShowTarget(in_base=job.goal_base()))
         self._start(job)
-
-    def _point_job(self, goal: msg.PointGoal) -> Job:
-        if not np.isfinite(goal.xyz).all():
-            raise Refused(f"point ({', '.join(f'{v:g}' for v in goal.xyz)}) is not finite")
-        if goal.frame not in targets.FRAMES:
-            raise Refused(f"frame {goal.frame!r} is none of {', '.join(targets.FRAMES)}")
-        if goal.stamp_ns != 0:
-            age_s = (self._now_ns - goal.stamp_ns) / NANO
-            if not -self.config.goal_max_age_s <= age_s <= self.config.goal_max_age_s:
-                raise Refused(f"stale: the stamp is {age_s:.3f} s old, {self.config.goal_max_age_s:g} s are allowed")
-        if goal.frame == BASE:
-            return self._move_job(goal)
-        x, y, z = (float(v) for v in goal.xyz)
-        if z != 0.0:
-            raise Refused(f"z = {z:g} in {goal.frame} must be 0: the surface is found from the panel")
-        gesture = Gesture(kind="press", target=Point(x=x, y=y, frame=goal.frame))
-        return self._gesture_job(gesture, self._point_text(goal), str(goal.stamp_ns))
-
-    def _move_job(self, goal: msg.PointGoal) -> Job:
-        if goal.xyz[2] > 0:
-            raise Refused(f"z = {goal.xyz[2]:g} m is above 0, where the stylus is retracted")
-        if goal.xyz[2] < 0 and self.config.motion.stylus_two_positions:
-            raise Refused(f"z = {goal.xyz[2]:g} m: this stylus can only be up, 0, or touch")
-        for obstacle in self._world.obstacles(self.config):
-            if obstacle.every_goal:
-                raise Refused(obstacle.reason)
-        axes = self._world.base_from_reading
-        job = Job(
-            goal_id=str(goal.stamp_ns),
-            text=self._point_text(goal),
-            kind="move",
-            started_ns=self._now_ns,
-            aim=Aim(base_from_reading=np.eye(2) if axes is None else axes),
-            goal_base=goal.xyz,
-        )
-        motion_plan.check_reach(job.aim.readings_at(goal.xyz[np.newaxis]), self.config.motion)
-        if goal.xyz[2] < 0:
-            self._check_clear(goal.xyz)
-        return job
-
-    def _check_clear(self, goal: Array) -> None:
-        """Refuse a point (3,) in base_link at which the stylus would touch the panel, as far as the panel is known."""
-        world, config = self._world, self.config.touch
-        parts = (world.camera_from_base, world.base_from_reading, world.camera_from_panel, world.camera, world.panel)
-        if any(part is None for part in parts) or not world.confidence >= self.config.min_confidence:
-            return
-        lowest = targets.highest_near(goal[:2], self._world.scene(), config.side_needed_m()) + config.ball_radius_m
-        if goal[2] < lowest:
-            raise Refused(
-                f"z = {goal[2]:.4f} m would touch the panel there, {lowest:.4f} m is the lowest; use press to touch"
-            )
-
-    def _gesture_job(self, gesture: Gesture, text: str, goal_id: str) -> Job:
-        if isinstance(gesture.target, Point) and gesture.target.frame not in targets.FRAMES:
-            raise Refused(f"frame {gesture.target.frame!r} is none of {', '.join(targets.FRAMES)}")
-        for obstacle in self._world.obstacles(self.config):
-            raise Refused(obstacle.reason)
-        scene, config = self._world.scene(), self.config
-        seen = self._world.recently_seen(config)
-        knob = None
-        if gesture.kind in TURNING and isinstance(gesture.target, str):
-            scene.control(gesture.target)
-            knob = knob_of(gesture, gesture.target, None if seen is None else seen.control(gesture.target))
-        elif gesture.kind in ("click", "set"):
-            raise Refused(f"{gesture.kind} needs a knob's name, found {gesture.text()!r}")
-        job = Job(
-            goal_id=goal_id,
-            text=text,
-            kind=gesture.kind,
-            started_ns=self._now_ns,
-            aim=Aim(base_from_reading=scene.base_from_reading),
-            scene=scene,
-            gesture=gesture,
-            knob=knob,
-            before=seen,
-            goal_base=np.zeros(3),
-            hold_s={"hold": gesture.argument, "press": config.press_s, "long": config.long_press_s}.get(
-                gesture.kind, 0.0
-            ),
-        )
-        self._aim(job)
-        if config.require_effect and seen is None and knob is None and self._may_have_effect(job):
-            raise Refused(
-                f"nothing is seen of the panel's state: the effect of a {gesture.kind} must be (require_effect)"
-            )
-        return job
-
-    def _aim(self, job: Job) -> None:
-        """Find where the job's gesture touches, for a knob with its next turn; raises Refused or OutOfReach."""
-        config, scene, gesture = self.config, job.scene, job.gesture
-        assert scene is not None and gesture is not None
-        way = gesture.argument if job.knob is None else job.knob.way_deg
-        if gesture.kind in TURNING and not abs(way) > 0:
-            way = 1.0  # not known before the knob has been looked at: any turn tells whether it can be reached
-        stands = math.nan if job.knob is None else job.knob.seen_deg
-        if job.knob is not None and math.isnan(stands):
-            stands = 0.0  # as little known; a dimple is not touched before its marker has been seen
-        touch = targets.resolve(gesture, scene, config.touch, wander_m=config.wander_m(), turn_deg=way, knob_deg=stands)
-        if config.motion.stylus_two_positions:
-            touch = targets.with_two_positions(touch, config.motion.stylus_max_m)
-        job.touch, job.goal_base = touch, touch.in_base
-        heights = np.array([[*touch.in_base[:2], z] for z in (touch.hover_z, touch.touch_z)])
-        motion_plan.check_reach(job.aim.readings_at(np.vstack([heights, touch.arc])), config.motion)
 
     def _way_to(self, job: Job) -> Path:
         """Return the way to where the job's tip goes before a touch; raises OutOfReach."""
@@ -387,8 +280,7 @@ class Controller:
     def _start(self, job: Job) -> None:
         """Begin at once, or wait until whatever hides the control has gone."""
         if job.touch is not None and job.touch.control in self._world.hidden_ns:
-            self.phase = Phase.WAIT
-            self._deadline_ns = self._now_ns + _nanoseconds(self.config.hidden_wait_s)
+            self._enter(Phase.WAIT, self.config.hidden_wait_s)
         else:
             self._begin(job)
 
@@ -415,17 +307,16 @@ class Controller:
         self._try(job, Phase.ASIDE, lambda: motion_plan.aside(self._world.here, middle, by_m, config.motion))
 
     def _read_from_aside(self, job: Job) -> None:
-        self._read(job, self.config.effect_wait_s if job.knob is None else self.config.read_timeout_s)
+        self._enter(Phase.READ, self.config.effect_wait_s if job.knob is None else self.config.read_timeout_s)
 
-    def _read(self, job: Job, within_s: float) -> None:
-        self.phase, self._phase_ns = Phase.READ, self._now_ns
+    def _enter(self, phase: Phase, within_s: float) -> None:
+        self.phase, self._phase_ns = phase, self._now_ns
         self._deadline_ns = self._now_ns + _nanoseconds(within_s)
 
     def _go(self, phase: Phase, path: Path) -> None:
-        self.phase, self._phase_ns = phase, self._now_ns
+        self._enter(phase, 1.5 * path.duration_s + self.config.motion_timeout_s)
         # Stamps identify trajectories, so two of one instant must differ.
         self._stamp_ns = max(self._now_ns, self._stamp_ns + 1)
-        self._deadline_ns = self._now_ns + _nanoseconds(1.5 * path.duration_s + self.config.motion_timeout_s)
         if len(path.points):
             self._end, self._arrived_ns = path.points[-1], None
             self._actions.append(msg.SendTrajectory(stamp_ns=self._stamp_ns, path=path))
@@ -545,24 +436,12 @@ class Controller:
         if not self.config.require_servo:
             self._touch_down(job)
             return
-        job.beside = self._places_beside(job) if job.beside is None else job.beside[1:]
+        assert job.touch is not None and job.scene is not None
+        job.beside = places_beside(job.touch, job.scene, job.aim, self.config) if job.beside is None else job.beside[1:]
         if job.beside:
             self._try(job, Phase.APPROACH, lambda: self._way_to(job))
         else:
             self._break_off(job, Fault(cause=self._tip_look.unseen_text(self.config.tip_spread_m)))
-
-    def _places_beside(self, job: Job) -> list[Array]:
-        """Return from where to look for a tip that is not seen above the target, before things of the ball's colour.
-
-        An arc is followed only from a place that is known to be right, so for it there are none.
-        """
-        config, touch = self.config, job.touch
-        assert touch is not None and job.scene is not None
-        if config.beside_m == 0 or len(touch.arc):
-            return []
-        places = targets.places_beside(touch, job.scene, config.touch, by_m=config.beside_m, wander_m=config.wander_m())
-        reached = [p for p in places if motion_plan.reaches(job.aim.readings_at(p[np.newaxis]), config.motion)]
-        return reached[:MOST_BESIDE]
 
     def _touch_or_return(self, job: Job) -> None:
         """Touch, or first go from beside to above the target, with the correction that was found there."""
@@ -611,21 +490,18 @@ class Controller:
         return contact_complaint(job.error_m, self._tip_look, self.config)
 
     def _wait_for_pictures(self, job: Job) -> None:
-        self.phase = Phase.MEASURE
-        self._deadline_ns = self._now_ns + _nanoseconds(self.config.picture_wait_s)
+        self._enter(Phase.MEASURE, self.config.picture_wait_s)
 
     def _judge_contact(self, job: Job) -> None:
+        assert job.touch is not None
         if complaint := self._measure_contact(job):
             self._finish(job, Outcome.ABORTED, f"{complaint}; the stylus is up")
         elif job.knob is not None and not math.isnan(job.knob.goal_deg):
             self._move_aside(job, job.knob.name)
-        elif job.knob is None and job.before is not None and self._may_have_effect(job):
-            self._read(job, self.config.effect_wait_s)
+        elif job.knob is None and job.before is not None and job.touch.control and self.config.effect_wait_s > 0:
+            self._enter(Phase.READ, self.config.effect_wait_s)
         else:
             self._finish(job, Outcome.REACHED)
-
-    def _may_have_effect(self, job: Job) -> bool:
-        return self.config.effect_wait_s > 0 and job.touch is not None and job.touch.control != ""
 
     def _judge_effect(self, job: Job) -> None:
         assert job.touch is not None
@@ -668,9 +544,10 @@ class Controller:
             self._turn_again(job)
 
     def _turn_again(self, job: Job) -> None:
+        assert job.gesture is not None and job.scene is not None
         job.aim, job.error_m = Aim(base_from_reading=job.aim.base_from_reading), math.nan
         try:
-            self._aim(job)
+            job.touch = goal_intake.find_touch(job.gesture, job.knob, job.scene, self.config)
         except (Refused, OutOfReach) as error:
             self._finish(job, Outcome.ABORTED, f"the next turn: {error}; the stylus is up")
             return
@@ -693,7 +570,7 @@ class Controller:
     def _finish_move(self, job: Job) -> None:
         readings = self._world.here
         at = np.array([*(job.aim.base_from_reading @ readings[:2]), -readings[2]])
-        job.error_m = float(np.linalg.norm(at - job.goal_base))
+        job.error_m = float(np.linalg.norm(at - job.goal_base()))
         self._finish(job, Outcome.REACHED)
 
     def _finish_hidden(self, job: Job) -> None:
@@ -741,32 +618,7 @@ class Controller:
 
     def _publish(self, job: Job, outcome: Outcome, reason: str = "") -> None:
         self.counts[outcome] += 1
-        details: list[tuple[str, str]] = [("gesture", job.kind)]
-        if job.touch is not None:
-            details.append(("control", job.touch.control))
-            details.append(("target_base_m", " ".join(f"{v:.5f}" for v in job.touch.in_base)))
-        if outcome.final:
-            cameras = "cameras beside it" if job.measured_beside else "cameras"
-            measured = "readings" if job.touch is None else cameras
-            details.append(("measured_by", "nothing" if math.isnan(job.error_m) else measured))
-            if job.touch is not None:
-                details.append(("corrections", str(job.aim.corrections)))
-                details.append(("hover_error_m", f"{job.hover_error_m:.6f}"))
-                details.append(("effect", job.effect or "not looked for"))
-            if job.knob is not None:
-                details.append(("turns", str(job.knob.turns)))
-                details.append(("knob_deg", f"{job.knob.seen_deg:.2f}"))
-                details.append(("knob_off_deg", f"{job.knob.off_deg:.2f}"))
-        result = GoalResult(
-            goal_id=job.goal_id,
-            goal=job.text,
-            outcome=outcome,
-            reason=reason,
-            error_m=job.error_m,
-            duration_s=(self._now_ns - job.started_ns) / NANO if outcome.final else math.nan,
-            details=tuple(details),
-        )
-        self._actions.append(msg.PublishResult(result=result))
+        self._actions.append(msg.PublishResult(result=job.result(outcome, reason, self._now_ns)))
 
     def _reject(self, goal_id: str, text: str, reason: str) -> None:
         self.counts[Outcome.REJECTED] += 1

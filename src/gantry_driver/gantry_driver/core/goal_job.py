@@ -13,6 +13,9 @@ from gantry_driver.core.targets import Scene, Touch
 from icu_common.core.geometry import Array
 from icu_common.core.gesture import Gesture
 from icu_common.core.panel_state import PanelSeen
+from icu_common.core.results import GoalResult, Outcome
+
+NANO = 1_000_000_000
 
 
 class Phase(str, Enum):
@@ -120,13 +123,14 @@ class Job:
     started_ns: int
     aim: Aim
     scene: Scene | None = None
+    point: Array | None = None
+    """Where in base_link (3,) a mere move goes."""
     touch: Touch | None = None
     gesture: Gesture | None = None
     knob: Knob | None = None
     before: PanelSeen | None = None
     effect: str = ""
     went_aside: bool = False
-    goal_base: Array
     hold_s: float = 0.0
     beside: list[Array] | None = None
     """Places beside the target to look at the tip from, the present one first; None where no look needs them yet."""
@@ -137,8 +141,42 @@ class Job:
     down_ns: int = 0
     fault: Fault | None = None
 
+    def goal_base(self) -> Array:
+        """Return the goal (3,) in base_link: what is touched, or where a mere move goes."""
+        goal = self.point if self.touch is None else self.touch.in_base
+        assert goal is not None
+        return goal
+
     def tip_goal(self) -> Array:
         """Return where in base_link (3,) the tip goes before a touch: the point itself, above the target, or beside."""
         if self.touch is None:
-            return self.goal_base
-        return self.beside[0] if self.beside else np.array([*self.goal_base[:2], self.touch.hover_z])
+            return self.goal_base()
+        return self.beside[0] if self.beside else np.array([*self.touch.in_base[:2], self.touch.hover_z])
+
+    def result(self, outcome: Outcome, reason: str, now_ns: int) -> GoalResult:
+        """Return the answer to whoever asked."""
+        touch, knob = self.touch, self.knob
+        details = [("gesture", self.kind)]
+        if touch is not None:
+            place = " ".join(f"{v:.5f}" for v in touch.in_base)
+            details += [("control", touch.control), ("target_base_m", place)]
+        if outcome.final:
+            cameras = "cameras beside it" if self.measured_beside else "cameras"
+            measured = "readings" if touch is None else cameras
+            details.append(("measured_by", "nothing" if math.isnan(self.error_m) else measured))
+        if outcome.final and touch is not None:
+            details.append(("corrections", str(self.aim.corrections)))
+            details.append(("hover_error_m", f"{self.hover_error_m:.6f}"))
+            details.append(("effect", self.effect or "not looked for"))
+        if outcome.final and knob is not None:
+            details.append(("turns", str(knob.turns)))
+            details += [("knob_deg", f"{knob.seen_deg:.2f}"), ("knob_off_deg", f"{knob.off_deg:.2f}")]
+        return GoalResult(
+            goal_id=self.goal_id,
+            goal=self.text,
+            outcome=outcome,
+            reason=reason,
+            error_m=self.error_m,
+            duration_s=(now_ns - self.started_ns) / NANO if outcome.final else math.nan,
+            details=tuple(details),
+        )

@@ -12,11 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gantry_driver.core import motion_plan, targets
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import Aim, Fault
+from gantry_driver.core.targets import Scene, Touch
 from icu_common.core.geometry import Array, Transform
 
 FAR_NS = 2**63
+MOST_BESIDE = 2
+"""From so many places beside a target is looked for the tip: each takes seconds, with the stylus over the panel."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,12 +67,9 @@ NO_LOOK = Look(after_ns=0, until_ns=0, needed=1, kept=1)
 
 
 def judge(error: Array, aim: Aim, config: ControllerConfig) -> Fault | Aim | None:
-    """Judge the tip seen ``error`` (3,) in base_link from its place: None is good enough to touch, else correct or end.
+    """Judge a tip seen ``error`` (3,) in base_link from its place: return what ends the goal, or the aim to correct to.
 
-    Returns
-    -------
-    Fault | Aim | None
-        What ends the goal, or the aim to correct to.
+    None: it is good enough to touch.
     """
     sideways = float(np.linalg.norm(error[:2]))
     if sideways > config.max_correction_m or abs(error[2]) > config.max_depth_error_m:
@@ -107,3 +108,15 @@ def contact_complaint(error_m: float, look: Look, config: ControllerConfig) -> s
         bound = 1000 * config.max_error_m
         return f"touched {1000 * error_m:.2f} mm beside the target, {bound:g} mm are allowed"
     return ""
+
+
+def places_beside(touch: Touch, scene: Scene, aim: Aim, config: ControllerConfig) -> list[Array]:
+    """Return from where to look for a tip that is not seen above the target, before things of the ball's colour.
+
+    An arc is followed only from a place that is known to be right, so for it there are none.
+    """
+    if config.beside_m == 0 or len(touch.arc):
+        return []
+    places = targets.places_beside(touch, scene, config.touch, by_m=config.beside_m, wander_m=config.wander_m())
+    reached = [p for p in places if motion_plan.reaches(aim.readings_at(p[np.newaxis]), config.motion)]
+    return reached[:MOST_BESIDE]

@@ -10,13 +10,12 @@ import numpy as np
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import Fault
+from gantry_driver.core.goal_job import NANO, Fault
 from gantry_driver.core.targets import PanelMap, Scene
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_state import PanelSeen
 
-NANO = 1_000_000_000
 EXTENDED_M = 0.0005
 """Extension above which a stylus that was left behind may be pressing something."""
 CROSSED_M = 2e-5

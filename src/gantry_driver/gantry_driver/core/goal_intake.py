@@ -1,0 +1,142 @@
+"""From a goal or a gesture to a job, or to why it is refused: what is known of the world in, a job out.
+
+Apart from the state machine, because whether and where something can be touched is found out before anything moves,
+and, but for a knob's next turn, only once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gantry_driver.core import motion_plan, targets
+from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.controller_messages import PointGoal
+from gantry_driver.core.effects import Knob, knob_of
+from gantry_driver.core.goal_job import NANO, Aim, Job
+from gantry_driver.core.targets import Refused, Scene, Touch
+from gantry_driver.core.world import World
+from icu_common.core.frames import BASE, CAMERA_LEFT
+from icu_common.core.geometry import Array
+from icu_common.core.gesture import TURNING, Gesture, Point
+
+
+def text_of(goal: PointGoal) -> str:
+    """Return what the goal asks for, for people."""
+    x, y, z = goal.xyz
+    if goal.frame == BASE:
+        return f"move to ({x:g}, {y:g}, {z:g}) m in {BASE}"
+    unit = "px" if goal.frame == CAMERA_LEFT else "m"
+    return f"press ({x:g}, {y:g}) {unit} in {goal.frame}"
+
+
+def point_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
+    """Return the job of a point: a mere move in base_link, a press elsewhere.
+
+    Raises
+    ------
+    Refused, OutOfReach
+        With the value and the bound.
+    """
+    if not np.isfinite(goal.xyz).all():
+        raise Refused(f"point ({', '.join(f'{v:g}' for v in goal.xyz)}) is not finite")
+    if goal.frame not in targets.FRAMES:
+        raise Refused(f"frame {goal.frame!r} is none of {', '.join(targets.FRAMES)}")
+    if goal.stamp_ns != 0:
+        age_s = (world.now_ns - goal.stamp_ns) / NANO
+        if not -config.goal_max_age_s <= age_s <= config.goal_max_age_s:
+            raise Refused(f"stale: the stamp is {age_s:.3f} s old, {config.goal_max_age_s:g} s are allowed")
+    if goal.frame == BASE:
+        return _move_job(goal, world, config)
+    x, y, z = (float(v) for v in goal.xyz)
+    if z != 0.0:
+        raise Refused(f"z = {z:g} in {goal.frame} must be 0: the surface is found from the panel")
+    gesture = Gesture(kind="press", target=Point(x=x, y=y, frame=goal.frame))
+    return gesture_job(gesture, text_of(goal), str(goal.stamp_ns), world, config)
+
+
+def _move_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
+    if goal.xyz[2] > 0:
+        raise Refused(f"z = {goal.xyz[2]:g} m is above 0, where the stylus is retracted")
+    if goal.xyz[2] < 0 and config.motion.stylus_two_positions:
+        raise Refused(f"z = {goal.xyz[2]:g} m: this stylus can only be up, 0, or touch")
+    for obstacle in world.obstacles(config):
+        if obstacle.every_goal:
+            raise Refused(obstacle.reason)
+    axes = world.base_from_reading
+    aim = Aim(base_from_reading=np.eye(2) if axes is None else axes)
+    motion_plan.check_reach(aim.readings_at(goal.xyz[np.newaxis]), config.motion)
+    if goal.xyz[2] < 0:
+        _check_clear(goal.xyz, world, config)
+    return Job(
+        goal_id=str(goal.stamp_ns), text=text_of(goal), kind="move", started_ns=world.now_ns, aim=aim, point=goal.xyz
+    )
+
+
+def _check_clear(goal: Array, world: World, config: ControllerConfig) -> None:
+    """Refuse a point (3,) in base_link at which the stylus would touch the panel, as far as the panel is known."""
+    parts = (world.camera_from_base, world.base_from_reading, world.camera_from_panel, world.camera, world.panel)
+    if any(part is None for part in parts) or not world.confidence >= config.min_confidence:
+        return
+    touch = config.touch
+    lowest = targets.highest_near(goal[:2], world.scene(), touch.side_needed_m()) + touch.ball_radius_m
+    if goal[2] < lowest:
+        raise Refused(
+            f"z = {goal[2]:.4f} m would touch the panel there, {lowest:.4f} m is the lowest; use press to touch"
+        )
+
+
+def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config: ControllerConfig) -> Job:
+    """Return the job of a gesture, which is ``text`` for people.
+
+    Raises
+    ------
+    Refused, OutOfReach
+        With the value and the bound.
+    """
+    if isinstance(gesture.target, Point) and gesture.target.frame not in targets.FRAMES:
+        raise Refused(f"frame {gesture.target.frame!r} is none of {', '.join(targets.FRAMES)}")
+    for obstacle in world.obstacles(config):
+        raise Refused(obstacle.reason)
+    scene, seen = world.scene(), world.recently_seen(config)
+    knob = None
+    if gesture.kind in TURNING and isinstance(gesture.target, str):
+        scene.control(gesture.target)
+        knob = knob_of(gesture, gesture.target, None if seen is None else seen.control(gesture.target))
+    elif gesture.kind in ("click", "set"):
+        raise Refused(f"{gesture.kind} needs a knob's name, found {gesture.text()!r}")
+    touch = find_touch(gesture, knob, scene, config)
+    if config.require_effect and seen is None and knob is None and touch.control:
+        raise Refused(f"nothing is seen of the panel's state: the effect of a {gesture.kind} must be (require_effect)")
+    hold_s = {"hold": gesture.argument, "press": config.press_s, "long": config.long_press_s}
+    return Job(
+        goal_id=goal_id,
+        text=text,
+        kind=gesture.kind,
+        started_ns=world.now_ns,
+        aim=Aim(base_from_reading=scene.base_from_reading),
+        scene=scene,
+        touch=touch,
+        gesture=gesture,
+        knob=knob,
+        before=seen,
+        hold_s=hold_s.get(gesture.kind, 0.0),
+    )
+
+
+def find_touch(gesture: Gesture, knob: Knob | None, scene: Scene, config: ControllerConfig) -> Touch:
+    """Return where the gesture touches, for a knob with its next turn; raises Refused or OutOfReach."""
+    way = gesture.argument if knob is None else knob.way_deg
+    if gesture.kind in TURNING and not abs(way) > 0:
+        way = 1.0  # not known before the knob has been looked at: any turn tells whether it can be reached
+    stands = math.nan if knob is None else knob.seen_deg
+    if knob is not None and math.isnan(stands):
+        stands = 0.0  # as little known; a dimple is not touched before its marker has been seen
+    touch = targets.resolve(gesture, scene, config.touch, wander_m=config.wander_m(), turn_deg=way, knob_deg=stands)
+    if config.motion.stylus_two_positions:
+        touch = targets.with_two_positions(touch, config.motion.stylus_max_m)
+    heights = np.array([[*touch.in_base[:2], z] for z in (touch.hover_z, touch.touch_z)])
+    aim = Aim(base_from_reading=scene.base_from_reading)
+    motion_plan.check_reach(aim.readings_at(np.vstack([heights, touch.arc])), config.motion)
+    return touch
