@@ -84,14 +84,14 @@ class Rig:
     def cameras(self) -> None:
         for publisher, baseline in zip(self.infos, (0.0, 0.12)):
             publisher.publish(camera_info_message(camera(self.focal, baseline), header(1, CAMERA_LEFT)))
-        self.ros.spin_until(lambda: len(self.node._cameras) == 2, 10.0)
+        self.ros.spin_until(lambda: len(self.node.calibrator.cameras) == 2, 10.0)
 
     def now(self) -> int:
         return int(self.probe.get_clock().now().nanoseconds)
 
     def say_driver(self, text: str) -> None:
         self.driver.publish(String(data=text))
-        self.ros.spin_until(lambda: self.node._driver == text, 10.0)
+        self.ros.spin_until(lambda: self.node.calibrator.driver == text, 10.0)
 
     def _obey(self, goal: PointStamped) -> None:
         assert goal.header.frame_id == BASE
@@ -194,14 +194,14 @@ def test_run_is_refused_with_what_is_missing(ros: Any) -> None:
 
 def test_a_tip_that_is_not_finite_makes_no_sample(ros: Any) -> None:
     rig = Rig(ros)
-    rig.watch(lambda: len(rig.node._watch._tips) == 3, 10.0)
+    rig.watch(lambda: len(rig.node.calibrator.watch._tips) == 3, 10.0)
     rig.tips.publish(point_message((math.nan, 0.0, 0.6), header(rig.now(), CAMERA_LEFT)))
     after = rig.now()
     rig.tips.publish(point_message(POSE.apply(rig.tip_base()), header(after, CAMERA_LEFT)))
-    ros.spin_until(lambda: rig.node._watch._tips[-1][0] == after, 10.0)
-    assert np.isfinite([tip for _, tip in rig.node._watch._tips]).all()
+    ros.spin_until(lambda: rig.node.calibrator.watch._tips[-1][0] == after, 10.0)
+    assert np.isfinite([tip for _, tip in rig.node.calibrator.watch._tips]).all()
     assert rig.call("add_sample") == (True, "sample 1 at readings x = 0.0, y = 0.0, stylus = 0.0 mm")
-    assert np.isfinite(rig.node._samples[0].tip).all()
+    assert np.isfinite(rig.node.calibrator.samples[0].tip).all()
 
 
 def test_a_run_that_could_only_fail_moves_nothing(ros: Any) -> None:
@@ -223,7 +223,7 @@ def test_samples_by_hand(ros: Any) -> None:
         rig.reading = np.array([*place, 0.0])
 
         def rests_there(wanted: tuple[float, float] = place) -> bool:
-            sample = rig.node._watch.sample(rig.now())
+            sample = rig.node.calibrator.watch.sample(rig.now())
             return isinstance(sample, Sample) and np.allclose(sample.reading[:2], wanted)
 
         rig.watch(rests_there, 10.0)
@@ -233,7 +233,7 @@ def test_samples_by_hand(ros: Any) -> None:
         assert text == f"sample {number} at readings x = {x:.1f}, y = {y:.1f}, stylus = 0.0 mm"
     done, text = rig.call("solve")
     assert done, text
-    assert math.isnan(rig.node._stored.held_out_m)
+    assert math.isnan(rig.node.calibrator.stored.held_out_m)
     axes = rig.ros.spin_until(lambda: rig.axes, 10.0)[-1]
     np.testing.assert_allclose(np.array(axes.data).reshape(2, 2), AXES, atol=0.002)
 
@@ -308,7 +308,7 @@ def test_parameters_that_are_changed_hold_for_the_calibration_in_use(ros: Any, t
     rig.off = np.array([0.02, 0.0, 0.0])
     wider = [Parameter("drift.max_tip_m", value=0.1), Parameter("drift.times", value=1)]
     assert rig.node.set_parameters_atomically(wider).successful
-    rig.watch(lambda: rig.node._drift.tip_m > 0.015, 15.0)
+    rig.watch(lambda: rig.node.calibrator.drift.tip_m > 0.015, 15.0)
     assert "drift" not in rig.state
     assert rig.node.set_parameters([Parameter("drift.max_tip_m", value=0.01)])[0].successful
     rig.watch(lambda: "drift: the tip is seen" in rig.state, 15.0)
@@ -413,12 +413,12 @@ def test_contacts_are_kept_and_refused_with_the_reason(ros: Any) -> None:
     contact = rig.probe.create_publisher(PointStamped, "contact", qos.RESULTS)
     ros.spin_until(lambda: contact.get_subscription_count() == 1, 10.0)
     rig.reading = np.array([0.12, 0.08, 0.033])
-    rig.watch(lambda: rig.node._reading is not None and not rig.node._watch.unrest(rig.now()), 10.0)
+    rig.watch(lambda: rig.node.calibrator.reading is not None and not rig.node.calibrator.watch.unrest(rig.now()), 10.0)
     contact.publish(point_message((0.1, 0.05, 0.0), header(1, BASE)))
     for count in range(6):
         contact.publish(point_message((0.1, 0.05, 0.001), header(1, "panel_link")))
-        rig.watch(lambda c=count: len(rig.node._contacts) == min(c + 1, 5), 10.0)
-    kept = rig.node._contacts[0]
+        rig.watch(lambda c=count: len(rig.node.calibrator.contacts) == min(c + 1, 5), 10.0)
+    kept = rig.node.calibrator.contacts[0]
     np.testing.assert_allclose(kept.in_panel, (0.1, 0.05, 0.003))
     np.testing.assert_allclose(kept.reading, rig.reading)
 
@@ -427,17 +427,17 @@ def test_a_contact_counts_only_where_the_machine_is_known_to_stand(ros: Any) -> 
     rig = Rig(ros, **{"still.settle_s": 0.3})
     touched = point_message((0.1, 0.05, 0.001), header(1, "panel_link"))
     rig.reading = np.array([0.12, 0.08, 0.033])
-    rig.watch(lambda: rig.node._reading is not None, 10.0)
+    rig.watch(lambda: rig.node.calibrator.reading is not None, 10.0)
     rig.reading = np.array([0.12, 0.08, 0.034])
-    rig.watch(lambda: rig.node._reading[2] > 0.0335, 10.0)
+    rig.watch(lambda: rig.node.calibrator.reading[2] > 0.0335, 10.0)
     rig.node._on_contact(touched)
-    assert rig.node._contacts == [], "it moves"
-    rig.watch(lambda: not rig.node._watch.unrest(rig.now()), 10.0)
+    assert rig.node.calibrator.contacts == [], "it moves"
+    rig.watch(lambda: not rig.node.calibrator.watch.unrest(rig.now()), 10.0)
     rig.node._on_contact(touched)
-    assert len(rig.node._contacts) == 1
-    ros.spin_until(lambda: rig.node._watch.unrest(rig.now()) == "no joint_states arrive", 10.0)
+    assert len(rig.node.calibrator.contacts) == 1
+    ros.spin_until(lambda: rig.node.calibrator.watch.unrest(rig.now()) == "no joint_states arrive", 10.0)
     rig.node._on_contact(touched)
-    assert len(rig.node._contacts) == 1, "where it stands is not known any more"
+    assert len(rig.node.calibrator.contacts) == 1, "where it stands is not known any more"
 
 
 class RidingRig(Rig):
@@ -494,9 +494,9 @@ def test_a_pose_counts_with_what_was_measured_for_it(ros: Any) -> None:
     rig.cameras()
     rig.reading = np.array([0.1, 0.1, 0.0])
     rig.measured = False
-    rig.watch(lambda: rig.node._sightings.unpaired > 0, 15.0)
+    rig.watch(lambda: rig.node.calibrator.sightings.unpaired > 0, 15.0)
     seen, text = rig.call("add_sample")
     assert (seen, text) == (False, "the panel was seen 0 of 2 times while the machine stood still")
     rig.measured = True
-    rig.watch(lambda: not isinstance(rig.node._watch.panel_sample(rig.now()), str), 15.0)
-    assert len(rig.node._watch.panel_sample(rig.now()).points.pixels) == 160
+    rig.watch(lambda: not isinstance(rig.node.calibrator.watch.panel_sample(rig.now()), str), 15.0)
+    assert len(rig.node.calibrator.watch.panel_sample(rig.now()).points.pixels) == 160

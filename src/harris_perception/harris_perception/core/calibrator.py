@@ -1,0 +1,523 @@
+"""What the hand-eye node keeps and decides: events and time in, actions out; no ROS, no clock, no file.
+
+Samples, contacts and a calibration count only as long as the cameras, the machine's settings and the readings are those
+that they were made with. What ends that comes in any order, also during a run, and is therefore judged in one place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import Any
+
+import numpy as np
+
+from harris_perception.core import calibration_run
+from harris_perception.core.calibration_file import (
+    CalibrationFileError,
+    StoredCalibration,
+    axes_scale,
+    axes_skew,
+    check_fits,
+)
+from harris_perception.core.calibration_run import (
+    CalibrationRun,
+    Failed,
+    Finished,
+    Progress,
+    RunConfig,
+    SendGoal,
+    StillConfig,
+    StillWatch,
+    check_plan,
+)
+from harris_perception.core.carriage_camera import (
+    MAX_CONTACTS,
+    Contact,
+    PanelSample,
+    calibrate_on_carriage,
+    stylus_offset,
+)
+from harris_perception.core.drift import DriftConfig, DriftWatch
+from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate, check_axes
+from harris_perception.core.pairing import Pairing
+from harris_perception.core.planar_pose import FacePoints
+from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.core.config import Config, nested, setting
+from icu_common.core.frames import PANEL
+from icu_common.core.geometry import Array, Transform
+from icu_common.core.results import GoalResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibratorConfig(Config):
+    """The file, the machine and the procedure."""
+
+    calibration_file: str = setting("", "Where the calibration is kept; empty: nowhere", read_only=True)
+    machine: str = setting("default", "Name of the machine's configuration; a calibration is bound to it")
+    ball_radius_m: float = setting(
+        0.002, "Radius of the stylus's ball, for contacts", minimum=0.0, maximum=0.05, unit="m"
+    )
+    run: RunConfig = nested(RunConfig)
+    still: StillConfig = nested(StillConfig)
+    solver: HandEyeConfig = nested(HandEyeConfig)
+    drift: DriftConfig = nested(DriftConfig)
+
+
+class Refused(ValueError):
+    """What was asked for is not done; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetState:
+    """Publish the state."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetAxes:
+    """Publish (2, 2) base_from_reading; None: the calibration is withdrawn."""
+
+    base_from_reading: Array | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetPose:
+    """Publish where base_link is seen."""
+
+    camera_from_base: Transform
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """Write the calibration in use to the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Tell the log; the level is ``info``, ``warn`` or ``error``."""
+
+    level: str
+    text: str
+
+
+Action = SendGoal | SetState | SetAxes | SetPose | Keep | Note
+
+
+class Calibrator:
+    """See the module's text. Every call returns the actions to be carried out, in order; times are ROS time."""
+
+    def __init__(self, config: CalibratorConfig) -> None:
+        self.config = config
+        self.watch = StillWatch(config.still)
+        self.state = "uncalibrated"
+        self.driver = "unknown"
+        self.cameras: dict[str, CameraModel] = {}
+        self.reading: Array | None = None
+        self.samples: list[Sample] = []
+        self.panels: list[PanelSample] = []
+        self.contacts: list[Contact] = []
+        self.sightings = Pairing(2)
+        self.drift: DriftWatch | None = None
+        self.stored: StoredCalibration | None = None
+        self._solved: HandEye | None = None
+        self._loaded: StoredCalibration | None = None
+        self._run: CalibrationRun | None = None
+        self._panel: Transform | None = None
+        self._controls: dict[str, Array] = {}
+        self._settings = ""
+
+    @property
+    def running(self) -> bool:
+        """Whether a run is under way."""
+        return self._run is not None
+
+    @property
+    def _on_carriage(self) -> bool:
+        return self.config.run.mounting == "carriage"
+
+    def configure(self, config: CalibratorConfig) -> list[Action]:
+        """Go on with other settings."""
+        self.config, self.watch = config, StillWatch(config.still)
+        actions: list[Action] = []
+        if self.stored is not None and self.drift is not None and self.drift.config != config.drift:
+            told, self.drift = self.drift.text, DriftWatch(config.drift, self.stored)
+            if told:
+                actions += self._set_state(f"calibrated: {self.stored.summary()}")
+        return actions + self._check_used()
+
+    def close(self) -> list[Action]:
+        """Say that a run was cut short; the controller finishes the goal it has and then rests."""
+        return self._fail_run("the hand-eye node was stopped")
+
+    # What is heard.
+
+    def offer(self, loaded: StoredCalibration) -> list[Action]:
+        """Take what was in the file; it is used once the cameras are known."""
+        self._loaded = loaded
+        return self._set_state("uncalibrated: waiting for camera_info to check the calibration file")
+
+    def reject_file(self, reason: str) -> list[Action]:
+        """Note that the file cannot be read."""
+        return [Note("error", reason), *self._set_state(f"failed: {reason}")]
+
+    def take_camera(self, side: str, camera: CameraModel, now_ns: int) -> list[Action]:
+        """Take a camera that was not known, or has changed."""
+        actions = []
+        if side in self.cameras:
+            actions = self._forget_seen(f"the {side} camera's calibration has changed meanwhile")
+        self.cameras[side] = camera
+        return actions + self._check_used() + self._check_loaded(now_ns)
+
+    def lose_camera(self, side: str, width: int, height: int) -> list[Action]:
+        """Use no calibration with a camera that has become another, and does not say which."""
+        if self.cameras.pop(side, None) is None:
+            return []
+        why = f"the {side} camera's pictures of {width} x {height} px have no calibration"
+        actions = self._forget_seen(why)
+        return actions + (self._withdraw(why) if self.stored is not None else [])
+
+    def _forget_seen(self, why: str) -> list[Action]:
+        """End what was seen with a camera as it was; what is seen with another does not belong to it."""
+        self.samples.clear()
+        self.panels.clear()
+        return self._fail_run(why)
+
+    def take_reading(self, stamp_ns: int, reading: Array) -> list[Action]:
+        """Take the readings (3,) m."""
+        moved = self.reading is None or bool(np.abs(reading - self.reading).max() > 0)
+        self.reading = reading
+        actions = []
+        if moved and self.stored is not None and self.stored.on_carriage:
+            actions = self._pose(self.stored, stamp_ns)
+        self.watch.reading(stamp_ns, reading)
+        if self._run is not None:
+            self._run.reading(stamp_ns, reading)
+        return actions
+
+    def take_tip(self, stamp_ns: int, tip: Array, now_ns: int) -> list[Action]:
+        """Take a finite tip (3,) m in the left camera's frame."""
+        self.watch.tip(stamp_ns, tip)
+        return [] if self._run is None else self._follow(self._run.tip(stamp_ns, tip, now_ns), now_ns)
+
+    def take_panel(self, stamp_ns: int, pose: Transform, now_ns: int) -> list[Action]:
+        """Take camera_from_panel."""
+        self._panel = pose
+        if self._on_carriage:
+            return self._take_sighting(self.sightings.add(0, stamp_ns, (stamp_ns, pose)), now_ns)
+        self.watch.panel(stamp_ns, pose, FacePoints.joined([]))
+        return []
+
+    def take_points(self, stamp_ns: int, points: FacePoints, now_ns: int) -> list[Action]:
+        """Take what was measured for the panel's pose of that stamp."""
+        return self._take_sighting(self.sightings.add(1, stamp_ns, points), now_ns)
+
+    def _take_sighting(self, sighting: tuple[Any, ...] | None, now_ns: int) -> list[Action]:
+        """Take a pose and what was measured for it, once both have come."""
+        if sighting is None:
+            return []
+        (stamp, pose), points = sighting
+        self.watch.panel(stamp, pose, points)
+        return [] if self._run is None else self._follow(self._run.panel(stamp, pose, points, now_ns), now_ns)
+
+    def take_controls(self, controls: dict[str, Array]) -> None:
+        """Take the controls' places (3,) m in panel_link by their names."""
+        self._controls = controls
+
+    def take_settings(self, text: str, now_ns: int) -> list[Action]:
+        """Take the board's settings."""
+        self._settings = text
+        return self._check_used() + self._check_loaded(now_ns)
+
+    def take_contact(self, point: Array, frame: str, now_ns: int) -> list[Action]:
+        """Keep that the stylus touches this point (3,) m of the panel now."""
+        if frame != PANEL or not np.isfinite(point).all():
+            why = f"{point.tolist()} in {frame!r}: a finite point in {PANEL!r} is needed"
+        elif self.reading is None:
+            why = "no joint_states arrive"
+        elif unrest := self.watch.unrest(now_ns):
+            why = unrest
+        elif self._run is not None:
+            why = "a calibration is running"
+        elif len(self.contacts) >= MAX_CONTACTS:
+            why = f"there are {MAX_CONTACTS} already; solve"
+        else:
+            ball = np.array([0.0, 0.0, self.config.ball_radius_m])
+            self.contacts.append(Contact(reading=self.reading, in_panel=point + ball))
+            x, y, _ = point
+            return [Note("info", f"contact {len(self.contacts)} at {x:.4f}, {y:.4f} m of the panel")]
+        return [Note("error", f"contact refused: {why}")]
+
+    def take_driver(self, text: str, now_ns: int) -> list[Action]:
+        """Take the driver's state."""
+        self.driver = text
+        if text == "homing":
+            # Readings begin anew; what was collected before belongs to others.
+            for kept in (self.samples, self.panels, self.contacts):
+                kept.clear()
+        return [] if self._run is None else self._follow(self._run.driver_state(text), now_ns)
+
+    def take_result(self, result: GoalResult, now_ns: int) -> list[Action]:
+        """Take an answer of the controller, which counts during a run."""
+        return [] if self._run is None else self._follow(self._run.result(result, now_ns), now_ns)
+
+    def tick(self, now_ns: int) -> list[Action]:
+        """Let time-outs happen."""
+        return [] if self._run is None else self._follow(self._run.tick(now_ns), now_ns)
+
+    # What is asked for; raises Refused.
+
+    def run(self, now_ns: int) -> list[Action]:
+        """Begin a calibration."""
+        if self._run is not None:
+            raise Refused("a calibration is already running")
+        if self.driver.split(":")[0] != "idle":
+            raise Refused(f"the driver says {self.driver!r}: connected, homed and idle is needed")
+        cameras, config = self._pair(), self.config
+        try:
+            check_plan(config.run, config.solver)
+        except DegenerateError as error:
+            raise Refused(f"the run's places do not tell the calibration: {error}") from error
+        self.samples.clear()
+        self.panels.clear()
+        # The controller still turns goals into readings with the calibration that it has.
+        axes = None if self.stored is None else self.stored.base_from_reading
+        self._run = CalibrationRun(config.run, config.still, config.solver, cameras, now_ns, axes, tuple(self.contacts))
+        return self._follow(self._run.start(now_ns), now_ns)
+
+    def add_sample(self, now_ns: int) -> str:
+        """Keep where the tip, or the panel, is seen now; return what was kept."""
+        if self._run is not None:
+            raise Refused("a calibration is running")
+        sample = self.watch.sample(now_ns)
+        if self._on_carriage:
+            panel = self.watch.panel_sample(now_ns)
+            if isinstance(panel, str):
+                raise Refused(panel)
+            self.panels.append(panel)
+            reading, count = panel.reading, len(self.panels)
+        if isinstance(sample, Sample):
+            self.samples.append(sample)
+            reading, count = sample.reading, max(len(self.samples), len(self.panels))
+        elif not self._on_carriage:
+            raise Refused(sample)
+        x, y, stylus = reading * 1e3
+        return f"sample {count} at readings x = {x:.1f}, y = {y:.1f}, stylus = {stylus:.1f} mm"
+
+    def solve(self, now_ns: int) -> list[Action]:
+        """Calibrate from the samples that were added."""
+        if self._run is not None:
+            raise Refused("a calibration is running")
+        cameras, solver = self._pair(), self.config.solver
+        try:
+            if self._on_carriage:
+                solved = calibrate_on_carriage(self.panels, self.samples, cameras, self.contacts, solver)
+            else:
+                solved = calibrate(self.samples, cameras, solver)
+        except DegenerateError as error:
+            raise Refused(str(error)) from error
+        found = self._describe(solved, np.empty(0), np.full((2, 2), np.nan), now_ns)
+        self.contacts.clear()
+        return self._use(found, solved, now_ns)
+
+    def _pair(self) -> StereoModel:
+        for side in ("left", "right"):
+            if side not in self.cameras:
+                raise Refused(f"no camera_info of the {side} camera has arrived")
+        try:
+            return StereoModel(left=self.cameras["left"], right=self.cameras["right"])
+        except ValueError as error:
+            raise Refused(f"camera_info: {error}") from error
+
+    # A run, and what it gives.
+
+    def _follow(self, events: Iterable[calibration_run.Action], now_ns: int) -> list[Action]:
+        actions: list[Action] = []
+        for event in events:
+            if isinstance(event, SendGoal):
+                actions.append(event)
+            elif isinstance(event, Progress):
+                note = f" ({event.note})" if event.note else ""
+                actions += self._set_state(f"calibrating {event.done}/{event.total}{note}")
+            elif isinstance(event, Failed):
+                actions += self._fail_run(event.reason)
+            else:
+                actions += self._finish(event, now_ns)
+        return actions
+
+    def _fail_run(self, reason: str) -> list[Action]:
+        if self._run is None:
+            return []
+        self._run = None
+        return [Note("error", f"calibration failed: {reason}"), *self._set_state(f"failed: {reason}")]
+
+    def _finish(self, event: Finished, now_ns: int) -> list[Action]:
+        self._run = None
+        plays = [(float("nan"), float("nan")) if b is None else (b.play_m, b.sigma_m) for b in event.backlash]
+        found = self._describe(event.calibration, event.held_out_m, np.array(plays), now_ns)
+        self.contacts.clear()
+        return [*self._use(found, event.calibration, now_ns), Keep()]
+
+    def _describe(self, solved: HandEye, held_out_m: Array, plays_m: Array, now_ns: int) -> StoredCalibration:
+        """Return what is kept."""
+        offset = np.full(3, np.nan)
+        camera_from_panel = solved.camera_from_panel if solved.on_carriage else self._panel
+        if camera_from_panel is not None and self.contacts:
+            offset = stylus_offset(solved, camera_from_panel, self.contacts, self.config.solver).offset
+        panel = None if camera_from_panel is None else solved.camera_from_base.inverse() @ camera_from_panel
+        return StoredCalibration(
+            settings=self._settings,
+            mounting="carriage" if solved.on_carriage else "fixed",
+            backlash_m=plays_m[:, 0],
+            backlash_sigma_m=plays_m[:, 1],
+            base_from_panel=panel,
+            contact_offset_m=offset,
+            camera_from_base=solved.camera_from_base,
+            base_from_reading=solved.base_from_reading,
+            stylus_direction=solved.stylus_direction,
+            left=self.cameras["left"],
+            right=self.cameras.get("right"),
+            machine=self.config.machine,
+            rms_m=solved.fit.rms_m,
+            sigma_m=solved.sigma_m(_corners(self.config.run)),
+            held_out_m=float(held_out_m.max()) if len(held_out_m) else float("nan"),
+            samples=int(solved.fit.used.sum()),
+            made_at=datetime.fromtimestamp(now_ns * 1e-9, timezone.utc).isoformat(timespec="seconds"),
+        )
+
+    # The calibration in use.
+
+    def _use(self, calibration: StoredCalibration, solved: HandEye | None, now_ns: int) -> list[Action]:
+        self.stored, self._solved = calibration, solved
+        self.drift = DriftWatch(self.config.drift, calibration)
+        return [
+            SetAxes(calibration.base_from_reading),
+            *self._pose(calibration, now_ns),
+            *self._set_state(f"calibrated: {calibration.summary()}"),
+        ]
+
+    def _pose(self, calibration: StoredCalibration, stamp_ns: int) -> list[Action]:
+        """Say where base_link is seen now; with cameras on the carriage that changes with every reading."""
+        if calibration.on_carriage and self.reading is None:
+            return []
+        reading = np.zeros(3) if self.reading is None else self.reading
+        return [SetPose(calibration.camera_from_base_at(reading), stamp_ns)]
+
+    def _withdraw(self, why: str) -> list[Action]:
+        """Take the calibration in use back: without axes nothing is touched any more."""
+        self.stored, self._solved, self.drift = None, None, None
+        reason = f"the calibration in use is refused: {why}"
+        return [SetAxes(None), Note("error", reason), *self._set_state(f"failed: {reason}")]
+
+    def _check_used(self) -> list[Action]:
+        """Refuse the calibration in use when the camera, the resolution or the machine's settings have changed."""
+        if self.stored is None or "left" not in self.cameras:
+            return []
+        try:
+            self._check(self.stored)
+        except CalibrationFileError as error:
+            return self._withdraw(str(error))
+        return []
+
+    def _check_loaded(self, now_ns: int) -> list[Action]:
+        """Use the file once the cameras are known, unless a newer calibration came first."""
+        loaded, left, right = self._loaded, self.cameras.get("left"), self.cameras.get("right")
+        if loaded is None or left is None or (right is None and loaded.right is not None) or self.stored is not None:
+            return []
+        self._loaded = None
+        try:
+            self._check(loaded)
+        except CalibrationFileError as error:
+            note = Note("error", f"{self.config.calibration_file}: {error}")
+            return [note, *self._set_state(f"failed: the stored calibration is refused: {error}")]
+        return self._use(loaded, None, now_ns)
+
+    def _check(self, calibration: StoredCalibration) -> None:
+        config, cameras = self.config, self.cameras
+        mounting = config.run.mounting
+        check_fits(calibration, cameras["left"], cameras.get("right"), config.machine, self._settings, mounting)
+        try:
+            check_axes(calibration.base_from_reading, config.solver)
+        except DegenerateError as error:
+            raise CalibrationFileError(str(error)) from error
+
+    def _set_state(self, text: str) -> list[Action]:
+        self.state = text
+        return [SetState(text)]
+
+    # What is told once a second.
+
+    @property
+    def drifted(self) -> str:
+        """What is not where it should be, as far as it is looked at: not during a run."""
+        looked = self.stored is not None and self._run is None and self.reading is not None
+        return self.drift.text if self.drift is not None and looked else ""
+
+    def look_around(self, now_ns: int) -> list[Action]:
+        """Look at tip and panel while nothing moves, and tell when something has drifted, or no longer is."""
+        if self.drift is None or self.stored is None or self._run is not None or self.reading is None:
+            return []
+        before = self.drift.text
+        sample, panel = self.watch.sample(now_ns), self.watch.panel_sample(now_ns)
+        if isinstance(sample, Sample):
+            self.drift.tip(sample)
+        if isinstance(panel, PanelSample):
+            base_from_camera = self.stored.camera_from_base_at(panel.reading).inverse()
+            self.drift.panel(base_from_camera @ panel.camera_from_panel, self._controls)
+        text = self.drift.text
+        if bool(text) == bool(before):
+            return []
+        note = Note("warn", text) if text else Note("info", "everything is seen in its place again")
+        return [note, *self._set_state(f"calibrated: {self.stored.summary()}" + (f"; drift: {text}" if text else ""))]
+
+    @property
+    def level(self) -> str:
+        """How well it stands, for diagnostics."""
+        fine = self.stored is not None and not self.drifted
+        return "error" if self.state.startswith("failed") else "ok" if fine else "warn"
+
+    def values(self) -> list[tuple[str, Any]]:
+        """Return what diagnostics tell."""
+        values: list[tuple[str, Any]] = [("samples", len(self.samples)), ("contacts", len(self.contacts))]
+        if self.stored is not None:
+            stored, axes = self.stored, self.stored.base_from_reading
+            values += [
+                ("rms_mm", f"{stored.rms_m * 1e3:.4f}"),
+                ("predicted_sigma_mm", f"{stored.sigma_m * 1e3:.4f}"),
+                ("held_out_max_mm", f"{stored.held_out_m * 1e3:.4f}"),
+                ("mounting", stored.mounting),
+                ("scale_x", f"{axes_scale(axes)[0]:.6f}"),
+                ("scale_y", f"{axes_scale(axes)[1]:.6f}"),
+                ("skew_mrad", f"{axes_skew(axes) * 1e3:.3f}"),
+                ("right_angle_deg", f"{90.0 - float(np.degrees(axes_skew(axes))):.4f}"),
+                ("backlash_x_mm", _measured(stored.backlash_m[0], stored.backlash_sigma_m[0])),
+                ("backlash_y_mm", _measured(stored.backlash_m[1], stored.backlash_sigma_m[1])),
+                ("contact_offset_mm", ", ".join(f"{v * 1e3:.3f}" for v in stored.contact_offset_m)),
+                ("stylus_tilt_mrad", _tilt(stored.stylus_direction)),
+                ("made_at", stored.made_at),
+            ]
+        if self._solved is not None:
+            values.append(("chi_square_per_freedom", f"{self._solved.fit.variance_factor:.2f}"))
+        if self.drift is not None:
+            values += [("tip_off_mm", f"{self.drift.tip_m * 1e3:.3f}"), ("drift", self.drifted or "none")]
+            values.append(("control_off_mm", f"{self.drift.control_m * 1e3:.3f}"))
+        return values
+
+
+def _corners(config: RunConfig) -> Array:
+    """Return readings (4, 3) at the corners of the calibrated area, on the panel's side."""
+    depth = -min(config.heights_m)
+    corners = [(x, y, depth) for x in (config.x_min_m, config.x_max_m) for y in (config.y_min_m, config.y_max_m)]
+    return np.array(corners)
+
+
+def _measured(value_m: float, sigma_m: float) -> str:
+    return f"{value_m * 1e3:.3f} +- {sigma_m * 1e3:.3f}"
+
+
+def _tilt(direction: Array) -> str:
+    x, y, _ = direction * 1e3 / -direction[2]
+    return f"x {x:.2f}, y {y:.2f}"

@@ -1,0 +1,150 @@
+"""What the hand-eye node keeps and decides, without the node."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from datetime import datetime
+
+import numpy as np
+import pytest
+from unit.harris_perception.rectified_pair import camera
+from unit.harris_perception.test_calibration_run import AXES, POSE
+
+from harris_perception.core.calibration_file import StoredCalibration
+from harris_perception.core.calibration_run import RunConfig, SendGoal, StillConfig
+from harris_perception.core.calibrator import (
+    Action,
+    Calibrator,
+    CalibratorConfig,
+    Note,
+    Refused,
+    SetAxes,
+    SetPose,
+    SetState,
+)
+from harris_perception.core.drift import DriftConfig
+from icu_common.core.frames import PANEL
+from icu_common.core.geometry import Array
+from icu_common.core.results import GoalResult, Outcome
+
+NOW_NS = 1_772_600_000_000_000_000
+NANO = 1_000_000_000
+MS = 1_000_000
+CONFIG = CalibratorConfig(
+    machine="bench",
+    run=RunConfig(columns=3, rows=2, held_out=2, backlash_places=0),
+    still=StillConfig(tips=3, settle_s=0.0),
+    drift=DriftConfig(times=2),
+)
+STORED = StoredCalibration(
+    camera_from_base=POSE,
+    base_from_reading=AXES,
+    stylus_direction=np.array([0.0, 0.0, -1.0]),
+    left=camera(),
+    right=camera(baseline=0.12),
+    machine="bench",
+    rms_m=0.00004,
+    sigma_m=0.00002,
+    held_out_m=0.0001,
+    samples=24,
+    made_at="2026-03-04T05:06:07+00:00",
+)
+
+
+def calibrated(stored: StoredCalibration = STORED, config: CalibratorConfig = CONFIG) -> Calibrator:
+    calibrator = Calibrator(config)
+    calibrator.offer(stored)
+    for side, baseline in (("left", 0.0), ("right", 0.12)):
+        calibrator.take_camera(side, camera(baseline=baseline), NOW_NS)
+    assert calibrator.state == f"calibrated: {stored.summary()}"
+    return calibrator
+
+
+def look(calibrator: Calibrator, reading: Array, now_ns: int, off_m: float = 0.0) -> list[Action]:
+    """Stand at a reading (3,) and be seen there three times, ``off_m`` beside the tip's place."""
+    calibrator.take_reading(now_ns, reading)
+    tip = POSE.apply(np.array([*(AXES @ reading[:2]) + off_m, -reading[2]]))
+    rng = np.random.default_rng(3)
+    actions = []
+    for sighting in range(1, 4):
+        stamp = now_ns + sighting * MS
+        actions += calibrator.take_tip(stamp, tip + rng.normal(0, 1e-5, 3), stamp)
+    return actions
+
+
+def kinds(actions: Sequence[Action]) -> list[str]:
+    return [type(action).__name__ for action in actions]
+
+
+def test_a_run_ends_in_a_calibration_that_is_used_and_then_kept() -> None:
+    calibrator = Calibrator(CONFIG)
+    for side, baseline in (("left", 0.0), ("right", 0.12)):
+        calibrator.take_camera(side, camera(baseline=baseline), NOW_NS)
+    calibrator.take_driver("idle", NOW_NS)
+    now, actions = NOW_NS, calibrator.run(NOW_NS)
+    with pytest.raises(Refused, match="a calibration is already running"):
+        calibrator.run(now)
+    while goals := [action for action in actions if isinstance(action, SendGoal)]:
+        now += 100 * MS
+        (goal,) = goals
+        reading = np.array([goal.xyz[0], goal.xyz[1], -goal.xyz[2]])
+        calibrator.take_reading(now, reading)
+        actions = []
+        for outcome in (Outcome.ACCEPTED, Outcome.REACHED):
+            answer = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome)
+            actions += calibrator.take_result(answer, now)
+        actions += look(calibrator, reading, now)
+    assert kinds(actions)[-4:] == ["SetAxes", "SetPose", "SetState", "Keep"]
+    assert calibrator.stored is not None and not calibrator.running
+    np.testing.assert_allclose(calibrator.stored.base_from_reading, AXES, atol=0.001)
+    made_at = datetime.fromisoformat(calibrator.stored.made_at).timestamp()
+    assert made_at == now // NANO, "by the time that it was given"
+    assert (calibrator.level, dict(calibrator.values())["drift"]) == ("ok", "none")
+
+
+def test_a_camera_that_changes_ends_the_run_and_withdraws_the_calibration() -> None:
+    calibrator = calibrated()
+    calibrator.take_driver("idle", NOW_NS)
+    calibrator.run(NOW_NS)
+    actions = calibrator.take_camera("left", camera(1710.0), NOW_NS)
+    failed, state, axes, refused, last = actions
+    why = "the left camera's calibration has changed"
+    assert failed == Note("error", f"calibration failed: {why} meanwhile")
+    assert state == SetState(f"failed: {why} meanwhile")
+    assert isinstance(axes, SetAxes) and axes.base_from_reading is None
+    assert refused == Note("error", f"the calibration in use is refused: {why} by 10.00 px since it was made")
+    assert last == SetState(f"failed: the calibration in use is refused: {why} by 10.00 px since it was made")
+    assert (calibrator.stored, calibrator.drift, calibrator.running, calibrator.level) == (None, None, False, "error")
+    assert calibrator.close() == [], "there is no run any more that could be cut short"
+
+
+def test_cameras_on_the_carriage_move_with_every_reading_that_differs() -> None:
+    riding = dataclasses.replace(CONFIG, run=dataclasses.replace(CONFIG.run, mounting="carriage"))
+    calibrator = calibrated(dataclasses.replace(STORED, mounting="carriage"), riding)
+    (pose,) = calibrator.take_reading(NOW_NS, np.array([0.1, 0.0, 0.0]))
+    assert isinstance(pose, SetPose) and pose.stamp_ns == NOW_NS
+    moved = POSE.translation - pose.camera_from_base.translation
+    np.testing.assert_allclose(np.abs(POSE.rotation.T @ moved), np.abs([*(AXES @ (0.1, 0.0)), 0.0]), atol=1e-9)
+    assert calibrator.take_reading(NOW_NS + MS, np.array([0.1, 0.0, 0.0])) == []
+
+
+def test_drift_is_told_when_it_begins_and_when_it_ends() -> None:
+    calibrator, reading = calibrated(), np.array([0.2, 0.1, 0.0])
+    now, told = NOW_NS, []
+    for off_m in (0.003, 0.003, 0.003, 0.0, 0.0):
+        now += 1000 * MS
+        look(calibrator, reading + np.array([off_m / 10, 0.0, 0.0]), now, off_m)
+        told.append(kinds(calibrator.look_around(now + 10 * MS)))
+    assert told == [[], ["Note", "SetState"], [], ["Note", "SetState"], []]
+    assert calibrator.state == f"calibrated: {STORED.summary()}"
+
+
+def test_homing_begins_the_readings_anew() -> None:
+    calibrator, reading = calibrated(), np.array([0.2, 0.1, 0.0])
+    look(calibrator, reading, NOW_NS)
+    assert calibrator.add_sample(NOW_NS + 4 * MS).startswith("sample 1 at readings x = 200.0, y = 100.0")
+    (note,) = calibrator.take_contact(np.array([0.15, 0.08, 0.0]), PANEL, NOW_NS + 4 * MS)
+    assert note == Note("info", "contact 1 at 0.1500, 0.0800 m of the panel")
+    calibrator.take_driver("homing", NOW_NS)
+    assert (calibrator.samples, calibrator.contacts) == ([], [])
