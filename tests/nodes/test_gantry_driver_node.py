@@ -239,6 +239,16 @@ def test_settings_that_differ_block_motion_until_accepted(operator: Callable[...
     assert not op.call("accept_settings").success
 
 
+def test_an_error_after_a_warning_is_told_too(operator: Callable[..., Operator]) -> None:
+    op = operator("--set", "1=25")  # warned of: motors let go
+    op.ready()
+    op.board.fault("error", number=33)
+    op.go((0.1, 0.1, 0.0), frame_id="first")
+    op.state("stopped: error:33")
+    op.until(lambda: op.results[-1].outcome.final)
+    assert op.results[-1].reason.startswith("error:33")
+
+
 def test_times_and_velocities_become_feeds(operator: Callable[..., Operator]) -> None:
     op = operator().ready()
     since = op.board.log()[-1]["n"]

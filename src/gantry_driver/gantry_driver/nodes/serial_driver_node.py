@@ -192,8 +192,10 @@ class SerialDriverNode(LifecycleNode):
                 self._state.publish(String(data=event.text))
             elif isinstance(event, Answered):
                 self._results.publish(result_message(event.result, stamp))
-            elif isinstance(event, Note):
-                (self.get_logger().error if event.level == "error" else self.get_logger().warning)(event.text)
+            elif isinstance(event, Note) and event.level == "error":
+                self.get_logger().error(event.text)
+            elif isinstance(event, Note):  # a line of its own: rclpy raises where one logs on two levels
+                self.get_logger().warning(event.text)
 
     def _publish_diagnostics(self) -> None:
         state, values, settings = self._link.call(
