@@ -14,11 +14,12 @@ import pytest
 from unit.harris_perception import panel_scene as scene
 
 from harris_perception.core.edge_alignment import edge_points
+from harris_perception.core.face_measurement import RefineConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_search import SearchConfig
 from harris_perception.core.planar_pose import FacePoints, fit_pose, homography_of_pose, map_points, planar_pose
 from harris_perception.core.pose_agreement import AgreementConfig, PoseAgreement, mean_pose
-from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig, RefineConfig
+from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Transform

@@ -1,0 +1,324 @@
+"""How a pose of the panel's face is measured in a picture, and compared with the print.
+
+Apart from the search and from following, which only say where to begin: a pose is the same however it was suggested.
+The face is drawn at several scales, sharp and blurred; the picture is warped onto the one that looks most like it.
+Corners are followed with optical flow, forward and backward, from far off; then edges (where the Harris response is
+negative) are measured across, which is most of what a drawn panel shows, and give the pose.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from harris_perception.core.edge_alignment import EdgePoints, edge_points, shifts
+from harris_perception.core.face_patches import Patches, compared
+from harris_perception.core.harris import HarrisDetector
+from harris_perception.core.panel_search import Floats, Gray, robust_homography
+from harris_perception.core.panel_template import PanelTemplate, hidden_by_controls
+from harris_perception.core.planar_pose import (
+    FacePoints,
+    PoseFit,
+    fit_pose,
+    homography_of_pose,
+    inverse,
+    map_points,
+)
+from icu_common.core.camera_model import CameraModel
+from icu_common.core.config import Config, setting
+from icu_common.core.geometry import Array, Transform
+from icu_common.core.panel_layout import PanelLayout
+
+# The template is tried as a picture so blurred (px) shows it; it must look that much more like the picture than the one
+# before.
+_BLURS_PX = (0.0, 1.0, 1.6, 2.3)
+_BLURRED = 0.01
+# The corners are mostly text, whose typeface is not the maker's, and a word's corners err together: their covariance
+# counts so many times.
+_TYPEFACE = 4.0
+# So near to a control the picture blurs its sides and its shadow into the print (px of the template).
+_BESIDE_PX = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RefineConfig(Config):
+    """How a found panel is measured and judged."""
+
+    points: int = setting(400, "Template corners that are measured", minimum=20, maximum=5000)
+    window_px: int = setting(17, "Side of the window of the optical flow", minimum=7, maximum=61, unit="px")
+    reach_px: float = setting(16.0, "Greatest shift that is believed", minimum=1.0, maximum=100.0, unit="px")
+    round_trip_px: float = setting(0.4, "Forward and backward flow may differ", minimum=0.01, maximum=5.0, unit="px")
+    tolerance_px: float = setting(0.8, "Misfit of a measured point", minimum=0.1, maximum=10.0, unit="px")
+    min_points: int = setting(20, "Points that fit", minimum=6, maximum=5000)
+    max_deviation_px: float = setting(
+        0.45, "Standard deviation to which the pose must tell every place of the face", minimum=0.01, maximum=20.0
+    )
+    edge_points: int = setting(30, "Edge points that fit", minimum=8, maximum=5000)
+    max_edge_points: int = setting(1000, "Edge points that are measured", minimum=50, maximum=20000)
+    edge_reach_px: float = setting(5.0, "Greatest distance of an edge", minimum=1.0, maximum=30.0, unit="px")
+    max_rms_px: float = setting(
+        0.6, "Greatest misfit of the edges; more means a wrong camera calibration or layout", minimum=0.05, maximum=10.0
+    )
+    edge_correlation: float = setting(0.75, "Likeness of the profiles across an edge", minimum=0.1, maximum=1.0)
+    patch_mm: float = setting(6.0, "Side of a patch of the correlation", minimum=1.0, maximum=100.0, unit="mm")
+    patch_correlation: float = setting(0.6, "A patch agrees from here on", minimum=0.1, maximum=1.0)
+    min_purity: float = setting(0.94, "Part of the patches that agree where most around do", minimum=0.0, maximum=1.0)
+    max_contradiction: float = setting(
+        0.8, "Patches that show other print than the template's, over those that agree", minimum=0.0, maximum=10.0
+    )
+    min_agreement: float = setting(
+        0.2,
+        "Agreeing part of the face's textured patches, hidden ones not agreeing",
+        minimum=0.05,
+        maximum=1.0,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """One scale of the template: its picture evened out, and its corners (on steady print) by falling response."""
+
+    template: PanelTemplate
+    even: Gray
+    corners_px: Floats
+    corners_mm: Array
+    edges: EdgePoints
+
+
+class FaceMeter:
+    """Measures one face.
+
+    Parameters
+    ----------
+    layout
+        Its panel.
+    config
+        See :class:`RefineConfig`.
+    templates
+        The face at falling scales.
+    detector
+        Finds their corners.
+
+    Raises
+    ------
+    ValueError
+        If the face has too little print to be measured.
+    """
+
+    def __init__(
+        self, layout: PanelLayout, config: RefineConfig, templates: Sequence[PanelTemplate], detector: HarrisDetector
+    ) -> None:
+        self.layout, self.config = layout, config
+        self.levels = [_level(template, detector) for template in templates]
+        best = self.levels[0] if self.levels else None
+        if best is None or len(best.corners_px) < config.min_points or len(best.edges) < config.edge_points:
+            raise ValueError(f"the face of {layout.model} has too little print to be recognised")
+        self._soft: dict[tuple[int, float], Level] = {}
+
+    def by_corners(self, rectified: Gray, start: Transform, camera: CameraModel, blur_px: float) -> PoseFit | None:
+        """Return the pose after following the template's corners: robust, coarse."""
+        pose, fit = start, None
+        for _ in range(2):
+            homography = homography_of_pose(pose, camera)
+            level = self._level_for(homography, blur_px)
+            if level is None:
+                return None
+            warped = self._warp(rectified, homography, level)
+            flow = _flow(level, self._visible(level, pose), warped, self.config)
+            if flow is None:
+                return None
+            pixels = map_points(homography @ inverse(level.template.px_from_mm), flow[1])
+            fitted = robust_homography(flow[0], pixels, self.config.tolerance_px, self.config.min_points)
+            if fitted is None:
+                return None
+            used = fitted[1]
+            fit = fit_pose(pose, FacePoints.of_corners(flow[0][used] * 1e-3, pixels[used]), camera)
+            pose = fit.camera_from_panel
+        return fit
+
+    def by_edges(
+        self, rectified: Gray, start: PoseFit | Transform, camera: CameraModel, blur_px: float
+    ) -> tuple[PoseFit, FacePoints, float] | None:
+        """Return the pose, the edge points that fit, and their rms misfit in px; None where there are too few.
+
+        Where a pose comes from a few crowded points, far edges are measured only once the nearer ones have told where
+        to look for them.
+        """
+        config = self.config
+        fit = start if isinstance(start, PoseFit) else None
+        prior = None if fit is None else dataclasses.replace(fit, covariance=fit.covariance * _TYPEFACE)
+        pose = start.camera_from_panel if isinstance(start, PoseFit) else start
+        turns = 0
+        while True:
+            homography = homography_of_pose(pose, camera)
+            level = self._level_for(homography, blur_px)
+            if level is None:
+                return None
+            nearest = level.edges.px.astype(int)
+            seen = self._visible(level, pose, _BESIDE_PX)[nearest[:, 1], nearest[:, 0]]
+            usable = np.flatnonzero(seen)
+            count = min(len(usable), config.max_edge_points)
+            edges = level.edges.chosen(usable[np.linspace(0, len(usable) - 1, count).astype(int)])
+            reach = (config.edge_reach_px, 0.5 * config.edge_reach_px, 2.0)[min(turns, 2)]
+            known = np.ones(count, bool)
+            if fit is not None and count:
+                places_m = np.column_stack([map_points(inverse(level.template.px_from_mm), edges.px), np.zeros(count)])
+                known = 3 * fit.deviation_px(places_m * 1e-3, camera) < reach
+                if not known.all():
+                    reach = config.edge_reach_px
+                    known = 3 * fit.deviation_px(places_m * 1e-3, camera) < reach
+            complete = bool(known.all())
+            edges = edges.chosen(known)
+            if len(edges) < config.edge_points:
+                return None
+            moved, good = shifts(edges, self._warp(rectified, homography, level), reach, config.edge_correlation)
+            if int(good.sum()) < config.edge_points:
+                return None
+            edges, moved = edges.chosen(good), moved[good]
+            rectified_from_level = homography @ inverse(level.template.px_from_mm)
+            found = edges.px + moved[:, None] * edges.across
+            pixels = map_points(rectified_from_level, found)
+            along = edges.across[:, ::-1] * (-1.0, 1.0)
+            tangent = map_points(rectified_from_level, found + along) - pixels
+            across = tangent[:, ::-1] * (1.0, -1.0)
+            across /= np.linalg.norm(across, axis=1, keepdims=True)
+            points_m = map_points(inverse(level.template.px_from_mm), edges.px) * 1e-3
+            measured = FacePoints(in_face=points_m, pixels=pixels, across=across)
+            fit = fit_pose(pose, measured, camera, prior=prior)
+            pose = fit.camera_from_panel
+            turns += 1
+            if (complete and turns >= 3) or turns >= 8:
+                break
+        error = fit.error_px
+        near = np.abs(error) < max(3 * 1.4826 * float(np.median(np.abs(error))), 0.3)
+        rms = float(np.sqrt(np.mean(error[near] ** 2)))
+        if int(near.sum()) < max(config.edge_points, 0.5 * len(error)) or rms > config.max_rms_px:
+            return None
+        return fit, measured.chosen(near), rms
+
+    def blur(self, rectified: Gray, pose: Transform, camera: CameraModel, before_px: float) -> float:
+        """Return by how much (px) the template must be blurred to look most like the picture; it was ``before_px``."""
+        homography = homography_of_pose(pose, camera)
+        likeness: dict[float, float] = {}
+        for blur_px in _BLURS_PX:
+            level = self._level_for(homography, blur_px)
+            if level is None:
+                return 0.0
+            if not likeness:
+                visible, warped = self._visible(level, pose), self._warp(rectified, homography, level)
+            likeness[blur_px] = self._compared(level, visible, warped).likeness
+        best = max(likeness, key=lambda blur: likeness[blur])
+        return best if likeness[best] > likeness[before_px] + _BLURRED else before_px
+
+    def compared(self, rectified: Gray, pose: Transform, camera: CameraModel, blur_px: float) -> Patches | None:
+        """Compare the picture with the print, not too near to proud controls; None where no camera sees the face so."""
+        homography = homography_of_pose(pose, camera)
+        level = self._level_for(homography, blur_px)
+        if level is None:
+            return None
+        return self._compared(level, self._visible(level, pose, _BESIDE_PX), self._warp(rectified, homography, level))
+
+    def _compared(self, level: Level, visible: npt.NDArray[np.bool_], warped: Gray) -> Patches:
+        return compared(level.template, visible, warped, self.config.patch_mm, self.config.patch_correlation)
+
+    def _level_for(self, homography: Array, blur_px: float) -> Level | None:
+        """Return the level whose scale is nearest to the picture's; None for a homography that no camera makes."""
+        width, height = self.layout.size_mm
+        corners = np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
+        depth = np.column_stack([corners, np.ones(4)]) @ homography[2]
+        if not (np.isfinite(homography).all() and (depth * depth[0] > 0).all()):
+            return None
+        outline = map_points(homography, corners)
+        side = np.roll(outline, -1, axis=0) - outline
+        following = np.roll(side, -1, axis=0)
+        turn = side[:, 0] * following[:, 1] - side[:, 1] * following[:, 0]
+        # y is up on the panel and down in the picture: seen from the front the outline turns negative at each corner.
+        if not (turn < 0).all():
+            return None
+        area = 0.5 * abs(float(np.sum(outline[:, 0] * side[:, 1] - outline[:, 1] * side[:, 0])))
+        scale = np.sqrt(area / (width * height))
+        if not 0.5 * self.levels[-1].template.px_per_mm < scale < 2.5 * self.levels[0].template.px_per_mm:
+            return None
+        number = int(np.argmin([abs(np.log(level.template.px_per_mm / scale)) for level in self.levels]))
+        return self.levels[number] if blur_px == 0.0 else self._softened(number, blur_px)
+
+    def _softened(self, number: int, blur_px: float) -> Level:
+        """Return a level as a blurred picture shows it."""
+        if (number, blur_px) not in self._soft:
+            sharp = self.levels[number]
+            gray = np.asarray(cv2.GaussianBlur(sharp.template.gray, (0, 0), blur_px), np.uint8)
+            self._soft[number, blur_px] = dataclasses.replace(
+                sharp,
+                template=dataclasses.replace(sharp.template, gray=gray),
+                even=even_out(gray),
+                edges=edge_points(gray, sharp.template.exact, 4.0 + blur_px),
+            )
+        return self._soft[number, blur_px]
+
+    def _visible(self, level: Level, pose: Transform, margin_px: int = 0) -> npt.NDArray[np.bool_]:
+        """Return where steady print is not hidden by proud controls, at least ``margin_px`` away from them."""
+        viewpoint_mm = pose.inverse().translation * 1e3
+        shape = level.template.gray.shape
+        hidden = hidden_by_controls(self.layout, viewpoint_mm, (shape[0], shape[1]), level.template.px_per_mm)
+        if margin_px:
+            size = 2 * margin_px + 1
+            hidden = cv2.dilate(hidden.astype(np.uint8), np.ones((size, size), np.uint8)).astype(bool)
+        return np.asarray(level.template.steady & ~hidden)
+
+    def _warp(self, rectified: Gray, homography: Array, level: Level) -> Gray:
+        height, width = level.template.gray.shape
+        rectified_from_level = homography @ inverse(level.template.px_from_mm)
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpPerspective(rectified, rectified_from_level, (width, height), flags=flags), np.uint8)
+
+
+def _level(template: PanelTemplate, detector: HarrisDetector) -> Level:
+    corners = detector.detect(template.gray).xy
+    # A corner that touches a control, screen or lamp would be measured with parallax or with what changes.
+    margin = np.ones((5, 5), np.uint8)
+    steady = cv2.erode(template.steady.astype(np.uint8), margin).astype(bool)
+    nearest = np.rint(corners).astype(int)
+    corners = corners[steady[nearest[:, 1], nearest[:, 0]]]
+    corners_mm = map_points(inverse(template.px_from_mm), corners.astype(np.float64))
+    edges = edge_points(template.gray, template.exact)
+    return Level(template, even_out(template.gray), corners.astype(np.float32), corners_mm, edges)
+
+
+def even_out(gray: Gray) -> Gray:
+    """Return the picture with its local mean at 128 and its local contrast at one level, against uneven light."""
+    picture = gray.astype(np.float32)
+    size = (31, 31)
+    mean = cv2.boxFilter(picture, -1, size)
+    deviation = np.sqrt(np.maximum(cv2.boxFilter(picture * picture, -1, size) - mean * mean, 0.0))
+    return np.asarray(np.clip(128.0 + 45.0 * (picture - mean) / (deviation + 6.0), 0, 255), dtype=np.uint8)
+
+
+def _flow(
+    level: Level, visible: npt.NDArray[np.bool_], warped: Gray, config: RefineConfig
+) -> tuple[Array, Array] | None:
+    """Return template points (N, 2) mm and where they are in the warped picture (N, 2) px; None for too few."""
+    nearest = np.rint(level.corners_px).astype(int)
+    usable = np.flatnonzero(visible[nearest[:, 1], nearest[:, 0]])[: config.points]
+    if len(usable) < config.min_points:
+        return None
+    start = level.corners_px[usable].reshape(-1, 1, 2)
+    evened = even_out(warped)
+    options: Any = {
+        "winSize": (config.window_px, config.window_px),
+        "maxLevel": 2,
+        "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005),
+    }
+    forward, there, _ = cv2.calcOpticalFlowPyrLK(level.even, evened, start, start.copy(), **options)
+    back, here, _ = cv2.calcOpticalFlowPyrLK(evened, level.even, forward, forward.copy(), **options)
+    round_trip = np.linalg.norm((back - start)[:, 0], axis=1)
+    shift = np.linalg.norm((forward - start)[:, 0], axis=1)
+    good = (there[:, 0] == 1) & (here[:, 0] == 1) & (round_trip < config.round_trip_px) & (shift < config.reach_px)
+    if int(good.sum()) < config.min_points:
+        return None
+    return level.corners_mm[usable[good]], forward[good, 0].astype(np.float64)
