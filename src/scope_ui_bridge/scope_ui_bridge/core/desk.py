@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -46,26 +45,16 @@ from scope_ui_bridge.core.selection import Selection, action_text, make_gesture,
 from scope_ui_bridge.core.sequencing import SequenceView
 from scope_ui_bridge.core.stop_cause import StopCauses
 from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
+from scope_ui_bridge.core.viewer import Viewer
 
 HEARTBEAT_PERIOD_S = 0.2
 STATE_PERIOD_S = (0.1, 1.0)
-_MESSAGES_PER_S, _BURST = 40.0, 80.0
 _SAME_STOP_S = 0.5
 _WATCHDOG = "Watchdog"
 _TIP_SEEN_NS = 1_000_000_000
 _MAX_LINES = 40  # in one tick
 _KEPT_LINES = 100  # for engineers who come later
 _FOR_ENGINEERS = ("accept_settings",)
-
-
-@dataclass(slots=True)
-class _Viewer:
-    name: str
-    role: Role
-    last_seq: int = -1
-    tokens: float = _BURST
-    refilled_s: float = 0.0
-    told_rate_s: float = -math.inf
 
 
 class Desk:
@@ -93,7 +82,7 @@ class Desk:
         self.lease = OperatorLease()
         self.stops = 0
         self._causes = StopCauses()
-        self._viewers: dict[str, _Viewer] = {}
+        self._viewers: dict[str, Viewer] = {}
         self._viewer_count = 0
         self._log = CommandLog()
         self._selection: Selection | None = None
@@ -104,10 +93,7 @@ class Desk:
         self._presses: deque[str] = deque(maxlen=64)
         self._last_heartbeat_s = -math.inf
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
-        self._last_limits = self._limits()
-        self._last_facts: dict[str, Any] = {}
-        self._last_panel: list[dict[str, Any]] = []
-        self._last_sequence: dict[str, Any] = {}
+        self._told: dict[str, Any] = {"limits": self._limits(), "facts": {}, "panel": [], "sequence": {}}
         self._ros_ns = 0
         self._said: list[dict[str, Any]] = []
         self._passed_on: deque[dict[str, Any]] = deque(maxlen=_KEPT_LINES)
@@ -126,7 +112,7 @@ class Desk:
             raise Refusal("too_many_viewers", limit=self.config.max_viewers)
         self._viewer_count += 1
         viewer = f"v{self._viewer_count}"
-        self._viewers[viewer] = _Viewer(name, role)
+        self._viewers[viewer] = Viewer(name, role)
         return viewer, {
             "type": "hello",
             "boot": self.boot_id,
@@ -166,45 +152,21 @@ class Desk:
                 message = wire.decode(text)
             except Refusal:
                 seq = wire.seq_of(text)
-                self._limit_rate(viewer, now)
+                self._viewers[viewer].limit_rate(now.mono_s)
                 raise
             seq = message.seq
             if isinstance(message, wire.Stop):  # before every other check: a stop is always good
                 effects = self.stop(self._viewers[viewer].name, now, press=message.press)
                 return [*effects, self._answer(viewer, seq)]
-            self._admit(viewer, message, now)
+            self._viewers[viewer].admit(message, self.boot_id, now.mono_s)
             return self._dispatch(viewer, message, now)
         except Refusal as refusal:
-            if refusal.code == "rate_limited" and not self._may_tell_rate(viewer, now):
+            if refusal.code == "rate_limited" and not self._viewers[viewer].may_tell_rate(now.mono_s):
                 return []
             gone = selected is not None and self._selection is None
             told: list[Effect] = [_selection_shown(None)] if gone else []
             answer = {"type": "answer", "seq": seq, "ok": False, **refusal.message()}
             return [*told, Send(viewer=viewer, message=answer)]
-
-    def _limit_rate(self, viewer: str, now: Now) -> None:
-        state = self._viewers[viewer]
-        state.tokens = min(_BURST, state.tokens + (now.mono_s - state.refilled_s) * _MESSAGES_PER_S)
-        state.refilled_s = now.mono_s
-        if state.tokens < 1:
-            raise Refusal("rate_limited", limit=_MESSAGES_PER_S)
-        state.tokens -= 1
-
-    def _admit(self, viewer: str, message: wire.Message, now: Now) -> None:
-        self._limit_rate(viewer, now)
-        state = self._viewers[viewer]
-        if message.boot != self.boot_id:
-            raise Refusal("old_boot")
-        if message.seq <= state.last_seq:
-            raise Refusal("replayed", found=message.seq, last=state.last_seq)
-        state.last_seq = message.seq
-
-    def _may_tell_rate(self, viewer: str, now: Now) -> bool:
-        state = self._viewers[viewer]
-        if now.mono_s - state.told_rate_s < 1.0:
-            return False
-        state.told_rate_s = now.mono_s
-        return True
 
     def _dispatch(self, viewer: str, message: wire.Message, now: Now) -> list[Effect]:
         if isinstance(message, wire.Alive):
@@ -309,20 +271,15 @@ class Desk:
         effects: list[Effect] = []
         if lines:
             effects += [Send(viewer=viewer, message={"type": "console", "lines": lines}) for viewer in engineers]
-        limits = self._limits()
-        if limits != self._last_limits:
-            self._last_limits = limits
-            effects.append(Broadcast(message={"type": "limits", "limits": limits}))
-        if self.machine.facts != self._last_facts:
-            self._last_facts = dict(self.machine.facts)
-            effects.append(Broadcast(message={"type": "facts", "facts": self._last_facts}))
-        if self.panel.message != self._last_panel:
-            self._last_panel = self.panel.message
-            effects.append(Broadcast(message={"type": "panel", "controls": self._last_panel}))
-        sequence = self.sequence.message()
-        if sequence != self._last_sequence:
-            self._last_sequence = sequence
-            effects.append(Broadcast(message={"type": "sequence", "sequence": sequence}))
+        for kind, key, value in (
+            ("limits", "limits", self._limits()),
+            ("facts", "facts", dict(self.machine.facts)),
+            ("panel", "controls", self.panel.message),
+            ("sequence", "sequence", self.sequence.message()),
+        ):
+            if value != self._told[kind]:
+                self._told[kind] = value
+                effects.append(Broadcast(message={"type": kind, key: value}))
         return effects
 
     def _watch(self, silence_s: float, now: Now) -> list[Effect]:
@@ -352,7 +309,7 @@ class Desk:
         if step in ("take", "request"):
             if self.config.replay:
                 raise Refusal("replay")
-            self._need_role(viewer, Role.OPERATOR)
+            self._viewers[viewer].need(Role.OPERATOR)
         epoch = self.lease.epoch
         if step == "take":
             self.lease.take(viewer, now.mono_s)
@@ -368,10 +325,6 @@ class Desk:
             self.lease.grant(viewer, message.to, now.mono_s)
         cleared = self._clear_selection() if self.lease.epoch != epoch else []
         return [*cleared, self._state_effect(now)]
-
-    def _need_role(self, viewer: str, role: Role) -> None:
-        if not self._viewers[viewer].role.may(role):
-            raise Refusal("role_needed", role=role.value, found=self._viewers[viewer].role.value)
 
     def _clear_selection(self) -> list[Effect]:
         had = self._selection is not None
@@ -440,7 +393,7 @@ class Desk:
         return [SendSequence(**marks, text=f"id: {run_id}\n{sequence.text()}"), shown(entry)]
 
     def _teach(self, viewer: str, message: wire.Hold | wire.Teach, now: Now) -> list[Effect]:
-        self._need_role(viewer, Role.ENGINEER)
+        self._viewers[viewer].need(Role.ENGINEER)
         if self.moving:
             raise Refusal("busy_moving")
         if isinstance(message, wire.Hold):
@@ -544,7 +497,7 @@ class Desk:
 
     def _call(self, viewer: str, service: str, now: Now) -> list[Effect]:
         if service in _FOR_ENGINEERS:
-            self._need_role(viewer, Role.ENGINEER)
+            self._viewers[viewer].need(Role.ENGINEER)
         goal_id = f"service-{self._log.count + 1}"
         entry = self._log.add(self._name(viewer), service, "", now, status="sent", goal_id=goal_id)
         return [CallService(**self._marks(entry, service, {}, now), service=service), shown(entry)]
