@@ -98,6 +98,25 @@ class StoredCalibration:
             f"predicted {self.sigma_m * 1e3:.3f} mm, {self.made_at}"
         )
 
+    def values(self) -> list[tuple[str, str]]:
+        """Return what diagnostics tell of it."""
+        axes = self.base_from_reading
+        return [
+            ("rms_mm", f"{self.rms_m * 1e3:.4f}"),
+            ("predicted_sigma_mm", f"{self.sigma_m * 1e3:.4f}"),
+            ("held_out_max_mm", f"{self.held_out_m * 1e3:.4f}"),
+            ("mounting", self.mounting),
+            ("scale_x", f"{axes_scale(axes)[0]:.6f}"),
+            ("scale_y", f"{axes_scale(axes)[1]:.6f}"),
+            ("skew_mrad", f"{axes_skew(axes) * 1e3:.3f}"),
+            ("right_angle_deg", f"{90.0 - float(np.degrees(axes_skew(axes))):.4f}"),
+            ("backlash_x_mm", _measured(self.backlash_m[0], self.backlash_sigma_m[0])),
+            ("backlash_y_mm", _measured(self.backlash_m[1], self.backlash_sigma_m[1])),
+            ("contact_offset_mm", ", ".join(f"{v * 1e3:.3f}" for v in self.contact_offset_m)),
+            ("stylus_tilt_mrad", _tilt(self.stylus_direction)),
+            ("made_at", self.made_at),
+        ]
+
 
 def save(calibration: StoredCalibration, path: Path) -> None:
     """Write the file, whole or not at all.
@@ -252,6 +271,15 @@ def axes_scale(base_from_reading: Array) -> Array:
 def axes_skew(base_from_reading: Array) -> float:
     """Return the angle, rad, that the axes miss at 90 degrees; positive where y leans towards x."""
     return float(np.arctan2(base_from_reading[0, 1], base_from_reading[1, 1]))
+
+
+def _measured(value_m: float, sigma_m: float) -> str:
+    return f"{value_m * 1e3:.3f} +- {sigma_m * 1e3:.3f}"
+
+
+def _tilt(direction: Array) -> str:
+    x, y, _ = direction * 1e3 / -direction[2]
+    return f"x {x:.2f}, y {y:.2f}"
 
 
 def _pose(transform: Transform) -> dict[str, Any]:

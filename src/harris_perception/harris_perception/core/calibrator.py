@@ -14,13 +14,7 @@ from typing import Any
 import numpy as np
 
 from harris_perception.core import calibration_run
-from harris_perception.core.calibration_file import (
-    CalibrationFileError,
-    StoredCalibration,
-    axes_scale,
-    axes_skew,
-    check_fits,
-)
+from harris_perception.core.calibration_file import CalibrationFileError, StoredCalibration, check_fits
 from harris_perception.core.calibration_run import (
     CalibrationRun,
     Failed,
@@ -483,22 +477,7 @@ class Calibrator:
         """Return what diagnostics tell."""
         values: list[tuple[str, Any]] = [("samples", len(self.samples)), ("contacts", len(self.contacts))]
         if self.stored is not None:
-            stored, axes = self.stored, self.stored.base_from_reading
-            values += [
-                ("rms_mm", f"{stored.rms_m * 1e3:.4f}"),
-                ("predicted_sigma_mm", f"{stored.sigma_m * 1e3:.4f}"),
-                ("held_out_max_mm", f"{stored.held_out_m * 1e3:.4f}"),
-                ("mounting", stored.mounting),
-                ("scale_x", f"{axes_scale(axes)[0]:.6f}"),
-                ("scale_y", f"{axes_scale(axes)[1]:.6f}"),
-                ("skew_mrad", f"{axes_skew(axes) * 1e3:.3f}"),
-                ("right_angle_deg", f"{90.0 - float(np.degrees(axes_skew(axes))):.4f}"),
-                ("backlash_x_mm", _measured(stored.backlash_m[0], stored.backlash_sigma_m[0])),
-                ("backlash_y_mm", _measured(stored.backlash_m[1], stored.backlash_sigma_m[1])),
-                ("contact_offset_mm", ", ".join(f"{v * 1e3:.3f}" for v in stored.contact_offset_m)),
-                ("stylus_tilt_mrad", _tilt(stored.stylus_direction)),
-                ("made_at", stored.made_at),
-            ]
+            values += self.stored.values()
         if self._solved is not None:
             values.append(("chi_square_per_freedom", f"{self._solved.fit.variance_factor:.2f}"))
         if self.drift is not None:
@@ -512,12 +491,3 @@ def _corners(config: RunConfig) -> Array:
     depth = -min(config.heights_m)
     corners = [(x, y, depth) for x in (config.x_min_m, config.x_max_m) for y in (config.y_min_m, config.y_max_m)]
     return np.array(corners)
-
-
-def _measured(value_m: float, sigma_m: float) -> str:
-    return f"{value_m * 1e3:.3f} +- {sigma_m * 1e3:.3f}"
-
-
-def _tilt(direction: Array) -> str:
-    x, y, _ = direction * 1e3 / -direction[2]
-    return f"x {x:.2f}, y {y:.2f}"
