@@ -16,6 +16,7 @@ LAYOUTS = sorted(path.stem for path in (CONFIG / "scopes").glob("*.yaml"))
 BEFORE_THE_BALLS_COLOUR = {("mso_dark_6", "CH3")}
 
 
+@pytest.mark.timeout(480)  # a minute, on a computer that has nothing else to do
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_every_button_is_pressed_in_its_middle(layout: str) -> None:
     robot = VirtualRobot(7, layout=layout)
