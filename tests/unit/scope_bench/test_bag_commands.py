@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -51,3 +52,9 @@ def test_what_cannot_be_played_is_refused(arguments: list[str], words: str, caps
     shown = capsys.readouterr()
     assert shown.err.startswith("error: ") and words in shown.err and shown.err.count("\n") == 1
     assert "played" not in shown.out
+
+
+def test_recordings_that_begin_in_the_same_second_have_names_of_their_own() -> None:
+    begun = datetime(2026, 3, 7, 14, 5, 9, 41000)
+    assert bag_record.default_name(begun) == Path("bag_2026_03_07-14_05_09_041000")
+    assert bag_record.default_name(begun + timedelta(milliseconds=1)) != bag_record.default_name(begun)

@@ -79,3 +79,17 @@ def test_a_recording_that_does_not_end_with_the_bridge_is_told(
     assert began.get(timeout=WITHIN_S)
     recorder.close()
     assert "was cut off; save it with: bag_info" in caplog.text
+
+
+def test_recordings_that_begin_in_the_same_second_go_to_folders_of_their_own(tmp_path: Path) -> None:
+    program = tmp_path / "record"
+    program.write_text("#!/bin/sh\necho recording\n")
+    program.chmod(0o755)
+    recorder = Recorder(str(tmp_path / "sessions"), program)
+    answers: queue.Queue[str] = queue.Queue()
+    folders = set()
+    for _ in range(5):
+        recorder.start(lambda ok, text: answers.put(text))
+        folders.add(answers.get(timeout=WITHIN_S))
+        recorder.close()
+    assert len(folders) == 5

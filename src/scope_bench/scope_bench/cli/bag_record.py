@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     split = given.index("--ros-args") if "--ros-args" in given else len(given)
     options = parser().parse_args(given[:split])
-    path = options.output or Path(f"bag_{datetime.now():%Y_%m_%d-%H_%M_%S}")
+    path = options.output or default_name(datetime.now())
     try:
         check_bounds(options, duration=(0.0, math.inf), keep_free=(0.0, 1e9))
         check_names(options.topics)
@@ -61,6 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if sink.failure:
         print(f"error: the recording has ended: {sink.failure}", file=sys.stderr)
     return 1 if sink.failure else 0
+
+
+def default_name(begun: datetime) -> Path:
+    """Return the folder of a recording that was given none, to the microsecond: two may begin at once."""
+    return Path(f"bag_{begun:%Y_%m_%d-%H_%M_%S_%f}")
 
 
 def _orphaned(options: argparse.Namespace) -> bool:

@@ -8,8 +8,8 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 
 from scope_ui_bridge.adapters.graph_port import GraphError
@@ -59,7 +59,7 @@ class Recorder:
                 raise GraphError(f"already recording to {self._output}")
             if not self._program.is_file():
                 raise GraphError("bag_record is not installed beside this program")
-            self._output = self._folder / time.strftime("%Y-%m-%d_%H-%M-%S")
+            self._output = self._folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
             command = [str(self._program), "-o", str(self._output), "--compress", "jpeg"]
             command += ["--child-of", str(os.getpid())]  # whoever comes after a killed bridge does not know of it
             try:
