@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -26,7 +27,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
-from icu_common.nodes import qos
+from icu_common.nodes import in_step, qos
 from icu_common.nodes.conversions import header, image_array, image_message
 from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
@@ -231,6 +232,53 @@ def test_nothing_is_played_beside_a_driver_at_work(ros: Ros, tmp_path: Path, com
     player = command("bag_play", str(tmp_path / "bag"), "--moving", "--rate", "10")
     ros.spin_until(lambda: len(heard) == count + 200, 20.0, lambda: len(heard))
     player.end()
+
+
+def test_nothing_is_played_in_step_beside_a_driver_at_work(ros: Ros, tmp_path: Path, command: Start) -> None:
+    bag = numbered_bag(tmp_path / "bag", ["/panel/alarm"], 3)
+    driver = ros.plain("driver")
+    driver.create_publisher(String, "/gantry/driver_state", qos.LATCHED)
+    heard = ros.collect(driver, String, "/panel/alarm", qos.RESULTS)
+    counts = driver.create_publisher(String, in_step.TOPIC, in_step.DEEP)
+    nothing = json.dumps({"process": 1, "sent": {}, "taken": {}, "listeners": {}, "readers": {}})
+
+    def ended(player: Command) -> bool:
+        counts.publish(String(data=nothing))
+        return player.process.poll() is not None
+
+    player = command("bag_play", str(bag), "--in-step", "1")
+    ros.spin_until(lambda: ended(player), 20.0, lambda: heard)
+    assert "error: a driver is at work here (/gantry/driver_state)" in player.end(code=1)
+    assert heard == []
+    player = command("bag_play", str(bag), "--in-step", "1", "--moving")
+    ros.spin_until(lambda: ended(player) and len(heard) == 3, 20.0, lambda: heard)
+    player.end()
+
+
+@pytest.mark.parametrize(
+    ("topic", "arguments", "state"),
+    [
+        ("/panel/alarm", ["--wait", "0"], "/gantry/driver_state"),
+        ("/bed_1/panel/alarm", [], "/bed_1/gantry/driver_state"),
+        (
+            "/gantry/driver_state",
+            ["--ros-args", "-r", "/gantry/driver_state:=/bed_2/gantry/driver_state"],
+            "/bed_2/gantry/driver_state",
+        ),
+    ],
+    ids=["without waiting for subscribers", "of a robot whose state was not recorded", "under another name"],
+)
+def test_a_driver_at_work_is_found_before_the_first_message(
+    ros: Ros, tmp_path: Path, command: Start, topic: str, arguments: list[str], state: str
+) -> None:
+    bag = numbered_bag(tmp_path / "bag", [topic], 3)
+    driver = ros.plain("driver")
+    driver.create_publisher(String, state, qos.LATCHED)
+    heard = ros.collect(driver, String, topic if topic.endswith("alarm") else state, qos.RESULTS)
+    player = command("bag_play", str(bag), *arguments)
+    ros.spin_until(lambda: player.process.poll() is not None, 20.0)
+    assert f"error: a driver is at work here ({state})" in player.end(code=1)
+    assert heard == []
 
 
 def test_a_topic_of_a_type_that_is_not_installed_is_left_out_by_name(ros: Ros, tmp_path: Path, command: Start) -> None:

@@ -86,8 +86,9 @@ def _installed(kind: str) -> bool:
 
 
 _DRIVER = "gantry/driver_state"
-_LOOK_S = 0.5
-"""So often is looked for a driver at work, as programs find each other only after a while."""
+_DRIVER_FOUND_S, _LOOK_S = 1.0, 0.5
+"""So long is looked for a driver at work before anything is played, and so often later: programs find each other only
+after a while."""
 
 
 class Playing:
@@ -120,6 +121,7 @@ class Playing:
                 print(f"not played: {', '.join(left_out)}")
             if self._step is not None:
                 self._step.begin(self._options.in_step)
+                self._refuse_beside_a_machine()
             else:
                 self._wait_for_subscribers()
             while self._session.goes_on:
@@ -139,20 +141,24 @@ class Playing:
         self._clock = PlayClock(self._start_ns, self._options.rate, time.monotonic(), paused=paused)
 
     def _wait_for_subscribers(self) -> None:
-        deadline_s = time.monotonic() + self._options.wait
-        while self._session.goes_on and self._node.unheard and time.monotonic() < deadline_s:
+        begun_s = time.monotonic()
+        least_s = begun_s + (0.0 if self._options.moving else _DRIVER_FOUND_S)
+        while self._session.goes_on and (
+            (self._node.unheard and time.monotonic() < begun_s + self._options.wait) or time.monotonic() < least_s
+        ):
             self._session.spin(0.02)
-            self._refuse_beside_a_machine(time.monotonic())
+            self._refuse_beside_a_machine()
 
-    def _refuse_beside_a_machine(self, now_s: float) -> None:
+    def _refuse_beside_a_machine(self) -> None:
         """A controller would take recorded pictures, places and calibrations for those of the machine that it moves."""
-        if self._options.moving or self._step is not None or now_s < self._next_look_s:
+        if self._options.moving:
             return
-        self._next_look_s = now_s + _LOOK_S
-        for state in {topic.name for topic in self._bag.topics if topic.name.endswith(_DRIVER)} or {f"/{_DRIVER}"}:
-            if self._node.others(state) > 0:
+        recorded = [topic.name for topic in self._bag.topics if topic.name.endswith(_DRIVER)]
+        # Where no driver's state was recorded, it may be that of any robot whose topics these could be.
+        for state in recorded or sorted({str(place / _DRIVER) for place in self._node.places}):
+            if found := self._node.others(state):
                 raise BagError(
-                    f"a driver is at work here ({state}), and what was recorded would be taken for what its cameras "
+                    f"a driver is at work here ({found}), and what was recorded would be taken for what its cameras "
                     "see: play it in another ROS_DOMAIN_ID, or with --moving"
                 )
 
@@ -172,7 +178,9 @@ class Playing:
     def _serve(self, timeout_s: float, newest_ns: int) -> None:
         self._session.spin(timeout_s)
         now_s = time.monotonic()
-        self._refuse_beside_a_machine(now_s)
+        if now_s >= self._next_look_s:
+            self._next_look_s = now_s + _LOOK_S
+            self._refuse_beside_a_machine()
         bag_ns = self._clock.bag_ns(now_s)
         if self._options.clock and now_s >= self._next_clock_s:
             self._next_clock_s = now_s + 1.0 / self._options.clock

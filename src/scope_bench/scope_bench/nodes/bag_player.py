@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from pathlib import PurePosixPath
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -101,10 +102,16 @@ class BagPlayer(Node):
         """Return how many subscriptions each topic has, by absolute names."""
         return {out.topic_name: out.get_subscription_count() for out in self._all_outputs()}
 
-    def others(self, topic: str) -> int:
-        """Return how many others publish a topic, by its absolute name."""
-        mine = [output for output in self._outputs.values() if output.topic_name == topic]
-        return int(self.count_publishers(topic)) - len(mine)
+    def others(self, topic: str) -> str:
+        """Return the name that a topic has here if others publish it, else an empty text."""
+        name = self.resolve_topic_name(topic)
+        mine = [output for output in self._outputs.values() if output.topic_name == name]
+        return name if self.count_publishers(name) > len(mine) else ""
+
+    @property
+    def places(self) -> set[PurePosixPath]:
+        """Every namespace that a topic which is played lies in."""
+        return {place for output in self._outputs.values() for place in PurePosixPath(output.topic_name).parents}
 
     def _all_outputs(self) -> list[Any]:
         return [*self._outputs.values(), *([self._clock_out] if self._clock_out is not None else [])]
