@@ -91,6 +91,23 @@ def test_cameras_on_the_carriage_of_hardware_are_set_up_in_its_file() -> None:
     assert named - {"bench"} - readers == set()
 
 
+def test_nothing_but_the_machine_itself_touches_its_calibration() -> None:
+    """A calibration of the bench, or of a recording, in the file of the real machine would have replaced its own."""
+    kept = {}
+    for profile in (*PROFILES, "carriage_test"):
+        (node,) = (p for p in programs(profile) if p.name == "hand_eye")
+        kept[profile] = node.parameters["calibration_file"]
+    assert kept["hardware"] == "/state/hand_eye.yaml"
+    assert kept["bench"] == kept["test"] == "/state/hand_eye_bench.yaml"
+    assert kept["carriage"] == kept["carriage_test"] == "/state/hand_eye_carriage.yaml"
+    assert kept["replay"] == ""
+
+
+def test_a_recording_leaves_no_panels_among_the_layouts() -> None:
+    (node,) = (p for p in programs("replay") if p.name == "recognition")
+    assert node.parameters["teach_folder"] == ""
+
+
 def test_every_parameter_file_is_used() -> None:
     used = {path for profile in PROFILES for p in programs(profile) for path in p.parameter_files}
     assert set((ROOT / "config" / "params").glob("*.yaml")) == used
