@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 
+from icu_common.adapters.state_folder import default_state_folder
 from icu_common.core.yaml_text import values_of_pairs
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import prepare_transport
@@ -88,11 +89,10 @@ def parser() -> argparse.ArgumentParser:
 def state_folder(given: Path | None, namespace: str = "") -> Path:
     """Return the folder that keeps calibration and sign-in, made if need be, readable by this user alone.
 
-    Each namespace has its own: one robot's calibration is wrong for another. The rights of a ``given`` folder that is
-    there already, such as one that others use as well, are its owner's business.
+    The rights of a ``given`` folder that is there already, such as one that others use as well, are its owner's
+    business.
     """
-    base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
-    folder = given or base / "icu_gantry" / namespace.strip("/")
+    folder = given or default_state_folder(namespace)
     if given is None or not folder.is_dir():
         folder.mkdir(parents=True, exist_ok=True)
         folder.chmod(stat.S_IRWXU)

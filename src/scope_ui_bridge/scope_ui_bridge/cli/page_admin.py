@@ -15,6 +15,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from icu_common.adapters.state_folder import default_state_folder
 from scope_ui_bridge.adapters.secret_files import read_users, write_secret
 from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, verify
 from scope_ui_bridge.core.passwords import PasswordError, Role, new_user
@@ -26,13 +27,8 @@ class AdminError(Exception):
     """It could not be done; the message says why."""
 
 
-def state_folder() -> Path:
-    """Return the folder in which bring-up keeps the page's files, of a robot without a namespace."""
-    return Path(os.environ.get("XDG_STATE_HOME") or "~/.local/state").expanduser() / "icu_gantry"
-
-
 def parser() -> argparse.ArgumentParser:
-    state = state_folder()
+    state = default_state_folder()  # of a robot without a namespace
     result = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = result.add_subparsers(dest="command", required=True)
     password = commands.add_parser("password", help="let somebody sign in by name, or change role or password")
