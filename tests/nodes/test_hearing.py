@@ -13,8 +13,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
 from icu_common.nodes import qos
-from icu_common.nodes.hearing import DEAF, VARIABLE, Hearing
-from scope_bench.adapters import processes
+from icu_common.nodes.hearing import Hearing
 
 LISTENER = """
 import sys
@@ -99,7 +98,3 @@ def test_a_deaf_program_ends_only_after_a_crash(ros: Any, domain: int) -> None:
         for program in programs:
             program.kill()
             program.communicate(timeout=10.0)
-
-
-def test_the_names_are_those_of_bring_up() -> None:
-    assert (processes.AFTER_CRASH_VARIABLE, processes.DEAF) == (VARIABLE, DEAF)

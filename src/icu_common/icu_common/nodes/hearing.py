@@ -15,12 +15,6 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-VARIABLE = "ICU_AFTER_CRASH"
-"""Set in the environment of a program whose predecessor was ended by a signal."""
-
-DEAF = 75
-"""Exit code of a program that is to be started once more (EX_TEMPFAIL of sysexits.h)."""
-
 LIMIT_S = 8.0
 """A camera needs less for its first picture."""
 

@@ -27,11 +27,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from icu_common.core.config import ConfigError
+from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
 from icu_common.nodes import in_step
-from icu_common.nodes.hearing import DEAF, Hearing
-from icu_common.nodes.hearing import VARIABLE as AFTER_CRASH_VARIABLE
+from icu_common.nodes.hearing import Hearing
 
-_READY_VARIABLE = "ICU_READY_FD"
 _PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _SOCKET_BUFFER_BYTES = 4 << 20
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -191,7 +190,7 @@ def run_together(programs: Sequence[tuple[Callable[[], int], Sequence[str]]]) ->
 def _tell_ready() -> None:
     """Say so to bring-up, which kills a restarted program that never gets here."""
     with contextlib.suppress(OSError, ValueError):
-        pipe = int(os.environ.pop(_READY_VARIABLE, ""))
+        pipe = int(os.environ.pop(READY_VARIABLE, ""))
         os.write(pipe, b"1")
         os.close(pipe)
 

@@ -13,9 +13,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-READY_VARIABLE = "ICU_READY_FD"
-AFTER_CRASH_VARIABLE, DEAF = "ICU_AFTER_CRASH", 75
-"""See icu_common.nodes.hearing: whom this is told may end with this code, to be started once more."""
+from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
+
 _PR_SET_PDEATHSIG = 1
 
 

@@ -1,0 +1,12 @@
+"""What bring-up and the programs that it starts tell each other, by environment variables and exit codes."""
+
+from __future__ import annotations
+
+READY_VARIABLE = "ICU_READY_FD"
+"""Names the file descriptor to which a program writes a byte when it is ready."""
+
+AFTER_CRASH_VARIABLE = "ICU_AFTER_CRASH"
+"""Set in the environment of a program whose predecessor was ended by a signal."""
+
+DEAF = 75
+"""Exit code of a program that is to be started once more (EX_TEMPFAIL of sysexits.h): see icu_common.nodes.hearing."""
