@@ -122,7 +122,7 @@ ATTACKS: dict[str, tuple[Attack, str]] = {
     "replayed command": (message("replayed", seq=0), "message replayed"),
     "stale lease": (message("stale_epoch", epoch=0), "message stale_epoch"),
     "old boot id": (message("old_boot", boot="another"), "message old_boot"),
-    "oversized": (message("oversized", service="x" * 5000), "message oversized"),
+    "oversized": (message("oversized", service="x" * 40000), "message oversized"),
     "not a number": (message("malformed", epoch=float("nan")), "message malformed"),
     "bytes": (bytes_that_are_no_text, "message malformed"),
     "huge frame": (huge_frame, "frame"),

@@ -101,8 +101,16 @@ def test_wrong_sequences_are_refused_and_nothing_goes_out(steps: Any, code: str,
     assert words in str(answer(effects)["values"])
 
 
+def test_a_sequence_of_as_many_steps_as_are_allowed_and_as_long_ones_goes_out() -> None:
+    step = "press:RUN_STOP => " + ", ".join(["lamp:RUN_STOP=red"] * 13) + ", lamp:RUN_STOP=yellow, effect"
+    assert len(step) <= 300
+    (order,) = of_type(start(Rig(), steps=[step] * 100), SendSequence)
+    assert parse_file(order.text.partition("\n")[2]) == parse_steps([step] * 100)
+
+
 @pytest.mark.parametrize(
-    ("steps", "code"), [(["press:RUN_STOP => screen"] * 160, "oversized"), (["press:RUN_STOP\t=> screen"], "malformed")]
+    ("steps", "code"),
+    [(["press:RUN_STOP => screen" + " " * 400] * 90, "oversized"), (["press:RUN_STOP\t=> screen"], "malformed")],
 )
 def test_what_cannot_be_read_is_answered_by_its_number(steps: list[str], code: str) -> None:
     # Without the number the page would wait for an answer until it says that there is no link.

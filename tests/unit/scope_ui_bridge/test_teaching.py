@@ -94,6 +94,14 @@ def test_only_engineers_in_control_at_rest_teach() -> None:
     assert refusal(ada.teach()) == "busy_moving"
 
 
+def test_a_panel_with_as_many_controls_as_are_allowed_with_as_long_names_is_taught() -> None:
+    ada = Engineer()
+    row = ["touch_area", 1278.3, 718.7, 100.25, 100.25, 12.25]
+    controls = [[f"C{number:02d}".ljust(32, "X"), *row] for number in range(60)]
+    (order,) = of_type(ada.teach(controls=controls), SendTeaching)
+    assert json.loads(order.text)["controls"] == controls
+
+
 BUTTON = GOOD["controls"][0]
 
 

@@ -222,7 +222,13 @@ def test_files_beside_the_page_are_not_served(path: str) -> None:
 def test_garbage_on_the_control_connection_is_answered_and_the_stop_after_it_is_heard() -> None:
     async def scenario(rig: Rig) -> None:
         async with page(rig, take=True) as client:
-            for text in ("{", '{"seq":NaN}', "x" * 5000, "[" * 3000, json.dumps({"type": "stop", "seq": 1, "more": 1})):
+            for text in (
+                "{",
+                '{"seq":NaN}',
+                "x" * 40000,
+                "[" * 3000,
+                json.dumps({"type": "stop", "seq": 1, "more": 1}),
+            ):
                 await client.control.send_str(text)
                 answer = await client.until(lambda m: m["type"] == "answer")
                 assert answer["ok"] is False
@@ -478,7 +484,7 @@ def test_bad_video_messages_are_answered() -> None:
                 '{"drawn":"1"}',
                 '{"camera":"up","corners":true}',
                 '{"camera":"left","edges":1}',
-                "y" * 5000,
+                "y" * 40000,
             ):
                 await client.video.send_str(text)
                 answer = json.loads((await client.video.receive(timeout=5.0)).data)

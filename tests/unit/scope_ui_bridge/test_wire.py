@@ -72,10 +72,10 @@ def test_bad_messages_are_refused_by_name(bad: str, named: str) -> None:
     assert named in str(caught.value)
 
 
-def test_a_message_of_more_than_4_kib_is_refused_with_the_bound() -> None:
+def test_a_message_of_more_than_32_kib_is_refused_with_the_bound() -> None:
     with pytest.raises(Refusal) as caught:
-        wire.decode(" " * 4097)
-    assert caught.value.message() == {"code": "oversized", "values": {"size": 4097, "limit": 4096}}
+        wire.decode(" " * 32769)
+    assert caught.value.message() == {"code": "oversized", "values": {"size": 32769, "limit": 32768}}
 
 
 @settings(max_examples=150, deadline=None)

@@ -56,6 +56,7 @@ from scope_ui_bridge.core.wire import CAMERAS, MAX_BYTES, decode_object, encode
 _LOG = logging.getLogger(__name__)
 _TICK_S = 0.05
 _OUTBOX = 200
+_MAX_FORM = 4096  # bytes of a plain request
 _HARD_LIMIT = 64 * 1024  # above this the WebSocket library itself closes the connection
 _START_TIMEOUT_S = 10.0
 _IDLE_CONNECTION_S = 15.0
@@ -193,7 +194,7 @@ class WebServer:
             await runner.cleanup()
 
     def _application(self) -> web.Application:
-        application = web.Application(middlewares=[self.door.guard], client_max_size=MAX_BYTES)
+        application = web.Application(middlewares=[self.door.guard], client_max_size=_MAX_FORM)
         self.door.add_routes(application.router)
         application.router.add_post("/stop", self._stop)
         application.router.add_get("/control", self._control)

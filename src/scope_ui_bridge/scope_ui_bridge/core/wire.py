@@ -1,7 +1,7 @@
 """Control messages between page and bridge: strict JSON in, typed values out, and back.
 
 Python's decoder takes NaN, Infinity and 1e999; here they are refused, as are repeated keys, unknown fields and texts
-of more than 4 KiB.
+of more than 32 KiB.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from icu_common.core.gesture import GESTURES
 from icu_common.core.sequence import MAX_STEPS
 from scope_ui_bridge.core.refusal import Refusal
 
-MAX_BYTES = 4096
+MAX_BYTES = 32 * 1024
+"""Holds the longest messages that are allowed otherwise: as many steps of a sequence, as many controls of a panel."""
 _MAX_INTEGER = 2**53
 _SEQ = re.compile(r'"seq": ?([0-9]{1,15})[,}]')
 
