@@ -10,8 +10,9 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
 from launch import LaunchContext, LaunchDescription
+from scope_bench.adapters.graph_names import hold_names
 from scope_bench.cli.bring_up import state_folder, true_configuration
-from scope_bench.core.graph_description import load_graph
+from scope_bench.core.graph_description import check_namespace, load_graph
 
 
 def start(context: LaunchContext) -> list:
@@ -19,6 +20,7 @@ def start(context: LaunchContext) -> list:
         name: LaunchConfiguration(name).perform(context)
         for name in ("profile", "config", "state", "namespace", "scope", "package", "run")
     }
+    check_namespace(values["namespace"])
     given = Path(values["state"]).expanduser() if values["state"] else None
     state = state_folder(given, values["namespace"])
     run = Path(values["run"] or mkdtemp(prefix="icu_gantry_"))
@@ -31,6 +33,8 @@ def start(context: LaunchContext) -> list:
         robot_namespace=values["namespace"],
         scope=values["scope"],
     )
+    if not values["package"]:  # a part may come to a graph
+        hold_names(values["namespace"])
     actions = []
     for program in (p for p in programs if values["package"] in ("", p.package)):
         if program.is_node:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import os
 import re
 import runpy
+import subprocess
 import sys
 import types
 from pathlib import Path
@@ -16,7 +18,7 @@ import setuptools
 import yaml
 from catkin_pkg.package import parse_package
 
-from scope_bench.core.graph_description import load_graph
+from scope_bench.core.graph_description import GraphError, load_graph
 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = sorted(p.parent for p in ROOT.glob("src/*/package.xml"))
@@ -147,6 +149,7 @@ def test_ros2_launch_starts_the_graph_that_bring_up_starts(
     """The launch file is run against recording stand-ins; what it would start is what bring-up's table says."""
     for name, module in launch_modules(ROOT).items():
         monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setenv("ROS_DOMAIN_ID", f"of {tmp_path.name} {os.getpid()}")  # names are held by this process
     launch = runpy.run_path(str(ROOT / "src/scope_bench/launch/graph.launch.py"))
     declared = {
         a.values[0]
@@ -181,6 +184,7 @@ def test_ros2_launch_keeps_each_robots_files_where_bring_up_does(
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("ROS_DOMAIN_ID", f"of {tmp_path.name} {os.getpid()}")  # names are held by this process
     launch = runpy.run_path(str(ROOT / "src/scope_bench/launch/graph.launch.py"))
     context = {
         a.values[0]: a.keywords["default_value"]
@@ -194,6 +198,30 @@ def test_ros2_launch_keeps_each_robots_files_where_bring_up_does(
     assert given["camera"]["left_calibration"] == str(ROOT / "config" / "cameras" / "left.yaml")
     assert given["ui_bridge"]["passwords_file"] == str(folder / "passwords")
     assert folder.stat().st_mode & 0o777 == 0o700
+
+
+def test_ros2_launch_refuses_a_second_graph_and_a_namespace_that_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The orders of the second would reach the first one's machine; of a bring_up in another process as well."""
+    for name, module in launch_modules(ROOT).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setenv("ROS_DOMAIN_ID", f"of {tmp_path.name} {os.getpid()}")  # names are held by this process
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    start = runpy.run_path(str(ROOT / "src/scope_bench/launch/graph.launch.py"))["start"]
+    given = {"profile": "hardware", "config": str(ROOT / "config"), "state": "", "namespace": "", "scope": ""}
+    given |= {"package": "", "run": str(tmp_path / "run")}
+    with pytest.raises(GraphError, match=r"namespace \.\./bed: names of letters"):
+        start(given | {"namespace": "../bed"})
+    assert list(tmp_path.iterdir()) == []
+    assert start(given | {"package": "gantry_driver"}), "a part may come to a graph"
+    assert start(given)
+    with pytest.raises(GraphError, match=f"runs already in ROS domain of {tmp_path.name}"):
+        start(given)
+    bring_up = [sys.executable, "-m", "scope_bench.cli.bring_up", "--config", str(ROOT / "config")]
+    second = subprocess.run(bring_up, capture_output=True, text=True, timeout=60, check=False)
+    assert second.returncode == 2 and "a graph of these names runs already" in second.stderr
+    assert start(given | {"package": "gantry_driver"}) and start(given | {"namespace": "bed_2"})
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem)

@@ -27,11 +27,8 @@ CONFIG = Path(__file__).parents[3] / "config"
         (["--set", "nobody.rate_hz=5"], "error: no program nobody; there are "),
         (["--only", "nobody"], "error: no program nobody; there are "),
         (["--profile", "replay", "--prepare"], "error: --prepare moves the machine; profile replay has none"),
-        *(
-            (["--namespace", name], f"error: --namespace {name}: ")
-            for name in ("a b", "1bed", "a-b", "b\u00e4d", "a//b")
-        ),
-        (["--namespace", "../../elsewhere"], "error: --namespace ../../elsewhere: names of letters, digits and _"),
+        *((["--namespace", name], f"error: namespace {name}: ") for name in ("a b", "1bed", "a-b", "b\u00e4d", "a//b")),
+        (["--namespace", "../../elsewhere"], "error: namespace ../../elsewhere: names of letters, digits and _"),
     ],
 )
 def test_what_names_no_setting_or_program_is_refused(

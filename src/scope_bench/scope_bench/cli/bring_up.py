@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import dataclasses
-import errno
 import json
 import os
 import re
 import signal
-import socket
 import stat
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 
@@ -23,16 +19,14 @@ from icu_common.adapters.state_folder import default_state_folder
 from icu_common.core.yaml_text import values_of_pairs
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import prepare_transport
+from scope_bench.adapters.graph_names import hold_names
 from scope_bench.adapters.processes import ProcessGroup, find_executable
-from scope_bench.core.graph_description import GraphError, Program, load_graph
+from scope_bench.core.graph_description import GraphError, Program, check_namespace, load_graph
 
 IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "http://", "https://")
 """Lines with one of these are shown without --verbose."""
 WAIT_S = 60.0
 """So long a program waits for the simulated device that it belongs to."""
-_LONGEST_NAME = 100
-"""Bytes of a Unix socket's name, of 108."""
-_NAMESPACE = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*/?", re.ASCII)
 _SETTING = re.compile(r"\w+\.[\w.]+=.*", re.DOTALL)
 
 
@@ -114,11 +108,7 @@ class BringUp:
             signal.signal(number, self._stop)
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup wants it
             signal.signal(signal.SIGHUP, self._stop)
-        if self.options.namespace and not _NAMESPACE.fullmatch(self.options.namespace):
-            raise GraphError(
-                f"--namespace {self.options.namespace}: names of letters, digits and _ are needed, "
-                "each with a letter first, with / between them"
-            )
+        check_namespace(self.options.namespace)
         config = (self.options.config or configuration_folder()).resolve()
         state = state_folder(self.options.state, self.options.namespace)
         if self.options.prepare and self.options.profile == "hardware":
@@ -136,28 +126,9 @@ class BringUp:
             )
             self._check_names(programs)
             programs = [self._with_single_values(program) for program in programs]
-            with self._hold_names():
-                return self._run_programs(programs, Path(temporary))
-
-    @contextlib.contextmanager
-    def _hold_names(self) -> Iterator[None]:
-        """Keep a second graph from the same topics and services; single programs (--only) may come to a graph."""
-        if self.options.only:
-            yield
-            return
-        domain, namespace = os.environ.get("ROS_DOMAIN_ID") or "0", self.options.namespace.strip("/")
-        with socket.socket(socket.AF_UNIX) as holder:
-            try:
-                # An abstract name: it is the network namespace's own, as the domain is, and ends with the process.
-                holder.bind(f"\0icu_gantry/{domain}/{namespace}".encode()[:_LONGEST_NAME])
-            except OSError as error:
-                if error.errno != errno.EADDRINUSE:
-                    raise
-                raise GraphError(
-                    f"a graph of these names runs already in ROS domain {domain}: end it, "
-                    "or take another --namespace or ROS_DOMAIN_ID"
-                ) from None
-            yield
+            if not self.options.only:  # single programs may come to a graph
+                hold_names(self.options.namespace)
+            return self._run_programs(programs, Path(temporary))
 
     def _check_names(self, programs: list[Program]) -> None:
         for text in self.options.set:

@@ -14,6 +14,7 @@ from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
 _PROFILE_KEYS = {"about", "extends", "set"}
 _KEYS = {"package", "executable", "namespace", "only", "ros", "ends_last", "when"}
+_NAMESPACE = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*/?", re.ASCII)
 _ADDABLE = {"parameters", "set", "remap", "arguments", "waits_for"}
 
 
@@ -79,6 +80,15 @@ class Program:
         """
         node = str(PurePosixPath(self.namespace) / self.name)
         return yaml.safe_dump({node: {"ros__parameters": dict(self.parameters)}}, sort_keys=True)
+
+
+def check_namespace(namespace: str) -> None:
+    """Raise :class:`GraphError` for what is neither empty nor a ROS namespace: a folder is named by it, too."""
+    if namespace and not _NAMESPACE.fullmatch(namespace):
+        raise GraphError(
+            f"namespace {namespace}: names of letters, digits and _ are needed, each with a letter first, "
+            "with / between them"
+        )
 
 
 def load_graph(
