@@ -1,6 +1,7 @@
 """The operator page: this package's part of the graph.
 
-``ros2 launch scope_ui_bridge page.launch.py profile:=hardware`` reads config/graph.yaml by scope_bench.
+``ros2 launch scope_ui_bridge page.launch.py profile:=hardware`` reads config/graph.yaml by scope_bench,
+which therefore must be built too; package.xml cannot name it, as scope_bench depends on this package.
 """
 
 from ament_index_python.packages import get_package_share_directory
