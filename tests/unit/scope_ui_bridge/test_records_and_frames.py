@@ -37,6 +37,21 @@ def test_records_are_chained_across_restarts(tmp_path: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
+def test_only_one_bridge_at_a_time_writes_an_audit_file(tmp_path: Path) -> None:
+    """A second one, as of a replay in another ROS domain, would break the chain, and no bridge could start any more."""
+    path = tmp_path / "audit.jsonl"
+    first = AuditFile(path)
+    first.append({"command": "press:1"})
+    with pytest.raises(OSError, match="is written by another bridge"):
+        AuditFile(path)
+    first.append({"command": "press:2"})
+    first.close()
+    second = AuditFile(path)
+    second.append({"command": "press:3"})
+    second.close()
+    assert verify(lines(path))[0] == 3
+
+
 @pytest.mark.parametrize("damage", ["change", "remove", "swap", "cut"])
 def test_damage_is_found_and_refused(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "audit.jsonl"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 from pathlib import Path
 from typing import Any
 
-from scope_ui_bridge.core.audit import BAD_BYTES, START, chain_line, verify
+from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, chain_line, verify
 from scope_ui_bridge.core.passwords import User, parse_users
 
 
@@ -53,16 +54,28 @@ class AuditFile:
     AuditError
         When the existing file's chain is broken: it must be looked at and moved away by a person.
     OSError
-        If the file cannot be opened.
+        If the file cannot be opened, or another bridge writes it.
     """
 
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._count, self._previous = 0, START
-        if path.exists():
-            with path.open(encoding="utf-8", errors=BAD_BYTES) as lines:
-                self._count, self._previous = verify(lines)
         self._file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "wb", buffering=0)
+        try:
+            self._begin(path)
+        except (OSError, AuditError):
+            self._file.close()
+            raise
+
+    def _begin(self, path: Path) -> None:
+        try:
+            # Records of two writers would follow the same one. The lock ends with the process.
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BlockingIOError(f"{path} is written by another bridge") from error
+        except OSError:  # a file system without locks
+            pass
+        with path.open(encoding="utf-8", errors=BAD_BYTES) as lines:
+            self._count, self._previous = verify(lines)
         if path.read_bytes()[-1:] not in (b"", b"\n"):  # a whole record whose end of line was lost with the power
             self._file.write(b"\n")
 

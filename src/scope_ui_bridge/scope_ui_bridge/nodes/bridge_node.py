@@ -439,8 +439,10 @@ def _read_layout(config: BridgeConfig) -> PanelLayout | None:
 def _open_audit(config: BridgeConfig) -> AuditFile | None:
     try:
         return AuditFile(Path(config.audit_file).expanduser()) if config.audit_file else None
-    except (OSError, AuditError) as error:
+    except AuditError as error:
         raise ConfigError(f"audit_file = {config.audit_file!r}: {error}; look at it and move it away") from error
+    except OSError as error:
+        raise ConfigError(f"audit_file = {config.audit_file!r}: {error}") from error
 
 
 def _make(**options: Any) -> BridgeNode:
