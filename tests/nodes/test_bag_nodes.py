@@ -416,6 +416,12 @@ def test_a_recording_of_the_page_ends_whole_when_its_bridge_is_killed(ros: Ros, 
     BagReader(folder).close()  # raises BagError for one that is not whole
 
 
+def test_a_recorder_with_arguments_that_ros_cannot_read_makes_no_bag(ros: Ros, tmp_path: Path, command: Start) -> None:
+    output = command("bag_record", "-o", str(tmp_path / "bag"), "--ros-args", "-r", "foo").end(code=2)
+    assert "error: " in output and "remap rule: '-r foo'" in output and "Traceback" not in output
+    assert not (tmp_path / "bag").exists()
+
+
 def test_the_recorder_as_a_program_keeps_the_bag_whole_when_it_is_killed(
     ros: Ros, tmp_path: Path, command: Start
 ) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from icu_common.nodes.runtime import ros_session
+from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import STORAGES, BagError, BagWriter
@@ -48,14 +48,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _check_pattern(options.exclude)
         keep_free = round(options.keep_free * 1e6)
         codec = PictureCodec(options.compress, options.quality) if options.compress else None
-        sink = BagSink(lambda: BagWriter(path, options.storage, keep_free=keep_free), codec)
+        with ros_session(given[split:]) as session:
+            sink = BagSink(lambda: BagWriter(path, options.storage, keep_free=keep_free), codec)
+            try:
+                _record(session, sink, path, options)
+            finally:
+                sink.close()
     except (BagError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    try:
-        _record(sink, path, options, given[split:])
-    finally:
-        sink.close()
     if not _orphaned(options):  # else nobody reads it
         print(f"{path}: {sink.messages} messages, {sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped")
     if sink.failure:
@@ -79,28 +80,27 @@ def _check_pattern(exclude: str) -> None:
         raise ValueError(f"--exclude {exclude!r} is no regular expression: {error}") from error
 
 
-def _record(sink: BagSink, path: Path, options: argparse.Namespace, ros_arguments: Sequence[str]) -> None:
+def _record(session: Session, sink: BagSink, path: Path, options: argparse.Namespace) -> None:
     line = ProgressLine()
-    with ros_session(ros_arguments) as session:
-        node = BagRecorder(sink, options.topics, options.exclude)
-        session.executor.add_node(node)
-        # Whoever started this program may send SIGINT from now on: the handlers are there.
-        print(f"recording to {path}", flush=True)
-        start_s = time.monotonic()
-        try:
-            while session.goes_on and not sink.failure and (now_s := time.monotonic()) - start_s < options.duration:
-                if _orphaned(options):
-                    break
-                session.spin()
-                waiting = f", nobody publishes {', '.join(node.missing)}" if node.missing else ""
-                line.show(
-                    now_s,
-                    f"recording {now_s - start_s:.1f} s: {len(node.recorded)} topics, {sink.messages} messages, "
-                    f"{sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped{waiting}",
-                )
-        finally:
-            line.end()
-            session.end(node)
+    node = BagRecorder(sink, options.topics, options.exclude)
+    session.executor.add_node(node)
+    # Whoever started this program may send SIGINT from now on: the handlers are there.
+    print(f"recording to {path}", flush=True)
+    start_s = time.monotonic()
+    try:
+        while session.goes_on and not sink.failure and (now_s := time.monotonic()) - start_s < options.duration:
+            if _orphaned(options):
+                break
+            session.spin()
+            waiting = f", nobody publishes {', '.join(node.missing)}" if node.missing else ""
+            line.show(
+                now_s,
+                f"recording {now_s - start_s:.1f} s: {len(node.recorded)} topics, {sink.messages} messages, "
+                f"{sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped{waiting}",
+            )
+    finally:
+        line.end()
+        session.end(node)
 
 
 if __name__ == "__main__":
