@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import io
 import json
+import os
 import shutil
 import ssl
 import stat
+import subprocess
 from pathlib import Path
 
 import aiohttp
@@ -48,6 +50,28 @@ def test_its_files_are_those_that_bring_up_keeps(tmp_path: Path, monkeypatch: py
     monkeypatch.delenv("XDG_STATE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert page_admin.parser().parse_args(["audit"]).file == tmp_path / "home/.local/state/icu_gantry/audit.jsonl"
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_a_certificate_for_a_long_name_is_made_and_one_that_failed_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "tls"
+    (tmp_path / "bin").mkdir()
+    half = tmp_path / "bin" / "openssl"  # writes the key, and fails then, as on a full disk
+    half.write_text("#!/bin/sh\nwhile [ $1 != -keyout ]; do shift; done\n: > $2\necho no space left >&2\nexit 1\n")
+    half.chmod(0o755)
+    path = os.environ["PATH"]
+    monkeypatch.setenv("PATH", f"{half.parent}:{path}")
+    assert page_admin.main(["certificate", "icu-7", "--folder", str(folder)]) == 1
+    assert "no space left" in capsys.readouterr().err
+    assert list(folder.iterdir()) == [], "else the next one is refused"
+    monkeypatch.setenv("PATH", path)
+    host = f"{'icu-7-' * 5}gantry.{'ward-' * 5}3.hospital.example"  # a name in X.520 has at most 64 characters
+    assert len(host) > 64
+    assert page_admin.main(["certificate", host, "--folder", str(folder)]) == 0
+    show = ["openssl", "x509", "-in", str(folder / "certificate.pem"), "-noout", "-ext", "subjectAltName"]
+    assert f"DNS:{host}" in subprocess.run(show, capture_output=True, text=True, check=True).stdout
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")

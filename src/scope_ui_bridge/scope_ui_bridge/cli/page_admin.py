@@ -21,6 +21,7 @@ from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, verify
 from scope_ui_bridge.core.passwords import PasswordError, Role, new_user
 
 _DAYS = 825  # what browsers take at most
+_MAX_COMMON_NAME = 64  # of X.520; browsers read the names beside it
 
 
 class AdminError(Exception):
@@ -79,10 +80,13 @@ def make_certificate(hosts: Sequence[str], folder: Path) -> str:
             raise AdminError(f"{path} exists; move it away first")
     names = ",".join(f"{_kind(host)}:{host}" for host in hosts)
     command = [program, "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-sha256"]
-    command += ["-days", str(_DAYS), "-keyout", str(key), "-out", str(certificate), "-subj", f"/CN={hosts[0]}"]
+    command += ["-days", str(_DAYS), "-keyout", str(key), "-out", str(certificate)]
+    command += ["-subj", f"/CN={hosts[0][:_MAX_COMMON_NAME]}"]
     command += ["-addext", f"subjectAltName={names}", "-addext", "extendedKeyUsage=serverAuth"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
+        for path in (key, certificate):
+            path.unlink(missing_ok=True)
         raise AdminError(f"openssl: {done.stderr.strip()}")
     key.chmod(0o600)
     shown = subprocess.run(
