@@ -274,6 +274,18 @@ def test_a_command_without_an_answer_fails_visibly_and_frees_the_desk() -> None:
     assert of_type(rig.act(), SendCommand)
 
 
+def test_a_recording_that_ended_by_itself_is_in_the_log_and_in_the_records() -> None:
+    rig = Rig()
+    effects = rig.desk.recording_ended(False, "the disk is full", rig.now)
+    (entry,) = logged(effects)
+    assert (entry["who"], entry["action"], entry["status"]) == ("bag_record", "end_record", "failed")
+    assert entry["reason"] == "the disk is full"
+    (line,) = of_type(effects, Record)
+    assert (line.record["command"], line.record["result"]) == ("end_record", "failed")
+    assert logged(rig.desk.recording_ended(True, "7 messages", rig.now))[0]["status"] == "done"
+    assert not rig.desk.moving
+
+
 def test_a_recorder_may_take_its_time_and_holds_nobody_up() -> None:
     rig = Rig()
     rig.ask(rig.a, type="call", service="end_record")

@@ -67,6 +67,34 @@ def test_a_program_that_cannot_record_is_told(tmp_path: Path) -> None:
     recorder.close()
 
 
+def test_why_nothing_can_be_recorded_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    program = tmp_path / "record"
+    program.write_text("#!/bin/sh\necho a warning >&2\necho 'error: the disk is full: 3 MB are free' >&2\nexit 2\n")
+    program.chmod(0o755)
+    answers: queue.Queue[tuple[bool, str]] = queue.Queue()
+    recorder = Recorder(str(tmp_path / "sessions"), program)
+    recorder.start(lambda ok, text: answers.put((ok, text)))
+    assert answers.get(timeout=WITHIN_S) == (False, "bag_record ended with 2; the disk is full: 3 MB are free")
+    recorder.close()
+    assert capfd.readouterr().err == "a warning\nerror: the disk is full: 3 MB are free\n", "the log has it, too"
+
+
+def test_a_recording_that_ends_by_itself_is_told(tmp_path: Path) -> None:
+    program = tmp_path / "record"
+    end = "echo 'session: 7 messages'\necho 'error: the recording has ended: the disk is full' >&2\nexit 1\n"
+    program.write_text(f"#!/bin/sh\necho recording\n{end}")
+    program.chmod(0o755)
+    answers: queue.Queue[tuple[str, bool, str]] = queue.Queue()
+    recorder = Recorder(
+        str(tmp_path / "sessions"), program, ended=lambda ok, text: answers.put(("ended by itself", ok, text))
+    )
+    recorder.start(lambda ok, text: answers.put(("start", ok, text)))
+    assert answers.get(timeout=WITHIN_S)[:2] == ("start", True)
+    why = "bag_record ended with 1; session: 7 messages; the recording has ended: the disk is full"
+    assert answers.get(timeout=WITHIN_S) == ("ended by itself", False, why)
+    recorder.close()
+
+
 def test_a_recording_that_does_not_end_with_the_bridge_is_told(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -11,10 +11,12 @@ import threading
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
+from typing import TextIO
 
 from scope_ui_bridge.adapters.graph_port import GraphError
 
 _LOG = logging.getLogger(__name__)
+_ERROR = "error: "
 Answered = Callable[[bool, str], None]
 
 
@@ -38,10 +40,19 @@ class Recorder:
         What records.
     end_s
         How long the end of the bridge waits for a whole bag.
+    ended
+        Called, in a thread, when a recording has ended without having been asked to, as before the disk is full.
     """
 
-    def __init__(self, folder: str, program: Path | None = None, end_s: float = 10.0) -> None:
+    def __init__(
+        self,
+        folder: str,
+        program: Path | None = None,
+        end_s: float = 10.0,
+        ended: Answered = lambda success, text: None,
+    ) -> None:
         self._end_s = end_s
+        self._ended_alone = ended
         self._folder = Path(folder).expanduser() if folder else None
         self._program = program or bag_record()
         self._change = threading.Lock()
@@ -64,11 +75,13 @@ class Recorder:
             command += ["--child-of", str(os.getpid())]  # whoever comes after a killed bridge does not know of it
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
-                self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+                # In memory, as the disk may be full; no pipe, as who outlives a killed bridge must be able to write.
+                errors = os.fdopen(os.memfd_create("bag_record"), "w+", errors="replace")
+                self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
             except OSError as error:
                 raise GraphError(f"cannot record to {self._output}: {error}") from error
             self._records, self._ended = False, None
-            follow = (self._process, self._output, answered)
+            follow = (self._process, self._output, errors, answered)
             threading.Thread(target=self._follow, args=follow, name="recorder", daemon=True).start()
 
     def end(self, answered: Answered) -> None:
@@ -96,7 +109,7 @@ class Recorder:
             process.wait()
             _LOG.warning("%s was cut off; save it with: bag_info %s --repair NEW_BAG", self._output, self._output)
 
-    def _follow(self, process: subprocess.Popen[str], output: Path, started: Answered) -> None:
+    def _follow(self, process: subprocess.Popen[str], output: Path, errors: TextIO, started: Answered) -> None:
         assert process.stdout is not None
         with process.stdout as said:
             records = bool(said.readline())
@@ -108,11 +121,22 @@ class Recorder:
                 started(True, f"recording to {output}")
             summary = said.read().strip()
         whole = process.wait() == 0
-        why = f"bag_record ended with {process.returncode}; {summary}".rstrip("; ")
+        why = "; ".join(filter(None, [f"bag_record ended with {process.returncode}", summary, *_told(errors)]))
         if not records:
             started(False, why)
         with self._change:
             # Another recording may have begun when this one ended by itself.
             ended = self._ended if self._process is process else None
+        if ended is None and records:
+            ended = self._ended_alone
         if ended is not None:
             ended(whole, f"recorded to {summary}" if whole else why)
+
+
+def _told(errors: TextIO) -> list[str]:
+    """Pass on what the program said to the log, and return its errors."""
+    with errors:
+        errors.seek(0)
+        text = errors.read()
+    sys.stderr.write(text)
+    return [line.removeprefix(_ERROR) for line in text.splitlines() if line.startswith(_ERROR)]

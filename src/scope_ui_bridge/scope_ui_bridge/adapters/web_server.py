@@ -92,7 +92,9 @@ class WebServer:
         self._encoder = ThreadPoolExecutor(1, "jpeg")
         self._writer = ThreadPoolExecutor(1, "audit")  # one thread keeps the records in order
         self.video = VideoHub(desk, self._encoder, lambda: desk.config.jpeg_quality, graph.ros_ns)
-        self.recorder = Recorder(config.record_folder)
+        self.recorder = Recorder(
+            config.record_folder, ended=lambda success, text: self.post(desk.recording_ended, success, text)
+        )
         self._held: tuple[int, str, npt.NDArray[Any]] | None = None
         self._outboxes: dict[str, asyncio.Queue[str]] = {}
         self._controls: dict[str, web.WebSocketResponse] = {}

@@ -50,7 +50,7 @@ from scope_ui_bridge.core.viewer import Viewer
 HEARTBEAT_PERIOD_S = 0.2
 STATE_PERIOD_S = (0.1, 1.0)
 _SAME_STOP_S = 0.5
-_WATCHDOG = "Watchdog"
+_WATCHDOG, _RECORDER = "Watchdog", "bag_record"
 _TIP_SEEN_NS = 1_000_000_000
 _MAX_LINES = 40  # in one tick
 _KEPT_LINES = 100  # for engineers who come later
@@ -518,6 +518,12 @@ class Desk:
         if entry is None:
             return []
         changed = self._log.update(entry, status="done" if success else "rejected", reason=text)
+        return [shown(changed), command_log.result_record(changed, now)]
+
+    def recording_ended(self, success: bool, text: str, now: Now) -> list[Effect]:
+        """Note that a recording has ended without having been asked to."""
+        entry = self._log.add(_RECORDER, "end_record", "", now, status="done" if success else "failed")
+        changed = self._log.update(entry, reason=text)
         return [shown(changed), command_log.result_record(changed, now)]
 
     def result(self, result: GoalResult, now: Now) -> list[Effect]:
