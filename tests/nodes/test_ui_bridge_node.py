@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
@@ -230,6 +231,19 @@ class Browser:
         self.loop.call_soon_threadsafe(self.loop.stop)
         self.thread.join(WITHIN_S)
         self.loop.close()
+
+
+def test_the_console_of_a_robot_shows_what_its_own_programs_say(ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All robots of a domain write to one /rosout, and the stop of bed_2 is no news at bed_1."""
+    node = ros.node(BridgeNode, {"port": 0, "token_file": ""}, namespace="/bed_1")
+    heard: list[dict[str, Any]] = []
+    monkeypatch.setattr(node._desk, "said", heard.append)
+    out = ros.plain("others").create_publisher(Log, "/rosout", qos.RESULTS)
+    ros.spin_until(out.get_subscription_count, WITHIN_S)
+    for name in ("bed_2.gantry.serial_driver", "bed_10.ui_bridge", "bed_1.gantry.serial_driver"):
+        out.publish(Log(level=30, name=name, msg="stop"))
+    ros.spin_until(lambda: any(line["text"] == "stop" for line in heard), WITHIN_S)
+    assert [line["name"] for line in heard if line["text"] == "stop"] == ["bed_1.gantry.serial_driver"]
 
 
 @pytest.fixture

@@ -327,7 +327,9 @@ class BridgeNode(Node):
 
     def _said(self, message: Log) -> None:
         level = _LEVELS.get(message.level)
-        if level:
+        # All robots of the domain write to one topic; loggers are named as their nodes.
+        mine = ".".join(self.get_namespace().split("/")[1:])
+        if level and (not mine or message.name.startswith(f"{mine}.")):
             wall_ms = stamp_ns(message.stamp) // 1_000_000
             line = {"wall_ms": wall_ms, "level": level, "name": message.name, "text": message.msg[:300]}
             self._mail.each(self._desk.said, line)
