@@ -42,6 +42,23 @@ def test_a_password_is_set_changed_and_removed(
     assert "10 to 256" in capsys.readouterr().err
 
 
+def test_what_people_wrote_into_the_file_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "passwords"
+    for arguments in (["ada"], ["eve"]):
+        monkeypatch.setattr("sys.stdin", io.StringIO("first password\n"))
+        assert page_admin.main(["password", *arguments, "--file", str(file)]) == 0
+    ada, eve = file.read_text().splitlines()
+    file.write_text(f"# ward 3\n{ada}\n\n# ada: the night's engineer\n{eve}\n")
+    monkeypatch.setattr("sys.stdin", io.StringIO("second password\n"))
+    assert page_admin.main(["password", "ada", "--file", str(file)]) == 0
+    assert [line for line in file.read_text().splitlines() if not line.startswith("ada:")] == [
+        *("# ward 3", "", "# ada: the night's engineer", eve)
+    ]
+    assert matches("second password", read_users(file)["ada"].hashed)
+    assert page_admin.main(["password", "eve", "--remove", "--file", str(file)]) == 0
+    assert list(read_users(file)) == ["ada"] and "# ward 3" in file.read_text()
+
+
 def test_its_files_are_those_that_bring_up_keeps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr("sys.stdin", io.StringIO("first password\n"))

@@ -49,12 +49,14 @@ def parser() -> argparse.ArgumentParser:
 def change_password(name: str, role: str, path: Path, password: str | None) -> str:
     """Put a user into the file, or take it out (``password`` None); return what was done."""
     users = read_users(path) if path.exists() else {}
+    before = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    lines = [line for line in before if line.strip().partition(":")[0] != name]  # comments of people stay
     if password is None:
-        if users.pop(name, None) is None:
+        if name not in users:
             raise AdminError(f"{name} is not in {path}")
     else:
-        users[name] = new_user(name, role, password, os.urandom(16))
-    write_secret(path, "\n".join(user.line() for user in users.values()))
+        lines.append(new_user(name, role, password, os.urandom(16)).line())
+    write_secret(path, "\n".join(lines))
     return f"{name} is no longer in {path}" if password is None else f"{name} ({role}) can sign in; {path}"
 
 
