@@ -15,6 +15,8 @@ from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 _PROFILE_KEYS = {"about", "extends", "set"}
 _KEYS = {"package", "executable", "namespace", "only", "ros", "ends_last", "when"}
 _NAMESPACE = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*/?", re.ASCII)
+_TEXTS = ("package", "executable", "namespace", "waits_for", "extends", "scope")
+_LISTS, _MAPPINGS = ("parameters", "arguments", "only"), ("set", "remap", "when")
 _ADDABLE = {"parameters", "set", "remap", "arguments", "waits_for"}
 
 
@@ -208,19 +210,24 @@ def _refuse_repeated_keys(node: Any) -> None:
             _refuse_repeated_keys(value)
 
 
-def _chain(profiles: Mapping[str, Any], profile: str) -> list[str]:
+def _chain(profiles: Mapping[str, Any], profile: str, above: tuple[str, ...] = ()) -> list[str]:
     """Return the profile and those that it extends, the most general first."""
     if profile not in profiles:
         raise GraphError(f"profile {profile!r} is none of {', '.join(profiles)}")
+    if profile in above:
+        raise GraphError(f"profile {profile} extends itself")
     base = profiles[profile].get("extends")
-    return [*(_chain(profiles, base) if base else []), profile]
+    return [*(_chain(profiles, base, (*above, profile)) if base else []), profile]
 
 
 def _check_form(document: Any) -> None:
     for key in ("scope", "profiles", "programs"):
         if not isinstance(document, dict) or key not in document:
             raise GraphError(f"graph.yaml: {key} is missing")
+    _check_kinds("graph.yaml", {"scope": document["scope"]})
     for group in ("profiles", "programs"):
+        if not isinstance(document[group], dict):
+            raise GraphError(f"graph.yaml: {group} = {document[group]!r}: a mapping is needed")
         for name, entry in document[group].items():
             if not isinstance(entry, dict):
                 raise GraphError(f"graph.yaml: {group}: {name}: a mapping is needed")
@@ -228,6 +235,19 @@ def _check_form(document: Any) -> None:
         if unknown := set(entry) - _PROFILE_KEYS:
             known = ", ".join(sorted(_PROFILE_KEYS))
             raise GraphError(f"profile {name}: unknown key {', '.join(sorted(unknown))}; known: {known}")
+        _check_kinds(f"profile {name}", entry)
+
+
+def _check_kinds(place: str, entry: Mapping[str, Any]) -> None:
+    for key in (key for key in _TEXTS if key in entry):
+        if not isinstance(entry[key], str):
+            raise GraphError(f"{place}: {key} = {entry[key]!r}: a text is needed")
+    for key in (key for key in _LISTS if key in entry):
+        if not isinstance(entry[key], list) or not all(isinstance(text, str) for text in entry[key]):
+            raise GraphError(f"{place}: {key} = {entry[key]!r}: a list of texts is needed")
+    for key in (key for key in _MAPPINGS if key in entry):
+        if not isinstance(entry[key], dict):
+            raise GraphError(f"{place}: {key} = {entry[key]!r}: a mapping is needed")
 
 
 def _check_keys(name: str, entry: Mapping[str, Any], profiles: list[str]) -> None:
@@ -239,12 +259,16 @@ def _check_keys(name: str, entry: Mapping[str, Any], profiles: list[str]) -> Non
         raise GraphError(
             f"{name}: unknown key {', '.join(sorted(unknown))}; known: {', '.join(sorted(_KEYS | _ADDABLE))}"
         )
+    _check_kinds(name, entry)
     for profile in entry.get("only", ()):
         if profile not in profiles:
             raise GraphError(f"{name}: only {profile!r}: the profiles are {', '.join(profiles)}")
     for profile, addition in entry.get("when", {}).items():
         if profile not in profiles:
             raise GraphError(f"{name}: when {profile!r}: the profiles are {', '.join(profiles)}")
+        if not isinstance(addition, dict):
+            raise GraphError(f"{name}: when {profile} = {addition!r}: a mapping is needed")
+        _check_kinds(f"{name}: when {profile}", addition)
         if set(addition) - _ADDABLE:
             raise GraphError(f"{name}: when {profile}: only {', '.join(sorted(_ADDABLE))} can be added")
 
