@@ -281,6 +281,28 @@ def test_a_driver_at_work_is_found_before_the_first_message(
     assert heard == []
 
 
+def test_a_recorded_clock_does_not_run_beside_that_of_the_player(ros: Ros, tmp_path: Path, command: Start) -> None:
+    """It was recorded during another replay, and would throw the time to and fro."""
+    with BagWriter(tmp_path / "bag", keep_free=0) as bag:
+        bag.add_topic(BagTopic(name="/clock", type="rosgraph_msgs/msg/Clock"))
+        bag.add_topic(BagTopic(name="/words", type="std_msgs/msg/String"))
+        for i in range(20):
+            bag.write("/clock", 10**9 + 10**7 * i, serialize_message(Clock(clock=Time(sec=77 + i))))
+            bag.write("/words", 10**9 + 10**7 * i, serialize_message(String(data=f"{i}")))
+    listener = ros.plain("listener")
+    words = ros.collect(listener, String, "/words", QoSProfile(depth=100))
+    times = ros.collect(listener, Clock, "/clock", QoSProfile(depth=100))
+    output = command("bag_play", str(tmp_path / "bag"), "--clock", "100", "--wait", "60").end()
+    assert "not played: /clock\n" in output
+    ros.spin_until(lambda: len(words) == 20, 10.0, lambda: len(words))
+    assert times and all(message.clock.sec < 10 for message in times)
+    words.clear()
+    times.clear()
+    command("bag_play", str(tmp_path / "bag"), "--wait", "60").end()
+    ros.spin_until(lambda: len(words) == len(times) == 20, 10.0, lambda: (len(words), len(times)))
+    assert [message.clock.sec for message in times] == [77 + i for i in range(20)]
+
+
 def test_a_topic_of_a_type_that_is_not_installed_is_left_out_by_name(ros: Ros, tmp_path: Path, command: Start) -> None:
     """A bag may come from another computer; the other topics are played."""
     types = get_typestore(Stores.ROS2_JAZZY)

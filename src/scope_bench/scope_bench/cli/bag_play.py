@@ -59,6 +59,7 @@ def chosen(bag: BagReader, options: argparse.Namespace) -> list[BagTopic]:
         If one that was named is not in the bag, or of a type that is not installed here.
     """
     names, in_step = {topic.name for topic in bag.topics}, bool(options.in_step)
+    own = {"/clock"} if options.clock or in_step else set()  # what the player tells itself
     unknown = {*(options.topics or ()), *options.exclude} - names
     if unknown:
         raise BagError(f"{bag.path} has no {', '.join(sorted(unknown))}; it has {', '.join(sorted(names))}")
@@ -66,7 +67,7 @@ def chosen(bag: BagReader, options: argparse.Namespace) -> list[BagTopic]:
         topic
         for topic in bag.topics
         if (options.topics is None or topic.name in options.topics)
-        and topic.name not in options.exclude
+        and topic.name not in {*options.exclude, *own}
         and (options.moving or not topic.name.endswith(MOVING) or (topic.name.endswith(tuple(ASIDE)) and not in_step))
     ]
     strange = [topic for topic in wanted if not _installed(topic.type)]
