@@ -445,6 +445,55 @@ def test_pictures_that_cannot_be_compressed_are_kept_as_they_are(tmp_path: Path)
     assert kinds == {"/depth": (IMAGE, 2), **compressed} and kept == [depth, depth]
 
 
+def test_a_picture_that_differs_from_those_before_does_not_end_the_recording(tmp_path: Path) -> None:
+    """One of no size, or in another encoding, as of a camera that is set anew, is kept beside the compressed ones."""
+    header = TYPES.types["std_msgs/msg/Header"](
+        stamp=TYPES.types["builtin_interfaces/msg/Time"](sec=12, nanosec=34), frame_id="eye"
+    )
+
+    def picture(encoding: str, height: int, width: int) -> bytes:
+        data = np.zeros(height * width, np.uint8)
+        image = TYPES.types[IMAGE](
+            header=header, height=height, width=width, encoding=encoding, is_bigendian=0, step=width, data=data
+        )
+        return bytes(TYPES.serialize_cdr(image, IMAGE))
+
+    good, deep, empty = picture("mono8", 6, 8), picture("8UC4", 6, 8), picture("mono8", 0, 0)
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0), PictureCodec())
+    sink.add_topic(BagTopic(name="/eye", type=IMAGE))
+    sink.add_topic(BagTopic(name="/joints", type="std_msgs/msg/String"))
+    for stamp_ns, data in enumerate((good, deep, empty, good), 1):
+        sink.put("/eye", stamp_ns, data)
+    sink.put("/joints", 5, b"\0\1\0\0\2\0\0\0x\0")
+    sink.close()
+    assert (sink.failure, sink.dropped, sink.messages) == ("", 0, 5)
+    with BagReader(tmp_path / "bag") as bag:
+        kinds = {topic.name: (topic.type, topic.count) for topic in bag.topics}
+        kept = [(stamp_ns, data) for _, stamp_ns, data in bag.messages(["/eye"])]
+    assert kinds == {
+        "/eye": (IMAGE, 2),
+        "/eye/compressed": (COMPRESSED, 2),
+        "/joints": ("std_msgs/msg/String", 1),
+    }
+    assert kept == [(2, deep), (3, empty)]
+
+
+def test_a_bag_that_cannot_be_made_of_a_path_is_told(tmp_path: Path) -> None:
+    for path in (Path("/"), tmp_path):
+        with pytest.raises(BagError, match=f"{path} exists already"):
+            BagSink(lambda path=path: BagWriter(path, keep_free=0))  # type: ignore[misc]
+    with pytest.raises(BagError, match="/ exists already"):
+        repair(tmp_path, Path("/"))
+
+
+def test_an_error_without_words_is_told(tmp_path: Path) -> None:
+    def fail() -> BagWriter:
+        raise MemoryError
+
+    with pytest.raises(BagError, match="MemoryError"):
+        BagSink(fail)
+
+
 def test_an_error_of_any_kind_ends_the_writing_and_is_told(tmp_path: Path) -> None:
     sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0), PictureCodec())
     sink.add_topic(BagTopic(name="/eye/image_raw", type=IMAGE))

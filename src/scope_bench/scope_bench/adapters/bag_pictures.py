@@ -48,7 +48,7 @@ class PictureCodec:
         Raises
         ------
         ValueError
-            For encodings other than bgr8, rgb8 and mono8.
+            For encodings other than bgr8, rgb8 and mono8, and for pictures that OpenCV cannot compress.
         """
         image: Any = self._types.deserialize_cdr(data, IMAGE)
         if image.encoding not in _CHANNELS:
@@ -57,7 +57,10 @@ class PictureCodec:
         pixels = rows[:, : image.width * _CHANNELS[image.encoding]].reshape(image.height, image.width, -1)
         if image.encoding == "rgb8":
             pixels = pixels[:, :, ::-1]
-        done, packed = cv2.imencode("." + self._form, np.ascontiguousarray(pixels), self._options)
+        try:
+            done, packed = cv2.imencode("." + self._form, np.ascontiguousarray(pixels), self._options)
+        except cv2.error:  # of no pixels
+            done = False
         if not done:
             raise ValueError(f"a picture of {image.width} x {image.height} px cannot be compressed as {self._form}")
         name = f"{image.encoding}; {self._form} compressed {'bgr8' if image.encoding != 'mono8' else ''}".rstrip()

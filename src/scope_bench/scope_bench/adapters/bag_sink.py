@@ -45,8 +45,8 @@ class BagSink:
         self._size = self.dropped = self.messages = self.bytes = 0
         self.failure = ""
         self._ending = self._opened = False
-        self._undecided: dict[str, BagTopic] = {}
-        self._pictures: set[str] = set()
+        self._pictures: dict[str, BagTopic] = {}
+        self._announced: set[str] = set()
         self._change = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="bag")
         self._thread.start()
@@ -93,7 +93,7 @@ class BagSink:
             with writer:
                 while (item := self._next()) is not None:
                     self._write(writer, item)
-                for topic in self._undecided.values():
+                for topic in self._pictures.keys() - {name.removesuffix(SUFFIX) for name in self._announced}:
                     self._announce(writer, topic, compressed=True)
         except (BagError, ValueError) as error:
             self._fail(error)
@@ -109,39 +109,37 @@ class BagSink:
     def _write(self, writer: BagWriter, item: BagTopic | tuple[str, int, bytes]) -> None:
         if isinstance(item, BagTopic):
             if self._codec is not None and item.type == IMAGE:
-                self._undecided[item.name] = item  # until its first picture tells whether it can be compressed
+                self._pictures[item.name] = item  # its pictures tell whether they can be compressed
             else:
                 writer.add_topic(item)
             return
         topic, stamp_ns, data = item
         with self._change:
             self._size -= len(data)
-        packed = self._packed(topic, data)
-        if (announced := self._undecided.pop(topic, None)) is not None:
-            self._announce(writer, announced, compressed=packed is not None)
-        if packed is not None:
-            topic, data = topic + SUFFIX, packed
+        if topic in self._pictures:
+            packed = self._packed(data)
+            self._announce(writer, topic, compressed=packed is not None)
+            if packed is not None:
+                topic, data = topic + SUFFIX, packed
         writer.write(topic, stamp_ns, data)
         self.messages, self.bytes = writer.messages, writer.bytes
 
-    def _packed(self, topic: str, data: bytes) -> bytes | None:
-        """Return the compressed picture, None for what is no picture or of a topic that is kept as it is."""
-        if self._codec is None or topic not in {*self._undecided, *self._pictures}:
-            return None
+    def _packed(self, data: bytes) -> bytes | None:
+        """Return the compressed picture, None for one that is kept as it is."""
+        assert self._codec is not None
         try:
             return self._codec.pack(data)
         except ValueError:
-            if topic in self._pictures:
-                raise
             return None
 
-    def _announce(self, writer: BagWriter, topic: BagTopic, *, compressed: bool) -> None:
-        if compressed:
-            self._pictures.add(topic.name)
-            topic = BagTopic(name=topic.name + SUFFIX, type=COMPRESSED, qos=topic.qos)
-        writer.add_topic(topic)
+    def _announce(self, writer: BagWriter, topic: str, *, compressed: bool) -> None:
+        name = topic + SUFFIX if compressed else topic
+        if name not in self._announced:
+            self._announced.add(name)
+            kind = COMPRESSED if compressed else IMAGE
+            writer.add_topic(BagTopic(name=name, type=kind, qos=self._pictures[topic].qos))
 
     def _fail(self, error: Exception) -> None:
         with self._change:
-            self.failure = str(error)
+            self.failure = str(error) or repr(error)
             self._change.notify()

@@ -116,7 +116,7 @@ class BagWriter:
         self._connections: dict[str, Connection] = {}
         self.messages = self.bytes = 0
         self._unchecked, self._flushed_s = 0, time.monotonic()
-        self._check_disk(next(place for place in path.absolute().parents if place.is_dir()))
+        self._check_disk(next(place for place in (path.absolute(), *path.absolute().parents) if place.is_dir()))
         try:
             # The version of metadata.yaml that Jazzy writes.
             self._writer = Writer(path, version=9, storage_plugin=STORAGES[storage])
@@ -317,6 +317,8 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
     BagError
         If there is nothing to read, or ``out`` cannot be written.
     """
+    if out.exists():
+        raise BagError(f"{out} exists already")
     found = (
         [path] if path.is_file() else sorted(p for p in path.glob("*") if _plain_name(p).endswith((".db3", ".mcap")))
     )
