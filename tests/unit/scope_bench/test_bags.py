@@ -445,6 +445,28 @@ def test_pictures_that_cannot_be_compressed_are_kept_as_they_are(tmp_path: Path)
     assert kinds == {"/depth": (IMAGE, 2), **compressed} and kept == [depth, depth]
 
 
+@pytest.mark.parametrize("first", ["/eye", "/eye/compressed"])
+def test_pictures_that_are_published_compressed_as_well_do_not_end_the_recording(first: str, tmp_path: Path) -> None:
+    """As by image_transport, which publishes the same pictures under the name that ours get."""
+    header = TYPES.types["std_msgs/msg/Header"](
+        stamp=TYPES.types["builtin_interfaces/msg/Time"](sec=12, nanosec=34), frame_id="eye"
+    )
+    image = TYPES.types[IMAGE](
+        header=header, height=6, width=8, encoding="mono8", is_bigendian=0, step=8, data=np.zeros(48, np.uint8)
+    )
+    raw = bytes(TYPES.serialize_cdr(image, IMAGE))
+    packed = PictureCodec().pack(raw)
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0), PictureCodec())
+    for topic in sorted([("/eye", IMAGE), ("/eye/compressed", COMPRESSED)], reverse=first != "/eye"):
+        sink.add_topic(BagTopic(name=topic[0], type=topic[1]))
+    sink.put("/eye", 1, raw)
+    sink.put("/eye/compressed", 2, packed)
+    sink.close()
+    assert (sink.failure, sink.messages) == ("", 2)
+    with BagReader(tmp_path / "bag") as bag:
+        assert [(name, data) for name, _, data in bag.messages()] == [("/eye/compressed", packed)] * 2
+
+
 def test_a_picture_that_differs_from_those_before_does_not_end_the_recording(tmp_path: Path) -> None:
     """One of no size, or in another encoding, as of a camera that is set anew, is kept beside the compressed ones."""
     header = TYPES.types["std_msgs/msg/Header"](

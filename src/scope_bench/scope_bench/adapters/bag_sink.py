@@ -111,7 +111,7 @@ class BagSink:
             if self._codec is not None and item.type == IMAGE:
                 self._pictures[item.name] = item  # its pictures tell whether they can be compressed
             else:
-                writer.add_topic(item)
+                self._add(writer, item)
             return
         topic, stamp_ns, data = item
         with self._change:
@@ -133,11 +133,14 @@ class BagSink:
             return None
 
     def _announce(self, writer: BagWriter, topic: str, *, compressed: bool) -> None:
-        name = topic + SUFFIX if compressed else topic
-        if name not in self._announced:
-            self._announced.add(name)
-            kind = COMPRESSED if compressed else IMAGE
-            writer.add_topic(BagTopic(name=name, type=kind, qos=self._pictures[topic].qos))
+        name, kind = (topic + SUFFIX, COMPRESSED) if compressed else (topic, IMAGE)
+        self._add(writer, BagTopic(name=name, type=kind, qos=self._pictures[topic].qos))
+
+    def _add(self, writer: BagWriter, topic: BagTopic) -> None:
+        # Who publishes pictures also compressed does so under the name that they get here.
+        if topic.name not in self._announced:
+            self._announced.add(topic.name)
+            writer.add_topic(topic)
 
     def _fail(self, error: Exception) -> None:
         with self._change:
