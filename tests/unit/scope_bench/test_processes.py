@@ -8,9 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import pytest
-
-from scope_bench.adapters.processes import ProcessGroup, find_executable
+from scope_bench.adapters.processes import ProcessGroup
 
 PYTHON = [sys.executable, "-u", "-S", "-c"]
 STUBBORN = "import signal, sys; [signal.signal(s, signal.SIG_IGN) for s in (2, 15)]; print('up'); signal.pause()"
@@ -135,16 +133,6 @@ def test_stop_ends_all_and_kills_the_stubborn() -> None:
     pids = list(watch.group.running().values())
     assert watch.group.stop(within_s=1.0) == ["stubborn"]
     assert not any(alive(pid) for pid in pids)
-
-
-def test_an_executable_that_is_not_there_says_where_it_was_looked_for(tmp_path: Path) -> None:
-    near = tmp_path / "install" / "scope_bench" / "lib" / "scope_bench" / "bring_up"
-    with pytest.raises(FileNotFoundError, match=r"camera is not built; tried .*lib/harris_perception/camera"):
-        find_executable("harris_perception", "camera", near)
-    there = tmp_path / "install" / "harris_perception" / "lib" / "harris_perception" / "camera"
-    there.parent.mkdir(parents=True)
-    there.touch(mode=0o755)
-    assert find_executable("harris_perception", "camera", near) == there
 
 
 def test_what_ends_last_lives_until_the_others_are_gone(tmp_path: Path) -> None:

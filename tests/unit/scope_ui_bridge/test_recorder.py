@@ -56,6 +56,29 @@ def test_an_end_that_is_asked_before_the_program_listens_still_leaves_a_whole_ba
     recorder.close()
 
 
+@pytest.mark.parametrize("one_prefix", [False, True])
+def test_the_recorder_is_found_beside_the_bridge(
+    one_prefix: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    install = tmp_path / "install"
+    prefixes = [install if one_prefix else install / package for package in ("scope_ui_bridge", "scope_bench")]
+    bridge = prefixes[0] / "lib" / "scope_ui_bridge" / "ui_bridge"
+    bridge.parent.mkdir(parents=True)
+    monkeypatch.setattr(sys, "argv", [str(bridge)])
+    recorder = Recorder(str(tmp_path / "sessions"))
+    with pytest.raises(GraphError, match="bag_record is not installed beside this program"):
+        recorder.start(lambda ok, text: None)
+    there = prefixes[1] / "lib" / "scope_bench" / "bag_record"
+    there.parent.mkdir(parents=True)
+    there.write_text("#!/bin/sh\necho recording\n")
+    there.chmod(0o755)
+    answers: queue.Queue[bool] = queue.Queue()
+    recorder.start(lambda ok, text: answers.put(ok))
+    assert answers.get(timeout=WITHIN_S)
+    recorder.close()
+
+
 def test_a_program_that_cannot_record_is_told(tmp_path: Path) -> None:
     program = tmp_path / "record"
     program.write_text("#!/bin/sh\nexit 2\n")

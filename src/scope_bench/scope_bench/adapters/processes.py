@@ -11,7 +11,6 @@ import subprocess
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
 
@@ -240,25 +239,3 @@ class ProcessGroup:
             if not waiting:
                 break
         return killed
-
-
-def find_executable(package: str, executable: str, near: Path) -> Path:
-    """Return the path of a package's executable.
-
-    It is looked for where ament says, and beside ``near``, an executable of the same workspace, so that nothing needs
-    to be sourced.
-
-    Raises
-    ------
-    FileNotFoundError
-        With the places that were tried.
-    """
-    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    install = near.resolve().parents[3] if len(near.resolve().parents) > 3 else near.parent
-    tried = []
-    for prefix in (install / package, install, *prefixes):
-        path = prefix / "lib" / package / executable
-        if path.is_file() and os.access(path, os.X_OK):
-            return path
-        tried.append(str(path))
-    raise FileNotFoundError(f"{package}/{executable} is not built; tried {', '.join(tried)}; run: scripts/setup.sh")

@@ -15,12 +15,13 @@ import time
 from pathlib import Path
 from types import FrameType
 
+from icu_common.adapters.executables import find_executable
 from icu_common.adapters.state_folder import default_state_folder
 from icu_common.core.yaml_text import values_of_pairs
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import prepare_transport
 from scope_bench.adapters.graph_names import hold_names
-from scope_bench.adapters.processes import ProcessGroup, find_executable
+from scope_bench.adapters.processes import ProcessGroup
 from scope_bench.core.graph_description import GraphError, Program, check_namespace, load_graph
 
 IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "http://", "https://")

@@ -13,17 +13,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import TextIO
 
+from icu_common.adapters.executables import find_executable
 from scope_ui_bridge.adapters.graph_port import GraphError
 
 _LOG = logging.getLogger(__name__)
 _ERROR = "error: "
 Answered = Callable[[bool, str], None]
-
-
-def bag_record() -> Path:
-    """Return the program, which is installed beside this one."""
-    here = Path(sys.argv[0]).resolve().parent
-    return here / ".." / ".." / ".." / "scope_bench" / "lib" / "scope_bench" / "bag_record"
 
 
 class Recorder:
@@ -37,7 +32,7 @@ class Recorder:
     folder
         Where the sessions go, each in a folder named by its time; empty = nothing can be recorded.
     program
-        What records.
+        What records; bag_record, unless another one is given.
     end_s
         How long the end of the bridge waits for a whole bag.
     ended
@@ -54,7 +49,7 @@ class Recorder:
         self._end_s = end_s
         self._ended_alone = ended
         self._folder = Path(folder).expanduser() if folder else None
-        self._program = program or bag_record()
+        self._program = program
         self._change = threading.Lock()
         self._process: subprocess.Popen[str] | None = None
         self._output = Path()
@@ -68,10 +63,12 @@ class Recorder:
         with self._change:
             if self._process is not None and self._process.poll() is None:
                 raise GraphError(f"already recording to {self._output}")
-            if not self._program.is_file():
-                raise GraphError("bag_record is not installed beside this program")
+            try:
+                program = self._program or find_executable("scope_bench", "bag_record", Path(sys.argv[0]))
+            except FileNotFoundError as error:
+                raise GraphError("bag_record is not installed beside this program") from error
             self._output = self._folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
-            command = [str(self._program), "-o", str(self._output), "--compress", "jpeg"]
+            command = [str(program), "-o", str(self._output), "--compress", "jpeg"]
             command += ["--child-of", str(os.getpid())]  # whoever comes after a killed bridge does not know of it
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
