@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import queue
 import sys
 from pathlib import Path
 
 import pytest
+from unit.scope_ui_bridge import web_rig
 
 from scope_ui_bridge.adapters.graph_port import GraphError
 from scope_ui_bridge.adapters.recorder import Recorder
@@ -116,6 +118,25 @@ def test_a_recording_that_ends_by_itself_is_told(tmp_path: Path) -> None:
     why = "bag_record ended with 1; session: 7 messages; the recording has ended: the disk is full"
     assert answers.get(timeout=WITHIN_S) == ("ended by itself", False, why)
     recorder.close()
+
+
+def test_every_page_sees_that_a_recording_has_ended_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "install" / "lib" / "scope_bench"
+    folder.mkdir(parents=True)
+    (folder / "bag_record").write_text("#!/bin/sh\necho recording\necho 'error: the disk is full' >&2\nexit 1\n")
+    (folder / "bag_record").chmod(0o755)
+    monkeypatch.setattr(sys, "argv", [str(tmp_path / "install" / "lib" / "scope_ui_bridge" / "ui_bridge")])
+
+    async def scenario(rig: web_rig.Rig) -> None:
+        async with web_rig.page(rig, take=True) as operator, web_rig.page(rig) as other:
+            await operator.send(type="call", service="record")
+            for page in (operator, other):
+                ended = await page.until(lambda m: m["type"] == "log" and m["entry"]["who"] == "bag_record")
+                assert ended["entry"]["status"] == "failed"
+                assert ended["entry"]["reason"] == "bag_record ended with 1; the disk is full"
+
+    with web_rig.Rig(record_folder=str(tmp_path / "sessions")) as rig:
+        asyncio.run(scenario(rig))
 
 
 def test_a_recording_that_does_not_end_with_the_bridge_is_told(
