@@ -23,10 +23,10 @@ def start(context: LaunchContext) -> list:
     check_namespace(values["namespace"])
     given = Path(values["state"]).expanduser() if values["state"] else None
     state = state_folder(given, values["namespace"])
-    run = Path(values["run"] or mkdtemp(prefix="icu_gantry_"))
+    run = Path(values["run"] or mkdtemp(prefix="icu_gantry_")).expanduser()
     run.mkdir(parents=True, exist_ok=True)
     programs, _ = load_graph(
-        Path(values["config"]),
+        Path(values["config"]).expanduser(),
         values["profile"],
         run=run,
         state=state,

@@ -156,6 +156,22 @@ def test_a_second_graph_under_the_same_names_is_refused(two: Callable[..., subpr
         again.communicate(timeout=20.0)
 
 
+def test_folders_below_the_home_may_be_named_as_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A shell leaves the ~ of ``--state=~/robot`` alone; page_admin and ros2 launch know it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "home" / "config").mkdir(parents=True)
+    (tmp_path / "home" / "config" / "graph.yaml").write_text("profiles: 5")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    given = ["--config=~/config", "--state=~/robot", "--run-dir=~/run"]
+    monkeypatch.setattr("sys.argv", ["bring_up", *given])
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    assert bring_up.main() == 2 and "graph.yaml: scope is missing" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["home"]
+    assert sorted(path.name for path in (tmp_path / "home").iterdir()) == ["config", "robot", "run"]
+
+
 def test_a_folder_for_the_state_that_is_there_keeps_its_rights(tmp_path: Path) -> None:
     shared, fresh = tmp_path / "shared", tmp_path / "fresh"
     shared.mkdir(mode=0o755)

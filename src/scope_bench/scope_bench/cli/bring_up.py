@@ -62,13 +62,17 @@ def true_configuration(installed: Path) -> Path:
     return (installed / "graph.yaml").resolve().parent
 
 
+def _folder(text: str) -> Path:
+    return Path(text).expanduser()  # which a shell does not do behind an equals sign
+
+
 def parser() -> argparse.ArgumentParser:
     """Return the command line's description."""
     result = argparse.ArgumentParser(prog="bring_up", description=__doc__)
     result.add_argument("--profile", default="bench", help="profile of graph.yaml (default: %(default)s)")
-    result.add_argument("--config", type=Path, help="folder with graph.yaml")
-    result.add_argument("--state", type=Path, help="folder that keeps calibration and sign-in")
-    result.add_argument("--run-dir", type=Path, help="folder for sockets (default: a new temporary one)")
+    result.add_argument("--config", type=_folder, help="folder with graph.yaml")
+    result.add_argument("--state", type=_folder, help="folder that keeps calibration and sign-in")
+    result.add_argument("--run-dir", type=_folder, help="folder for sockets (default: a new temporary one)")
     result.add_argument("--scope", default="", help="model in config/scopes (default: graph.yaml's)")
     result.add_argument("--namespace", default="", help="put every name of the graph under this namespace")
     result.add_argument("--only", action="append", default=[], metavar="PROGRAM", help="start nothing but this")
