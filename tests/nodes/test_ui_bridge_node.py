@@ -246,6 +246,19 @@ def test_the_console_of_a_robot_shows_what_its_own_programs_say(ros: Any, monkey
     assert [line["name"] for line in heard if line["text"] == "stop"] == ["bed_1.gantry.serial_driver"]
 
 
+def test_a_state_under_another_name_stays_while_somebody_tells_it(ros: Any) -> None:
+    remapped = ["--ros-args", "-r", "gantry/state:=other/state"]
+    node = ros.node(BridgeNode, {"port": 0, "token_file": ""}, cli_args=remapped)
+    ros.plain("controller").create_publisher(String, "other/state", qos.LATCHED).publish(String(data="ready"))
+    ros.spin_until(lambda: node._desk.machine.state("controller")[0] == "ready", WITHIN_S)
+    checked: list[str] = []
+    count = node.count_publishers
+    node.count_publishers = lambda topic: (checked.append(topic), count(topic))[1]
+    ros.spin_until(lambda: len(checked) > 4, WITHIN_S)  # who has died is looked for every second
+    ros.spin_until(lambda: len(checked) > 8, WITHIN_S)
+    assert node._desk.machine.state("controller")[0] == "ready"
+
+
 @pytest.fixture
 def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
     """The bridge in a graph that it is matched with, and a page that is signed in and hears of the state."""

@@ -346,7 +346,7 @@ class BridgeNode(Node):
     def _check_states(self) -> None:
         # Who has died leaves the last state behind; it does nothing any more.
         for part, topic in _STATES.items():
-            if self.count_publishers(topic) == 0:
+            if self.count_publishers(self.resolve_topic_name(topic)) == 0:
                 self._mail.newest(part, self._desk.set_state, part, "")
 
     def _read_sequences(self, config: BridgeConfig) -> dict[str, Sequence]:
