@@ -48,6 +48,16 @@ def test_a_move_takes_the_closed_form_time(command: str, distance: float, speed:
     assert taken == pytest.approx(trapezoid_s(distance, speed, acceleration), rel=0.005)
 
 
+@pytest.mark.parametrize("days", [3.5, 12.0, 120.0, 1e6])
+def test_a_board_that_has_run_for_long_homes_and_moves(days: float) -> None:
+    """Its clock then tells no shorter times apart than a fast axis takes for a nanometre."""
+    rig = Rig()
+    rig.run(86400.0 * days)
+    assert rig.send(b"$H\n", 60.0) == OK
+    assert rig.send(b"G53G0X-100Y-100\nG4P0\n", 30.0) == OK * 2
+    assert rig.report() == ("Idle", (-100.0, -100.0, -1.0))
+
+
 def test_collinear_moves_do_not_slow_down() -> None:
     pieces = b"".join(b"X-%d\n" % (10 * i) for i in range(1, 11))
     taken = timed(Rig.free(), b"G1F6000\n" + pieces)

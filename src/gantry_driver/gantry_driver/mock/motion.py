@@ -227,9 +227,11 @@ class Motion:
 
     def step(self, now: float) -> MotionEvent:
         """Carry out the event that is due at ``now``."""
-        self._advance(now)
         block = self.blocks[0]
-        if block.trigger is not None and self._done >= block.trigger - _TINY_MM:
+        # Compared as times, as in due(): where the clock is coarse the place at that time may still lie before it.
+        reached = None if block.trigger is None else self._time_at(block.trigger)
+        self._advance(now)
+        if block.trigger is not None and reached is not None and reached <= now:
             self._done = block.trigger
             block.trigger = None
             self._profile(now)
@@ -260,10 +262,11 @@ class Motion:
         if not self.running or not self._phases:
             return self._done, self._speed
         for phase in self._phases:
-            dt = now - phase.start_s
-            if dt <= phase.duration_s:
+            over = now >= phase.start_s + phase.duration_s
+            if not over:
                 break
-        dt = min(max(dt, 0.0), phase.duration_s)
+        # At its end a phase is over, however little of it the clock can tell from its start.
+        dt = phase.duration_s if over else max(now - phase.start_s, 0.0)
         done = phase.done + phase.speed * dt + 0.5 * phase.acceleration * dt * dt
         return min(done, self.blocks[0].length), max(phase.speed + phase.acceleration * dt, 0.0)
 
