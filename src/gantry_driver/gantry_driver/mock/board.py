@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
-
 from gantry_driver.mock import reports
 from gantry_driver.mock.execution import Execution
-from gantry_driver.mock.gcode import GcodeError, check_line
+from gantry_driver.mock.gcode import GcodeError, check_line, read_number
 from gantry_driver.mock.motion import Motion
 from gantry_driver.mock.processor import (
     ERROR_BAD_STATEMENT,
@@ -19,6 +17,8 @@ from gantry_driver.mock.processor import (
     Flag,
     State,
 )
+
+MAX_SETTING = 255
 
 
 class Board(Execution):
@@ -126,12 +126,13 @@ class Board(Execution):
         startup = rest[0] == "N"
         if startup and self.state is not State.IDLE:
             return ERROR_NOT_IDLE
-        name, equals, value = rest[int(startup) :].partition("=")
-        number = _number(name)
-        if number is None:
+        name = read_number(rest, int(startup))
+        if name is None:
             return ERROR_NUMBER
-        if not equals:
+        number, end = name
+        if rest[end : end + 1] != "=":
             return ERROR_BAD_STATEMENT
+        value = rest[end + 1 :]
         if startup:
             answer = yield from self._gcode(value)
             if answer:
@@ -141,14 +142,17 @@ class Board(Execution):
                 return ERROR_BAD_STATEMENT
             yield from self._write_eeprom(lambda: self.eeprom.startup.__setitem__(index, value))
             return 0
-        parsed = _number(value)
+        parsed = read_number(value)
         if parsed is None:
             return ERROR_NUMBER
+        wanted, end = parsed
+        if end < len(value) or number > MAX_SETTING:
+            return ERROR_BAD_STATEMENT
         result = 0
 
         def store() -> None:
             nonlocal result
-            result = self.eeprom.store(int(number), parsed)
+            result = self.eeprom.store(int(number), wanted)
 
         yield from self._write_eeprom(store)
         self.motion.limits = self._limits()
@@ -171,11 +175,3 @@ class Board(Execution):
             self.state = State.JOG
             self.motion.start(self.now)
         return 0
-
-
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)")
-
-
-def _number(text: str) -> float | None:
-    """Return a number of digits and a point, which is all the firmware reads."""
-    return float(text) if _NUMBER.fullmatch(text) else None

@@ -29,6 +29,9 @@ from gantry_driver.mock.processor import (
 )
 from gantry_driver.mock.realtime import RealTime
 
+MAX_COUNT = 0xFFFF
+"""Dwells and arcs are counted with 16 bits, and what is beyond is cut off."""
+
 
 class Execution(RealTime):
     """Plans and waits as the firmware's motion control does."""
@@ -142,7 +145,7 @@ class Execution(RealTime):
 
     def _dwell(self, seconds: float) -> Firmware:
         yield from self._buffer_sync()
-        for _ in range(math.ceil(seconds / DWELL_STEP_S - 1e-9)):
+        for _ in range(math.ceil(seconds / DWELL_STEP_S - 1e-9) & MAX_COUNT):
             yield from self._checkpoint()
             yield self.now + DWELL_STEP_S
 
@@ -197,7 +200,7 @@ class Execution(RealTime):
             sweep += 2 * math.pi
         tolerance = self.eeprom.values[12]
         chord = 2 * math.sqrt(max(tolerance * (2 * block.radius - tolerance), 1e-12))
-        count = max(int(abs(sweep) * block.radius / chord), 1)
+        count = max(int(abs(sweep) * block.radius / chord) & MAX_COUNT, 1)
         rate = block.feed / 60.0 * (count if inverse else 1)
         for i in range(1, count):
             angle = begin + sweep * i / count
@@ -311,7 +314,7 @@ class Execution(RealTime):
         """Move until each axis has met its switch (approach) or by ``distance``; the report stays unanswered."""
         here = self.motion.position(self.now)
         target = list(here)
-        scale = self.eeprom.axis_values(100)
+        scale = self._steps_per_mm()
         for i in axes:
             target[i] += round(distance * scale[i]) * self._home_sign(i) * (1 if approach else -1)
         self._flags.discard(Flag.STOPPED)

@@ -20,6 +20,8 @@ NO_AXIS, LINE_NUMBER, MISSING, NO_SYSTEM, G53_MODE, AXIS_UNUSED, NO_PLANE_AXIS =
 BAD_TARGET, BAD_RADIUS, NO_OFFSET, UNUSED, TLO_AXIS, TOO_LARGE = 33, 34, 35, 36, 37, 38
 
 _MAX_LINE_NUMBER, _MAX_TOOL = 10_000_000, 255
+MAX_NUMBER = 3.4e38
+"""What a number of 32 bits can hold; the firmware's would be infinite beyond."""
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 _VALUE_LETTERS = "FIJKLNPRSTXYZ"
 _NOT_NEGATIVE = "FNPTS"
@@ -127,6 +129,12 @@ PLANE_AXES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 """First, second and normal axis of G17, G18 and G19."""
 
 
+def read_number(text: str, index: int = 0) -> tuple[float, int] | None:
+    """Return a number of digits and a point, which is all the firmware reads, and where it ends; None without one."""
+    match = _NUMBER.match(text, index)
+    return (min(max(float(match[0]), -MAX_NUMBER), MAX_NUMBER), match.end()) if match else None
+
+
 def _words(text: str) -> list[tuple[str, float]]:
     """Split a line (capitals, no blanks) into words."""
     words = []
@@ -135,11 +143,11 @@ def _words(text: str) -> list[tuple[str, float]]:
         letter = text[index]
         if not "A" <= letter <= "Z":
             raise GcodeError(LETTER)
-        match = _NUMBER.match(text, index + 1)
-        if match is None:
+        number = read_number(text, index + 1)
+        if number is None:
             raise GcodeError(NUMBER)
-        words.append((letter, float(match[0])))
-        index = match.end()
+        value, index = number
+        words.append((letter, value))
     return words
 
 

@@ -19,7 +19,7 @@ from gantry_driver.mock import reports
 from gantry_driver.mock.gcode import ParserState
 from gantry_driver.mock.journal import Journal
 from gantry_driver.mock.mechanics import Mechanics
-from gantry_driver.mock.motion import Block, Limits, Motion, MotionEvent, Triple
+from gantry_driver.mock.motion import Block, Limits, Motion, MotionEvent, Triple, Vector
 from gantry_driver.mock.serial_line import BITS_PER_BYTE, Inbound, Outbound
 from gantry_driver.mock.settings import Eeprom
 
@@ -27,6 +27,9 @@ RX_BYTES = {"GRBL": 128, "grblHAL": 1024, "FluidNC": 256}
 """Receive buffers of the dialects; FluidNC does not tell its size."""
 LINE_CHARACTERS = 79  # the line buffer has 80, one of them for the end
 ALARM_DELAY_S = 0.5
+NEXT_TO_NOTHING = 1e-6
+"""Steps per mm or mm/s^2 in place of 0, by which the firmware would divide."""
+MAX_STEPS = 2**31 - 1
 EEPROM_BYTE_S = 0.0034  # ATmega328P datasheet, EEPROM write time (erase and write)
 UART_FIFO_BYTES = 2
 DWELL_STEP_S = 0.05  # a dwell is a whole number of these, with real-time requests served in between
@@ -493,17 +496,21 @@ class Processor(ABC):
         e = self.eeprom
         rate_x, rate_y, rate_z = e.axis_values(110)
         return Limits(
-            steps_per_mm=e.axis_values(100),
+            steps_per_mm=self._steps_per_mm(),
             max_rate=(rate_x / 60.0, rate_y / 60.0, rate_z / 60.0),
-            acceleration=e.axis_values(120),
+            acceleration=_above_zero(e.axis_values(120)),
             junction_deviation=e.values[11],
         )
 
+    def _steps_per_mm(self) -> Vector:
+        return _above_zero(self.eeprom.axis_values(100))
+
     def _mm(self, steps: Triple) -> list[float]:
-        return [n / s for n, s in zip(steps, self.eeprom.axis_values(100))]
+        return [n / s for n, s in zip(steps, self._steps_per_mm())]
 
     def _steps(self, target_mm: list[float]) -> Triple:
-        x, y, z = (round(t * s) for t, s in zip(target_mm, self.eeprom.axis_values(100)))
+        # The counters have 32 bits.
+        x, y, z = (min(max(round(t * s), -MAX_STEPS), MAX_STEPS) for t, s in zip(target_mm, self._steps_per_mm()))
         return x, y, z
 
     def _sync_parser(self) -> None:
@@ -621,6 +628,11 @@ class Processor(ABC):
     def _auto_start(self) -> None:
         if self.motion.blocks:
             self._flags.add(Flag.START)
+
+
+def _above_zero(values: Vector) -> Vector:
+    x, y, z = (max(value, NEXT_TO_NOTHING) for value in values)
+    return x, y, z
 
 
 _REALTIME: dict[int, Flag | None] = {

@@ -12,14 +12,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from gantry_driver.mock.gcode import MAX_NUMBER
+
 AXES = "XYZ"
 N_SYSTEMS = 6
 MASKS = (2, 3, 10, 23)
 BOOLEANS = (4, 5, 6, 13, 20, 21, 22, 32)
-BYTES = (0, 1)
-WORDS = (26,)
+BYTES = (0, 1, 26)
 ROUNDED = (30, 31)
-INTEGERS = (*BYTES, *MASKS, *BOOLEANS, *WORDS)
+STEPS_PER_MM = (100, 101, 102)
+INTEGERS = (*BYTES, *MASKS, *BOOLEANS)
 
 BENCH: dict[int, float] = {
     0: 10, 1: 255, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0,
@@ -71,7 +73,8 @@ class Eeprom:
             struct.pack("<B", int(value) & 0xFF) if number in INTEGERS else struct.pack("<f", value)
             for number, value in self.values.items()
         )
-        places = struct.pack(f"<{3 * len(self.systems)}f", *(v for system in self.systems for v in system))
+        stored = (min(max(v, -MAX_NUMBER), MAX_NUMBER) for system in self.systems for v in system)
+        places = struct.pack(f"<{3 * len(self.systems)}f", *stored)
         texts = [text.encode("ascii", "replace").ljust(80, b"\0") for text in (*self.startup, self.build_info)]
         return numbers + places + b"".join(texts)
 
@@ -81,12 +84,10 @@ class Eeprom:
             return ERROR_NEGATIVE
         if number not in self.values:
             return ERROR_INVALID_STATEMENT
+        if number in INTEGERS:
+            value = int(value) & 0xFF  # the firmware reads these into one byte
         if number in BOOLEANS:
-            value = float(int(value) != 0)
-        elif number in (*MASKS, *BYTES):
-            value = int(value) & 0xFF  # the firmware keeps these in one byte
-        elif number in WORDS:
-            value = int(value) & 0xFFFF
+            value = float(value != 0)
         if number == 0 and value < 3:
             return ERROR_STEP_PULSE
         if number == 20 and value and not self.flag(22):
@@ -129,6 +130,8 @@ def parse_assignment(text: str) -> tuple[int, float]:
         raise SettingsError(f"{match[2]!r} in {text!r} is not a number") from None
     if number not in BENCH:
         raise SettingsError(f"GRBL 1.1 has no setting ${number}")
+    if value > MAX_NUMBER:
+        raise SettingsError(f"${number}={match[2]} is above {MAX_NUMBER:g}")
     return number, value
 
 
@@ -146,6 +149,8 @@ def make_eeprom(assignments: Mapping[int, float]) -> Eeprom:
         error = trial.store(number, wanted[number])
         if error:
             raise SettingsError(f"${number}={wanted[number]:g} is refused with error:{error}")
+        if number in STEPS_PER_MM and not wanted[number]:
+            raise SettingsError(f"${number}=0: a machine is built with more than 0 steps per mm")
     return Eeprom(defaults=dict(trial.values))
 
 
