@@ -224,6 +224,31 @@ def test_a_port_that_is_not_read_blocks_the_writer(start: Callable[..., Running]
     wait_for(lambda: running.control.ask(do="counters")["counters"].get("lines", 0) > 0)
 
 
+def test_a_move_that_takes_for_ever_leaves_the_program_at_work(start: Callable[..., Running]) -> None:
+    running = start(settings=FREE)
+    port = running.open()
+    expect(port, BANNER)
+    port.write(b"G1X-" + b"9" * 60 + b"F1\n")
+    expect(port, b"ok\r\n")
+    port.write(b"?")
+    assert b"<Run|" in expect(port, b">\r\n")
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        (b"[" * 20_000, "not JSON"),
+        (b'{"do": "fault", "kind": "hang", "seconds": 1%s}' % (b"0" * 400), "not within 0 to 3600 s"),
+        (b'{"do": "fault", "kind": "probe_surface", "z_mm": 1%s}' % (b"0" * 400), "not within"),
+    ],
+)
+def test_no_request_ends_the_program(line: bytes, sentence: str, start: Callable[..., Running]) -> None:
+    running = start()
+    answer = running.control.send(line)
+    assert answer["ok"] is False and sentence in answer["error"]
+    assert running.control.ask(do="state")["ok"] is True
+
+
 def test_control_refuses_what_it_does_not_know(start: Callable[..., Running]) -> None:
     control = start().control
     assert control.send(b"{oops")["error"].startswith("not JSON")
@@ -300,6 +325,8 @@ def test_program_needs_little_of_a_core(program: tuple[subprocess.Popen[str], Pa
     [
         (["--set", "99=1"], "GRBL 1.1 has no setting $99"),
         (["--set", "22=0"], "$20=1 is refused with error:10"),
+        (["--set", "100=0"], "$100=0: a machine is built with more than 0 steps per mm"),
+        (["--set", "110=1e999"], "$110=1e999 is above 3.4e+38"),
         (["--settings", "no-such-file"], "No such file"),
         (["--settings", sys.executable], f"{sys.executable} is no text"),
     ],
@@ -310,7 +337,15 @@ def test_program_refuses_bad_arguments(arguments: list[str], sentence: str, caps
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--time-scale", "0"], ["--baud", "17"], ["--start", "1,2"], ["--start", "nan,0,0"], ["--bogus"]]
+    "arguments",
+    [
+        ["--time-scale", "0"],
+        ["--baud", "17"],
+        ["--start", "1,2"],
+        ["--start", "nan,0,0"],
+        ["--start", "1e308,0,0"],
+        ["--bogus"],
+    ],
 )
 def test_program_refuses_values_out_of_bounds(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:

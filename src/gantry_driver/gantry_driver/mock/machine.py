@@ -5,7 +5,6 @@ Faults are named as in :data:`FAULTS`; each states its arguments and is refused 
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from gantry_driver.mock.processor import BoardOptions
 from gantry_driver.mock.serial_line import AnswerFault, Outbound
 from gantry_driver.mock.settings import Eeprom
 
-MAX_SECONDS, MAX_COUNT = 3600.0, 100_000
+MAX_SECONDS, MAX_COUNT, MAX_MM = 3600.0, 100_000, 10_000.0
 
 
 class FaultError(ValueError):
@@ -34,7 +33,7 @@ class PortFault:
 
 def _seconds(arguments: Mapping[str, Any], name: str = "seconds", default: float | None = None) -> float:
     value = arguments.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise FaultError(f"{name} = {value!r}: a number of seconds is needed")
     if not 0 <= value <= MAX_SECONDS:
         raise FaultError(f"{name} = {value!r} is not within 0 to {MAX_SECONDS:g} s")
@@ -161,8 +160,10 @@ class Machine:
 
     def _probe_surface(self, arguments: Mapping[str, Any]) -> None:
         z = arguments.get("z_mm")
-        if z is not None and (isinstance(z, bool) or not isinstance(z, (int, float)) or not math.isfinite(z)):
+        if z is not None and (isinstance(z, bool) or not isinstance(z, (int, float))):
             raise FaultError(f"z_mm = {z!r}: a number of mm, or null for none, is needed")
+        if z is not None and not -MAX_MM <= z <= MAX_MM:
+            raise FaultError(f"z_mm = {z!r} is not within -{MAX_MM:g} to {MAX_MM:g} mm")
         self.mechanics.probe_z_mm = z
 
 

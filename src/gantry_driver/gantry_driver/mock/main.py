@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import math
 import signal
 import sys
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TextIO
 
-from gantry_driver.mock.machine import Machine
+from gantry_driver.mock.machine import MAX_MM, Machine
 from gantry_driver.mock.mechanics import MechanicsOptions
 from gantry_driver.mock.processor import RX_BYTES, BoardOptions
 from gantry_driver.mock.service import Service
@@ -45,8 +44,8 @@ def _latency(text: str) -> float:
 
 def _start(text: str) -> tuple[float, float, float]:
     parts = [float(part) for part in text.split(",")]
-    if len(parts) != 3 or not all(map(math.isfinite, parts)):
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form X,Y,Z in mm")
+    if len(parts) != 3 or not all(abs(part) <= MAX_MM for part in parts):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form X,Y,Z in mm, each within {MAX_MM:g} mm of 0")
     return parts[0], parts[1], parts[2]
 
 

@@ -27,6 +27,8 @@ from gantry_driver.mock.pty_port import OPEN_POLL_S, PtyPort
 
 TRUTH_MOVING_S, TRUTH_REST_S = 0.005, 0.05
 MAX_LOG_ENTRIES = 2000
+MAX_WAIT_S = 3600.0
+"""A selector refuses to wait for as long as the slowest moves take."""
 
 
 class Service:
@@ -122,7 +124,7 @@ class Service:
         if self._truth is not None and self._truth.client_count:
             times.append(self._truth_s + (TRUTH_MOVING_S if self._board.moving() else TRUTH_REST_S))
         times.extend(self._fault_ends_s.values())
-        return max(min(times) - now, 0.0) if times else None
+        return min(max(min(times) - now, 0.0), MAX_WAIT_S) if times else None
 
     def _woken(self) -> None:
         self._wake_read.recv(4096)
@@ -150,7 +152,7 @@ class Service:
         """Answer one line of the control socket; ``do`` is state, counters, log or fault."""
         try:
             request = json.loads(line)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             return {"ok": False, "error": f"not JSON: {error}"}
         if not isinstance(request, dict):
             return {"ok": False, "error": "a JSON object is needed"}
