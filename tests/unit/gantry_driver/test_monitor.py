@@ -42,5 +42,5 @@ def test_a_driver_that_began_anew_gives_no_negative_throughput() -> None:
 
 
 def test_progress_is_by_time_and_counts_lines() -> None:
-    assert progress_text(1, [6.0, 2.0], "moving") == "[##################......]  75 %  1/2 lines  2.0 s left  moving"
+    assert progress_text(1, [6.0, 8.0], "moving") == "[##################......]  75 %  1/2 lines  2.0 s left  moving"
     assert progress_text(2, [0.0, 0.0], "idle") == "[########################] 100 %  2/2 lines  0.0 s left  idle"

@@ -11,7 +11,7 @@ import pytest
 from unit.gantry_driver import protocol_board
 from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
 
-from gantry_driver.core.machine import Machine
+from gantry_driver.core.machine import QUEUED_LINES, Machine
 from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
 from gantry_driver.core.machine_states import Note
 from gantry_driver.core.trajectory_gcode import Waypoint
@@ -770,6 +770,34 @@ def test_a_program_is_checked_as_a_whole_and_then_streamed() -> None:
         *(f"X{-300 - k}G53G1" for k in range(1, 50)),
     ]
     assert rig.board.mpos[0] == -349.0
+
+
+def test_a_long_program_is_queued_while_it_runs() -> None:
+    """Who starts it may be interrupted meanwhile, and nobody waits until all of it is queued."""
+    rig = Rig().homed()
+    source = [f"G53 G1 X{-300 - k % 2} F6000" for k in range(3 * QUEUED_LINES)]
+    assert rig.machine.run_program("p", source, rig.now).outcome.value == "accepted"
+    assert rig.machine.session.pending == 0
+    most = 0
+    while "reached" not in rig.outcomes():
+        rig.run_for(0.5)
+        most = max(most, rig.machine.session.pending)
+        assert rig.now < 100.0 and rig.state in ("moving", "idle")
+    moves = [text for text in rig.board.executed if "X" in text]
+    assert moves == ["F6000X-300G53G1", *(f"X{-300 - k % 2}G53G1" for k in range(1, len(source)))]
+    assert QUEUED_LINES / 2 < most < QUEUED_LINES + 60
+
+
+def test_nothing_of_a_long_program_is_queued_after_a_stop() -> None:
+    rig = Rig().homed()
+    rig.machine.run_program("p", [f"G53 G1 X{-300 - k % 2} F6000" for k in range(3 * QUEUED_LINES)], rig.now)
+    rig.run_for(1.0)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    sent = len(rig.board.received)
+    assert rig.machine.reset(rig.now) == ""
+    rig.run_for(1.0)
+    assert rig.state == "idle" and rig.machine.session.pending == 0 and len(rig.board.received) == sent
 
 
 def test_a_program_is_not_started_from_elsewhere_than_where_it_was_checked() -> None:

@@ -12,10 +12,11 @@ own parser check the lines in ``$C`` mode; nothing moves. ``--check`` does not o
 from __future__ import annotations
 
 import argparse
+import gc
 import signal
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -144,12 +145,12 @@ class Runner:
         self._need("idle")
         before = self._machine.counts.executed
         self._start(source)
-        seconds = [line.seconds for line in lines]
+        ends = list(accumulate(line.seconds for line in lines))
 
         def over() -> bool:
             done = min(max(self._machine.counts.executed - before, 0), len(lines))
             share = done / max(len(lines), 1)
-            self._display.show(progress_text(done, seconds, self._machine.state_text), share)
+            self._display.show(progress_text(done, ends, self._machine.state_text), share)
             return self._result is not None
 
         self._turn_until(over, key)
@@ -167,8 +168,10 @@ class Runner:
         def start(machine: Machine, now: float) -> None:
             machine.heartbeat(now)
             machine.run_checked("program", checker, checked, now)
-            machine.heartbeat(time.monotonic())  # to queue many lines takes a while, too
 
+        # A visit of the garbage collector to so many lines can take longer than a heartbeat may.
+        gc.collect()
+        gc.freeze()
         self._link.call(start)
 
     def settings(self) -> dict[int, str]:
@@ -284,10 +287,10 @@ def run_settings(config: DriverConfig, *, save: Path | None, profile: Mapping[in
 
 def run_dry(name: str, lines: Sequence[CheckedLine], config: DriverConfig) -> int:
     display, refused = Display(), 0
-    seconds = [0.0] * len(lines)
+    ends = [0.0] * len(lines)
 
     def show(done: int) -> None:
-        display.show(progress_text(done, seconds, "dry run"), done / max(len(lines), 1))
+        display.show(progress_text(done, ends, "dry run"), done / max(len(lines), 1))
 
     try:
         for index, code in dry_run(config.port, config.baud, [line.text for line in lines], show):

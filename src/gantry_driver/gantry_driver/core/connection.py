@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
@@ -56,13 +57,14 @@ Reading = tuple[float, float, float]
 
 @dataclass(slots=True, kw_only=True)
 class Goal:
-    """What is being done, and the line whose answer ends it."""
+    """What is being done, its lines that are not queued yet with their dwells, and the line whose answer ends it."""
 
     goal_id: str
     text: str
     end_m: tuple[float, float, float]
     started: float
-    marker: int
+    rest: deque[tuple[str, float]]
+    marker: int = 0
     acknowledged: bool = False
 
 

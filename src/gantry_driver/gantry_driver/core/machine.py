@@ -7,7 +7,9 @@ why, a goal gets exactly one final answer, and nothing that was buffered runs af
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable, Sequence
+from itertools import chain
 
 from gantry_driver.core.connection import (
     ASK_ALONE_S,
@@ -63,6 +65,8 @@ EEPROM_READ_FAILED = 7
 """Of a startup line; GRBL and grblHAL empty it then, go on with the other one, and answer ``ok`` besides."""
 HOMING_WANTED = {Dialect.GRBLHAL: 11, Dialect.FLUIDNC: 14}
 """The alarm with which a firmware says after each reset that it has not been homed."""
+QUEUED_LINES = 600
+"""Of a goal, ahead of the board: more than the shortest lines that any receive buffer holds."""
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """What a program may rely on at its first line."""
 
@@ -290,13 +294,13 @@ class Machine(Connection):
                 raise TrajectoryError("place or work offset have changed since the program was checked")
         except TrajectoryError as error:
             return self._refuse_program(goal_id, error)
-        lines = [(line.text, line.seconds) for line in checked]
-        self._may_lower([text for text, _ in lines])
-        text = f"program of {len(lines)} lines, about {sum(seconds for _, seconds in lines):.1f} s"
+        self._may_lower(line.text for line in checked)
+        text = f"program of {len(checked)} lines, about {sum(line.seconds for line in checked):.1f} s"
         end = reading_m(checker.position_mm, self._stylus_down, self.config)
         # The checker begins with these modes; the board may have been left with others.
-        modes = [(mode, 0.0) for mode in PROGRAM_MODES]
-        return self._start(goal_id, text, [*modes, *lines, (SYNCHRONISE, 0.0)], end, now)
+        modes = ((mode, 0.0) for mode in PROGRAM_MODES)
+        lines = ((line.text, line.seconds) for line in checked)
+        return self._start(goal_id, text, chain(modes, lines, [(SYNCHRONISE, 0.0)]), end, now)
 
     def _refuse_program(self, goal_id: str, error: Exception) -> GoalResult:
         return self._answer(GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error)))
@@ -309,15 +313,26 @@ class Machine(Connection):
             self._lowers, self._stylus_down = any(down), down[-1]
 
     def _start(
-        self, goal_id: str, text: str, lines: Sequence[tuple[str, float]], end_m: Reading, now: float
+        self, goal_id: str, text: str, lines: Iterable[tuple[str, float]], end_m: Reading, now: float
     ) -> GoalResult:
-        """Queue lines, each with the seconds that its dwell may take, and wait for the last one."""
-        for line, seconds in lines:
-            marker = self.session.queue(line, answer_within_s=self._answer_time() + seconds).number
-        self._goal = Goal(goal_id=goal_id, text=text, end_m=end_m, started=now, marker=marker)
+        """Send lines from now on, each with the seconds that its dwell may take, and wait for the last one."""
+        self._goal = Goal(goal_id=goal_id, text=text, end_m=end_m, started=now, rest=deque(lines))
         accepted = self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.ACCEPTED))
         self._enter(Phase.MOVING, now)
         return accepted
+
+    def output(self, now: float) -> bytes:
+        """Return the bytes to write."""
+        if self.phase is Phase.MOVING and self._goal is not None:
+            self._queue_more(self._goal)
+        return super().output(now)
+
+    def _queue_more(self, goal: Goal) -> None:
+        """Queue lines while they are few, so that the start of a long program keeps nobody waiting."""
+        while goal.rest and self.session.unsent < QUEUED_LINES:
+            text, seconds = goal.rest.popleft()
+            number = self.session.queue(text, answer_within_s=self._answer_time() + seconds).number
+            goal.marker = 0 if goal.rest else number
 
     def bounds(self) -> Bounds:
         """Return the travel in machine coordinates and the rates of rapid moves."""

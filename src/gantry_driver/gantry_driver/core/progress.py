@@ -22,20 +22,20 @@ def duration_text(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
 
 
-def progress_text(done: int, seconds: Sequence[float], state: str) -> str:
-    """Return the line that shows how far a program is.
+def progress_text(done: int, ends: Sequence[float], state: str) -> str:
+    """Return the line that shows how far a program is; it is asked for often, also with very many lines.
 
     Parameters
     ----------
     done
         Lines executed.
-    seconds
-        The time that each line takes at its feed, s.
+    ends
+        When each line ends at its feed, s from the start.
     state
         What the machine does now.
     """
-    total, whole = len(seconds), sum(seconds)
-    left = sum(seconds[done:])
+    total, whole = len(ends), ends[-1] if ends else 0.0
+    left = whole - (ends[min(done, total) - 1] if ends and done else 0.0)
     share = 1.0 - left / whole if whole > 0 else done / max(total, 1)
     full = round(BAR * share)
     bar = "#" * full + "." * (BAR - full)

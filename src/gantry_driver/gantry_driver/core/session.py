@@ -208,6 +208,11 @@ class GrblSession:
         return len(self._queue) + len(self._in_flight)
 
     @property
+    def unsent(self) -> int:
+        """Lines queued and not sent."""
+        return len(self._queue)
+
+    @property
     def in_flight_bytes(self) -> int:
         """Bytes sent and not acknowledged."""
         return self._in_flight_bytes
