@@ -87,6 +87,21 @@ def test_nobody_there(ros: Any) -> None:
     assert code == 3 and "error: nobody takes /gantry/goal" in output, output
 
 
+def test_an_answer_that_cannot_be_read_does_not_end_gantry_sequence(ros: Any, bench: GantryBench) -> None:
+    probe = ros.plain()
+    sequences = ros.collect(probe, String, "/gantry/sequence", qos.COMMAND)
+    answer = probe.create_publisher(DiagnosticArray, "/gantry/sequence_result", qos.RESULTS)
+    program = Program(ros, "gantry_sequence", "press:RUN_STOP")
+    ros.spin_until(lambda: sequences and answer.get_subscription_count(), 30.0)
+    run_id = yaml.safe_load(sequences[0].data)["id"]
+    answer.publish(DiagnosticArray())
+    odd = GoalResult(goal_id=run_id, goal="1 step", outcome=Outcome.REACHED, details=(("steps_done", "many"),))
+    answer.publish(result_message(odd, 0))
+    code, output = program.end()
+    assert code == 0 and "Traceback" not in output, output
+    assert "gantry/sequence_result: not the answer to a goal" in output and "done: 1 step" in output, output
+
+
 def test_each_step_of_a_sequence_is_told_although_the_whole_is_answered_first(ros: Any, bench: GantryBench) -> None:
     probe = ros.plain()
     sequences = ros.collect(probe, String, "/gantry/sequence", qos.COMMAND)

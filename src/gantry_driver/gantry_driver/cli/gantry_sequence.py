@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import String
 
 from gantry_driver.cli.operator_session import (
@@ -36,7 +35,6 @@ from gantry_driver.cli.operator_session import (
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import SequenceError, parse_file, parse_steps
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import result_of_message
 
 LAST_STEP_S = 1.0
 """Time for the answer of the last step to arrive after that of the whole."""
@@ -70,11 +68,8 @@ def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
     """Publish the sequence, follow its steps, and return the exit code."""
     until = time.monotonic() + timeout_s
     run_id = f"cli-{os.getpid()}-{time.time_ns() % 10**9}"
-    answers: list[GoalResult] = []
     node = session.node
-    node.create_subscription(
-        DiagnosticArray, "gantry/sequence_result", lambda m: answers.append(result_of_message(m)), qos.RESULTS
-    )
+    answers = session.hear("gantry/sequence_result")
     publisher = node.create_publisher(String, "gantry/sequence", qos.COMMAND)
     sent = False
     heard = done = 0
@@ -93,7 +88,8 @@ def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
             return None
         # Steps are answered by another node: the last of them may come after the answer of the whole.
         told_by = min(told_by, time.monotonic() + LAST_STEP_S)
-        missing = done < int(dict(answer.details).get("steps_done", 0))
+        told = dict(answer.details).get("steps_done", "")
+        missing = told.isdecimal() and done < int(told)
         return None if missing and time.monotonic() < told_by else answer
 
     try:

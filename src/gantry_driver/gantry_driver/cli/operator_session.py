@@ -36,8 +36,6 @@ HEARTBEAT_S = 0.2
 _TOLD_BY = ("gantry/driver_state", "gantry/result")
 BEATS_HEARD = 6
 """Heartbeats before the first goal: three with driver and controller listening, six with one of them known."""
-
-
 def number(text: str) -> float:
     """Return an argument as a finite number, for argparse."""
     value = float(text)
@@ -60,14 +58,13 @@ class OperatorSession:
     def __init__(self, node: Node) -> None:
         self.node = node
         self.interrupted = False
-        self.results: list[GoalResult] = []
+        self.results = self.hear("gantry/result")
         self.states: dict[str, list[str]] = {}
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._heartbeat = node.create_publisher(Header, "operator/heartbeat", qos.RESULTS)
         self._stop = node.create_publisher(Empty, "gantry/stop_request", qos.RESULTS)
         self.watch("gantry/state")
-        node.create_subscription(DiagnosticArray, "gantry/result", self._on_result, qos.RESULTS)
         node.create_timer(HEARTBEAT_S, self._beat)
         self._beats_heard = 0
 
@@ -75,6 +72,19 @@ class OperatorSession:
         """Collect the texts of a latched state topic in ``states[topic]``."""
         texts = self.states.setdefault(topic, [])
         self.node.create_subscription(String, topic, lambda m: texts.append(m.data), qos.LATCHED)
+
+    def hear(self, topic: str) -> list[GoalResult]:
+        """Return the list into which the answers on a topic come; what is no answer is logged."""
+        answers: list[GoalResult] = []
+
+        def take(message: DiagnosticArray) -> None:
+            try:
+                answers.append(result_of_message(message))
+            except ValueError as error:
+                self.node.get_logger().warning(f"{topic}: {error}")
+
+        self.node.create_subscription(DiagnosticArray, topic, take, qos.RESULTS)
+        return answers
 
     def latest(self, topic: str) -> str:
         """Return the newest text of a state topic, empty before the first."""
@@ -134,12 +144,6 @@ class OperatorSession:
         roles = (_nodes(self.node.get_publishers_info_by_topic(topic)) for topic in _TOLD_BY)
         self._beats_heard += sum(bool(nodes & listeners) for nodes in roles)
         self._heartbeat.publish(Header(stamp=time_message(self.now_ns()), frame_id="operator"))
-
-    def _on_result(self, message: DiagnosticArray) -> None:
-        try:
-            self.results.append(result_of_message(message))
-        except ValueError as error:
-            self.node.get_logger().warning(f"gantry/result: {error}")
 
 
 def _nodes(ends: Sequence[TopicEndpointInfo]) -> set[tuple[str, str]]:
