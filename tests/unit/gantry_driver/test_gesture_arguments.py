@@ -18,6 +18,10 @@ from icu_common.core.sequence import parse_file
         (["--control", "CH1_SCALE", "--click", "-2"], "click:CH1_SCALE:-2.0"),
         (["--control", "MODE", "--set", "AUTO"], "set:MODE:AUTO"),
         (["--control", "MODE", "--set", "-40.5"], "set:MODE:-40.5"),
+        (["--control", "MODE", "--set", "-4e1"], "set:MODE:-40.0"),
+        (["--control", "CH1_SCALE", "--turn", "-1.5e1"], "turn:CH1_SCALE:-15.0"),
+        (["--control", "CH1_SCALE", "--click", "-2."], "click:CH1_SCALE:-2.0"),
+        (["-1e-3", "-.5", "--press"], "press:-0.001,-0.5@base_link"),
         (
             ["0.05", "0.06", "--frame", "panel_link", "--drag-to", "0.1", "0.08"],
             "drag:0.05,0.06@panel_link:0.1,0.08@panel_link",
@@ -28,6 +32,18 @@ def test_gestures(arguments: list[str], text: str) -> None:
     gesture = gantry_goal.parse(arguments).gesture
     assert gesture is not None
     assert gesture.text().partition(" id=")[0] == text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "xyz"),
+    [
+        (["-1e-3", "0.08"], (-0.001, 0.08, 0.0)),
+        (["0.1", "-8E-2", "--z", "-5e-3"], (0.1, -0.08, -0.005)),
+        (["--z", "-5.", "1", "-.5"], (1.0, -0.5, -5.0)),
+    ],
+)
+def test_negative_numbers_are_no_options(arguments: list[str], xyz: tuple[float, float, float]) -> None:
+    assert gantry_goal.parse(arguments).xyz == xyz
 
 
 @pytest.mark.parametrize(

@@ -354,6 +354,11 @@ def test_program_refuses_values_out_of_bounds(arguments: list[str], capsys: pyte
     assert arguments[-1] in capsys.readouterr().err
 
 
+def test_program_takes_a_negative_start_behind_a_blank(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--start", "-180,-110,-5", "--set", "99=1"]) == 2
+    assert capsys.readouterr().err == "error: GRBL 1.1 has no setting $99\n"
+
+
 def test_program_leaves_a_file_in_the_links_place_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for option in ("--link", "--truth-socket"):
         (tmp_path / "precious").write_text("data")

@@ -28,6 +28,7 @@ from gantry_driver.cli.operator_session import (
     operator_session,
     own_arguments,
     say,
+    with_negatives,
 )
 from icu_common.core.frames import BASE, CAMERA_LEFT, PANEL
 from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
@@ -71,12 +72,14 @@ def parse(arguments: Sequence[str]) -> Request:
     how.add_argument("--hold", type=number, metavar="S", help="stay in contact for S seconds")
     how.add_argument("--turn", type=number, metavar="DEG", help="turn a knob, counter-clockwise positive")
     how.add_argument("--click", type=number, metavar="N", help="turn a knob by N clicks, clockwise positive")
-    how.add_argument("--set", metavar="MARK", help="turn a knob to a mark or to degrees, looking and correcting")
+    how.add_argument(
+        "--set", type=str.strip, metavar="MARK", help="turn a knob to a mark or to degrees, looking and correcting"
+    )
     how.add_argument(
         "--drag-to", nargs=2, type=number, metavar=("X", "Y"), help="draw on to that point, in the frame of the first"
     )
     parser.add_argument("--timeout", type=number, default=60.0, metavar="S", help="whole time allowed (default 60)")
-    given = parser.parse_args(arguments)
+    given = parser.parse_args(with_negatives(arguments))
 
     if (given.control is None) == (not given.point) or len(given.point) not in (0, 2):
         parser.error("give either X Y or --control NAME")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import signal
 import sys
 import time
@@ -36,12 +37,20 @@ HEARTBEAT_S = 0.2
 _TOLD_BY = ("gantry/driver_state", "gantry/result")
 BEATS_HEARD = 6
 """Heartbeats before the first goal: three with driver and controller listening, six with one of them known."""
+_NEGATIVE = re.compile(r"-\.?[0-9]")
+
+
 def number(text: str) -> float:
     """Return an argument as a finite number, for argparse."""
     value = float(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not finite")
     return value
+
+
+def with_negatives(arguments: Sequence[str]) -> list[str]:
+    """Return arguments whose negative numbers, as -1e-3, argparse takes for options no more: they get a blank."""
+    return [f" {text}" if _NEGATIVE.match(text) else text for text in arguments]
 
 
 class Interrupted(Exception):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -86,7 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         begin = given.index("--ros-args")
         end = given.index("--", begin) + 1 if "--" in given[begin:] else len(given)
         del given[begin:end]
-    options = make_parser().parse_args(given)
+    # Behind a blank a start of -180,-110,-5 is no option.
+    options = make_parser().parse_args([f" {text}" if re.match("-[0-9.]", text) else text for text in given])
     with contextlib.ExitStack() as stack:
         try:
             assignments = read_settings_file(options.settings) if options.settings else {}
