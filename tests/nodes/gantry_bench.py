@@ -94,6 +94,8 @@ class GantryBench:
         self.ros = ros
         self.readings = np.zeros(3)
         self.tip_error: Array = np.zeros(3)
+        self.ahead_s = 0.0
+        """Of the cameras' clock."""
         self.heartbeat = heartbeat
         self.obey = True
         self.trajectories: list[JointTrajectory] = []
@@ -136,11 +138,12 @@ class GantryBench:
     def _publish(self) -> None:
         now = self.now_ns()
         self.joints.publish(joint_message(JOINTS, self.readings, header(now, "")))
-        self.camera.publish(camera_info_message(CAMERA, header(now, CAMERA_LEFT)))
-        self.pose.publish(pose_message(CAMERA_FROM_PANEL, header(now, CAMERA_LEFT)))
+        seen = header(now + int(self.ahead_s * 1e9), CAMERA_LEFT)
+        self.camera.publish(camera_info_message(CAMERA, seen))
+        self.pose.publish(pose_message(CAMERA_FROM_PANEL, seen))
         self.confidence.publish(Float32(data=0.9))
         tip = self.readings * [1, 1, -1] + self.tip_error
-        self.tip.publish(point_message(CAMERA_FROM_BASE.apply(tip), header(now, CAMERA_LEFT)))
+        self.tip.publish(point_message(CAMERA_FROM_BASE.apply(tip), seen))
 
     def _beat(self) -> None:
         if self.heartbeat:

@@ -166,6 +166,20 @@ def test_messages_that_cannot_be_used_are_ignored(ros: Any) -> None:
     np.testing.assert_allclose(positions(bench)[-1][-1], [*RUN_STOP[:2], 0.0], atol=1e-7)
 
 
+def test_what_a_camera_with_a_clock_ahead_has_seen_does_not_count(ros: Any) -> None:
+    """Its last picture would be young for as long as the clock is ahead, and the tip seen after a move before it."""
+    bench = GantryBench(ros)
+    bench.ahead_s = 3600.0
+    bench.see()
+    bench.spin_until_state("waiting: no picture from the left camera")
+    bench.connect_goals()
+    bench.command.publish(String(data="press:RUN_STOP id=ahead"))
+    assert bench.spin_until_final().reason.startswith("no picture from the left camera yet")
+    assert "ready" not in [state.data for state in bench.states] and bench.trajectories == []
+    bench.ahead_s = 0.05  # as far as machines' clocks may differ
+    bench.spin_until_state("ready")
+
+
 def test_readings_that_no_machine_has_are_ignored(ros: Any) -> None:
     """A way from there would take for ever, and did not fit the message."""
     bench = GantryBench(ros, {"joints_timeout_s": 1.0})

@@ -47,8 +47,9 @@ class Rig:
         done = GoalResult(goal_id=goal_id, goal="", outcome=Outcome.REACHED, details=(("effect", "none seen"),))
         self.result.publish(result_message(done, self.now_ns()))
 
-    def see(self, lamp: str) -> None:
-        seen = PanelSeen(stamp_ns=self.now_ns(), controls=(ControlSeen(name="RUN_STOP", kind="button", lamp=lamp),))
+    def see(self, lamp: str, ahead_s: float = 0.0) -> None:
+        stamp = self.now_ns() + int(ahead_s * 1e9)
+        seen = PanelSeen(stamp_ns=stamp, controls=(ControlSeen(name="RUN_STOP", kind="button", lamp=lamp),))
         self.panel.publish(panel_state_message(seen, header(seen.stamp_ns, "camera")))
 
     def final(self, goal_id: str) -> GoalResult:
@@ -95,6 +96,15 @@ def test_a_wrong_text_is_refused_with_its_line_and_a_missing_check_ends_it(ros: 
     ended = rig.final(goal_id.rpartition(".")[0])
     assert ended.outcome is Outcome.ABORTED and "not seen in time: lamp:RUN_STOP=red" in ended.reason
     assert len(rig.commands) == 1
+
+
+def test_what_a_camera_with_a_clock_ahead_has_seen_does_not_count(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.sequence.publish(String(data="id: mine\nsteps: ['press:RUN_STOP => lamp:RUN_STOP=red']\n"))
+    rig.wait_for_command(1)
+    rig.see("red", ahead_s=3600.0)
+    rig.reach("mine.1")
+    assert rig.final("mine").outcome is Outcome.ABORTED
 
 
 def test_a_value_that_cannot_be_read_does_not_end_the_sequencer(ros: Any) -> None:

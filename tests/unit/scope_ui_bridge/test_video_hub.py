@@ -41,9 +41,33 @@ async def settled() -> None:
 class Sent:
     def __init__(self) -> None:
         self.stamps: list[int] = []
+        self.ages_ms: list[float] = []
 
     async def send_bytes(self, data: bytes) -> None:
-        self.stamps.append(int(json.loads(data[4 : 4 + int.from_bytes(data[:4], "big")])["stamp"]))
+        about = json.loads(data[4 : 4 + int.from_bytes(data[:4], "big")])
+        self.stamps.append(int(about["stamp"]))
+        self.ages_ms.append(about["age_ms"])
+
+
+def test_a_picture_of_the_future_is_no_younger_than_its_time_on_the_page() -> None:
+    """With an age below 0 the last picture of a camera that has stalled would look live for that long."""
+
+    async def scenario() -> None:
+        encoder, socket = ByHand(), Sent()
+        hub = VideoHub(Rig().desk, encoder, lambda: 80, lambda: 1_000_000_000)
+        viewer = VideoViewer(socket=socket)  # type: ignore[arg-type]
+        hub.add(viewer)
+        hub.look(viewer, "left", frozenset())
+        serving = asyncio.create_task(hub.serve(viewer))
+        for seq, stamp in enumerate((3_600_000_000_000, 750_000_000), 1):
+            hub.offer("left", stamp, "mono8", np.zeros((72, 128), np.uint8))
+            await encoder.finish()
+            viewer.window.acknowledged(seq, 0.0)
+            hub.kick(viewer)
+        serving.cancel()
+        assert socket.ages_ms == [0.0, 250.0]
+
+    asyncio.run(scenario())
 
 
 def test_no_picture_is_encoded_in_advance_and_grows_old_until_there_is_room() -> None:

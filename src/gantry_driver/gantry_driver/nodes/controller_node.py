@@ -32,6 +32,7 @@ from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_model,
     check_frame,
+    check_not_ahead,
     controls_of_message,
     diagnostic_status,
     header,
@@ -79,15 +80,15 @@ class ControllerNode(Node):
             qos.RESULTS,
             lambda m: msg.MotionResult(result=result_of_message(m)),
         )
-        self._hear(PoseStamped, "panel/pose", qos.LATCHED, _panel_pose)
+        self._see(PoseStamped, "panel/pose", qos.LATCHED, _panel_pose)
         self._hear(MarkerArray, "panel/controls", qos.LATCHED, _panel_controls)
         self._hear(Float32, "panel/confidence", qos.SENSOR, lambda m: msg.PanelConfidence(value=m.data))
         self._hear(String, "panel/alarm", qos.LATCHED, lambda m: msg.PanelAlarm(text=m.data))
-        self._hear(DiagnosticArray, "panel/state", qos.SENSOR, lambda m: msg.PanelState(seen=panel_state_of_message(m)))
+        self._see(DiagnosticArray, "panel/state", qos.SENSOR, lambda m: msg.PanelState(seen=panel_state_of_message(m)))
         self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, _camera_from_base)
         self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, _axes)
-        self._hear(PointStamped, "stylus/tip", qos.SENSOR, _tip)
-        self._hear(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
+        self._see(PointStamped, "stylus/tip", qos.SENSOR, _tip)
+        self._see(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
         self._hear(Header, "heartbeat", qos.SENSOR, lambda m: msg.Heartbeat())
         self.create_timer(TICK_S, self._tick)
         self.create_timer(DIAGNOSTICS_S, self._diagnose)
@@ -108,6 +109,15 @@ class ControllerNode(Node):
                 self._handle(event)
 
         self.create_subscription(message_type, topic, callback, profile)
+
+    def _see(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:
+        """Hear what comes of pictures; those of the future are ignored, for they would be young for too long."""
+
+        def seen(message: Any) -> msg.Event:
+            check_not_ahead(message.header, self.get_clock())
+            return convert(message)
+
+        self._hear(message_type, topic, profile, seen)
 
     def _camera_seen(self, message: CameraInfo) -> msg.Event:
         # Every picture repeats the same calibration; unpacking it anew would be most of this node's work.

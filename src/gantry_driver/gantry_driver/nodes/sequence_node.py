@@ -19,6 +19,7 @@ from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import SequenceError, parse_file
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
+    check_not_ahead,
     diagnostic_status,
     header,
     panel_state_of_message,
@@ -100,6 +101,7 @@ class SequenceNode(Node):
         if self._run is None:
             return
         try:
+            check_not_ahead(message.header, self.get_clock())
             seen = panel_state_of_message(message)
         except ValueError as error:
             self.get_logger().error(f"panel/state: {error}", throttle_duration_sec=5.0)

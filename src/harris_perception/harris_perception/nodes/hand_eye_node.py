@@ -35,6 +35,7 @@ from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_model,
     check_frame,
+    check_not_ahead,
     cloud_array,
     controls_of_message,
     diagnostic_status,
@@ -130,6 +131,7 @@ class HandEyeNode(Node):
 
     def _on_joints(self, message: JointState) -> None:
         try:
+            check_not_ahead(message.header, self.get_clock())
             reading = joint_positions(message, JOINTS)
         except ValueError as error:
             self.get_logger().error(f"joint_states: {error}", throttle_duration_sec=5.0)
@@ -137,8 +139,11 @@ class HandEyeNode(Node):
         self._act(self.calibrator.take_reading(stamp_ns(message.header.stamp), reading))
 
     def _on_tip(self, message: PointStamped) -> None:
-        if message.header.frame_id != CAMERA_LEFT:
-            self.get_logger().error(f"tip in {message.header.frame_id!r} ignored", throttle_duration_sec=5.0)
+        try:
+            check_frame(message.header, CAMERA_LEFT)
+            check_not_ahead(message.header, self.get_clock())
+        except ValueError as error:
+            self.get_logger().error(f"stylus/tip: {error}", throttle_duration_sec=5.0)
             return
         tip = point_array(message)
         if not np.isfinite(tip).all():
@@ -149,6 +154,7 @@ class HandEyeNode(Node):
     def _on_panel(self, message: PoseStamped) -> None:
         try:
             check_frame(message.header, CAMERA_LEFT)
+            check_not_ahead(message.header, self.get_clock())
             pose = transform_of_pose(message.pose)
         except ValueError as error:
             self.get_logger().error(f"panel/pose: {error}", throttle_duration_sec=5.0)
@@ -158,6 +164,7 @@ class HandEyeNode(Node):
     def _on_points(self, message: PointCloud2) -> None:
         try:
             check_frame(message.header, CAMERA_LEFT)
+            check_not_ahead(message.header, self.get_clock())
             points = FacePoints.of_rows(cloud_array(message, FACE_POINT_COLUMNS))
         except ValueError as error:
             self.get_logger().error(f"panel/points: {error}", throttle_duration_sec=5.0)

@@ -21,6 +21,7 @@ from geometry_msgs.msg import (
     TransformStamped,
     Vector3,
 )
+from rclpy.clock import ROSClock
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointField, RegionOfInterest
 from std_msgs.msg import ColorRGBA, Header
 from stereo_msgs.msg import DisparityImage
@@ -43,6 +44,8 @@ _CHANNELS |= {f"bayer_{p}8": (np.uint8, 1) for p in ("rggb", "bggr", "gbrg", "gr
 _CHANNELS |= {f"{name[:-1]}16": (np.uint16, count) for name, (_, count) in _CHANNELS.items() if name[-1] == "8"}
 _CHANNELS |= {"8UC1": (np.uint8, 1), "16UC1": (np.uint16, 1), "32FC1": (np.float32, 1)}
 
+MOST_AHEAD_S = 0.1
+"""So far the clocks of machines may differ: docs/decisions/several-machines.md."""
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
 
@@ -65,6 +68,16 @@ def check_frame(head: Header, frame: str) -> None:
     """Raise ValueError unless a header names this frame."""
     if head.frame_id != frame:
         raise ValueError(f"frame {head.frame_id!r}, {frame!r} is needed")
+
+
+def check_not_ahead(head: Header, clock: ROSClock) -> None:
+    """Raise ValueError if the stamp of what was seen is of the future: how old it is cannot be known.
+
+    A recording's clock ticks, and is behind the recording's own stamps by nature.
+    """
+    ahead_s = (stamp_ns(head.stamp) - int(clock.now().nanoseconds)) / 1e9
+    if ahead_s > MOST_AHEAD_S and not clock.ros_time_is_active:
+        raise ValueError(f"its stamp is {ahead_s:.3f} s ahead of the clock here, {MOST_AHEAD_S:g} s are allowed")
 
 
 def image_message(picture: npt.NDArray[Any], encoding: str, head: Header) -> Image:

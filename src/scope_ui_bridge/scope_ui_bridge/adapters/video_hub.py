@@ -189,7 +189,8 @@ class VideoHub:
 
     def _message(self, viewer: VideoViewer, frame: _Frame) -> bytes:
         scene = self._desk.scene
-        age_ms = (self._ros_ns() - frame.stamp_ns) / 1e6
+        # Of a picture of the future the page then knows at least how long it has had it.
+        age_ms = max((self._ros_ns() - frame.stamp_ns) / 1e6, 0.0)
         now_s = time.monotonic()  # the bridge's clock in the answers to keep-alives
         parts = [f'{{"age_ms":{age_ms:.1f},"sent_ms":{now_s * 1e3:.1f}', frame.about]
         if viewer.scene_version != scene.version:
