@@ -17,6 +17,7 @@ import serial
 from nodes.background import output_in_background
 from nodes.grbl_board import GrblBoard
 
+from gantry_driver.adapters.check_mode import CheckFailed, dry_run
 from gantry_driver.cli.gantry_gcode import main
 from gantry_driver.core.settings_profile import parse_profile, profile_text
 
@@ -183,6 +184,51 @@ def test_a_dry_run_that_ends_in_an_alarm_leaves_the_board_as_after_a_reset(
         # How often it is reset before depends on whether its first banner is still in the port.
         while [line["kind"] for line in board.log() if line["kind"] in ("alarm", "banner")][-2:] != ["alarm", "banner"]:
             assert time.monotonic() < end, board.log()[-6:]
+    finally:
+        board.close()
+
+
+UNGUARDED = [part for number in (20, 21, 22) for part in ("--set", f"{number}=0")]
+"""Settings of a board that obeys moves as soon as it has started."""
+MOVES = [f"F600X{-10 - k}G53G1" for k in range(5)]
+
+
+def test_a_dry_run_ends_when_the_board_resets_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is in check mode no more then, and would do what the next lines say."""
+    ports: list[serial.Serial] = []
+    open_port = serial.Serial.open
+    monkeypatch.setattr(serial.Serial, "open", lambda port: (ports.append(port), open_port(port)))
+    board = GrblBoard(tmp_path, *UNGUARDED)
+    try:
+        start = board.mpos()
+
+        def brown_out(done: int) -> None:
+            if done == 2:
+                board.fault("brown_out")
+                end = time.monotonic() + 5.0
+                while ports[0].in_waiting < 10:  # until the banner has come
+                    assert time.monotonic() < end, board.log()[-6:]
+
+        with pytest.raises(CheckFailed, match="the board was reset by itself before line 'F600X-12G53G1'"):
+            list(dry_run(str(board.port), 115200, MOVES, brown_out))
+        assert board.mpos() == start
+        assert [line["text"] for line in board.lines()] == ["$X", "$C", *MOVES[:2]]
+    finally:
+        board.close()
+
+
+def test_a_dry_run_sends_nothing_to_a_board_that_is_not_in_check_mode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One flipped bit makes a $G of $C, which any board answers by ok as well."""
+    write = serial.Serial.write
+    monkeypatch.setattr(serial.Serial, "write", lambda port, data: write(port, data.replace(b"$C", b"$G")))
+    board = GrblBoard(tmp_path, *UNGUARDED)
+    try:
+        start = board.mpos()
+        with pytest.raises(CheckFailed, match="after \\$C the board reports <Idle"):
+            list(dry_run(str(board.port), 115200, MOVES))
+        assert board.mpos() == start and [line["text"] for line in board.lines()] == ["$X", "$G"]
     finally:
         board.close()
 

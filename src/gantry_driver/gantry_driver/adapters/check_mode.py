@@ -11,6 +11,8 @@ import serial
 ANSWER_WITHIN_S = 5.0
 BANNER_WAIT_S = 2.5
 """An Arduino is reset by the opening of its port and has then been in its boot loader for up to two seconds."""
+UNASKED_S = 0.2
+"""For the rest of a line that comes unasked."""
 RESET_HINT_S = 1.0
 """After an alarm GRBL hears no reset for half a second, until it asks for one."""
 _ANSWER = re.compile(r"ok|error:\d+|ALARM:\d+")
@@ -45,6 +47,11 @@ def dry_run(
             for command in ("$X", "$C"):
                 if (answer := _ask(port, command)) != "ok":
                     raise CheckFailed(f"{command} was answered by {answer}")
+            # Whatever has been answered: to a board in another mode the lines would be no dry run.
+            port.write(b"?")
+            report = _read_line(port, lambda text: text.startswith("<"), ANSWER_WITHIN_S)
+            if not report.startswith("<Check"):
+                raise CheckFailed(f"after $C the board reports {report or 'nothing'}, <Check is needed")
             for number, line in enumerate(lines):
                 answer = _ask(port, line)
                 if answer.startswith("ALARM"):
@@ -77,8 +84,13 @@ def _is_banner(text: str) -> bool:
 
 
 def _ask(port: serial.Serial, line: str) -> str:
+    # A board that has reset itself has left check mode: nothing more may be sent to it.
+    if port.in_waiting and _read_line(port, _is_banner, UNASKED_S):
+        raise CheckFailed(f"the board was reset by itself before line {line!r}")
     port.write(line.encode("ascii") + b"\n")
-    answer = _read_line(port, lambda text: _ANSWER.fullmatch(text) is not None, ANSWER_WITHIN_S)
+    answer = _read_line(port, lambda text: _is_banner(text) or _ANSWER.fullmatch(text) is not None, ANSWER_WITHIN_S)
+    if _is_banner(answer):
+        raise CheckFailed(f"the board was reset by itself at line {line!r}")
     if not answer:
         raise CheckFailed(f"no answer to {line!r} within {ANSWER_WITHIN_S:g} s")
     return answer
