@@ -188,6 +188,16 @@ def test_a_dry_run_that_ends_in_an_alarm_leaves_the_board_as_after_a_reset(
         board.close()
 
 
+def test_a_comment_ends_where_its_line_ends_for_a_board(
+    program: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not at a form feed or at a line separator, behind which its rest would be a move."""
+    remark = "; once\x0cG53 G0 X-300\x1eG53 G0 X-301\u2028G53 G0 X-302"
+    path = program("\ufeff(a mark of the byte order before it)", remark)
+    assert main(["run", str(path), "--check"]) == 1
+    assert capsys.readouterr().err == f"{path}: nothing to send\n"
+
+
 UNGUARDED = [part for number in (20, 21, 22) for part in ("--set", f"{number}=0")]
 """Settings of a board that obeys moves as soon as it has started."""
 MOVES = [f"F600X{-10 - k}G53G1" for k in range(5)]

@@ -84,6 +84,18 @@ def test_spaces_comments_and_realtime_bytes_do_not_reach_the_board() -> None:
     assert checked(*lines) == ["G21G90", "F1200X-50Y-60G1", "M3S200", "M30"]
 
 
+@pytest.mark.parametrize(
+    ("line", "column", "char"),
+    [("G91 G1 X\u221210 F600", 9, "\u2212"), ("G1 X\uff11\uff10 F600", 5, "\uff11"), ("G1 X1\u00b5 F600", 6, "\u00b5")],
+)
+def test_a_character_that_no_board_reads_is_refused_and_not_left_out(line: str, column: int, char: str) -> None:
+    """Without the typographic minus the move would go the other way."""
+    with pytest.raises(GcodeError) as caught:
+        checked(line)
+    assert (caught.value.column, caught.value.reason) == (column, f"{char!r} is no character that a board reads")
+    assert checked(f"G4\u00a0P1 ({char}) ; {char}") == ["G4P1"]
+
+
 def test_a_g53_without_a_move_is_left_out() -> None:
     assert checked("G3 X-90 I5 F100", "G0 G53 F500", "X-80") == ["F100X-90I5G3", "F17234X-80G1"]
 

@@ -342,7 +342,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         config = read_config(given.params, given.port)
         name = given.file if given.command == "run" else given.write_file
-        source = name.read_text(encoding="ascii", errors="replace").splitlines() if name else []
+        # To a board only these are ends of lines; what splitlines() takes for one besides may stand in a comment.
+        source = name.read_text(encoding="utf-8-sig", errors="replace").split("\n") if name else []
         profile = parse_profile(source) if given.command == "settings" and name else None
     except (ConfigError, OSError, ProfileError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -225,8 +225,11 @@ class ProgramChecker:
                 out.append(" ")
             elif char == ";":
                 return "".join(out)
-            elif char in _REALTIME or ord(char) >= 0x80 or char == "/":
+            elif char in _REALTIME or char == "/" or 0x80 <= ord(char) <= 0xA0:
                 out.append(" ")
+            elif ord(char) > 0xA0 and not char.isspace():
+                # Left out, as boards do, a typographic minus would turn a move around.
+                raise self._error(column, f"{char!r} is no character that a board reads")
             else:
                 out.append(char)
         if depth:
