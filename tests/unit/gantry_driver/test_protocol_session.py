@@ -380,3 +380,18 @@ def test_room_for_two_lines_stays_until_the_wire_is_the_limit() -> None:
     assert session.output(0.1).count(b"\n") == 2, "the motion is not the limit: the whole buffer is used"
     list(session.receive(b"<Run|MPos:0,0,0|Bf:0,10|FS:0,0>\r\n" + b"ok\r\n" * 2, 0.2))
     assert session.output(0.2) == b"", "the planner is full: room is left again"
+
+
+def test_a_line_that_must_go_alone_does_not_make_the_wire_the_limit() -> None:
+    """While M3 waits for the motion the planner runs empty, and nothing is known of the wire: room is left."""
+    session = GrblSession()
+    for text in ("M3S800", "G4P0.25", *["X-10Y-20G53G1"] * 12):
+        session.queue(text)
+    assert session.output(0.0) == b"M3S800\n"
+    for k in range(5):
+        list(session.receive(b"<Run|MPos:0.000,0.000,0.000|Bf:14,121|FS:0,0>\r\n", 0.04 * k))
+        assert session.output(0.04 * k) == b""
+    for now in (0.3, 0.31):  # answers to nothing: the board still has M3 and then G4 in its buffer
+        list(session.receive(b"ok\r\n", now))
+        session.output(now)
+    assert len(b"M3S800\nG4P0.25\n") + session.in_flight_bytes <= 128

@@ -310,7 +310,10 @@ class GrblSession:
         self._rx_room = max(self._rx_room, report.rx_free)
         if report.rx_free >= 0 and not self._in_flight:
             self._rx_empty = report.rx_free
-        self._roomy_reports = self._roomy_reports + 1 if report.planner_free > 1 else 0
+        if report.planner_free <= 1:
+            self._roomy_reports = 0
+        elif not (self._in_flight and self._in_flight[-1][0].alone):  # while one goes alone, it is the limit
+            self._roomy_reports += 1
         if report.planner_free >= 0:
             # A line makes at least no block and each block in the planner waits, so this never counts too many.
             self._executed(self.counts.acknowledged - (self._planner_room - report.planner_free))
