@@ -750,6 +750,25 @@ def test_clock_that_jumps_back_stops_everything() -> None:
     assert "heartbeat" in bench.finals[-1].reason
 
 
+def test_a_pose_from_before_a_clock_that_jumped_back_is_not_believed_after_it() -> None:
+    """It would stay young until the clock has come back there."""
+    bench = Bench().start()
+    assert bench.controller.state == "ready"
+    bench.tell(msg.PanelPose(camera_from_panel=bench.camera_from_panel, stamp_ns=bench.now_ns))
+    bench.now_ns -= 3_600_000 * MS
+    bench.tell(msg.Tick())
+    bench.tell(msg.PanelConfidence(value=0.9))
+    for event in (
+        msg.DriverState(text="idle"),
+        msg.Joints(readings=np.zeros(3)),
+        msg.Heartbeat(),
+        msg.CameraSeen(camera=CAMERA, stamp_ns=bench.now_ns),
+        msg.Tick(),
+    ):
+        bench.tell(event)
+    assert bench.controller.state == "waiting: panel pose is old"
+
+
 def test_motions_after_a_clock_that_jumped_back_have_stamps_of_the_new_time() -> None:
     """The driver refuses a stamp that is ahead of its clock."""
     bench = Bench().start()

@@ -174,6 +174,7 @@ class World:
         self.heartbeat_ns = None
         self.camera_stamp_ns = None
         self.panel_stamp_ns = 0
+        self.reported_panel = None
         self.seen = None
         self.hidden_ns = {}
         self.readings_ns = min(self.readings_ns, self.now_ns)
