@@ -30,6 +30,20 @@ def get(address: str) -> bytes:
         return bytes(answer.read())
 
 
+def test_a_picture_of_the_future_is_no_younger_than_its_time_here(ros: Ros) -> None:
+    """By its stamp alone the last picture of a camera whose clock is ahead would be live for that long."""
+    node = ros.node(BedsNode, {"beds": ["bed_1"], "port": 0})
+    eye = ros.plain("robot").create_publisher(Image, "/bed_1/stereo/left/image_raw", qos.IMAGES)
+    ros.spin_until(eye.get_subscription_count, 10.0)
+    stamp = node.get_clock().now().nanoseconds + 3_600_000_000_000
+    eye.publish(image_message(np.zeros((72, 128), np.uint8), "mono8", header(stamp, "eye")))
+    ros.spin_until(lambda: node._pictures, 10.0)
+    age_s = lambda: json.loads(get(node.server.address + "state"))["bed_1"]["age_s"]  # noqa: E731
+    first_s = age_s()
+    assert 0 <= first_s < 20
+    ros.spin_until(lambda: age_s() > first_s + 0.1, 10.0)
+
+
 def test_two_beds_on_one_page(ros: Ros) -> None:
     beds = ["bed_1=http://127.0.0.1:8080", "bed_2=http://127.0.0.1:8081"]
     node = ros.node(BedsNode, {"beds": beds, "port": 0})

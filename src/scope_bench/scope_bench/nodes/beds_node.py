@@ -56,6 +56,7 @@ class BedsNode(Node):
         links = dict(_bed(text) for text in config.beds)
         self._states: dict[str, dict[str, str]] = {name: dict.fromkeys(STATES, "") for name in links}
         self._pictures: dict[str, Image] = {}
+        self._seen_ns: dict[str, int] = {}
         for name in links:
             for what, topic in STATES.items():
                 self.create_subscription(String, f"/{name}/{topic}", self._hear(name, what), qos.LATCHED)
@@ -82,14 +83,19 @@ class BedsNode(Node):
 
     def _see(self, name: str) -> Callable[[Image], None]:
         def seen(message: Image) -> None:
+            # No later than now: a camera's clock may be ahead.
+            self._seen_ns[name] = min(stamp_ns(message.header.stamp), self._now_ns())
             self._pictures[name] = message
 
         return seen
 
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
     def _state(self) -> dict[str, object]:
-        now_ns = self.get_clock().now().nanoseconds
-        pictures = dict(self._pictures)  # the node's thread may add one meanwhile
-        ages = {name: (now_ns - stamp_ns(picture.header.stamp)) / 1e9 for name, picture in pictures.items()}
+        now_ns = self._now_ns()
+        seen = dict(self._seen_ns)  # the node's thread may add one meanwhile
+        ages = {name: (now_ns - seen_ns) / 1e9 for name, seen_ns in seen.items()}
         return {name: {"states": states, "age_s": ages.get(name)} for name, states in self._states.items()}
 
     def _picture(self, name: str) -> bytes:
