@@ -188,6 +188,16 @@ def test_a_dry_run_that_ends_in_an_alarm_leaves_the_board_as_after_a_reset(
         board.close()
 
 
+@pytest.mark.parametrize("digits", [13, 75, 400])
+def test_a_profile_with_a_value_that_no_board_keeps_is_refused(
+    digits: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "profile"
+    path.write_text("$22=1\n$110=-1" + "0" * (digits - 1) + "\n")
+    assert main(["settings", "--port", "no-such-port", "--write-file", str(path)]) == 2
+    assert capsys.readouterr().err.endswith(" is not within -1e+09 to 1e+09\n")
+
+
 def test_a_comment_ends_where_its_line_ends_for_a_board(
     program: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterable, Mapping
 
 _LINE = re.compile(r"\$(\d{1,3})\s*=\s*([-+]?\d+\.?\d*)\s*(?:[;(].*)?\Z")
+LARGEST = 1e9
+"""Far beyond every setting, and with its decimals far from the end of a board's line."""
 _NEEDED_FIRST = 22
 """Homing: a board refuses soft limits ($20) without it."""
 
@@ -39,7 +41,7 @@ def parse_profile(lines: Iterable[str]) -> dict[int, float]:
     Raises
     ------
     ProfileError
-        For a line that is none, a number that comes twice, and a profile without settings.
+        For a line that is none, a value beyond all settings, a number that comes twice, a profile without settings.
 
     Examples
     --------
@@ -58,6 +60,8 @@ def parse_profile(lines: Iterable[str]) -> dict[int, float]:
         if number in profile:
             raise ProfileError(f"line {place}: ${number} is given twice")
         profile[number] = float(match[2])
+        if not abs(profile[number]) <= LARGEST:
+            raise ProfileError(f"line {place}: {text!r} is not within -{LARGEST:g} to {LARGEST:g}")
     if not profile:
         raise ProfileError("the profile has no setting")
     return profile

@@ -77,6 +77,7 @@ export const PHRASES_DE = [
   ["${} is missing, {} says {}", "${0} fehlt, {1} sagt {2}"],
   ["line {}: {} is not $number=value", "Zeile {}: {} ist nicht von der Form $Nummer=Wert"],
   ["line {}: ${} is given twice", "Zeile {}: ${} steht zweimal da"],
+  ["line {}: {} is not within -{} to {}", "Zeile {}: {} liegt nicht zwischen -{} und {}"],
   ["${} is {}, {} says {}", "${0} ist {1}, {2} sagt {3}"],
   ["${} is {}: motors that let go can be pushed unnoticed, {} keeps them on", "${0} ist {1}: Motoren, die loslassen, können unbemerkt verschoben werden, {2} lässt sie eingeschaltet"],
   ["{} runs {} after each reset, it must be empty: unlock by $X, then send {}=", "{0} führt nach jedem Reset {1} aus, muss aber leer sein: mit $X entsperren, dann {2}= senden"],
