@@ -814,6 +814,18 @@ def test_a_program_is_not_started_from_elsewhere_than_where_it_was_checked() -> 
     assert rig.machine.run_checked("p", again, lines, rig.now).outcome.value == "accepted"
 
 
+def test_every_machine_that_can_be_configured_has_settings_that_fit_their_lines() -> None:
+    """A line that is too long ended the driver, in the service that was to write it."""
+    with pytest.raises(ConfigError, match=r"steps_per_mm = 1e\+90 is above its maximum"):
+        MachineConfig(steps_per_mm=(1e90, 80.0, 400.0))
+    machine = MachineConfig(steps_per_mm=(999999.999, 0.011, 1e6))
+    rig = Rig(DriverConfig(enabled_at_start=True, machine=machine)).connect()
+    assert rig.machine.write_settings(rig.now) == ""
+    rig.run_for(1.0)
+    written = [text for text in rig.board.received if "=" in text]
+    assert written == ["$100=999999.999", "$101=0.011", "$102=1000000"]
+
+
 def test_what_homing_and_the_settings_check_rest_on_is_fixed_while_the_node_runs() -> None:
     items = {item.name: item.setting.read_only for item in settings_of(DriverConfig)}
     fixed = {name for name in items if name.startswith("machine.")}

@@ -24,7 +24,7 @@ class MachineConfig(Config):
     """
 
     steps_per_mm: tuple[float, ...] = setting(
-        (80.0, 80.0, 400.0), "$100 to $102", minimum=0.01, unit="steps/mm", read_only=True
+        (80.0, 80.0, 400.0), "$100 to $102", minimum=0.01, maximum=1e6, unit="steps/mm", read_only=True
     )
     max_rate_mm_min: tuple[float, ...] = setting(
         (12000.0, 12000.0, 3000.0), "$110 to $112", minimum=1.0, maximum=100_000.0, unit="mm/min", read_only=True
