@@ -41,6 +41,13 @@ def test_a_driver_that_began_anew_gives_no_negative_throughput() -> None:
     assert "- B/s" in monitor.line(2.0)
 
 
+def test_a_count_that_is_no_number_gives_no_throughput() -> None:
+    monitor = Monitor()
+    monitor.diagnostics(values(20), 1.0)
+    monitor.diagnostics({**values(0), "bytes_sent": "\u00b2"}, 2.0)  # a digit, but no decimal one
+    assert "- B/s" in monitor.line(2.0)
+
+
 def test_progress_is_by_time_and_counts_lines() -> None:
     assert progress_text(1, [6.0, 8.0], "moving") == "[##################......]  75 %  1/2 lines  2.0 s left  moving"
     assert progress_text(2, [0.0, 0.0], "idle") == "[########################] 100 %  2/2 lines  0.0 s left  idle"

@@ -29,9 +29,9 @@ class Monitor:
         before, passed = self._values.get("bytes_sent"), now - self._values_at
         sent = values.get("bytes_sent", "")
         self._bytes_s = None
-        if before is not None and sent.isdigit() and passed > 0 and int(sent) >= int(before):
+        if before is not None and sent.isdecimal() and passed > 0 and int(sent) >= int(before):
             self._bytes_s = (int(sent) - int(before)) / passed
-        if sent.isdigit():
+        if sent.isdecimal():
             self._values, self._values_at = dict(values), now
 
     def line(self, now: float) -> str:
