@@ -207,12 +207,12 @@ def test_a_tip_that_is_not_finite_makes_no_sample(ros: Any) -> None:
 def test_a_tip_of_a_camera_with_a_clock_ahead_makes_no_sample(ros: Any) -> None:
     """The machine could still have moved when it was seen."""
     rig = Rig(ros)
-    rig.watch(lambda: len(rig.node._watch._tips) == 3, 10.0)
+    rig.watch(lambda: len(rig.node.calibrator.watch._tips) == 3, 10.0)
     rig.tips.publish(point_message((0.0, 0.0, 0.6), header(rig.now() + 3_600_000_000_000, CAMERA_LEFT)))
     after = rig.now()
     rig.tips.publish(point_message(POSE.apply(rig.tip_base()), header(after, CAMERA_LEFT)))
-    rig.ros.spin_until(lambda: rig.node._watch._tips[-1][0] == after, 10.0)
-    assert all(stamp <= after for stamp, _ in rig.node._watch._tips)
+    rig.ros.spin_until(lambda: rig.node.calibrator.watch._tips[-1][0] == after, 10.0)
+    assert all(stamp <= after for stamp, _ in rig.node.calibrator.watch._tips)
 
 
 def test_a_run_that_could_only_fail_moves_nothing(ros: Any) -> None:
