@@ -68,6 +68,57 @@ def _pattern(octets: Array, here: int, row: int) -> np.uint8:
     return np.uint8(_NEIGHBOURS[window(octets, here, row)])
 
 
+@inlined
+def _grown(bits: Any, row: int, seed: int, found: Any, places: Any, reached: Any, count: int) -> tuple[int, int]:
+    """Clear the piece that holds the pixels ``found`` of word ``seed``; return the new ``count`` and its size.
+
+    Its words go behind the first ``count`` of ``places`` and ``reached``. What waits to be grown lies at their end, as
+    ``~place`` where it goes up; both never meet, as all have other pixels.
+    """
+    line, size, end = np.uint64(row), 0, len(places)
+    waiting, here, step = end, np.uint64(seed), line
+    while True:
+        while found:  # on to the next row at once: its word can be read before this one is done
+            free = bits[here] | found
+            found |= free & ~(free + found)  # up by what a sum carries, down step by step
+            more = free & (found >> _ONE) & ~found
+            while more:
+                found |= more
+                more = free & (more >> _ONE)
+            bits[here] = free & ~found
+            at = np.uint64(count)
+            places[at], reached[at] = here, found
+            count += 1
+            size += ones(found)
+            wide = found | (found << _ONE) | (found >> _ONE)
+            back = here - step
+            more = wide & bits[back]
+            if more:
+                bits[back] &= ~more
+                waiting -= 1
+                at = np.uint64(waiting)
+                places[at], reached[at] = ~back if step == line else back, more
+            if found & _OUTERMOST:
+                for side in range(2):
+                    there = found >> _LAST if side else (found & _ONE) << _LAST
+                    beside = here + np.uint64(2 * side - 1)
+                    for beyond in (beside - line, beside, beside + line):  # a range by ``row`` is a division
+                        more = there & bits[beyond]
+                        if more:
+                            bits[beyond] &= ~more
+                            waiting -= 1
+                            at = np.uint64(waiting)
+                            places[at], reached[at] = beyond, more
+            here += step
+            found = wide & bits[here]
+        if waiting == end:
+            return count, size
+        at = np.uint64(waiting)
+        place, found = places[at], reached[at]
+        here, step = (np.uint64(place), line) if place >= 0 else (np.uint64(~place), np.uint64(-row))
+        waiting += 1
+
+
 @called
 def _connected(bits: Array, strong: Array, strength: Array, row: int, least: int, weight: float) -> int:
     """Clear all pixels but those of connected pieces with a strong one; return how many are left.
@@ -76,56 +127,26 @@ def _connected(bits: Array, strong: Array, strength: Array, row: int, least: int
     """
     # Growing lists would make the flood slower, counting the pixels first, too; what is not written costs nothing.
     places, reached = np.empty(64 * len(bits), np.int32), np.empty(64 * len(bits), np.uint64)
-    kept = np.zeros(len(bits), np.uint64)
-    left, line = 0, np.uint64(row)  # for indices without sign, which need no test for negative ones
+    left = kept = 0
     for i in range(len(strong)):
         while strong[i] & bits[i]:
             seeds = strong[i] & bits[i]
-            places[0], reached[0] = i, seeds & (~seeds + _ONE)
-            count, done, size, total = 1, 0, 0, 0.0
-            while done < count:
-                at = np.uint64(done)
-                here, seeds = np.uint64(places[at]), reached[at]
-                free = bits[here] | seeds
-                found = seeds | (free & ~(free + seeds))  # up by what a sum carries, down step by step
-                more = free & (found >> _ONE) & ~found
-                while more:
-                    found |= more
-                    more = free & (more >> _ONE)
-                bits[here] = free & ~found
-                reached[at] = found
-                done += 1
-                size += ones(found)
-                wide = found | (found << _ONE) | (found >> _ONE)
-                for beside in (here - line, here + line):
-                    more = wide & bits[beside]
-                    if more:
-                        bits[beside] &= ~more
-                        places[np.uint64(count)], reached[np.uint64(count)] = beside, more
-                        count += 1
-                if found & _OUTERMOST:
-                    for side in range(2):
-                        edge = found >> _LAST if side else found & _ONE
-                        there = edge << np.uint64(0 if side else 63)
-                        for beyond in range(int(here) - row + 2 * side - 1, int(here) + row + 2 * side, row):
-                            more = there & bits[beyond]
-                            if more:
-                                bits[beyond] &= ~more
-                                places[count], reached[count] = beyond, more
-                                count += 1
+            count, size = _grown(bits, row, i, seeds & (~seeds + _ONE), places, reached, kept)
+            total = 0.0
             if weight > 0.0:
-                for j in range(count):
+                for j in range(kept, count):
                     found = reached[j]
                     while found:
                         x = 64 * (places[j] % row) + lowest(found) - MARGIN
                         total += strength[places[j] // row - 1, x]
                         found &= found - _ONE
-            if size >= least and total >= weight:
-                left += size
-                for j in range(count):
-                    kept[np.uint64(places[j])] |= reached[j]
+            stays = size >= least and total >= weight
+            left += size * stays
+            kept = count if stays else kept  # no branch, as most pieces are small, but many are not
     for i in range(len(bits)):
-        bits[i] = kept[i]
+        bits[i] = 0
+    for i in range(kept):
+        bits[np.uint64(places[i])] |= reached[i]
     return left
 
 
