@@ -274,12 +274,12 @@ def _prune(bits: Array, octets: Array, crowded: Array, most: int, steps: Array, 
             way = _FIRST[pattern]
             pattern &= pattern - 1
             here = branch
-            for _ in range(longest):
+            for length in range(1, longest + 1):
                 here += steps[way]
                 ahead = _pattern(octets, here, row) & ~(1 << (way ^ 4))
                 if ahead == 0 and not has(marked, here):
                     put(marked, here)
-                    ends[count], (lengths[count], _) = here, _branch(octets, here, steps, path)
+                    ends[count], lengths[count] = here, length
                     count += 1
                 if ahead == 0 or ahead & (ahead - 1):
                     break
