@@ -235,8 +235,8 @@ def _thin_out(bits: Array, octets: Array, places: Array, row: int) -> None:
             clear(bits, places[i])
 
 
-@called
-def _branch(octets: Array, end: int, steps: Array, path: Array) -> tuple[int, int]:
+@inlined
+def _branch(octets: Any, end: int, steps: Any, path: Any) -> tuple[int, int]:
     """Follow a line from its free end into ``path``; return its length and where it branches, or 0, -1."""
     here, length, back = end, 0, 0
     while length < len(path):
