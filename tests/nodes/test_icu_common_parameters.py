@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ from rclpy.parameter import Parameter
 
 from icu_common.core.config import Config, ConfigError, nested, setting
 from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.runtime import own_arguments, ros_session
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,3 +82,30 @@ def test_unknown_key_is_an_error_and_not_ignored(ros: Any) -> None:
 def test_value_outside_its_range_at_start_is_an_error(ros: Any) -> None:
     with pytest.raises(Exception, match="rate"):
         ros.node(Probe, {"rate": 0})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--ros-args", "--bogus"], r"unknown ROS arguments: \['--bogus'\]"),
+        (["--ros-args", "-p", "x"], "-p x"),
+        (["--ros-args", "--params-file", "nowhere.yaml"], "nowhere.yaml"),
+        (["--ros-args", "-r", "__ns:=9bad"], "__ns:=9bad"),
+    ],
+)
+def test_wrong_ros_arguments_end_with_one_line(
+    arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Of a node, of a program that has arguments of its own, and of a session."""
+    with pytest.raises(ConfigError, match=words), ros_session(arguments):
+        pass
+    capfd.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        own_arguments(["program", "own", *arguments])
+    assert ended.value.code == 2
+    said = [line for line in capfd.readouterr().err.splitlines() if "[rcl]" not in line]
+    assert len(said) == 1 and said[0].startswith("error: ") and re.search(words, said[0])
+
+
+def test_own_arguments_are_those_that_ros_does_not_take() -> None:
+    assert own_arguments(["program", "1", "--ros-args", "-r", "a:=b", "--", "--two"]) == ["1", "--two"]

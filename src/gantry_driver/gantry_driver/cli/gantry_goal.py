@@ -26,7 +26,6 @@ from gantry_driver.cli.operator_session import (
     complain,
     number,
     operator_session,
-    own_arguments,
     say,
     with_negatives,
 )
@@ -35,6 +34,7 @@ from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import header, point_message
+from icu_common.nodes.runtime import own_arguments
 
 STOP_ANSWER_S = 3.0
 

@@ -22,11 +22,10 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from gantry_driver.cli.operator_session import own_arguments
 from gantry_driver.core.monitor import Monitor
 from icu_common.core.frames import JOINTS
 from icu_common.nodes.qos import LATCHED, RESULTS
-from icu_common.nodes.runtime import prepare_transport
+from icu_common.nodes.runtime import own_arguments, prepare_transport
 
 LIVE_S, PIPED_S = 0.1, 1.0
 

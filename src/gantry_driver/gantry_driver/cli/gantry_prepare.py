@@ -23,9 +23,9 @@ from gantry_driver.cli.operator_session import (
     complain,
     number,
     operator_session,
-    own_arguments,
     say,
 )
+from icu_common.nodes.runtime import own_arguments
 
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
 _BROKEN = ("disconnected", "stopped", "alarm", "mismatch")

@@ -29,12 +29,12 @@ from gantry_driver.cli.operator_session import (
     complain,
     number,
     operator_session,
-    own_arguments,
     say,
 )
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import SequenceError, parse_file, parse_steps
 from icu_common.nodes import qos
+from icu_common.nodes.runtime import own_arguments
 
 LAST_STEP_S = 1.0
 """Time for the answer of the last step to arrive after that of the whole."""

@@ -23,7 +23,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Empty, Header, String
 
 from icu_common.core.results import GoalResult
@@ -181,11 +180,6 @@ def operator_session(name: str, arguments: Sequence[str]) -> Iterator[OperatorSe
         if session is not None:
             session.close()
         rclpy.shutdown()
-
-
-def own_arguments(arguments: Sequence[str]) -> list[str]:
-    """Return the program's own arguments, without its name and ``--ros-args ...``."""
-    return list(remove_ros_args(args=list(arguments)))[1:]
 
 
 def say(text: str) -> None:

@@ -25,6 +25,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from icu_common.core.config import ConfigError
 from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
@@ -114,10 +115,28 @@ def _readable() -> Iterator[None]:
     """Raise a ConfigError for what rcl cannot read of the arguments and parameter files, with rcl's reason."""
     try:
         yield
-    except RuntimeError as error:  # as rclpy's own errors are
+    except RuntimeError as error:  # as rclpy's own errors are, which it does not export
+        if type(error).__name__ == "UnknownROSArgsError":
+            raise ConfigError(f"unknown ROS arguments: {error}") from error
         if "Couldn't parse" not in str(error):
             raise
         raise ConfigError(str(error)) from error
+
+
+def own_arguments(arguments: Sequence[str]) -> list[str]:
+    """Return a program's own arguments, without its name and ``--ros-args ...``.
+
+    Raises
+    ------
+    SystemExit
+        With code 2 and one line, if the ROS part cannot be read.
+    """
+    try:
+        with _readable():
+            return list(remove_ros_args(args=list(arguments)))[1:]
+    except ConfigError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from error
 
 
 @contextlib.contextmanager

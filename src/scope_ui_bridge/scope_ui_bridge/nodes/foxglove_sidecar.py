@@ -14,13 +14,12 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from icu_common.nodes import qos
-from icu_common.nodes.runtime import run
+from icu_common.nodes.runtime import own_arguments, run
 
 PORT = 8765
 
@@ -81,10 +80,9 @@ class FoxgloveSidecar(Node):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    given = rclpy.utilities.remove_ros_args(sys.argv if arguments is None else arguments)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--port", type=int, default=PORT, help="TCP port on loopback (%(default)s)")
-    options = parser.parse_args(given[1:])
+    options = parser.parse_args(own_arguments(sys.argv if arguments is None else arguments))
     try:
         import foxglove  # noqa: F401
     except ImportError:
