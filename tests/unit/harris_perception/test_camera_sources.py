@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from pathlib import Path
@@ -84,6 +85,15 @@ def test_pattern_picks_one_camera_from_a_shared_folder(tmp_path: Path) -> None:
     for name in ("left10.png", "left9.png", "right9.png", "left1.txt"):
         (tmp_path / name).write_bytes(b"x")
     assert [f.name for f in picture_files(str(tmp_path / "left*"))] == ["left9.png", "left10.png"]
+
+
+def test_pictures_whose_names_are_not_utf8_are_read(tmp_path: Path) -> None:
+    """OpenCV ends the process by such a name."""
+    folder = write_folder(tmp_path / "left", [7, 9])
+    for path in list(folder.iterdir()):
+        path.rename(os.fsdecode(os.fsencode(path.with_suffix("")) + b"\xe9.png"))
+    source = opened(CameraConfig(source="images", left_path=str(folder)))
+    assert [int(source.read(1.0).pictures[0][0, 0, 0]) for _ in range(2)] == [7, 9]
 
 
 def test_errors_name_the_place(tmp_path: Path) -> None:

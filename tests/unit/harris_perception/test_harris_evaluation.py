@@ -6,6 +6,8 @@ import csv
 import json
 import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -388,3 +390,13 @@ def test_mistakes_end_with_one_line(
     error = capsys.readouterr().err
     assert error.startswith("error: ") and words in error and error.count("\n") == 1
     assert (tmp_path / "p.png").read_bytes() == whole and not (tmp_path / "out").exists()
+
+
+def test_a_picture_whose_name_is_not_utf8_is_read(tmp_path: Path) -> None:
+    """OpenCV ends the process by such a name (of an old disk, or of another system)."""
+    written = tmp_path / "whole.png"
+    cv2.imwrite(str(written), np.kron(np.eye(4, dtype=np.uint8) * 255, np.ones((16, 16), np.uint8)))
+    named = written.rename(Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.png")))
+    command = [sys.executable, "-m", "harris_perception.cli.harris", "detect", named]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "") and re.fullmatch(r"[1-9]\d* corners\n", ended.stdout)

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.adapters.picture_files import decoded
 from icu_common.adapters.frame_link import FrameClient
 from icu_common.core.config import Config, ConfigError, setting
 
@@ -279,7 +280,10 @@ def picture_files(place: str) -> list[Path]:
 
 def _read_files(files: Sequence[Path]) -> Iterator[Picture]:
     for file in files:
-        picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        try:
+            picture = decoded(file, cv2.IMREAD_COLOR)
+        except ValueError as error:
+            raise SourceError(str(error)) from error
         if picture is None:
             raise SourceError(f"{file} is not a picture that can be read")
         yield np.asarray(picture, np.uint8)

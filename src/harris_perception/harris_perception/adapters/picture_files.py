@@ -56,15 +56,32 @@ def _eight_bits(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 
 
 def _read(path: Path, how: int) -> npt.NDArray[Any]:
+    picture = decoded(path, how)
+    if picture is None:
+        raise ValueError(f"{path} is no picture that can be read")
+    return picture
+
+
+def decoded(path: Path, how: int) -> npt.NDArray[Any] | None:
+    """Return what OpenCV reads of a file, by its flags for ``imread``, or None.
+
+    OpenCV is given the bytes: a name that is not UTF-8 (of an old disk, or of another system) ends the process in it.
+
+    Raises
+    ------
+    ValueError
+        If the file is missing or may not be read, or has more pixels than OpenCV reads.
+    """
     if not path.exists():
         raise ValueError(f"{path} does not exist")
     try:
-        picture = cv2.imread(str(path), how) if path.is_file() else None
+        content = path.read_bytes() if path.is_file() else b""
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), how) if content else None
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read: {error.strerror}") from error
     except cv2.error as error:  # more pixels than OpenCV reads
         raise ValueError(f"{path} cannot be read: {error.err} does not hold") from error
-    if picture is None:
-        raise ValueError(f"{path} is no picture that can be read")
-    return np.asarray(picture)
+    return None if picture is None else np.asarray(picture)
 
 
 _LAYOUTS = (("img", "H1to{}p"), ("", "H_1_{}"))

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.adapters.picture_files import SUFFIXES, read_gray
+from harris_perception.adapters.picture_files import SUFFIXES, decoded, read_gray
 from harris_perception.core.stereo_evaluation import StereoScene
 
 FORMS = (("L", "R", "GT"), ("_left", "_right", "_disp"), ("im0", "im1", "disp0"), ("view1", "view5", "disp1"))
@@ -87,7 +87,7 @@ def _disparity(path: Path) -> npt.NDArray[np.float32]:
         elif path.suffix == ".npy":
             values = np.load(path)
         else:
-            values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            values = decoded(path, cv2.IMREAD_UNCHANGED)
     except (OSError, ValueError, IndexError, EOFError, BadZipFile) as error:
         raise ValueError(f"{path} is no disparity that can be read: {error}") from error
     if values is None or values.ndim != 2:
