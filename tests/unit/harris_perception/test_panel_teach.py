@@ -113,6 +113,15 @@ def test_a_drawing_of_an_unknown_kind_ends_with_one_line(tmp_path: Path, capsys:
     assert "face.xyz cannot be written" in error and error.count("\n") == 1
 
 
+def test_a_drawing_that_does_not_fit_on_the_disk_is_no_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "face.png").symlink_to("/dev/full")
+    assert main(["check", str(scene.LAYOUT), "--drawing", str(tmp_path / "face.png")]) == 1
+    error = capsys.readouterr().err
+    assert "No space left on device" in error and error.count("\n") == 1
+
+
 def request(folder: Path, **changes: object) -> dict[str, object]:
     """Return what the page would send for the same picture."""
     _, corners, pointed = photo(folder)

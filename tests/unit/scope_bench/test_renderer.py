@@ -167,6 +167,7 @@ def test_the_command_writes_picture_and_truth(tmp_path: Path) -> None:
         (["--time", "inf"], "argument --time: inf is not finite"),
         (["--hide", "0", "0", "nan", "1"], "argument --hide: nan is not finite"),
         (["--out", "picture.nothing"], "picture.nothing cannot be written"),
+        (["--out", "nowhere/picture.png"], "nowhere/picture.png"),
         (["--truth", "nowhere/truth.json"], "nowhere/truth.json"),
         (["--truth", "picture.png"], "--truth picture.png: the picture is written there"),
     ],

@@ -84,6 +84,26 @@ def decoded(path: Path, how: int) -> npt.NDArray[Any] | None:
     return None if picture is None else np.asarray(picture)
 
 
+def write_picture(path: Path, picture: npt.NDArray[Any]) -> None:
+    """Write a picture in the format of its name's suffix.
+
+    ``imwrite`` would not notice that a small one did not fit on the disk, and end the process by a name that is not
+    UTF-8.
+
+    Raises
+    ------
+    ValueError
+        If the format is not known.
+    OSError
+        If the file cannot be written.
+    """
+    try:
+        _, encoded = cv2.imencode(path.suffix, picture)
+    except cv2.error as error:
+        raise ValueError(f"{path} cannot be written: {error.err}") from error
+    path.write_bytes(encoded.tobytes())
+
+
 _LAYOUTS = (("img", "H1to{}p"), ("", "H_1_{}"))
 """Names of pictures and homographies: sequences of K. Mikolajczyk, and HPatches (V. Balntas et al., CVPR 2017)."""
 _HPATCHES = {"i_": "HPatches light", "v_": "HPatches viewpoint"}

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import yaml
 
 from harris_perception.adapters.camera_sources import SourceError, picture_files
-from harris_perception.adapters.picture_files import read_gray
+from harris_perception.adapters.picture_files import read_gray, write_picture
 from harris_perception.core.board import PAPERS_MM, Board, board_pdf, board_svg
 from harris_perception.core.board_detection import BoardDetector, BoardView, size_shown
 from harris_perception.core.camera_calibration import (
@@ -154,10 +153,9 @@ def _write_model(model: CameraModel, folder: Path) -> Path:
     return path
 
 
-def _write_picture(calibration: CameraCalibration, folder: Path) -> Path:
+def _write_residuals(calibration: CameraCalibration, folder: Path) -> Path:
     path = folder / f"{calibration.model.name}_residuals.png"
-    if not cv2.imwrite(str(path), residual_picture(calibration)):
-        raise ValueError(f"{path} cannot be written")
+    write_picture(path, residual_picture(calibration))
     return path
 
 
@@ -242,7 +240,7 @@ def mono(options: argparse.Namespace) -> int:
     print(f"{options.name}: rms {result.rms_px:.3f} px, {len(result.views)} views")
     _say_camera(result.model, result.sigma)
     options.output.mkdir(parents=True, exist_ok=True)
-    written = [_write_model(result.model, options.output), _write_picture(result, options.output)]
+    written = [_write_model(result.model, options.output), _write_residuals(result, options.output)]
     return _finish(options.output, _report(board, result, views), written)
 
 
@@ -271,7 +269,7 @@ def stereo(options: argparse.Namespace) -> int:
     )
     options.output.mkdir(parents=True, exist_ok=True)
     written = [_write_model(model, options.output) for model in (result.stereo.left, result.stereo.right)]
-    written += [_write_picture(alone, options.output) for alone in (result.left, result.right)]
+    written += [_write_residuals(alone, options.output) for alone in (result.left, result.right)]
     return _finish(options.output, _report(board, result, [pair[0] for pair in pairs]), written)
 
 

@@ -9,10 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import cv2
 import numpy as np
 
-from harris_perception.adapters.picture_files import read_bgr, read_deep_gray, read_gray
+from harris_perception.adapters.picture_files import read_bgr, read_deep_gray, read_gray, write_picture
 from harris_perception.cli.harris_evaluate import evaluate
 from harris_perception.cli.tables import check_table, write_table
 from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
@@ -35,15 +34,6 @@ MIN_AGREEING = 10
 
 def _settings(config_class: type[T], pairs: Sequence[str]) -> T:
     return from_mapping(config_class, values_of_pairs(pairs))
-
-
-def _write_picture(path: Path, picture: Any) -> None:
-    try:
-        written = cv2.imwrite(str(path), picture)
-    except cv2.error as error:
-        raise ValueError(f"{path} cannot be written: {error.err}") from error
-    if not written:
-        raise ValueError(f"{path} cannot be written")
 
 
 def detect(options: argparse.Namespace) -> int:
@@ -73,9 +63,9 @@ def detect(options: argparse.Namespace) -> int:
         drawn[edges.labels == EDGE] = EDGE_COLOR
     draw_corners(drawn, corners.xy)
     if options.output:
-        _write_picture(options.output, drawn)
+        write_picture(options.output, drawn)
     if options.labels and edges is not None:
-        _write_picture(options.labels, np.ascontiguousarray(edges.labels))
+        write_picture(options.labels, np.ascontiguousarray(edges.labels))
     if options.table:
         columns = ("x_px", "y_px", "response", "scale")[: 3 + len(scales)]
         write_table(options.table, columns, np.column_stack((corners.xy, corners.response, *scales)).tolist())
@@ -101,7 +91,7 @@ def match_pictures(options: argparse.Namespace) -> int:
     found = match(describe_over_scales(first, one, config), describe_over_scales(second, other, config), config)
     pairs, a, b = found.pairs, one.xy, other.xy
     if options.output:
-        _write_picture(options.output, matches_picture(first, second, a[pairs[:, 0]], b[pairs[:, 1]]))
+        write_picture(options.output, matches_picture(first, second, a[pairs[:, 0]], b[pairs[:, 1]]))
     if options.table:
         ends = np.hstack((a[pairs[:, 0]], b[pairs[:, 1]])).tolist()
         write_table(options.table, ("x1_px", "y1_px", "x2_px", "y2_px"), ends)

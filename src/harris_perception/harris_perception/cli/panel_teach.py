@@ -12,12 +12,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
 from harris_perception.adapters.panel_files import how_to_start, write_panel
-from harris_perception.adapters.picture_files import read_bgr
+from harris_perception.adapters.picture_files import read_bgr, write_picture
 from harris_perception.core.panel_teaching import Lesson, TeachingError, parse_pointed, teach
 from harris_perception.core.panel_template import draw_panel
 from harris_perception.core.recognition import PanelRecogniser
@@ -54,7 +52,7 @@ def _check(given: argparse.Namespace) -> int:
     PanelRecogniser(layout)  # a ValueError says what is missing
     _say_that_it_is_recognisable(layout)
     if given.drawing is not None:
-        _write(given.drawing, draw_panel(layout, 4.0))
+        write_picture(given.drawing, draw_panel(layout, 4.0))
     return 0
 
 
@@ -85,15 +83,6 @@ def _say_that_it_is_recognisable(layout: PanelLayout) -> None:
     }
     counted = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
     print(f"{layout.model}: {layout.size_mm[0]:g} x {layout.size_mm[1]:g} mm, {counted}; enough print to be recognised")
-
-
-def _write(path: Path, picture: npt.NDArray[np.uint8]) -> None:
-    try:
-        written = cv2.imwrite(str(path), picture)
-    except cv2.error as error:
-        raise TeachingError(f"{path} cannot be written: {error.err}") from error
-    if not written:
-        raise TeachingError(f"{path} cannot be written")
 
 
 if __name__ == "__main__":

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
+from harris_perception.adapters.picture_files import write_picture
 from harris_perception.adapters.stereo_folders import scenes
 from harris_perception.core.stereo_evaluation import MAX_POINTS, error_picture, evaluate
 
@@ -59,8 +59,7 @@ def _evaluate(options: argparse.Namespace) -> int:
             print(f"{number}/{len(found)} {scene.name}", file=sys.stderr)
         result = evaluate(scene, time.perf_counter)
         rows += result.rows()
-        if not cv2.imwrite(str(options.output / f"{scene.name}.png"), error_picture(result)):
-            raise ValueError(f"{options.output / scene.name}.png cannot be written")
+        write_picture(options.output / f"{scene.name}.png", error_picture(result))
     (options.output / "stereo.json").write_text(json.dumps(rows, indent=1) + "\n")
     _table(rows, "dense", DENSE)
     _table(rows, "sparse", SPARSE)

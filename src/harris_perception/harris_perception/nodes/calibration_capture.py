@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import rclpy
@@ -18,6 +17,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
+from harris_perception.adapters.picture_files import write_picture
 from harris_perception.core.board import Board
 from harris_perception.core.board_detection import BoardDetector
 from harris_perception.core.gray import eight_bits, gray_of
@@ -95,9 +95,7 @@ class CalibrationCaptureNode(Node):
         self._hint = self.collection.offer([self._detector.detect(gray, f"view{number:03d}") for gray in pictures])
         if not self._hint:
             for folder, gray in zip(self._folders, pictures):
-                path = folder / f"view{number:03d}.png"
-                if not cv2.imwrite(str(path), gray):
-                    raise OSError(f"{path} cannot be written")
+                write_picture(folder / f"view{number:03d}.png", gray)
         self._tell()
 
     def _tell(self) -> None:

@@ -92,11 +92,9 @@ def main(arguments: list[str] | None = None) -> int:
     moment = Moment(tip=tuple(options.tip), state=state, now_s=options.time)
     picture = renderer.render(moment)[index]
     try:
-        written = cv2.imwrite(str(options.out), picture)
-    except cv2.error:  # a suffix that OpenCV does not know
-        written = False
-    if not written:
-        parser.error(f"{options.out} cannot be written")
+        encoded = cv2.imencode(options.out.suffix, picture)[1].tobytes()
+    except cv2.error:
+        parser.error(f"{options.out} cannot be written: no format {options.out.suffix!r} is known")
     view = renderer.views[index]
     camera_from_base = renderer.rig.rectified_left_from_base()
     truth = {
@@ -109,6 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
         "controls_px": control_pixels(view, layout),
     }
     try:
+        options.out.write_bytes(encoded)  # imwrite would not notice that a small one did not fit on the disk
         truth_file.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         parser.error(str(error))
