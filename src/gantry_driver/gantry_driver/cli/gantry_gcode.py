@@ -34,6 +34,7 @@ from gantry_driver.core.machine_states import Answered, Event, Note, StateChange
 from gantry_driver.core.progress import duration_text, progress_text
 from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile, profile_text
 from gantry_driver.core.trajectory_gcode import TrajectoryError
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.config import ConfigError, from_mapping
 from icu_common.core.results import GoalResult, Outcome
@@ -336,6 +337,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check, then run; 0 done, 1 refused, stopped or failed, 2 usage."""
     given = make_parser().parse_args(arguments)

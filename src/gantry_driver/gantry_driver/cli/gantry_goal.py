@@ -29,6 +29,7 @@ from gantry_driver.cli.operator_session import (
     say,
     with_negatives,
 )
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.frames import BASE, CAMERA_LEFT, PANEL
 from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
@@ -199,6 +200,7 @@ def describe(result: GoalResult) -> str:
     return f"reached: {result.goal}, error {error}{seen}, {result.duration_s:.1f} s"
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv if arguments is None else arguments)
     request = parse(own_arguments(arguments))

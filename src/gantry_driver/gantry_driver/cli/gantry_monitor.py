@@ -23,6 +23,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from gantry_driver.core.monitor import Monitor
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.frames import JOINTS
 from icu_common.nodes.qos import LATCHED, RESULTS
 from icu_common.nodes.runtime import own_arguments, prepare_transport
@@ -55,6 +56,7 @@ class MonitorNode(Node):
                 self.monitor.diagnostics({pair.key: pair.value for pair in status.values}, time.monotonic())
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     """Show until Ctrl-C, or for ``--seconds``."""
     arguments = list(sys.argv if arguments is None else arguments)

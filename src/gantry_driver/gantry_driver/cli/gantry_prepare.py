@@ -25,6 +25,7 @@ from gantry_driver.cli.operator_session import (
     operator_session,
     say,
 )
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.nodes.runtime import own_arguments
 
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
@@ -161,6 +162,7 @@ class _Steps:
         session.wait_for(ready, self._until, lambda: f"the controller is {session.latest(CONTROLLER)!r}, not ready")
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv if arguments is None else arguments)
     parser = argparse.ArgumentParser(

@@ -31,6 +31,7 @@ from gantry_driver.cli.operator_session import (
     operator_session,
     say,
 )
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import SequenceError, parse_file, parse_steps
 from icu_common.nodes import qos
@@ -119,6 +120,7 @@ def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
     return FAILED
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv if arguments is None else arguments)
     text, timeout_s = parse(own_arguments(arguments))

@@ -27,6 +27,7 @@ from harris_perception.core.camera_calibration import (
     coverage,
     residual_picture,
 )
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import settings_of
 
@@ -325,6 +326,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; errors in what the user gave end with code 2 and one line."""
     options = _parser().parse_args(arguments)

@@ -17,6 +17,7 @@ import yaml
 
 from harris_perception.core.hand_eye import DegenerateError
 from harris_perception.core.wrist_camera import WristCamera, WristConfig, calibrate_wrist
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Array, Transform
 
@@ -103,6 +104,7 @@ def report(result: WristCamera, names: tuple[str, str]) -> str:
     return "\n".join(lines)
 
 
+@ends_quietly
 def main(arguments: list[str] | None = None) -> int:
     """Run the command."""
     options = parser().parse_args(arguments)

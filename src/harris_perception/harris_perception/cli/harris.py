@@ -22,6 +22,7 @@ from harris_perception.core.matching import MatchConfig, describe_over_scales, m
 from harris_perception.core.overlay import draw_corners, matches_picture
 from harris_perception.core.repeatability import EPSILONS_PX, mapped
 from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import from_mapping, settings_of
 from icu_common.core.yaml_text import values_of_pairs
 
@@ -214,6 +215,7 @@ def _check_files(options: argparse.Namespace) -> None:
         taken[path.resolve()] = f"is written by --{name}"
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; errors in what the user gave end with code 2 and one line."""
     options = _parser().parse_args(arguments)

@@ -19,9 +19,11 @@ from harris_perception.adapters.picture_files import read_bgr, write_picture
 from harris_perception.core.panel_teaching import Lesson, TeachingError, parse_pointed, teach
 from harris_perception.core.panel_template import draw_panel
 from harris_perception.core.recognition import PanelRecogniser
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.panel_layout import LayoutError, PanelLayout, load_layout
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="panel_teach", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

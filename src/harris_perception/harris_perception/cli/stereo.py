@@ -15,6 +15,7 @@ import numpy as np
 from harris_perception.adapters.picture_files import write_picture
 from harris_perception.adapters.stereo_folders import scenes
 from harris_perception.core.stereo_evaluation import MAX_POINTS, error_picture, evaluate
+from icu_common.adapters.program_end import ends_quietly
 
 DENSE = {
     "bad-0.5": "bad_half",
@@ -68,6 +69,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; errors in what the user gave end with code 2 and one line."""
     parser = argparse.ArgumentParser(prog="stereo evaluate", description=__doc__)

@@ -27,6 +27,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import ConfigError
 from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
 from icu_common.nodes import in_step
@@ -170,18 +171,20 @@ def run(make_node: Callable[..., Node], arguments: Sequence[str] | None = None, 
         _collected.append(make_node)
         return 0
     if arguments is None and {"-h", "--help"} & set(sys.argv[1:]):
-        print(_help(make_node))
-        return 0
+        return _help(make_node)
     return _run([make_node], arguments, shared_memory)
 
 
-def _help(make_node: Callable[..., Node]) -> str:
+@ends_quietly
+def _help(make_node: Callable[..., Node]) -> int:
     name = Path(sys.argv[0]).name
-    return f"""usage: {name} --ros-args [-p NAME:=VALUE] [--params-file YAML] [-r FROM:=TO]
+    text = f"""usage: {name} --ros-args [-p NAME:=VALUE] [--params-file YAML] [-r FROM:=TO]
 
 {inspect.getdoc(inspect.getmodule(make_node))}
 
 While it runs, `ros2 param list` names its parameters and `ros2 param describe NODE NAME` tells meaning and range."""
+    print(text)
+    return 0
 
 
 def run_together(programs: Sequence[tuple[Callable[[], int], Sequence[str]]]) -> int:

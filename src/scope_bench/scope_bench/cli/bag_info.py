@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 
+from icu_common.adapters.program_end import ends_quietly
 from scope_bench.adapters.bags import BagError, BagReader, repair
 
 
@@ -21,6 +22,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 1 if the bag is broken."""
     options = parser().parse_args(arguments)

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import Session, ros_session
@@ -198,6 +199,7 @@ class Playing:
         return self._clock.toggle(time.monotonic())
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command."""
     given = list(sys.argv[1:] if arguments is None else arguments)

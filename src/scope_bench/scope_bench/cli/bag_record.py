@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
@@ -36,6 +37,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 1 if the recording ended by an error."""
     given = list(sys.argv[1:] if arguments is None else arguments)

@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import from_mapping
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import PanelLayout, load_layout
@@ -45,6 +46,7 @@ def _state(options: argparse.Namespace, layout: PanelLayout) -> InstrumentState:
     return state
 
 
+@ends_quietly
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="bench_render", description=__doc__)
     parser.add_argument(

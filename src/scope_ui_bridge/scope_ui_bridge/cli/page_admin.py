@@ -15,6 +15,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
 from scope_ui_bridge.adapters.secret_files import read_users, write_secret
 from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, verify
@@ -135,6 +136,7 @@ def run(options: argparse.Namespace) -> str:
     return check_audit(options.file.expanduser(), options.hash)
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:

@@ -1,0 +1,38 @@
+"""How a command line program ends when its user has had enough of it."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Callable
+from typing import ParamSpec
+
+INTERRUPTED, UNREAD = 130, 141
+"""Exit codes as shells have them: 128 and the number of SIGINT or SIGPIPE."""
+
+P = ParamSpec("P")
+
+
+def ends_quietly(main: Callable[P, int]) -> Callable[P, int]:
+    """Let Ctrl-C, and a reader that has gone (as ``head`` does), end a program without a traceback.
+
+    Its ``main`` then returns ``INTERRUPTED`` or ``UNREAD``; what it must tidy up belongs in its ``finally``.
+    """
+
+    @functools.wraps(main)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> int:
+        code = UNREAD
+        try:
+            try:
+                code = main(*args, **kwargs)
+            finally:
+                sys.stdout.flush()
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            return INTERRUPTED
+        except BrokenPipeError:  # the interpreter's end must not flush to it again
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return code
+
+    return wrapped
