@@ -357,6 +357,7 @@ def test_best_on_average_weighs_every_change_alike() -> None:
         (["evaluate", "PICTURE", "-o", "OUT", "--seed", "-1"], "--seed -1: 0 to"),
         (["evaluate", "NARROW", "-o", "OUT"], "300 x 1 px, at least 64"),
         (["detect", "PICTURE", "--scales", "31"], "--scales 31: 1 to 30"),
+        (["detect", "PICTURE", "--scales", "0"], "--scales 0: 1 to 30"),
         (["match", "PICTURE", "PICTURE", "--scales", "0"], "--scales 0: 1 to 30"),
         (["detect", "PICTURE", "--select"], "--select needs --scales"),
         (["detect", "PICTURE", "--edges", "--labels", "l.jpg"], "l.jpg: the name must end in one of .png"),

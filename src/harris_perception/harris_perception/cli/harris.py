@@ -43,7 +43,7 @@ def detect(options: argparse.Namespace) -> int:
     edges: Edges | None = None
     corners: Corners | ScaledCorners
     of_corners: HarrisDetector | HarrisLaplaceDetector | RepeatableDetector
-    if options.scales:
+    if options.scales is not None:
         of_corners = HarrisLaplaceDetector(_over_scales(options))
     elif options.repeatable:
         of_corners = RepeatableDetector(_settings(RepeatableConfig, options.set))
@@ -147,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
         choices=("outlines", "combined"),
         help="edges too: outlines, by color and two scales (as without a word), or combined, in the corners' own pass",
     )
-    one.add_argument("--scales", type=int, default=0, help="corners of so many scales, each 1.26 times coarser")
+    one.add_argument("--scales", type=int, help="corners of so many scales, each 1.26 times coarser")
     one.add_argument(
         "--select",
         action="store_true",
@@ -228,10 +228,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 check_table(table)
         if options.run is detect and options.labels and options.labels.suffix.lower() not in LOSSLESS:
             raise ValueError(f"{options.labels}: the name must end in one of {', '.join(LOSSLESS)}, or labels change")
-        if options.run is detect and options.select and not options.scales:
+        if options.run is detect and options.select and options.scales is None:
             raise ValueError("--select needs --scales")
-        if options.run is detect and (options.repeatable or options.scales):
-            if options.repeatable and options.scales:
+        if options.run is detect and (options.repeatable or options.scales is not None):
+            if options.repeatable and options.scales is not None:
                 raise ValueError("--repeatable has one scale: it does not go with --scales")
             if options.edges == "combined":
                 raise ValueError("--edges combined needs the corners of its own pass; take --edges outlines")
