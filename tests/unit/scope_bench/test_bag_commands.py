@@ -21,6 +21,8 @@ BAG = Path(__file__).parents[2] / "golden" / "bag"
         (["--keep-free", "inf"], "--keep-free inf: 0 to 1e+09 is needed"),
         (["--keep-free", "-5"], "--keep-free -5: 0 to 1e+09 is needed"),
         (["--exclude", "["], "--exclude '[' is no regular expression: unterminated"),
+        (["/a//b"], "topic '/a//b': Invalid topic name: topic name must not contain repeated '/'"),
+        (["{a}"], "'{a}' is invalid: unknown substitution"),
         (["bad topic!"], "topic 'bad topic!': Invalid topic name"),
     ],
 )

@@ -300,6 +300,12 @@ def test_other_files_and_names_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="broken"):
         BagReader(tmp_path / "x.mcap")
     assert repair(tmp_path / "x.mcap", tmp_path / "y")[1] == "x.mcap: it does not begin as an MCAP file does"
+    with pytest.raises(BagError, match=r"/proc/new cannot be made: .*No such file or directory"):
+        repair(tmp_path / "x.mcap", Path("/proc/new"))
+    (tmp_path / "torn").mkdir()
+    (tmp_path / "torn" / "metadata.yaml").write_text("a: [")
+    with pytest.raises(BagError, match=r"torn is broken: [^\n]*line 1[^\n]*; save what can be read with: [^\n]*$"):
+        BagReader(tmp_path / "torn")
     with BagWriter(tmp_path / "z", keep_free=0) as bag, pytest.raises(BagError, match="/q: the definition of a/msg/B"):
         bag.add_topic(BagTopic(name="/q", type="a/msg/B"))
     with pytest.raises(BagError, match=r"z cannot be made: .* exists already"):

@@ -235,7 +235,8 @@ class BagReader:
         try:
             return call()
         except _READ_ERRORS as error:
-            raise BagError(f"{self.path} is broken: {error}; {_advice(self.path)}") from error
+            reason = " ".join(str(error).split())  # that of metadata.yaml has several lines
+            raise BagError(f"{self.path} is broken: {reason}; {_advice(self.path)}") from error
 
     @property
     def topics(self) -> list[BagTopic]:
@@ -328,7 +329,11 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
         raise BagError(f"{path} has no .db3 or .mcap file, compressed (.zstd) or not")
     ends: list[str] = []
     place = next(folder for folder in out.absolute().parents if folder.is_dir())
-    with tempfile.TemporaryDirectory(prefix=f"{out.name}.unpacked", dir=place) as folder:
+    try:
+        unpacked = tempfile.TemporaryDirectory(prefix=f"{out.name}.unpacked", dir=place)
+    except OSError as error:
+        raise BagError(f"{out} cannot be made: {error}") from error
+    with unpacked as folder:
         plain = {_unpacked(file, Path(folder), ends): file.name for file in files}
         types = _types_in(list(plain))
         with BagWriter(out, "sqlite3" if next(iter(plain)).suffix == ".db3" else "mcap", types=types) as writer:

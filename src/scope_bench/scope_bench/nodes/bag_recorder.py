@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.exceptions import InvalidTopicNameException
+from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from rclpy.validate_topic_name import validate_topic_name
 
 from scope_bench.adapters.bag_sink import BagSink
@@ -22,6 +24,7 @@ def check_names(topics: Sequence[str]) -> None:
     for name in topics:
         try:
             validate_topic_name(name)
+            validate_full_topic_name(expand_topic_name(name, "bag_recorder", "/"))
         except InvalidTopicNameException as error:
             raise ValueError(f"topic {name!r}: {str(error).splitlines()[0]}") from error
 
