@@ -13,6 +13,8 @@ import types
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import setuptools
 import yaml
@@ -236,3 +238,23 @@ def test_benchmarks_find_what_they_import_of_the_project(path: Path, monkeypatch
                 assert hasattr(module, alias.name) or importlib.util.find_spec(f"{node.module}.{alias.name}"), (
                     alias.name
                 )
+
+
+def test_the_readmes_example_runs_without_ros(tmp_path: Path) -> None:
+    """With the path that the README names, in an interpreter in which nothing of ROS can be imported."""
+    readme = (ROOT / "README.md").read_text()
+    example = re.search(r"```python\n(.*?)```", readme, re.DOTALL)
+    path = re.search(r"`PYTHONPATH=(\S+)`", readme)
+    assert example and path
+    cv2.imwrite(str(tmp_path / "picture.jpg"), np.kron(np.eye(4, dtype=np.uint8) * 255, np.ones((16, 16), np.uint8)))
+    without = f"import sys\nsys.modules.update(dict.fromkeys({sorted(OF_ROS)!r}))\n"
+    done = subprocess.run(
+        [sys.executable, "-c", without + example[1]],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(str(ROOT / part) for part in path[1].split(":"))},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0 and done.stdout.startswith("[["), done.stderr
