@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib.util
 import os
+import pkgutil
 import re
 import runpy
 import subprocess
@@ -258,3 +259,10 @@ def test_the_readmes_example_runs_without_ros(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0 and done.stdout.startswith("[["), done.stderr
+
+
+@pytest.mark.parametrize("path", [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))], ids=lambda p: p.name)
+def test_documents_name_modules_that_are_there(path: Path) -> None:
+    packages = "|".join(package.name for package in PACKAGES)
+    for name in re.findall(rf"\b(?:{packages})(?:\.\w+)+", path.read_text()):
+        assert pkgutil.resolve_name(name), name
