@@ -359,6 +359,13 @@ def test_program_takes_a_negative_start_behind_a_blank(capsys: pytest.CaptureFix
     assert capsys.readouterr().err == "error: GRBL 1.1 has no setting $99\n"
 
 
+@pytest.mark.parametrize("text", ["a,b,c", "", "1,,2"])
+def test_program_tells_the_form_of_a_start_that_is_no_numbers(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--start", text])
+    assert f"{text!r} is not of the form X,Y,Z in mm" in capsys.readouterr().err
+
+
 def test_program_leaves_a_file_in_the_links_place_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for option in ("--link", "--truth-socket"):
         (tmp_path / "precious").write_text("data")

@@ -44,7 +44,10 @@ def _latency(text: str) -> float:
 
 
 def _start(text: str) -> tuple[float, float, float]:
-    parts = [float(part) for part in text.split(",")]
+    try:
+        parts = [float(part) for part in text.split(",")]
+    except ValueError:
+        parts = []
     if len(parts) != 3 or not all(abs(part) <= MAX_MM for part in parts):
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form X,Y,Z in mm, each within {MAX_MM:g} mm of 0")
     return parts[0], parts[1], parts[2]
