@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from nodes.gantry_bench import RUN_STOP, GantryBench
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from gantry_driver.cli import gantry_goal
+from gantry_driver.cli import gantry_goal, gantry_sequence
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import result_message
@@ -166,6 +167,13 @@ def test_wrong_usage(arguments: list[str], words: str, capsys: pytest.CaptureFix
         gantry_goal.parse(arguments)
     assert ended.value.code == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_sequence_file_that_is_no_text_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.yaml").write_bytes(b"steps: [press:CAF\xc9]")
+    with pytest.raises(SystemExit) as ended:
+        gantry_sequence.parse(["--file", str(tmp_path / "bad.yaml")])
+    assert ended.value.code == 2 and "bad.yaml is no text: 'utf-8' codec" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

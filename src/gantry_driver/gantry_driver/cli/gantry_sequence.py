@@ -60,7 +60,9 @@ def parse(arguments: Sequence[str]) -> tuple[str, float]:
             return yaml.safe_dump({"steps": given.steps}, width=10**6), given.timeout
         text = given.file.read_text(encoding="utf-8")
         parse_file(text, str(given.file))
-    except (OSError, UnicodeDecodeError, SequenceError) as error:
+    except UnicodeDecodeError as error:
+        parser.error(f"{given.file} is no text: {error}")
+    except (OSError, SequenceError) as error:
         parser.error(str(error))
     return text, given.timeout
 
