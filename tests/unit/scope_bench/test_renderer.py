@@ -161,6 +161,8 @@ def test_the_command_writes_picture_and_truth(tmp_path: Path) -> None:
         (["--turn", "CH1_SCALE"], "--turn CH1_SCALE: NAME=DEGREES is needed"),
         (["--turn", "CH1_SCALE=far"], "--turn CH1_SCALE=far: NAME=DEGREES is needed"),
         (["--turn", "CH1_SCALE=nan"], "--turn CH1_SCALE=nan: NAME=DEGREES is needed"),
+        (["--turn", "RUN_STOP=3"], "--turn RUN_STOP=3: RUN_STOP is a button, a knob is needed"),
+        (["--hide", "0", "0", "-1", "5"], "--hide 0 0 -1 5: W and H above 0 are needed"),
         (["--turn", "NOPE=3"], "no control 'NOPE'"),
         (["--press", "NOPE"], "no control 'NOPE'"),
         (["--tip", "nan", "0", "0"], "argument --tip: nan is not finite"),

@@ -42,7 +42,9 @@ def _state(options: argparse.Namespace, layout: PanelLayout) -> InstrumentState:
             angle_deg = _finite(degrees)
         except (ValueError, argparse.ArgumentTypeError):
             raise ValueError(f"--turn {item}: NAME=DEGREES is needed") from None
-        state = turn(state, name, angle_deg, layout.control(name).detent_deg)
+        if (control := layout.control(name)).kind != "knob":
+            raise ValueError(f"--turn {item}: {name} is a {control.kind}, a knob is needed")
+        state = turn(state, name, angle_deg, control.detent_deg)
     return state
 
 
@@ -80,6 +82,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if truth_file.resolve() == options.out.resolve():
             raise ValueError(f"--truth {truth_file}: the picture is written there")
+        if options.hide and min(options.hide[2:]) <= 0:
+            raise ValueError(f"--hide {' '.join(f'{v:g}' for v in options.hide)}: W and H above 0 are needed")
         config = from_mapping(BenchConfig, values_of_pairs(options.set))
         layout = load_layout(options.layout)
         state = _state(options, layout)
