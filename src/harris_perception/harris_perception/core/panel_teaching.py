@@ -184,7 +184,7 @@ def parse_request(text: str) -> Request:
         return Request(goal_id=str(given["id"]), stamp_ns=int(given["stamp"]), lesson=lesson)
     except TeachingError:
         raise
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise TeachingError(f"the request is not understood: {type(error).__name__}: {error}") from error
 
 
