@@ -209,6 +209,24 @@ def test_axes_that_no_machine_has_are_refused(axes: np.ndarray, message: str) ->
         calibrate(data, CAMERAS)
 
 
+@pytest.mark.parametrize(
+    ("off_m", "message"),
+    [
+        (
+            (0.0, 0.0, 0.006),
+            r"the stylus moves \d\.\d{3} m towards the panel per metre of extension, 0\.95 to 1\.05 are",
+        ),
+        ((0.006, 0.0, 0.0), r"the stylus leans by 2\d\.\d degrees, 2\.9 are plausible: add samples"),
+    ],
+)
+def test_a_wrong_tip_that_alone_tells_of_the_stylus_is_refused(off_m: tuple[float, ...], message: str) -> None:
+    data = samples(np.vstack([grid(stylus=(0.0,)), (0.13, 0.08, 0.012)]))
+    last = data[-1]
+    data[-1] = Sample(reading=last.reading, tip=last.tip + off_m, covariance=NOISE)
+    with pytest.raises(DegenerateError, match=message):
+        calibrate(data, CAMERAS)
+
+
 def test_noise_beyond_the_limit_is_refused() -> None:
     rng = np.random.default_rng(0)
     data = [Sample(reading=s.reading, tip=s.tip + rng.normal(0, 0.001, 3), covariance=NOISE) for s in samples(grid())]

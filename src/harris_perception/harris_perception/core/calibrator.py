@@ -34,7 +34,15 @@ from harris_perception.core.carriage_camera import (
     stylus_offset,
 )
 from harris_perception.core.drift import DriftConfig, DriftWatch
-from harris_perception.core.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate, check_axes
+from harris_perception.core.hand_eye import (
+    DegenerateError,
+    HandEye,
+    HandEyeConfig,
+    Sample,
+    calibrate,
+    check_axes,
+    check_stylus,
+)
 from harris_perception.core.pairing import Pairing
 from harris_perception.core.planar_pose import FacePoints
 from icu_common.core.camera_model import CameraModel, StereoModel
@@ -435,6 +443,7 @@ class Calibrator:
         check_fits(calibration, cameras["left"], cameras.get("right"), config.machine, self._settings, mounting)
         try:
             check_axes(calibration.base_from_reading, config.solver)
+            check_stylus(calibration.stylus_direction, config.solver)
         except DegenerateError as error:
             raise CalibrationFileError(str(error)) from error
 

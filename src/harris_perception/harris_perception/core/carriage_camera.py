@@ -22,6 +22,7 @@ from harris_perception.core.hand_eye import (
     HandEyeConfig,
     Place,
     Sample,
+    check_stylus,
     checked,
     extension_design,
     fit_tip,
@@ -280,7 +281,10 @@ def _seen(
         tips = [dataclasses.replace(s, tip=s.tip + s.reading[2] * up) for s in tips]
     # The tip rests in the picture: all its sightings are from one place.
     fit = fit_tip(extension_design(extensions, with_stylus), tips, 1, cameras, config)
-    direction = camera_from_axes.T @ fit.regression[0] if with_stylus else np.array([0.0, 0.0, -1.0])
+    if not with_stylus:
+        return fit, fit.regression[-1], np.array([0.0, 0.0, -1.0])
+    direction = camera_from_axes.T @ fit.regression[0]
+    check_stylus(direction, config)
     return fit, fit.regression[-1], direction
 
 

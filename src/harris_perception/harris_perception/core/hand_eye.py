@@ -79,7 +79,9 @@ class HandEyeConfig(Config):
     max_outliers: float = setting(0.3, "Part of the samples that may be left out", minimum=0.0, maximum=0.49)
     max_rms_m: float = setting(0.0005, "Greatest misfit that is accepted", minimum=1e-6, maximum=0.1, unit="m")
     max_scale_error: float = setting(0.05, "Scale of an axis against its reading", minimum=0.001, maximum=0.5)
-    max_skew: float = setting(0.05, "Angle that the axes miss at 90 degrees", minimum=0.001, maximum=0.5, unit="rad")
+    max_skew: float = setting(
+        0.05, "Angle that the axes, or the stylus and both, miss at 90 degrees", minimum=0.001, maximum=0.5, unit="rad"
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -247,7 +249,7 @@ def calibrate(samples: Sequence[Sample], cameras: StereoModel, config: HandEyeCo
     ------
     DegenerateError
         For too few, motionless, crowded or collinear samples (with the move that would help), too many that do not fit,
-        and for axes that no such machine has.
+        and for axes or a stylus that no such machine has.
     """
     config = config if config is not None else HandEyeConfig()
     readings, tips = checked(samples, "the tip", config)
@@ -261,6 +263,7 @@ def calibrate(samples: Sequence[Sample], cameras: StereoModel, config: HandEyeCo
     stylus, origin = np.array([0.0, 0.0, -1.0]), fit.regression[-1]
     if with_stylus:
         stylus = rotation.T @ fit.regression[2]
+        check_stylus(stylus, config)
     else:
         origin = origin + rotation[:, 2] * readings[fit.used, 2].mean()  # all were taken at this extension
     return HandEye(
@@ -551,4 +554,28 @@ def check_axes(axes: Array, config: HandEyeConfig) -> None:
         raise DegenerateError(
             f"the axes miss a right angle by {np.degrees(skew):.1f} degrees, {np.degrees(config.max_skew):.1f} are "
             "plausible"
+        )
+
+
+def check_stylus(direction: Array, config: HandEyeConfig) -> None:
+    """Refuse a motion (3,) in base_link per metre of extension that no such machine has.
+
+    One sample at another extension fits every direction, also where its tip was seen wrongly.
+
+    Raises
+    ------
+    DegenerateError
+        With what it misses and what is plausible.
+    """
+    depth, aside = -float(direction[2]), float(np.hypot(*direction[:2]))
+    if not abs(depth - 1) <= config.max_scale_error:
+        raise DegenerateError(
+            f"the stylus moves {depth:.3f} m towards the panel per metre of extension, "
+            f"{1 - config.max_scale_error:.2f} to {1 + config.max_scale_error:.2f} are plausible: check its steps per "
+            "mm, or add samples with the stylus further in and out"
+        )
+    if not np.arctan2(aside, depth) <= config.max_skew:
+        raise DegenerateError(
+            f"the stylus leans by {np.degrees(np.arctan2(aside, depth)):.1f} degrees, "
+            f"{np.degrees(config.max_skew):.1f} are plausible: add samples with the stylus further in and out"
         )

@@ -422,6 +422,8 @@ export const PHRASES_DE = [
   ["{} of {} samples do not fit the rest (numbers {}): the tip was seen wrongly there, or the drive slipped; add samples in other places or start anew", "{} von {} Messungen passen nicht zu den übrigen (Nummern {}): die Spitze war dort falsch zu sehen, oder der Antrieb rutschte; an anderen Stellen aufnehmen oder neu beginnen"],
   ["the axes miss a right angle by {} degrees, {} are plausible", "die Achsen verfehlen den rechten Winkel um {} Grad, glaubhaft sind {}"],
   ["the {} axis moves {} m per metre of reading, {} to {} are plausible: check steps per mm and the camera calibration", "die Achse {} fährt {} m je Meter Ablesung, glaubhaft sind {} bis {}: Schritte je mm und die Kamerakalibrierung prüfen"],
+  ["the stylus moves {} m towards the panel per metre of extension, {} to {} are plausible: check its steps per mm, or add samples with the stylus further in and out", "der Stift fährt {} m auf die Tafel zu je Meter Ablesung, glaubhaft sind {} bis {}: Schritte je mm prüfen, oder Messungen mit mehr und weniger Stift aufnehmen"],
+  ["the stylus leans by {} degrees, {} are plausible: add samples with the stylus further in and out", "der Stift steht um {} Grad schief, glaubhaft sind {}: Messungen mit mehr und weniger Stift aufnehmen"],
   ["calibrating; watch the state", "kalibriert; auf den Zustand achten"],
   ["sample {} at readings x = {}, y = {}, stylus = {} mm", "Messung {} bei x = {}, y = {}, Stift = {} mm"],
   ["saved to {}", "gesichert in {}"],
