@@ -148,3 +148,22 @@ def test_homing_begins_the_readings_anew() -> None:
     assert note == Note("info", "contact 1 at 0.1500, 0.0800 m of the panel")
     calibrator.take_driver("homing", NOW_NS)
     assert (calibrator.samples, calibrator.contacts) == ([], [])
+
+
+def test_what_was_seen_with_the_camera_before_is_no_sample_and_no_place_of_the_panel() -> None:
+    calibrator, reading = Calibrator(CONFIG), np.array([0.2, 0.1, 0.0])
+    for side, baseline in (("left", 0.0), ("right", 0.12)):
+        calibrator.take_camera(side, camera(baseline=baseline), NOW_NS)
+    look(calibrator, reading, NOW_NS)
+    calibrator.take_panel(NOW_NS, POSE, NOW_NS)
+    calibrator.take_camera("left", camera(1710.0), NOW_NS + 4 * MS)
+    with pytest.raises(Refused, match="the tip was seen 0 of 3 times"):
+        calibrator.add_sample(NOW_NS + 5 * MS)
+    calibrator.take_camera("left", camera(), NOW_NS + 6 * MS)
+    now = NOW_NS
+    for x, y in ((0.05, 0.05), (0.15, 0.05), (0.25, 0.05), (0.05, 0.15), (0.15, 0.15), (0.25, 0.15)):
+        now += 1000 * MS
+        look(calibrator, np.array([x, y, 0.0]), now)
+        calibrator.add_sample(now + 4 * MS)
+    calibrator.solve(now)
+    assert calibrator.stored is not None and calibrator.stored.base_from_panel is None

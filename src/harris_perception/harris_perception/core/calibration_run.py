@@ -114,6 +114,10 @@ class StillWatch:
     def restart(self, now_ns: int) -> None:
         """Forget what was seen before ``now_ns``."""
         self._since_ns = now_ns
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what was seen; the machine stands as still as before."""
         self._tips.clear()
         self._panels.clear()
 

@@ -186,6 +186,9 @@ class Calibrator:
         """End what was seen with a camera as it was; what is seen with another does not belong to it."""
         self.samples.clear()
         self.panels.clear()
+        self.watch.forget()
+        self.sightings.clear()
+        self._panel = None
         return self._fail_run(why)
 
     def take_reading(self, stamp_ns: int, reading: Array) -> list[Action]:
