@@ -167,3 +167,16 @@ def test_what_was_seen_with_the_camera_before_is_no_sample_and_no_place_of_the_p
         calibrator.add_sample(now + 4 * MS)
     calibrator.solve(now)
     assert calibrator.stored is not None and calibrator.stored.base_from_panel is None
+
+
+def test_other_limits_of_drift_do_not_end_what_is_said_of_a_run() -> None:
+    calibrator, now = calibrated(), NOW_NS
+    for _ in range(2):
+        now += 1000 * MS
+        look(calibrator, np.array([0.2, 0.1, 0.0]), now, 0.003)
+        calibrator.look_around(now + 10 * MS)
+    assert "drift: the tip" in calibrator.state
+    calibrator.take_driver("idle", now)
+    calibrator.run(now)
+    assert calibrator.configure(dataclasses.replace(CONFIG, drift=DriftConfig(times=2, max_tip_m=0.01))) == []
+    assert calibrator.state.startswith("calibrating 0/")

@@ -147,7 +147,7 @@ class Calibrator:
         actions: list[Action] = []
         if self.stored is not None and self.drift is not None and self.drift.config != config.drift:
             told, self.drift = self.drift.text, DriftWatch(config.drift, self.stored)
-            if told:
+            if told and self._run is None:
                 actions += self._set_state(f"calibrated: {self.stored.summary()}")
         return actions + self._check_used()
 
