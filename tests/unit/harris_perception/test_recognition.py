@@ -165,6 +165,12 @@ def test_picture_of_another_size_is_refused() -> None:
         recogniser().locate(np.zeros((480, 640), np.uint8), np.empty((0, 2)), CAMERA)
 
 
+def test_a_picture_of_16_bits_is_refused_and_not_searched_for_its_lower_ones() -> None:
+    deep: Any = np.zeros((720, 1280), np.uint16)
+    with pytest.raises(ValueError, match="the picture has values of uint16, uint8 is needed"):
+        recogniser().locate(deep, np.empty((0, 2)), CAMERA)
+
+
 def test_face_without_print_is_refused() -> None:
     control = Control(name="A", kind="button", position_mm=(50.0, 50.0), size_mm=(9.0, 9.0), height_mm=2.0)
     bare = PanelLayout(

@@ -228,5 +228,8 @@ def test_depth_outside_the_limits_is_refused() -> None:
 def test_wrong_input_is_named() -> None:
     with pytest.raises(ValueError, match=r"\(480, 640, 3\)"):
         tracker().find(np.zeros((480, 640, 3), np.uint8), np.zeros((480, 800, 3), np.uint8))
+    deep: Any = np.zeros((480, 800, 3), np.uint16)
+    with pytest.raises(ValueError, match=r"\(480, 800, 3\) uint16: \(480, 800, 3\) uint8 is calibrated"):
+        tracker().find(deep, deep)
     with pytest.raises(ConfigError, match="max_depth_m"):
         StylusConfig(min_depth_m=1.0, max_depth_m=0.5)

@@ -190,10 +190,12 @@ class PanelRecogniser:
         Raises
         ------
         ValueError
-            If the picture's size is not the camera's.
+            If the picture's size is not the camera's, or it is not 8 bits deep.
         """
         if gray.shape[::-1] != camera.size:
             raise ValueError(f"the picture has {gray.shape[::-1]} px, the camera's calibration {camera.size}")
+        if gray.dtype != np.uint8:
+            raise ValueError(f"the picture has values of {gray.dtype}, uint8 is needed")
         rectified = self._rectify(gray, camera)
         sighting = self._track(rectified, camera) if self._last is not None else None
         if sighting is None:

@@ -156,12 +156,13 @@ class StylusTracker:
         Raises
         ------
         ValueError
-            If a picture's shape does not fit the calibration.
+            If a picture's shape does not fit the calibration, or it is not 8 bits deep.
         """
         pictures = (left, right)
         for picture, model in zip(pictures, (self.stereo.left, self.stereo.right)):
             if picture.shape != (model.height, model.width, 3) or picture.dtype != np.uint8:
-                raise ValueError(f"picture {picture.shape}: {(model.height, model.width, 3)} is calibrated")
+                calibrated = model.height, model.width, 3
+                raise ValueError(f"picture {picture.shape} {picture.dtype}: {calibrated} uint8 is calibrated")
         result = Search(tip=None, reason="not seen")
         for windows in self._windows():
             result = self._search(pictures, windows)

@@ -478,6 +478,7 @@ export const PHRASES_DE = [
   ["the template picture has {} x {} px, the layout's {} x {} mm at {} px/mm are {} x {} px", "das Vorlagenbild hat {} x {} px, die {} x {} mm der Beschreibung sind bei {} px/mm {} x {} px"],
   ["the face of {} has too little print to be recognised", "die Front von {} hat zu wenig Aufdruck, um erkannt zu werden"],
   ["the picture has {} px, the camera's calibration {}", "das Bild hat {} px, die Kalibrierung der Kamera {}"],
+  ["the picture has values of {}, uint8 is needed", "das Bild hat Werte von {}, nötig ist uint8"],
   ["wrote {} and {}", "geschrieben: {} und {}"],
   ["teach_folder is not set: there is nowhere to write a layout", "teach_folder ist nicht gesetzt: es gibt keinen Ort für eine Beschreibung"],
   ["the picture of {} did not come within {} s", "das Bild von {} kam nicht innerhalb von {} s"],
