@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from unit.harris_perception.rendered_stylus import stereo_model
@@ -139,6 +140,23 @@ def test_pictures_of_12_bits_give_the_points_of_those_of_8(ros: Any) -> None:
     ros.spin_until(lambda: len(rig.planes) == 2, WITHIN_S, rig.said)
     apart = [p.pose.position.z for p in rig.planes]
     assert apart[0] == pytest.approx(apart[1], abs=0.0001)
+
+
+def test_pictures_that_nobody_wants_points_of_are_nothing_to_warn_of(ros: Any) -> None:
+    rig, stamps = Rig(ros), itertools.count(1_000_000_000, 100_000_000)
+    rig.calibrate()
+    for reader in [s for s in rig.probe.subscriptions if s.topic_name in ("/points2", "/panel_plane")]:
+        rig.probe.destroy_subscription(reader)
+    ros.spin_until(lambda: not rig.node.count_subscribers("points2"), WITHIN_S)
+
+    def said() -> bool:
+        rig.show(next(stamps))
+        return "idle: nobody subscribes" in rig.said()
+
+    ros.spin_until(said, WITHIN_S, rig.said)
+    status = next(s for d in reversed(rig.diagnostics) for s in d.status if s.message == "idle: nobody subscribes")
+    assert status.level == DiagnosticStatus.OK and not rig.points
+    ros.spin_until(lambda: "no pictures with corners in the last second" in rig.said()[-1], WITHIN_S, rig.said)
 
 
 def test_pairs_are_thinned_by_their_own_stamps(ros: Any) -> None:

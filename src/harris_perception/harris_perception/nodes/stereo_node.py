@@ -94,7 +94,7 @@ class StereoNode(Node):
         self._configure()
         self._last_ns = self._matched = self._reported_ns = 0
         self._values: list[tuple[str, Any]] = []
-        self._complaint = "no pictures with corners yet"
+        self._complaint = ""
         self._points = self.create_publisher(PointCloud2, "points2", qos.RESULTS)
         self._plane = self.create_publisher(PoseStamped, "panel_plane", qos.RESULTS)
         self._estimate = self.create_publisher(PoseWithCovarianceStamped, "panel_plane_estimate", qos.RESULTS)
@@ -124,11 +124,13 @@ class StereoNode(Node):
         # By the pictures' own clock, so that a replayed recording is thinned in the same way; a millisecond is jitter.
         stamp = stamp_ns(image.header.stamp)
         period_ns = 1e9 / self._live.config.rate_hz - 1e6
-        due = not self._last_ns <= stamp < self._last_ns + period_ns
-        wanted = any(p.get_subscription_count() > 0 for p in (self._points, self._plane, self._estimate))
-        if due and wanted:
+        due = self._wanted() and not self._last_ns <= stamp < self._last_ns + period_ns
+        if due:
             self._last_ns = stamp
-        return due and wanted
+        return due
+
+    def _wanted(self) -> bool:
+        return any(p.get_subscription_count() > 0 for p in (self._points, self._plane, self._estimate))
 
     def _match(self, matcher: Matcher, complete: tuple[Any, ...]) -> None:
         start = time.perf_counter()
@@ -155,9 +157,11 @@ class StereoNode(Node):
     def _report(self) -> None:
         silent = "no pictures with corners in the last second" if self._sets.newest_ns == self._reported_ns else ""
         self._reported_ns = self._sets.newest_ns
-        complaint = self._calibration.complaint or self._complaint or silent
+        # What a pair was found to lack is of no moment where pairs no longer come, or nobody asks for more.
+        wanted = self._wanted()
+        complaint = self._calibration.complaint or silent or (self._complaint if wanted else "")
         values = [("pairs", self._matched), ("unpaired", self._sets.unpaired), *self._values]
-        level, text = ("warn", complaint) if complaint else ("ok", "matching")
+        level, text = ("warn", complaint) if complaint else ("ok", "matching" if wanted else "idle: nobody subscribes")
         head = header(self.get_clock().now().nanoseconds, "")
         self._diagnostics.publish(
             DiagnosticArray(header=head, status=[diagnostic_status("stereo", level, text, values)])
