@@ -81,6 +81,7 @@ def test_the_result_is_not_written_over_the_poses(tmp_path: Path, capsys: pytest
             + ",".join(rows()[1].split(",")[3:7] + rows()[1].split(",")[:3] + rows()[1].split(",")[7:]),
             r"line 2: quaternion .* has length 1\.015, 1 to within 0\.01 is needed: the order is x, y, z in metres",
         ),
+        ("\n".join(rows(fixed=True)), r"miss one another by .* 3\.0 degrees and 20\.0 mm are accepted"),
         (",".join(["0"] * 14), "line 1: quaternion .* has no direction"),
     ],
 )

@@ -135,6 +135,21 @@ def test_what_cannot_be_solved_is_refused_with_the_motion_that_helps() -> None:
         calibrate_wrist(one_axis, [(g @ X).inverse() @ Z for g in one_axis])
 
 
+def test_poses_that_have_nothing_to_do_with_one_another_are_refused() -> None:
+    grippers, targets = motions(12, np.random.default_rng(6))
+    wrong = (
+        r"miss one another by \d+\.\d degrees and \d+\.\d mm rms, 2\.9 degrees and 20\.0 mm are accepted: check which"
+    )
+    for given in (
+        [g.inverse() for g in targets],  # target_from_camera
+        targets[1:] + targets[:1],  # of the moment before
+        [targets[0]] * 12,  # another target, on the gripper itself
+        [Transform(t.rotation, 1000 * t.translation) for t in targets],  # mm
+    ):
+        with pytest.raises(DegenerateError, match=wrong):
+            calibrate_wrist(grippers, given)
+
+
 @pytest.mark.skipif(not hasattr(cv2, "calibrateHandEye"), reason="this OpenCV has no calibrateHandEye")
 @pytest.mark.parametrize(("method", "name"), [("park", "PARK"), ("horaud", "HORAUD"), ("daniilidis", "DANIILIDIS")])
 def test_closed_forms_agree_with_opencv(method: str, name: str) -> None:

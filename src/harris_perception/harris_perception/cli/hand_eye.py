@@ -82,6 +82,8 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("poses", type=Path, help="CSV file")
     result.add_argument("--fixed-camera", action="store_true", help="the camera stands still and sees the gripper")
     result.add_argument("--min-turn-deg", type=float, default=10.0, help="least turn that counts (%(default)s)")
+    result.add_argument("--max-misfit-deg", type=float, default=3.0, help="greatest misfit of the turns (%(default)s)")
+    result.add_argument("--max-misfit-mm", type=float, default=20.0, help="greatest misfit of the shifts (%(default)s)")
     result.add_argument("-o", "--output", type=Path, help="write the result there as YAML")
     return result
 
@@ -122,7 +124,12 @@ def main(arguments: list[str] | None = None) -> int:
         grippers, targets = read_poses(options.poses)
         if options.fixed_camera:
             grippers = [g.inverse() for g in grippers]
-        result = calibrate_wrist(grippers, targets, WristConfig(min_turn_rad=float(np.radians(options.min_turn_deg))))
+        config = WristConfig(
+            min_turn_rad=float(np.radians(options.min_turn_deg)),
+            max_turn_rms_rad=float(np.radians(options.max_misfit_deg)),
+            max_shift_rms_m=options.max_misfit_mm * 1e-3,
+        )
+        result = calibrate_wrist(grippers, targets, config)
     except (DegenerateError, ConfigError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -40,6 +40,12 @@ class WristConfig(Config):
     )
     outlier_sigmas: float = setting(4.5, "Poses beyond so many standard deviations are left out", minimum=2.0)
     max_outliers: float = setting(0.3, "Part of the poses that may be left out", minimum=0.0, maximum=0.49)
+    max_turn_rms_rad: float = setting(
+        0.05, "Greatest misfit of the turns that is accepted", minimum=1e-6, maximum=3.0, unit="rad"
+    )
+    max_shift_rms_m: float = setting(
+        0.02, "Greatest misfit of the shifts that is accepted", minimum=1e-6, maximum=10.0, unit="m"
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -83,7 +89,7 @@ def calibrate_wrist(
     ------
     DegenerateError
         For too few poses, a wrist that did not turn or turned about one axis only (with the motion that would help),
-        and too many poses that do not fit.
+        too many poses that do not fit, and a rest that misses by too much.
     """
     config = config if config is not None else WristConfig()
     count = len(base_from_gripper)
@@ -103,6 +109,14 @@ def calibrate_wrist(
             break
         used = again
         check_turns([t for t, u in zip(a, used) if u], config)
+    turn, shift = result.rotation_rms_rad, result.translation_rms_m
+    if not (turn <= config.max_turn_rms_rad and shift <= config.max_shift_rms_m):
+        # Of poses that have nothing to do with one another none sticks out.
+        raise DegenerateError(
+            f"the poses miss one another by {np.degrees(turn):.1f} degrees and {shift * 1e3:.1f} mm rms, "
+            f"{np.degrees(config.max_turn_rms_rad):.1f} degrees and {config.max_shift_rms_m * 1e3:.1f} mm are "
+            "accepted: check which frame each is given in, that both are of one moment, and that lengths are in metres"
+        )
     return result
 
 
