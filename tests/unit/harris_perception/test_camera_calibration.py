@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +139,31 @@ def test_outlier_of_a_pair_is_left_out() -> None:
     result = calibrate_stereo(BOARD, given, CalibrationConfig(drop_outliers=True))
     assert [view.name for view in result.left_out] == ["left04 + right04"]
     assert result.rms_px < 0.16
+
+
+def test_pairs_of_different_moments_are_refused() -> None:
+    given = pairs()
+    late = list(zip([left for left, _ in given], [right for _, right in given[1:] + given[:1]]))
+    words = r"corners are \d+\.\d px rms from where they should be, 3 are accepted; in .* alone they are 0\.1 px left"
+    with pytest.raises(CalibrationError, match=words):
+        calibrate_stereo(BOARD, late, CONFIG)
+
+
+def test_one_pair_of_different_moments_is_left_out_if_asked() -> None:
+    given = pairs()
+    given[3] = (given[3][0], given[9][1])
+    named = rf"in {re.escape(given[3][0].name)} \+ .*taken at the same moment"
+    with pytest.raises(CalibrationError, match=named):
+        calibrate_stereo(BOARD, given, CONFIG)
+    result = calibrate_stereo(BOARD, given, CalibrationConfig(drop_outliers=True))
+    assert len(result.left_out) == 1 and result.rms_px < 0.16
+
+
+def test_corners_that_no_camera_sees_so_are_refused() -> None:
+    rng = np.random.default_rng(3)
+    blurred = [replaced(view, xy=view.xy + rng.normal(0, 20.0, view.xy.shape)) for view in views()]
+    with pytest.raises(CalibrationError, match=r"corners are 2\d\.\d px rms .* is the board flat"):
+        calibrate_camera(BOARD, blurred, CONFIG)
 
 
 def test_too_few_views_are_refused() -> None:

@@ -23,6 +23,7 @@ from icu_common.core.geometry import Array
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
 _MIN_SPREAD_DEG = 6.0
 _LEAST_BASELINE_M = 0.001
+_ANY_RMS_PX = 1e5
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-10)
 
 
@@ -45,6 +46,9 @@ class CalibrationConfig(Config):
         maximum=20.0,
     )
     drop_outliers: bool = setting(False, "Leave outliers out and calibrate again.")
+    max_rms_px: float = setting(
+        3.0, "Greatest rms error that is accepted.", minimum=0.01, maximum=_ANY_RMS_PX, unit="px"
+    )
     alpha: float = setting(
         0.0,
         "Rectified picture: 0 shows only valid pixels, 1 keeps every pixel of the raw one.",
@@ -269,6 +273,17 @@ _V = TypeVar("_V")
 _R = TypeVar("_R", bound=CameraCalibration | StereoCalibration)
 
 
+def _may_drop(view: ViewError, count: int, config: CalibrationConfig) -> bool:
+    return config.drop_outliers and view.outlier and count > config.min_views
+
+
+def _unfit(rms_px: float, views: Sequence[ViewError], config: CalibrationConfig) -> ViewError | None:
+    """Return the worst of views that miss by too much, unless one will be left out."""
+    if rms_px <= config.max_rms_px or any(_may_drop(view, len(views), config) for view in views):
+        return None
+    return max(views, key=lambda view: view.rms_px)
+
+
 def _without_outliers(
     views: Sequence[_V], once: Callable[[Sequence[_V], tuple[ViewError, ...]], _R], config: CalibrationConfig
 ) -> _R:
@@ -278,7 +293,7 @@ def _without_outliers(
     while True:
         result = once(kept, tuple(left_out))
         worst = max(result.views, key=lambda view: view.rms_px)
-        if not (config.drop_outliers and worst.outlier and len(kept) > config.min_views):
+        if not _may_drop(worst, len(kept), config):
             return result
         del kept[result.views.index(worst)]
         left_out.append(worst)
@@ -303,7 +318,7 @@ def calibrate_camera(
     Raises
     ------
     CalibrationError
-        If the views cannot be calibrated from.
+        If the views cannot be calibrated from, or miss by too much.
     """
 
     def once(kept: Sequence[BoardView], left_out: tuple[ViewError, ...]) -> CameraCalibration:
@@ -319,6 +334,13 @@ def calibrate_camera(
             raise CalibrationError(
                 f"the focal length comes out as {k[0, 0]:g} px: add views with the board tilted more"
             )
+        counts = [len(view.ids) for view in kept]
+        judged = tuple(_judged([v.name for v in kept], counts, np.ravel(errors).tolist(), config.outlier_factor))
+        if (worst := _unfit(rms, judged, config)) is not None:
+            raise CalibrationError(
+                f"corners are {rms:.1f} px rms from where they should be, {config.max_rms_px:g} are accepted; in "
+                f"{worst.name} {worst.rms_px:.1f}: is the board flat, and were the pictures sharp and of one camera?"
+            )
         d = np.asarray(d, dtype=np.float64).ravel()[:5]
         p, _ = cv2.getOptimalNewCameraMatrix(k, d, size, config.alpha)
         at = np.vstack([view.xy for view in kept])
@@ -328,12 +350,11 @@ def calibrate_camera(
         model = CameraModel(
             name=name, width=size[0], height=size[1], k=k, d=d, r=np.eye(3), p=np.column_stack([p, np.zeros(3)])
         )
-        counts = [len(view.ids) for view in kept]
         return CameraCalibration(
             model=model,
             rms_px=float(rms),
             sigma={INTRINSICS[i]: float(np.ravel(sigma)[i]) for i in _free(config)},
-            views=tuple(_judged([v.name for v in kept], counts, np.ravel(errors).tolist(), config.outlier_factor)),
+            views=judged,
             left_out=left_out,
             at_px=at,
             residual_px=at - np.vstack(expected),
@@ -370,7 +391,7 @@ def calibrate_stereo(
     Raises
     ------
     CalibrationError
-        If the pairs cannot be calibrated from, or the cameras are swapped or above each other.
+        If the pairs cannot be calibrated from or miss by too much, or the cameras are swapped or above each other.
     """
     matched = [common_corners(board, left, right) for left, right in pairs]
     matched = [pair for pair in matched if are_enough(board, pair[0].ids)]
@@ -385,6 +406,7 @@ def calibrate_stereo(
             radial_terms=config.radial_terms,
             min_views=config.min_views,
             outlier_factor=config.outlier_factor,
+            max_rms_px=_ANY_RMS_PX,  # the pair's own tells
             alpha=config.alpha,
         )
         left, right = (calibrate_camera(board, [pair[side] for pair in kept], alone, names[side]) for side in (0, 1))
@@ -408,13 +430,21 @@ def calibrate_stereo(
             criteria=_CRITERIA,
         )
         shift = np.asarray(shift, dtype=np.float64).ravel()
-        _require_side_by_side(shift)
         cameras = [(np.asarray(k, np.float64), np.asarray(d, np.float64).ravel()[:5]) for k, d in ((k1, d1), (k2, d2))]
         bundle = _PairBundle(board, kept, cameras, turn, shift)
-        stereo = _rectified(left.model, right.model, cameras, turn, shift, config.alpha)
-        rows = [stereo.left.rectify(a.xy)[:, 1] - stereo.right.rectify(b.xy)[:, 1] for a, b in kept]
         labels = [f"{a.name} + {b.name}" for a, b in kept]
         counts = [2 * len(a.ids) for a, _ in kept]
+        judged = tuple(_judged(labels, counts, bundle.view_rms_px, config.outlier_factor))
+        if (worst := _unfit(rms, judged, config)) is not None:
+            raise CalibrationError(
+                f"corners are {rms:.1f} px rms from where they should be, {config.max_rms_px:g} are accepted; in "
+                f"{worst.name} {worst.rms_px:.1f}: alone they are {left.rms_px:.1f} px left and {right.rms_px:.1f} px "
+                "right; were both pictures of each pair taken at the same moment, by cameras that do not move against "
+                "each other?"
+            )
+        _require_side_by_side(shift)
+        stereo = _rectified(left.model, right.model, cameras, turn, shift, config.alpha)
+        rows = [stereo.left.rectify(a.xy)[:, 1] - stereo.right.rectify(b.xy)[:, 1] for a, b in kept]
         return StereoCalibration(
             stereo=stereo,
             left=left,
@@ -422,7 +452,7 @@ def calibrate_stereo(
             rms_px=float(rms),
             rows_rms_px=float(np.sqrt(np.mean(np.concatenate(rows) ** 2))),
             sigma=bundle.sigma(_free(config)),
-            views=tuple(_judged(labels, counts, bundle.view_rms_px, config.outlier_factor)),
+            views=judged,
             left_out=left_out,
         )
 
