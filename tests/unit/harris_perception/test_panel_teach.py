@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,8 +16,9 @@ from unit.harris_perception import panel_scene as scene
 from harris_perception.adapters.panel_files import how_to_start, write_panel
 from harris_perception.cli.panel_teach import main
 from harris_perception.core.harris import HarrisDetector
-from harris_perception.core.panel_teaching import TeachingError, parse_request, teach
+from harris_perception.core.panel_teaching import Lesson, Pointed, TeachingError, parse_request, teach
 from harris_perception.core.recognition import PanelRecogniser
+from icu_common.core.camera_model import CameraModel
 from icu_common.core.panel_layout import load_layout
 
 LAYOUT = scene.bench_layout()
@@ -154,6 +157,42 @@ def test_with_its_calibration_the_cameras_distortion_does_not_stay_in_the_layout
         "taught.png",
         "taught.yaml",
     ]
+
+
+def wide_lesson() -> tuple[Any, CameraModel, Lesson]:
+    """Return a picture by a wide lens, and the panel in it pointed at exactly."""
+    camera = scene.camera(focal=750.0, k1=-0.27)
+    truth = scene.pose(LAYOUT, distance_m=0.18, below_deg=3.0)
+    width, height = LAYOUT.size_mm
+    face = np.array([(0, 0, 0), (width, 0, 0), (width, height, 0), (0, height, 0)]) / 1000
+    controls = []
+    for control in map(LAYOUT.control, NAMES):
+        u, v = camera.project(truth.apply(np.array([*control.position_mm, 0.0]) / 1000))[0]
+        controls.append(Pointed(name=control.name, kind=control.kind, pixel=(u, v), size_mm=control.size_mm))
+    lesson = Lesson(
+        model="wide",
+        title="wide",
+        size_mm=LAYOUT.size_mm,
+        corners_px=camera.project(truth.apply(face)),
+        controls=tuple(controls),
+    )
+    return scene.picture(LAYOUT, camera, truth, scene.Look(arm_x_mm=None, noise=1.0), 3), camera, lesson
+
+
+def test_a_wide_lens_does_not_move_what_is_near_the_pictures_edge() -> None:
+    picture, camera, lesson = wide_lesson()
+    taught = teach(picture, lesson, camera)
+    for name in NAMES:
+        apart = np.subtract(taught.layout.control(name).position_mm, LAYOUT.control(name).position_mm)
+        assert np.abs(apart).max() < 0.01, name
+
+
+def test_a_place_that_the_cameras_calibration_does_not_reach_is_refused() -> None:
+    picture, camera, lesson = wide_lesson()
+    bent = dataclasses.replace(camera, d=np.array([-0.7, 0.0, 0.0, 0.0, 0.0]))
+    u, v = lesson.corners_px[0]
+    with pytest.raises(ValueError, match=rf"pixel {u:.0f}, {v:.0f} is beyond what the camera's calibration reaches"):
+        teach(picture, lesson, bent)
 
 
 @pytest.mark.parametrize(

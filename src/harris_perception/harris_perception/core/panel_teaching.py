@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
@@ -233,6 +234,10 @@ def teach(picture: Picture, lesson: Lesson, camera: CameraModel | None = None) -
 
 
 def _straightened(pixels: Array, camera: CameraModel) -> Array:
-    return np.asarray(cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.k, camera.d, P=camera.k), float).reshape(
-        -1, 2
-    )
+    """Return where places (N, 2) px of a picture are in the one that ``cv2.undistort`` makes of it."""
+    # OpenCV's own undoes a wide lens by five rounds, which leave pixels at the picture's edge.
+    own = dataclasses.replace(camera, r=np.eye(3), p=np.column_stack([camera.k, np.zeros(3)]))
+    straight = own.rectify(pixels)
+    for u, v in pixels[~np.isfinite(straight).all(axis=1)]:
+        raise TeachingError(f"pixel {u:.0f}, {v:.0f} is beyond what the camera's calibration reaches")
+    return straight

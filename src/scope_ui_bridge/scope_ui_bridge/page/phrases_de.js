@@ -471,6 +471,7 @@ export const PHRASES_DE = [
   ["control {}: NAME:kind:u,v:WIDTHxHEIGHT[:height] is needed", "Element {}: nötig ist NAME:Art:u,v:BREITExHÖHE[:Überstand]"],
   ["{}: four corners u,v are needed", "{}: nötig sind vier Ecken u,v"],
   ["corners {} do not go round the face: lower left, lower right, upper right, upper left", "die Ecken {} gehen nicht um die Front herum: unten links, unten rechts, oben rechts, oben links"],
+  ["pixel {}, {} is beyond what the camera's calibration reaches", "Pixel {}, {} liegt außerhalb dessen, was die Kalibrierung der Kamera erreicht"],
   ["{} x {} px at {} px/mm: sides from 48 to 8192 px are needed", "{} x {} px bei {} px/mm: nötig sind Seiten von 48 bis 8192 px"],
   ["{} x {} px at {} px/mm: sides from 16 to 8192 px are needed", "{} x {} px bei {} px/mm: nötig sind Seiten von 16 bis 8192 px"],
   ["model {}: a letter, then up to 40 letters, digits and '_' are needed", "Modell {}: nötig ist ein Buchstabe, dann bis zu 40 Buchstaben, Ziffern und '_'"],
