@@ -186,3 +186,4 @@ def test_what_is_missing_or_wrong_is_said(ros: Any) -> None:
     rig.show(2_000_000_000)
     ros.spin_until(lambda: disparities, WITHIN_S)
     ros.spin_until(lambda: rig.status().message == "matching", WITHIN_S, rig.status)
+    ros.spin_until(lambda: "no pairs of pictures in the last second" in rig.status().message, WITHIN_S, rig.status)

@@ -60,7 +60,7 @@ class DenseStereoNode(Node):
         self._pairs = Pairing(2)
         self._stereo: DenseStereo | None = None
         self._listening: list[Subscription] = []
-        self._last_ns = self._matched = 0
+        self._last_ns = self._matched = self._reported_ns = 0
         self._values: list[tuple[str, Any]] = []
         self._complaint = ""
         warm()
@@ -137,7 +137,9 @@ class DenseStereoNode(Node):
         self._values = [("known_share", f"{known:.3f}"), ("took_ms", f"{took_s * 1e3:.1f}")]
 
     def _report(self) -> None:
-        complaint = self._calibration.complaint or self._complaint
+        silent = "no pairs of pictures in the last second" if self._pairs.newest_ns == self._reported_ns else ""
+        self._reported_ns = self._pairs.newest_ns
+        complaint = self._calibration.complaint or silent or self._complaint
         state = "matching" if self._listening else "idle: nobody subscribes"
         values = [("pairs", self._matched), ("unpaired", self._pairs.unpaired), *self._values]
         level, text = ("warn", complaint) if complaint and self._listening else ("ok", state)
