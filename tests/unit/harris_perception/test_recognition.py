@@ -230,7 +230,8 @@ def corner_errors_px(found: np.ndarray, truth_of_pixels: np.ndarray, shape: tupl
 
 
 @photographs
-def test_box_is_found_in_a_photograph_of_a_cluttered_table() -> None:
+@pytest.mark.parametrize(("relative_threshold", "px_per_mm"), [(0.001, 1.26), (0.002, 1.26), (0.001, 1.0)])
+def test_box_is_found_in_a_photograph_of_a_cluttered_table(relative_threshold: float, px_per_mm: float) -> None:
     """Against the homography that OpenCV's own SIFT detector and RANSAC find."""
     box, table = photograph("object/box.png"), photograph("object/box_in_scene.png")
     sift = cv2.SIFT.create()
@@ -242,9 +243,9 @@ def test_box_is_found_in_a_photograph_of_a_cluttered_table() -> None:
         method=cv2.RANSAC,
         ransacReprojThreshold=2.0,
     )
-    config = RecognitionConfig(search=SearchConfig(px_per_mm=1.26), refine=RefineConfig(min_agreement=0.2))
+    config = RecognitionConfig(search=SearchConfig(px_per_mm=px_per_mm), refine=RefineConfig(min_agreement=0.2))
     finder = PanelRecogniser(flat_layout(box), config, picture=box, picture_px_per_mm=1.0)
-    corners = HarrisDetector(HarrisConfig(relative_threshold=0.001)).detect(table)
+    corners = HarrisDetector(HarrisConfig(relative_threshold=relative_threshold)).detect(table)
     sighting = finder.locate(table, corners.xy, guessed_camera(table))
     assert sighting is not None
     errors = corner_errors_px(sighting.rectified_from_mm, reference, box.shape)

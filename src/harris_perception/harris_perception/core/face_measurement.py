@@ -39,6 +39,8 @@ from icu_common.core.panel_layout import PanelLayout
 # before.
 _BLURS_PX = (0.0, 1.0, 1.6, 2.3)
 _BLURRED = 0.01
+# So much of the patches that agree at most must agree with a blur that is believed.
+_COMPARED = 0.5
 # The corners are mostly text, whose typeface is not the maker's, and a word's corners err together: their covariance
 # counts so many times.
 _TYPEFACE = 4.0
@@ -203,18 +205,23 @@ class FaceMeter:
         return fit, measured.chosen(near), rms
 
     def blur(self, rectified: Gray, pose: Transform, camera: CameraModel, before_px: float) -> float:
-        """Return by how much (px) the template must be blurred to look most like the picture; it was ``before_px``."""
+        """Return by how much (px) the template must be blurred to look most like the picture; it was ``before_px``.
+
+        What leaves little of the print to be compared tells nothing, however alike that is.
+        """
         homography = homography_of_pose(pose, camera)
-        likeness: dict[float, float] = {}
+        found: dict[float, Patches] = {}
         for blur_px in _BLURS_PX:
             level = self._level_for(homography, blur_px)
             if level is None:
                 return 0.0
-            if not likeness:
+            if not found:
                 visible, warped = self._visible(level, pose), self._warp(rectified, homography, level)
-            likeness[blur_px] = self._compared(level, visible, warped).likeness
+            found[blur_px] = self._compared(level, visible, warped)
+        most = max(patches.count for patches in found.values())
+        likeness = {blur: patches.likeness for blur, patches in found.items() if patches.count >= _COMPARED * most}
         best = max(likeness, key=lambda blur: likeness[blur])
-        return best if likeness[best] > likeness[before_px] + _BLURRED else before_px
+        return best if likeness[best] > likeness.get(before_px, 0.0) + _BLURRED else before_px
 
     def compared(self, rectified: Gray, pose: Transform, camera: CameraModel, blur_px: float) -> Patches | None:
         """Compare the picture with the print, not too near to proud controls; None where no camera sees the face so."""
