@@ -97,6 +97,17 @@ def test_homography_maps_mm_to_pixel_centres() -> None:
     np.testing.assert_allclose(middle / middle[2], (0.0, 159.0, 1.0))
 
 
+@pytest.mark.parametrize("px_per_mm", [4.0, 2.51, 1.26])
+def test_homography_of_a_picture_that_is_made_smaller_to_whole_pixels(px_per_mm: float) -> None:
+    face = layout(Rectangle(rectangle_mm=(45.0, 30.0, 9.0, 5.0), fill="#ffffff"), controls=(PLAIN,))
+    template = panel_template(face, px_per_mm, draw_panel(face, 8.0), 8.0)
+    light = template.gray[:, template.gray.shape[1] // 2 :].astype(float)
+    light = np.hstack([np.zeros((len(light), template.gray.shape[1] // 2)), light - light.min()])
+    rows, columns = np.indices(light.shape)
+    seen = np.array([(columns * light).sum(), (rows * light).sum(), light.sum()]) / light.sum()
+    np.testing.assert_allclose(np.linalg.solve(template.px_from_mm, seen), (49.5, 32.5, 1.0), atol=0.02)
+
+
 def test_screens_lamps_and_proud_controls_are_not_steady_and_text_is_not_exact() -> None:
     controls = (
         Control(name="SCREEN", kind="touch_area", position_mm=(15.0, 30.0), size_mm=(20.0, 10.0)),

@@ -17,6 +17,7 @@ from harris_perception.core.edge_alignment import edge_points
 from harris_perception.core.face_measurement import RefineConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_search import SearchConfig
+from harris_perception.core.panel_template import draw_panel
 from harris_perception.core.planar_pose import FacePoints, fit_pose, homography_of_pose, map_points, planar_pose
 from harris_perception.core.pose_agreement import AgreementConfig, PoseAgreement, mean_pose
 from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig
@@ -77,6 +78,18 @@ def test_found_with_all_controls_in_place(view: dict[str, Any], look: dict[str, 
     assert error_mm < limit_mm
     assert error_px < 0.4
     assert sighting.agreement > (0.5 if "hidden" in look else 0.85)
+
+
+@pytest.mark.parametrize("distance_m", [0.55, 0.65, 0.8])
+def test_a_picture_of_the_face_tells_its_place_as_well_as_a_drawing_does(distance_m: float) -> None:
+    """At each distance another level is nearest, and each is a little off its scale, as it has whole pixels."""
+    by_picture = PanelRecogniser(LAYOUT, picture=draw_panel(LAYOUT, 4.0), picture_px_per_mm=4.0)
+    truth = scene.pose(LAYOUT, distance_m, below_deg=10.0)
+    gray = scene.picture(LAYOUT, CAMERA, truth, scene.Look(arm_x_mm=None), 1)
+    found = by_picture.locate(gray, DETECTOR.detect(gray).xy, CAMERA)
+    assert found is not None
+    error_mm, error_px = error_mm_px(found.camera_from_panel, truth)
+    assert error_mm < 0.1 and error_px < 0.06, (error_mm, error_px)
 
 
 def test_followed_while_it_moves_and_found_again_after_a_jump() -> None:

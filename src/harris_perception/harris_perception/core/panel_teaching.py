@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from harris_perception.core.panel_template import px_from_mm
+from harris_perception.core.panel_template import edge_to_edge
 from harris_perception.core.planar_pose import inverse, map_points
 from harris_perception.core.recognition import PanelRecogniser
 from icu_common.core.camera_model import CameraModel
@@ -103,7 +103,7 @@ def straight_on(picture: Picture, to_mm: Array, size_mm: tuple[float, float], px
     if not all(math.isfinite(side) and 48 <= round(side) <= 8192 for side in (wide, high)):
         raise TeachingError(f"{wide:.0f} x {high:.0f} px at {px_per_mm:g} px/mm: sides from 48 to 8192 px are needed")
     width, height = round(wide), round(high)
-    picture_from_template = inverse(to_mm) @ inverse(px_from_mm(height, px_per_mm))
+    picture_from_template = inverse(to_mm) @ inverse(edge_to_edge((width, height), size_mm))
     flags = cv2.INTER_AREA | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpPerspective(picture, picture_from_template, (width, height), flags=flags), np.uint8)
 

@@ -32,22 +32,30 @@ class PanelTemplate:
         typeface has other shapes and widths than ours.
     px_per_mm
         Scale; the panel's lower left corner is the picture's.
+    px_from_mm
+        (3, 3) homography from the panel's mm (y up) to pixels (y down, the centre of the first is (0, 0)). A picture of
+        the face is made smaller to whole pixels, which changes its scale a little, and along each axis for itself.
     """
 
     gray: npt.NDArray[np.uint8]
     steady: npt.NDArray[np.bool_]
     exact: npt.NDArray[np.bool_]
     px_per_mm: float
-
-    @property
-    def px_from_mm(self) -> Array:
-        """(3, 3) homography from the panel's mm (y up) to pixels (y down, the centre of the first is (0, 0))."""
-        return px_from_mm(self.gray.shape[0], self.px_per_mm)
+    px_from_mm: Array
 
 
-def px_from_mm(height_px: int, px_per_mm: float) -> Array:
-    """Return the (3, 3) homography from mm (y up) to pixels (y down) of a picture ``height_px`` high."""
-    return np.array([[px_per_mm, 0.0, -0.5], [0.0, -px_per_mm, height_px - 0.5], [0.0, 0.0, 1.0]])
+def px_from_mm(height_px: int, px_per_mm: float | tuple[float, float]) -> Array:
+    """Return the (3, 3) homography from mm (y up) to pixels (y down) of a picture ``height_px`` high.
+
+    The scale is one, or that of x and that of y.
+    """
+    x, y = px_per_mm if isinstance(px_per_mm, tuple) else (px_per_mm, px_per_mm)
+    return np.array([[x, 0.0, -0.5], [0.0, -y, height_px - 0.5], [0.0, 0.0, 1.0]])
+
+
+def edge_to_edge(size_px: tuple[int, int], size_mm: tuple[float, float]) -> Array:
+    """Return the (3, 3) homography from mm to pixels of a picture (width, height) that shows a face to its edges."""
+    return px_from_mm(size_px[1], (size_px[0] / size_mm[0], size_px[1] / size_mm[1]))
 
 
 def draw_panel(layout: PanelLayout, px_per_mm: float) -> npt.NDArray[np.uint8]:
@@ -92,6 +100,7 @@ def panel_template(
     """
     if picture is None:
         bgr: npt.NDArray[Any] = draw_panel(layout, px_per_mm)
+        from_mm = px_from_mm(bgr.shape[0], px_per_mm)
     else:
         wanted = np.array(layout.size_mm) * picture_px_per_mm
         found = np.array(picture.shape[1::-1])
@@ -100,9 +109,10 @@ def panel_template(
                 f"the template picture has {found[0]} x {found[1]} px, the layout's {layout.size_mm[0]:g} x "
                 f"{layout.size_mm[1]:g} mm at {picture_px_per_mm:g} px/mm are {wanted[0]:.0f} x {wanted[1]:.0f} px"
             )
-        size = tuple(round(side * px_per_mm) for side in layout.size_mm)
+        size = round(layout.size_mm[0] * px_per_mm), round(layout.size_mm[1] * px_per_mm)
         smaller = px_per_mm < picture_px_per_mm
         bgr = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)
+        from_mm = edge_to_edge(size, layout.size_mm)
     gray = bgr if bgr.ndim == 2 else cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
     steady = np.ones(gray.shape, np.uint8)
     for control in layout.controls:
@@ -112,7 +122,13 @@ def panel_template(
     for item in layout.artwork if picture is None else ():
         if isinstance(item, Text):
             cv2.fillPoly(exact, [_polygon_px(_text_box_mm(item), gray.shape[0], px_per_mm)], 0, cv2.LINE_8, _SHIFT)
-    return PanelTemplate(np.ascontiguousarray(gray, dtype=np.uint8), steady.astype(bool), exact.astype(bool), px_per_mm)
+    return PanelTemplate(
+        gray=np.ascontiguousarray(gray, dtype=np.uint8),
+        steady=steady.astype(bool),
+        exact=exact.astype(bool),
+        px_per_mm=px_per_mm,
+        px_from_mm=from_mm,
+    )
 
 
 def _text_box_mm(item: Text) -> Array:
