@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from nodes.background import output_in_background
+from rclpy.duration import Duration
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
@@ -32,6 +34,7 @@ from icu_common.nodes.conversions import header, image_array, image_message
 from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagReader, BagTopic, BagWriter
+from scope_bench.cli.bag_record import catch_up
 from scope_bench.nodes.bag_qos import playing_qos, recorded_qos
 from scope_bench.nodes.bag_recorder import BagRecorder
 
@@ -209,6 +212,25 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path, command: Star
     assert b == [] and beats == [] and orders == []
     assert [m.data for m in ways[:2]] == ["way 0", "way 1"], "where it went can be seen"
     assert "not played: /b, /gantry/sequence, /operator/heartbeat\n" in output
+
+
+def test_the_end_of_a_recording_is_in_it_when_the_recorder_is_behind(ros: Ros, tmp_path: Path) -> None:
+    words = ros.plain("talker").create_publisher(String, "words", QoSProfile(depth=40))
+    executor = EventsExecutor(context=ros.context)  # as that of the program
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
+    recorder = BagRecorder(sink, ["words"], context=ros.context)
+    executor.add_node(recorder)
+    ros.spin_until(lambda: executor.spin_once(timeout_sec=0.02) or words.get_subscription_count(), 10.0)
+    for number in range(40):  # nobody serves the recorder meanwhile
+        words.publish(String(data=f"{number}"))
+    assert words.wait_for_all_acked(Duration(seconds=10))
+    catch_up(executor)
+    executor.remove_node(recorder)
+    recorder.destroy_node()
+    sink.close()
+    with BagReader(tmp_path / "bag") as bag:
+        spoken = [bag.decode(data, "std_msgs/msg/String").data for _, _, data in bag.messages()]
+    assert spoken == [f"{number}" for number in range(40)]
 
 
 def test_nothing_is_played_beside_a_driver_at_work(ros: Ros, tmp_path: Path, command: Start) -> None:

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+from rclpy.experimental import EventsExecutor
+
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bag_pictures import PictureCodec
@@ -20,6 +22,9 @@ from scope_bench.adapters.bags import STORAGES, BagError, BagWriter
 from scope_bench.cli.bounds import check_bounds
 from scope_bench.cli.progress import ProgressLine
 from scope_bench.nodes.bag_recorder import BagRecorder, check_names
+
+_BEHIND_S = 5.0
+"""So long the end waits at most for what has come before it."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -100,9 +105,18 @@ def _record(session: Session, sink: BagSink, path: Path, options: argparse.Names
                 f"recording {now_s - start_s:.1f} s: {len(node.recorded)} topics, {sink.messages} messages, "
                 f"{sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped{waiting}",
             )
+        if not sink.failure:
+            catch_up(session.executor)
     finally:
         line.end()
         session.end(node)
+
+
+def catch_up(executor: EventsExecutor) -> None:
+    """Serve what has come until now: on a busy computer the last seconds before the end still wait in the queue."""
+    last, until_s = executor.create_task(lambda: None), time.monotonic() + _BEHIND_S
+    while not last.done() and time.monotonic() < until_s:
+        executor.spin_once(timeout_sec=0.1)
 
 
 if __name__ == "__main__":
