@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
-from unit.harris_perception.rectified_pair import camera, measured_face
+from unit.harris_perception.rectified_pair import camera, measured_face, stored_calibration
 
 from harris_perception.core.calibration_file import StoredCalibration, load, save
 from harris_perception.core.hand_eye import Sample
@@ -250,19 +250,7 @@ def test_samples_by_hand(ros: Any) -> None:
 
 
 def stored(path: Path) -> StoredCalibration:
-    calibration = StoredCalibration(
-        camera_from_base=POSE,
-        base_from_reading=AXES,
-        stylus_direction=np.array([0.0, 0.0, -1.0]),
-        left=camera(),
-        right=camera(baseline=0.12),
-        machine="bench",
-        rms_m=0.00004,
-        sigma_m=0.00002,
-        held_out_m=0.0001,
-        samples=24,
-        made_at="2026-03-04T05:06:07+00:00",
-    )
+    calibration = stored_calibration(POSE, AXES)
     save(calibration, path)
     return calibration
 

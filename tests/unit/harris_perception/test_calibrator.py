@@ -8,7 +8,7 @@ from datetime import datetime
 
 import numpy as np
 import pytest
-from unit.harris_perception.rectified_pair import camera
+from unit.harris_perception.rectified_pair import camera, stored_calibration
 from unit.harris_perception.test_calibration_run import AXES, POSE
 
 from harris_perception.core.calibration_file import StoredCalibration
@@ -37,19 +37,7 @@ CONFIG = CalibratorConfig(
     still=StillConfig(tips=3, settle_s=0.0),
     drift=DriftConfig(times=2),
 )
-STORED = StoredCalibration(
-    camera_from_base=POSE,
-    base_from_reading=AXES,
-    stylus_direction=np.array([0.0, 0.0, -1.0]),
-    left=camera(),
-    right=camera(baseline=0.12),
-    machine="bench",
-    rms_m=0.00004,
-    sigma_m=0.00002,
-    held_out_m=0.0001,
-    samples=24,
-    made_at="2026-03-04T05:06:07+00:00",
-)
+STORED = stored_calibration(POSE, AXES)
 
 
 def calibrated(stored: StoredCalibration = STORED, config: CalibratorConfig = CONFIG) -> Calibrator:

@@ -28,13 +28,18 @@ print(sys.argv[2] + ": 7 messages")
 """
 
 
+def made(path: Path, script: str) -> Path:
+    """Write a program."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(script)
+    path.chmod(0o755)
+    return path
+
+
 @pytest.fixture
 def program(tmp_path: Path) -> Path:
-    path = tmp_path / "record"
-    path.write_text(PROGRAM.format(python=sys.executable))
-    path.chmod(0o755)
     os.mkfifo(tmp_path / "gate")
-    return path
+    return made(tmp_path / "record", PROGRAM.format(python=sys.executable))
 
 
 def test_an_end_that_is_asked_before_the_program_listens_still_leaves_a_whole_bag(program: Path) -> None:
@@ -71,44 +76,38 @@ def test_the_recorder_is_found_beside_the_bridge(
     recorder = Recorder(str(tmp_path / "sessions"))
     with pytest.raises(GraphError, match="bag_record is not installed beside this program"):
         recorder.start(lambda ok, text: None)
-    there = prefixes[1] / "lib" / "scope_bench" / "bag_record"
-    there.parent.mkdir(parents=True)
-    there.write_text("#!/bin/sh\necho recording\n")
-    there.chmod(0o755)
+    made(prefixes[1] / "lib" / "scope_bench" / "bag_record", "#!/bin/sh\necho recording\n")
     answers: queue.Queue[bool] = queue.Queue()
     recorder.start(lambda ok, text: answers.put(ok))
     assert answers.get(timeout=WITHIN_S)
     recorder.close()
 
 
-def test_a_program_that_cannot_record_is_told(tmp_path: Path) -> None:
-    program = tmp_path / "record"
-    program.write_text("#!/bin/sh\nexit 2\n")
-    program.chmod(0o755)
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ("", "bag_record ended with 2"),
+        (
+            "a warning\nerror: the disk is full: 3 MB are free\n",
+            "bag_record ended with 2; the disk is full: 3 MB are free",
+        ),
+    ],
+)
+def test_why_nothing_can_be_recorded_is_told(
+    said: str, why: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    program = made(tmp_path / "record", f"#!/bin/sh\nprintf '{said}' >&2\nexit 2\n")
     answers: queue.Queue[tuple[bool, str]] = queue.Queue()
     recorder = Recorder(str(tmp_path / "sessions"), program)
     recorder.start(lambda ok, text: answers.put((ok, text)))
-    assert answers.get(timeout=WITHIN_S) == (False, "bag_record ended with 2")
+    assert answers.get(timeout=WITHIN_S) == (False, why)
     recorder.close()
-
-
-def test_why_nothing_can_be_recorded_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    program = tmp_path / "record"
-    program.write_text("#!/bin/sh\necho a warning >&2\necho 'error: the disk is full: 3 MB are free' >&2\nexit 2\n")
-    program.chmod(0o755)
-    answers: queue.Queue[tuple[bool, str]] = queue.Queue()
-    recorder = Recorder(str(tmp_path / "sessions"), program)
-    recorder.start(lambda ok, text: answers.put((ok, text)))
-    assert answers.get(timeout=WITHIN_S) == (False, "bag_record ended with 2; the disk is full: 3 MB are free")
-    recorder.close()
-    assert capfd.readouterr().err == "a warning\nerror: the disk is full: 3 MB are free\n", "the log has it, too"
+    assert capfd.readouterr().err == said, "the log has it, too"
 
 
 def test_a_recording_that_ends_by_itself_is_told(tmp_path: Path) -> None:
-    program = tmp_path / "record"
     end = "echo 'session: 7 messages'\necho 'error: the recording has ended: the disk is full' >&2\nexit 1\n"
-    program.write_text(f"#!/bin/sh\necho recording\n{end}")
-    program.chmod(0o755)
+    program = made(tmp_path / "record", f"#!/bin/sh\necho recording\n{end}")
     answers: queue.Queue[tuple[str, bool, str]] = queue.Queue()
     recorder = Recorder(
         str(tmp_path / "sessions"), program, ended=lambda ok, text: answers.put(("ended by itself", ok, text))
@@ -121,10 +120,8 @@ def test_a_recording_that_ends_by_itself_is_told(tmp_path: Path) -> None:
 
 
 def test_every_page_sees_that_a_recording_has_ended_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "install" / "lib" / "scope_bench"
-    folder.mkdir(parents=True)
-    (folder / "bag_record").write_text("#!/bin/sh\necho recording\necho 'error: the disk is full' >&2\nexit 1\n")
-    (folder / "bag_record").chmod(0o755)
+    script = "#!/bin/sh\necho recording\necho 'error: the disk is full' >&2\nexit 1\n"
+    made(tmp_path / "install" / "lib" / "scope_bench" / "bag_record", script)
     monkeypatch.setattr(sys, "argv", [str(tmp_path / "install" / "lib" / "scope_ui_bridge" / "ui_bridge")])
 
     async def scenario(rig: web_rig.Rig) -> None:
@@ -142,9 +139,7 @@ def test_every_page_sees_that_a_recording_has_ended_by_itself(tmp_path: Path, mo
 def test_a_recording_that_does_not_end_with_the_bridge_is_told(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    program = tmp_path / "record"
-    program.write_text("#!/bin/sh\ntrap '' INT\necho recording\nexec tail -f /dev/null\n")
-    program.chmod(0o755)
+    program = made(tmp_path / "record", "#!/bin/sh\ntrap '' INT\necho recording\nexec tail -f /dev/null\n")
     began: queue.Queue[bool] = queue.Queue()
     recorder = Recorder(str(tmp_path / "sessions"), program, end_s=0.1)
     recorder.start(lambda ok, text: began.put(ok))
@@ -154,9 +149,7 @@ def test_a_recording_that_does_not_end_with_the_bridge_is_told(
 
 
 def test_recordings_that_begin_in_the_same_second_go_to_folders_of_their_own(tmp_path: Path) -> None:
-    program = tmp_path / "record"
-    program.write_text("#!/bin/sh\necho recording\n")
-    program.chmod(0o755)
+    program = made(tmp_path / "record", "#!/bin/sh\necho recording\n")
     recorder = Recorder(str(tmp_path / "sessions"), program)
     answers: queue.Queue[str] = queue.Queue()
     folders = set()
