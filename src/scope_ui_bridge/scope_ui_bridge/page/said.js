@@ -9,6 +9,10 @@ const DEEPEST = 6;
 const LONGEST = 1000;
 const MANY = 2000;
 const MOMENT = /\b\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:\d\d)/g;
+const isOne = (value) => !value.includes("; ");
+// What values may be: a value that holds two sentences may have swallowed the end of another phrase, so it is the second
+// choice; that one says nothing ("24 samples{}" with nothing more about them) is the third.
+const CHOICES = [{ least: 1, accepted: isOne }, { least: 1, accepted: () => true }, { least: 0, accepted: isOne }];
 const known = new Map();
 
 /** Return it in the page's language. */
@@ -43,12 +47,10 @@ function translated(text, { whole, parts }, depth) {
   if (whole.has(text)) return whole.get(text);
   const [, quote, inner] = /^(['"])(.*)\1$/.exec(text) ?? [];
   if (inner) return `${quote}${again(inner)}${quote}`;
-  // A value that holds two sentences may have swallowed the end of another phrase, so it is the second choice; that one
-  // says nothing ("24 samples{}" with nothing more about them) is the third.
-  for (const [least, isOne] of [[1, (value) => !value.includes("; ")], [1, () => true], [0, (value) => !value.includes("; ")]]) {
+  for (const { least, accepted } of CHOICES) {
     for (const { pieces, to } of parts) {
       const values = valuesOf(text, pieces, least);
-      if (values?.every(isOne)) return filled(to, values.map(again));
+      if (values?.every(accepted)) return filled(to, values.map(again));
     }
   }
   // Checks of a sequence, each with what was seen instead.
