@@ -20,11 +20,6 @@ MARGIN = 64
 
 _ONE, _LAST = np.uint64(1), np.uint64(63)
 
-# A number whose products with the powers of two differ in their upper six bits, and
-# which power it was (C. Leiserson, H. Prokop, K. Randall, "Using de Bruijn Sequences to Index a 1 in a Computer Word").
-_DE_BRUIJN = np.uint64(0x022FDD63CC95386D)
-_POWERS = np.argsort([int(_DE_BRUIJN) * 2**i % 2**64 >> 58 for i in range(64)])
-
 
 def blank(count: int, height: int, width: int) -> npt.NDArray[np.uint8]:
     """Return empty bitmaps for pictures of one size: (N, H + 3, B) uint8, eight bits to a byte, the lowest first."""
@@ -47,18 +42,18 @@ def pack(words: Any, count: int, out: Any) -> None:
 
 
 @called
-def lowest(word: np.uint64) -> int:
-    """Return the number of the lowest bit that is set."""
-    return int(_POWERS[((word & (~word + _ONE)) * _DE_BRUIJN) >> np.uint64(58)])
-
-
-@called
 def ones(word: np.uint64) -> int:
-    """Return how many bits are set (H. Warren, "Hacker's Delight", 5-1)."""
+    """Return how many bits are set (H. Warren, "Hacker's Delight", 5-1): for the compiler, one instruction."""
     word -= (word >> _ONE) & np.uint64(0x5555555555555555)
     word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
     return int((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@called
+def lowest(word: np.uint64) -> int:
+    """Return the number of the lowest bit that is set, 64 where none is."""
+    return ones(~word & (word - _ONE))
 
 
 @called

@@ -345,7 +345,7 @@ class HarrisDetector:
             thresholds = (config.k, *thresholds, _HALF.get(picture.dtype.itemsize, 0.5), *edges)
         else:
             find = partial(kernels.peaks_of, self._response(picture)[0] if response is None else response, border)
-        limits = np.linspace(border, height - border, self._bands + 1).astype(int).tolist()
+        limits = [border + (height - 2 * border) * i // self._bands for i in range(self._bands + 1)]
         return [partial(find, first, last, *thresholds) for first, last in pairwise(limits)]
 
     def _selected(self, bands: Sequence[Band]) -> Corners:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.bitmap import MARGIN, pack
+from harris_perception.core.bitmap import MARGIN, lowest, ones, pack
 from harris_perception.core.compiled import called, compiled, inlined
 
 Array = npt.NDArray[Any]
@@ -26,6 +26,8 @@ _ROW = 656
 
 # Length of a row of marks, a byte for each column: whole blocks of four words.
 _MARKS = 672
+
+_ONE = np.uint64(1)
 
 # Below this fraction of the product of the two diagonal elements a determinant is rounding of float32, no corner.
 _RANK_ONE = np.float32(2.0**-21)
@@ -117,7 +119,7 @@ def _mark_all(
 
 
 @inlined
-def _quadratic_peak(above: Any, here: Any, below: Any, x: int, half: Any) -> tuple[Any, Any]:
+def _quadratic_peak(above: Any, here: Any, below: Any, x: np.uint64, half: Any) -> tuple[Any, Any]:
     """Return the offset (dx, dy) of the maximum of the quadratic through a 3x3 neighbourhood, at most half a pixel.
 
     Only ratios of derivatives count, so all are as many times smaller as ``half`` tells, and of its precision: float32
@@ -125,11 +127,12 @@ def _quadratic_peak(above: Any, here: Any, below: Any, x: int, half: Any) -> tup
     """
     limit, zero = np.float32(0.5), half - half
     quarter = limit * half
-    gx = quarter * (here[x + 1] - here[x - 1])
+    left, right = x - _ONE, x + _ONE
+    gx = quarter * (here[right] - here[left])
     gy = quarter * (below[x] - above[x])
-    hxx = half * ((here[x + 1] - here[x]) + (here[x - 1] - here[x]))
+    hxx = half * ((here[right] - here[x]) + (here[left] - here[x]))
     hyy = half * ((below[x] - here[x]) + (above[x] - here[x]))
-    hxy = limit * quarter * ((below[x + 1] - below[x - 1]) - (above[x + 1] - above[x - 1]))
+    hxy = limit * quarter * ((below[right] - below[left]) - (above[right] - above[left]))
     det = hxx * hyy - hxy * hxy
     if det > np.float32(1e-6) * hxx * hyy:
         dx = (hxy * gy - hyy * gx) / det
@@ -142,12 +145,32 @@ def _quadratic_peak(above: Any, here: Any, below: Any, x: int, half: Any) -> tup
     return dx, dy
 
 
+@inlined
+def _columns_of(words: Any, bits: Any, columns: Any, n: int) -> int:
+    """List the marked ones of the first ``n`` columns; return how many. ``bits`` are zero before and after."""
+    pack(words, (n + 7) // 8, bits.view(np.uint8))
+    marked = 0
+    for i in range((n + 63) // 64):
+        word = bits[i]
+        bits[i] = 0
+        following = marked + ones(word)
+        for j in range(marked, marked + 4):  # most have fewer; always writing, so no branch to mispredict
+            columns[j] = 64 * i + lowest(word)
+            word &= word - _ONE
+        for j in range(marked + 4, following):
+            columns[j] = 64 * i + lowest(word)
+            word &= word - _ONE
+        marked = following
+    return marked
+
+
 @called
 def _collect(
     above: Any,
     here: Any,
     below: Any,
     words: Any,
+    bits: Any,
     columns: Any,
     n: int,
     x0: int,
@@ -161,36 +184,30 @@ def _collect(
 ) -> tuple[Any, int, Any]:
     """Append the marked pixels that also exceed their diagonal neighbours to ``found`` (x, y, response).
 
-    ``words`` are the marks, eight to a word, ``columns`` is scratch for a row. The floor rises with the strongest peak
-    so far. Returns ``found`` (a larger one when it was full), the count and the floor.
+    ``words`` are the marks, eight to a word, ``bits`` and ``columns`` scratch for a row. The floor rises with the
+    strongest peak of the row. Returns ``found`` (a larger one when it was full), the count and the floor.
     """
-    marks = words.view(np.uint8)
-    marked = 0
-    for block in range((n + 31) // 32):
-        w = 4 * block
-        if (words[w] | words[w + 1] | words[w + 2] | words[w + 3]) == 0:
-            continue
-        for word in range(w, w + 4):
-            if words[word] != 0:
-                for x in range(8 * word, 8 * word + 8):  # always writing, sometimes stepping: no branch to mispredict
-                    columns[marked] = x
-                    marked += marks[x]
+    marked = _columns_of(words, bits, columns, n)
     if count + marked > found.shape[0]:
         found = np.concatenate((found, np.empty_like(found)))
-    start = count
-    for i in range(marked):
-        x = columns[i]
+    start, row, strongest = count, np.float32(y), np.float32(0.0)
+    for i in range(marked):  # not compared with the floor, or each would wait for the one before
+        x = np.uint64(columns[i])
+        left, right = x - _ONE, x + _ONE
         r = here[x]
-        peak = (r > floor) & (r > above[x - 1]) & (r > above[x + 1]) & (r >= below[x - 1]) & (r >= below[x + 1])
-        found[count, 0], found[count, 1], found[count, 2] = x0 + x, y, r
+        peak = (r > above[left]) & (r > above[right]) & (r >= below[left]) & (r >= below[right])
+        at = np.uint64(count)
+        found[at, 0], found[at, 1], found[at, 2] = np.float32(x0 + columns[i]), row, r
+        columns[np.uint64(count - start)] = columns[i]
         count += peak
-        floor = max(floor, relative * r * np.float32(peak))
+        strongest = r if peak & (r > strongest) else strongest
     if subpixel:
         for i in range(start, count):
-            dx, dy = _quadratic_peak(above, here, below, int(found[i, 0]) - x0, half)
-            found[i, 0] += dx
-            found[i, 1] += dy
-    return found, count, floor
+            at = np.uint64(i)
+            dx, dy = _quadratic_peak(above, here, below, np.uint64(columns[i - start]), half)
+            found[at, 0] += dx
+            found[at, 1] += dy
+    return found, count, max(floor, relative * strongest)
 
 
 @called
@@ -206,44 +223,44 @@ def ranked(peaks: Array, floor: float, limit: int) -> tuple[Array, Array]:
     A radix sort over the bits of the responses, which as positive floats sort like integers. Equal ones are in the
     order of rows, then columns, in whatever strips and bands they were found.
     """
-    responses = peaks[:, 2].copy()
-    bits = responses.view(np.uint32)
-    places, moved = np.empty(len(peaks), np.int32), np.empty(len(peaks), np.int32)
-    histograms = np.zeros((3, 2048), np.int32)
+    keys, moved = np.empty(len(peaks), np.uint64), np.empty(len(peaks), np.uint64)
+    bits, half, last = peaks.view(np.uint32), np.uint64(32), np.uint64(2047)
     count = 0
-    for i in range(len(peaks)):
-        places[count] = i
-        if responses[i] > floor:
-            count += 1
-            key = ~bits[i]
-            for digit in range(3):
-                histograms[digit, (key >> (11 * digit)) & 2047] += 1
-    for digit in range(3):
-        starts = histograms[digit]
+    for i in range(len(peaks)):  # what it sorts by, the strongest first, and behind it where that is
+        keys[count] = (np.uint64(~bits[i, 2]) << half) | np.uint64(i)
+        count += peaks[i, 2] > floor
+    first, second, third = np.zeros(2048, np.int32), np.zeros(2048, np.int32), np.zeros(2048, np.int32)
+    for i in range(count):
+        key = keys[i] >> half
+        first[key & last] += 1
+        second[(key >> np.uint64(11)) & last] += 1
+        third[key >> np.uint64(22)] += 1
+    for digit, starts in enumerate((first, second, third)):
         total = 0
         for value in range(2048):
             here = starts[value]
             starts[value] = total
             total += here
+        shift = half + np.uint64(11 * digit)
         for i in range(count):
-            j = places[i]
-            value = (~bits[j] >> (11 * digit)) & 2047
-            moved[starts[value]] = j
+            value = (keys[i] >> shift) & last
+            moved[np.uint64(starts[value])] = keys[i]
             starts[value] += 1
-        places, moved = moved, places
+        keys, moved = moved, keys
+    places = keys[:count].astype(np.uint32)  # the lower half
     kept = min(limit, count)
     start = 0
     while start < kept:
         end, in_order = start + 1, True
-        while end < count and bits[places[end]] == bits[places[start]]:
+        while end < count and keys[end] >> half == keys[start] >> half:
             in_order &= _reading_order(peaks[places[end - 1]]) < _reading_order(peaks[places[end]])
             end += 1
         if not in_order:
             equal = places[start:end].copy()
-            keys = np.empty(len(equal), np.float64)
+            order = np.empty(len(equal), np.float64)
             for i in range(len(equal)):
-                keys[i] = _reading_order(peaks[equal[i]])
-            places[start:end] = equal[np.argsort(keys)]
+                order[i] = _reading_order(peaks[equal[i]])
+            places[start:end] = equal[np.argsort(order)]
         start = end
     xy, response = np.empty((kept, 2), np.float32), np.empty(kept, np.float32)
     for i in range(kept):
@@ -314,9 +331,9 @@ def fused_peaks(
     # Marks of edges begin where a byte of the bitmap does, so many columns before the strip.
     shift = border % 8
     minima = marks[_MARKS + shift - 1 :]
-    columns = np.empty(_ROW + 8, np.int32)
+    columns, bits = np.empty(_ROW + 8, np.int32), np.zeros(_ROW // 64 + 1, np.uint64)
     weight_k, fraction, floor = np.float32(k), np.float32(relative), np.float32(absolute)
-    found = np.empty((2048, 3), np.float32)
+    found = np.empty((2048 + (last - first) * width // 32, 3), np.float32)
     count = 0
     low, high = np.float32(weak), np.float32(strong)
     for start in range(border, width - border, _STRIP):
@@ -358,7 +375,7 @@ def fused_peaks(
                 else:
                     _mark_peaks(one, middle, other, marks, n, floor)
                 found, count, floor = _collect(
-                    one, middle, other, words, columns, n, x0, row, floor, fraction, subpixel, half, found, count
+                    one, middle, other, words, bits, columns, n, x0, row, floor, fraction, subpixel, half, found, count
                 )
     return found[:count], floor
 
@@ -371,9 +388,9 @@ def peaks_of(
     width = response.shape[1]
     words = np.zeros(_MARKS // 8, np.uint64)
     marks = words.view(np.uint8)
-    columns = np.empty(_ROW + 8, np.int32)
+    columns, bits = np.empty(_ROW + 8, np.int32), np.zeros(_ROW // 64 + 1, np.uint64)
     fraction, floor = np.float32(relative), np.float32(absolute)
-    found = np.empty((2048, 3), np.float32)
+    found = np.empty((2048 + (last - first) * width // 32, 3), np.float32)
     count = 0
     for start in range(border, width - border, _STRIP):
         x0 = start - 1
@@ -383,7 +400,7 @@ def peaks_of(
             above, here, below = response[y - 1, x0:], response[y, x0:], response[y + 1, x0:]
             _mark_peaks(above, here, below, marks, n, floor)
             found, count, floor = _collect(
-                above, here, below, words, columns, n, x0, y, floor, fraction, subpixel, 0.5, found, count
+                above, here, below, words, bits, columns, n, x0, y, floor, fraction, subpixel, 0.5, found, count
             )
     return found[:count], floor
 
