@@ -147,6 +147,15 @@ def test_fused_pass_finds_the_peaks_of_the_response(gradient: str, dtype: Any, h
     check_peaks(expected, 1e-6 * scale, HarrisDetector(config).detect(picture), 2, 0.001)
 
 
+def test_of_a_picture_that_is_full_of_corners_none_is_lost() -> None:
+    config = HarrisConfig(max_corners=0, relative_threshold=0.0, k=0.0, subpixel=False)
+    picture = np.random.default_rng(6).integers(0, 256, (300, 700), np.uint8)
+    corners = HarrisDetector(config).detect(picture)
+    assert len(corners) > 2 * (2048 + picture.size // 32)  # twice what there is room for at first
+    expected, scale = naive(picture.astype(np.float64), config)
+    check_peaks(expected, 1e-6 * scale, corners, 2, 0.0)
+
+
 def test_responses_of_the_1988_kernels_are_exact_up_to_the_last_formula() -> None:
     # The sums are integers below 2^24, so float32 holds them exactly and only the final formula rounds.
     picture = np.kron(np.random.default_rng(5).choice([0, 255], (12, 12)), np.ones((4, 4))).astype(np.uint8)

@@ -121,7 +121,8 @@ class HarrisDetector:
     config
         Defaults to ``HarrisConfig()``.
     bands
-        Bands of rows that a picture is cut into. One is fastest unless ``run`` works in parallel.
+        Bands of rows that a picture is cut into, those of a sequence together. One is fastest unless ``run`` works in
+        parallel.
     run
         As ``map``; for several threads the ``map`` of a ``concurrent.futures.ThreadPoolExecutor``. The compiled
         passes hold no lock, so the bands of one picture, or the pictures of a pair, then run at the same time.
@@ -312,31 +313,32 @@ class HarrisDetector:
         picture = checked(gray)
         bits = bitmap.blank(2, *picture.shape)
         if self._fused:
-            found = list(self._run(_call, self._tasks(picture, (weak, strong, bits))))
+            found = list(self._run(_call, self._tasks(picture, self._bands, (weak, strong, bits))))
         else:
             response, a, b = self._response(picture)
-            found = list(self._run(_call, self._tasks(picture, response=response)))
+            found = list(self._run(_call, self._tasks(picture, self._bands, response=response)))
             kernels.minima_of(response, a, b, self.margin_px + 1, weak, strong, bits)
         return self._selected(found), bits
 
     def _detect(self, pictures: Sequence[npt.NDArray[Any]]) -> list[Corners]:
-        tasks = [task for picture in pictures for task in self._tasks(checked(picture))]
+        each = -(-self._bands // max(len(pictures), 1))  # as many at a time as for one picture, not more
+        tasks = [task for picture in pictures for task in self._tasks(checked(picture), each)]
         found = list(self._run(_call, tasks))
-        each = len(found) // len(pictures) if pictures else 0
         return [self._selected(found[i * each : (i + 1) * each]) for i in range(len(pictures))]
 
     def _tasks(
         self,
         picture: npt.NDArray[Any],
+        bands: int,
         edges: tuple[float, float, npt.NDArray[np.uint8]] = _NO_EDGES,
         response: F32 | None = None,
     ) -> list[Callable[[], Band]]:
-        """Return one task for each band of rows; every picture gets the same number."""
+        """Return one task for each band of rows."""
         config = self.config
         border = max(self.margin_px + 1, config.border_px)
         height, width = picture.shape
         if width <= 2 * border or height <= 2 * border:
-            return [_nothing] * self._bands
+            return [_nothing] * bands
         thresholds: tuple[Any, ...] = (config.absolute_threshold, config.relative_threshold, config.subpixel)
         if self._fused:
             rows = np.ascontiguousarray(picture, np.uint8 if picture.dtype == np.uint8 else np.float32)
@@ -345,7 +347,7 @@ class HarrisDetector:
             thresholds = (config.k, *thresholds, _HALF.get(picture.dtype.itemsize, 0.5), *edges)
         else:
             find = partial(kernels.peaks_of, self._response(picture)[0] if response is None else response, border)
-        limits = [border + (height - 2 * border) * i // self._bands for i in range(self._bands + 1)]
+        limits = [border + (height - 2 * border) * i // bands for i in range(bands + 1)]
         return [partial(find, first, last, *thresholds) for first, last in pairwise(limits)]
 
     def _selected(self, bands: Sequence[Band]) -> Corners:

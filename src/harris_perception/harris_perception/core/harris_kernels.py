@@ -4,7 +4,7 @@ How the fused pass got fast (measured by benchmarks/bench_harris.py, each step a
 time share loads and half of the vertical sums; strips of columns keep all rows in the first-level cache; all float rows
 lie in one array at constant distances, so that the compiler sees that they do not overlap and vectorises the loops
 without checks; the horizontal sums come straight from the 16-bit gradients; the test for a peak marks bytes in a
-vectorised loop, and only marked pixels are looked at one by one.
+vectorised loop, and only marked pixels, listed from bits, are looked at one by one, none waiting for another.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = npt.NDArray[Any]
 _STRIP = 640
 _ROW = 656
 
-# Length of a row of marks, a byte for each column: whole blocks of four words.
+# Length of a row of marks, a byte for each column: whole words.
 _MARKS = 672
 
 _ONE = np.uint64(1)
