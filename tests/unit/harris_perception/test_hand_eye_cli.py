@@ -92,3 +92,13 @@ def test_bad_files_are_refused_by_line(
     poses.write_text(text)
     assert main([str(poses)]) == 1
     assert re.search(message, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n", b"x" * (1 << 18)], ids=["a picture", "one endless cell"])
+def test_what_is_no_table_is_refused_by_name(
+    content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    poses = tmp_path / "poses.png"
+    poses.write_bytes(content)
+    assert main([str(poses)]) == 1
+    assert f"error: {poses} is no table of poses: " in capsys.readouterr().err

@@ -31,28 +31,32 @@ def read_poses(path: Path) -> tuple[list[Transform], list[Transform]]:
     Raises
     ------
     ValueError
-        With the line that is wrong.
+        With the line that is wrong, or that the file is no text.
     """
     grippers: list[Transform] = []
     targets: list[Transform] = []
-    with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets put a mark before the first number
-        for number, row in enumerate(csv.reader(file), 1):
-            cells = [cell.strip() for cell in row]
-            if not any(cells) or cells[0].startswith("#"):
-                continue
-            if not grippers and not any(_is_number(cell) for cell in cells):
-                continue  # names
-            try:
-                values = np.array([float(cell) for cell in cells])
-            except ValueError as error:
-                raise ValueError(f"{path}, line {number}: {error}") from error
-            if len(values) != COLUMNS:
-                raise ValueError(f"{path}, line {number}: {len(values)} values, {COLUMNS} are needed")
-            try:
-                grippers.append(_pose(values[:7]))
-                targets.append(_pose(values[7:]))
-            except ValueError as error:
-                raise ValueError(f"{path}, line {number}: {error}") from error
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets put a mark before the first number
+            rows = list(csv.reader(file))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path} is no table of poses: {error}") from error
+    for number, row in enumerate(rows, 1):
+        cells = [cell.strip() for cell in row]
+        if not any(cells) or cells[0].startswith("#"):
+            continue
+        if not grippers and not any(_is_number(cell) for cell in cells):
+            continue  # names
+        try:
+            values = np.array([float(cell) for cell in cells])
+        except ValueError as error:
+            raise ValueError(f"{path}, line {number}: {error}") from error
+        if len(values) != COLUMNS:
+            raise ValueError(f"{path}, line {number}: {len(values)} values, {COLUMNS} are needed")
+        try:
+            grippers.append(_pose(values[:7]))
+            targets.append(_pose(values[7:]))
+        except ValueError as error:
+            raise ValueError(f"{path}, line {number}: {error}") from error
     return grippers, targets
 
 
