@@ -143,7 +143,8 @@ def test_every_way_to_name_a_node_in_a_parameter_file_is_known(config: Path, nod
 
 
 def test_unknown_scope_and_profile(config: Path) -> None:
-    with pytest.raises(GraphError, match=r"no layout .*/gauge\.yaml; known scopes: dial"):
-        load_graph(config, "bench", run=Path("/r"), state=Path("/s"), scope="gauge")
+    for scope in ("gauge", "../graph", "dial/", f"{config}/scopes/dial"):
+        with pytest.raises(GraphError, match=f"scope '{scope}' is none of the models in {config}/scopes: dial"):
+            load_graph(config, "bench", run=Path("/r"), state=Path("/s"), scope=scope)
     with pytest.raises(GraphError, match="'moon' is none of bench, test, hardware, replay"):
         load(config, "moon")

@@ -125,10 +125,11 @@ def load_graph(
     _check_form(document)
     profiles = list(document["profiles"])
     chain = _chain(document["profiles"], profile)
-    layout = config / "scopes" / f"{scope or document['scope']}.yaml"
-    if not layout.is_file():
-        known = ", ".join(sorted(p.stem for p in layout.parent.glob("*.yaml")))
-        raise GraphError(f"there is no layout {layout}; known scopes: {known}")
+    scope = scope or document["scope"]
+    models = sorted(p.stem for p in (config / "scopes").glob("*.yaml"))
+    if scope not in models:
+        raise GraphError(f"scope {scope!r} is none of the models in {config / 'scopes'}: {', '.join(models)}")
+    layout = config / "scopes" / f"{scope}.yaml"
     words = {"$(config)": str(config), "$(run)": str(run), "$(state)": str(state), "$(scope)": str(layout)}
     root = PurePosixPath("/") / robot_namespace.strip("/")
     # /diagnostics is absolute by convention; two robots in one domain would mix theirs.
