@@ -25,6 +25,7 @@ from scope_bench.nodes.bag_recorder import BagRecorder, check_names
 
 _BEHIND_S = 5.0
 """So long the end waits at most for what has come before it."""
+_QUALITY = 85
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("-s", "--storage", choices=STORAGES, default="mcap", help="default: %(default)s")
     result.add_argument("-x", "--exclude", default="", metavar="REGEX", help="leave these out when all are recorded")
     result.add_argument("--compress", choices=("jpeg", "png"), help="pictures as topic/compressed")
-    result.add_argument("--quality", type=int, default=85, help="of JPEG, 1 to 100 (default: %(default)s)")
+    result.add_argument("--quality", type=int, metavar="1..100", help=f"of JPEG (default: {_QUALITY})")
     result.add_argument("--duration", type=float, default=float("inf"), metavar="S", help="end after so long")
     result.add_argument("--child-of", type=int, metavar="PID", help="end when this parent process has ended")
     result.add_argument("--keep-free", type=float, default=64.0, metavar="MB", help="end when the disk has less")
@@ -54,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_names(options.topics)
         _check_pattern(options.exclude)
         keep_free = round(options.keep_free * 1e6)
-        codec = PictureCodec(options.compress, options.quality) if options.compress else None
+        codec = _codec(options)
         with ros_session(given[split:]) as session:
             sink = BagSink(lambda: BagWriter(path, options.storage, keep_free=keep_free), codec)
             try:
@@ -74,6 +75,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def default_name(begun: datetime) -> Path:
     """Return the folder of a recording that was given none, to the microsecond: two may begin at once."""
     return Path(f"bag_{begun:%Y_%m_%d-%H_%M_%S_%f}")
+
+
+def _codec(options: argparse.Namespace) -> PictureCodec | None:
+    if options.quality is not None and options.compress != "jpeg":
+        raise ValueError(f"--quality {options.quality} is of JPEG: --compress jpeg is needed")
+    quality = _QUALITY if options.quality is None else options.quality
+    return PictureCodec(options.compress, quality) if options.compress else None
 
 
 def _orphaned(options: argparse.Namespace) -> bool:
