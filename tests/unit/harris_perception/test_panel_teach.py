@@ -207,11 +207,18 @@ def test_a_place_that_the_cameras_calibration_does_not_reach_is_refused() -> Non
     ],
 )
 def test_a_request_that_makes_no_panel_is_refused(tmp_path: Path, changes: dict[str, object], words: str) -> None:
-    with pytest.raises(TeachingError, match=re.escape(words)):
+    with pytest.raises(TeachingError, match=re.escape(words)) as refused:
         parse_request(json.dumps(request(tmp_path, **changes)))
-    for text in ("[1", "[" * 100_000):
-        with pytest.raises(TeachingError, match="not understood"):
-            parse_request(text)
+    assert refused.value.goal_id == "service-1"
+
+
+@pytest.mark.parametrize(
+    "text", ["[1", "[" * 100_000, "{}", '{"id": "\\ud800"}'], ids=["cut off", "deep", "without", "half a character"]
+)
+def test_a_request_whose_id_cannot_be_read_is_refused(text: str) -> None:
+    with pytest.raises(TeachingError, match="not understood") as refused:
+        parse_request(text)
+    assert refused.value.goal_id == ""
 
 
 def test_check_of_a_layout_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,7 +27,14 @@ Picture = npt.NDArray[np.uint8]
 
 
 class TeachingError(ValueError):
-    """What was given does not make a panel; the message names the value and what is needed."""
+    """What was given does not make a panel; the message names the value and what is needed.
+
+    ``goal_id`` is that of the request, if there is one and it could be read, else empty.
+    """
+
+    def __init__(self, message: str, goal_id: str = "") -> None:
+        super().__init__(message)
+        self.goal_id = goal_id
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,8 +174,10 @@ def parse_request(text: str) -> Request:
     ------
     TeachingError
     """
+    goal_id = ""
     try:
         given = json.loads(text)
+        goal_id = str(given["id"]).encode().decode()  # JSON has halves of characters, which no message can carry
         pointed = []
         for name, kind, *numbers in given["controls"]:
             u, v, wide, high, proud = (float(n) for n in numbers)
@@ -182,11 +191,10 @@ def parse_request(text: str) -> Request:
             corners_px=np.array(given["corners"], dtype=np.float64),
             controls=tuple(pointed),
         )
-        return Request(goal_id=str(given["id"]), stamp_ns=int(given["stamp"]), lesson=lesson)
-    except TeachingError:
-        raise
+        return Request(goal_id=goal_id, stamp_ns=int(given["stamp"]), lesson=lesson)
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise TeachingError(f"the request is not understood: {type(error).__name__}: {error}") from error
+        unclear = "" if isinstance(error, TeachingError) else f"the request is not understood: {type(error).__name__}: "
+        raise TeachingError(f"{unclear}{error}", goal_id) from error
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

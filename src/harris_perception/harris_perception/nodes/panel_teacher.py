@@ -65,7 +65,7 @@ class PanelTeacher:
         try:
             request = parse_request(message.data)
         except TeachingError as error:
-            self._answer("", "teach", Outcome.REJECTED, str(error))
+            self._answer(error.goal_id, "teach", Outcome.REJECTED, str(error))
             return
         if not self._folder:
             self._refuse(request, "teach_folder is not set: there is nowhere to write a layout")
