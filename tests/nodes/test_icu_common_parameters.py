@@ -89,6 +89,7 @@ def test_value_outside_its_range_at_start_is_an_error(ros: Any) -> None:
     [
         (["--ros-args", "--bogus"], r"unknown ROS arguments: \['--bogus'\]"),
         (["--ros-args", "-p", "x"], "-p x"),
+        (["--ros-args", "-p", "name:=\udce9"], r"'name:=\\udce9' is no UTF-8"),
         (["--ros-args", "--params-file", "nowhere.yaml"], "nowhere.yaml"),
         (["--ros-args", "-r", "__ns:=9bad"], "__ns:=9bad"),
     ],

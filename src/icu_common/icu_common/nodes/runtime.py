@@ -122,6 +122,8 @@ def _readable() -> Iterator[None]:
         if "Couldn't parse" not in str(error):
             raise
         raise ConfigError(str(error)) from error
+    except UnicodeEncodeError as error:  # of an argument in another encoding
+        raise ConfigError(f"{error.object!r} is no UTF-8") from error
 
 
 def own_arguments(arguments: Sequence[str]) -> list[str]:
