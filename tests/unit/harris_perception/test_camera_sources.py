@@ -107,6 +107,8 @@ def test_errors_name_the_place(tmp_path: Path) -> None:
         opened(CameraConfig(source="images", left_path=str(left))).read(1.0)
     with pytest.raises(SourceError, match=r"absent\.avi"):
         opened(CameraConfig(source="video", left_path=str(tmp_path / "absent.avi")))
+    with pytest.raises(SourceError, match=r"'caf\\udce9\.avi' is no UTF-8"):  # which ends the process in OpenCV
+        opened(CameraConfig(source="video", left_path="caf\udce9.avi"))
     with pytest.raises(SourceError, match=r"left camera .*video-that-is-not-there"):
         opened(CameraConfig(source="v4l2", left_device=str(tmp_path / "video-that-is-not-there")))
     with pytest.raises(SourceError, match="no simulated bench"):

@@ -308,21 +308,26 @@ def _images(places: Sequence[str], **options: Any) -> RecordedSource:
     return RecordedSource(lambda: [_read_files(part) for part in files], **options)
 
 
-def _videos(places: Sequence[str], rate_hz: float, **options: Any) -> RecordedSource:
-    def open_all() -> list[Any]:
-        captures = [cv2.VideoCapture(str(Path(place).expanduser())) for place in places]
-        for place, capture in zip(places, captures):
-            if not capture.isOpened():
-                raise SourceError(f"{place} is not a video that can be read")
-        return captures
+def _open_video(place: str) -> Any:
+    file = str(Path(place).expanduser())
+    try:
+        file.encode()
+    except UnicodeEncodeError:  # OpenCV would end the process
+        raise SourceError(f"a video's name {file!r} is no UTF-8: rename it") from None
+    capture = cv2.VideoCapture(file)
+    if not capture.isOpened():
+        raise SourceError(f"{place} is not a video that can be read")
+    return capture
 
-    probe = open_all()
+
+def _videos(places: Sequence[str], rate_hz: float, **options: Any) -> RecordedSource:
+    probe = [_open_video(place) for place in places]
     file_rate = float(probe[0].get(cv2.CAP_PROP_FPS))
     for capture in probe:
         capture.release()
     if not rate_hz:
         rate_hz = file_rate if 0 < file_rate <= 240 else 30.0
-    return RecordedSource(lambda: [_read_video(capture) for capture in open_all()], rate_hz=rate_hz, **options)
+    return RecordedSource(lambda: [_read_video(_open_video(place)) for place in places], rate_hz=rate_hz, **options)
 
 
 def require_settings(config: CameraConfig) -> None:

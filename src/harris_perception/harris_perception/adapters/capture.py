@@ -87,6 +87,7 @@ class Capture:
                 # Of a thread's error nobody hears, and the node would say "running" for ever: OpenCV's are of its own
                 # kind, and what a place's name does to the standard library is of any.
                 why = str(error) if isinstance(error, SourceError) else f"error while reading: {error!r}"
+                why = why.encode(errors="backslashreplace").decode()  # names of files may be no UTF-8, messages not
                 if self._status.pictures > before:
                     pause_s = self._retry_min_s
                 pause_s = min(max(pause_s, self._retry_min_s), self._retry_max_s)
