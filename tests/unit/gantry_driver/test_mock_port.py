@@ -297,6 +297,18 @@ def test_program_prints_its_port_logs_and_cleans_up(
     assert [e["byte"] for e in entries if e["kind"] == "realtime"] == [ord("?")]
 
 
+def test_a_board_whose_port_nobody_reads_is_at_its_link(program: tuple[subprocess.Popen[str], Path]) -> None:
+    process, folder = program
+    assert process.stdout is not None
+    process.stdout.close()
+    wait_for((folder / "port").exists)
+    with serial.Serial(str(folder / "port"), 115200, timeout=DEADLINE_S) as port:
+        expect(port, BANNER)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(DEADLINE_S) == 0
+    assert not (folder / "port").is_symlink()
+
+
 def cpu_s(pid: int) -> float:
     return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) / 1e9
 

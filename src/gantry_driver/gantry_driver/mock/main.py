@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import re
 import signal
 import sys
@@ -127,7 +128,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
-        print(options.link or service.port.path, flush=True)
+        try:
+            print(options.link or service.port.path, flush=True)
+        except OSError:  # nobody wants to know: whoever reads has gone, as head does
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         service.run()
     return 0
 
