@@ -37,6 +37,18 @@ def test_ctrl_c_is_told_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err == "interrupted\n"
 
 
+def test_closed_output_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Python has it behind ``>&-``."""
+
+    @ends_quietly
+    def main() -> int:
+        print("not read")
+        return 0
+
+    monkeypatch.setattr(sys, "stdout", None)
+    assert main() == 0
+
+
 @pytest.mark.parametrize("buffered", ["", "1"])
 @pytest.mark.parametrize(
     "program",

@@ -27,7 +27,7 @@ def ends_quietly(main: Callable[P, int]) -> Callable[P, int]:
             try:
                 code = main(*args, **kwargs)
             finally:
-                sys.stdout.flush()
+                print(end="", flush=True)
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             return INTERRUPTED
