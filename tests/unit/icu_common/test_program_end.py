@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -47,6 +48,18 @@ def test_closed_output_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(sys, "stdout", None)
     assert main() == 0
+
+
+def test_a_name_that_is_no_utf8_is_printed_as_on_standard_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    @ends_quietly
+    def main() -> int:
+        print("caf\udce9.png")
+        return 0
+
+    printed = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(printed, "utf-8"))
+    assert main() == 0
+    assert printed.getvalue() == b"caf\\udce9.png\n"
 
 
 @pytest.mark.parametrize("buffered", ["", "1"])
