@@ -320,7 +320,7 @@ def replays(browser: Any, folder: Path, graph: RunningGraph, tmp_path: Path, tau
         viewer.sees_controls()
         viewer.sees("#banner", "REPLAY of a recorded session", within_s=15.0)
         assert viewer.page.is_hidden("#lease-take")
-        viewer.until(lambda: "STALE" not in viewer.page.inner_text("#stale"), 5.0, lambda: "live")
+        viewer.until(lambda: viewer.page.is_hidden("#stale"), 5.0, lambda: viewer.page.inner_text("#stale"))
         viewer.page.wait_for_selector(".layer-path .over:not(.planned)", state="attached", timeout=60_000)
         viewer.logs("Go to.*(in work|done)|move to .*(in work|done)", 30.0)
         viewer.shoots("17_replayed", SHOTS)
