@@ -35,6 +35,7 @@ from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagReader, BagTopic, BagWriter
 from scope_bench.cli.bag_record import catch_up
+from scope_bench.nodes.bag_player import BagPlayer
 from scope_bench.nodes.bag_qos import playing_qos, recorded_qos
 from scope_bench.nodes.bag_recorder import BagRecorder
 
@@ -112,6 +113,18 @@ def numbered_bag(path: Path, topics: Sequence[str], messages: int) -> Path:
             for name in topics:
                 bag.write(name, 10**9 + 20_000_000 * i, serialize_message(String(data=f"{i}")))
     return path
+
+
+def test_pictures_beside_compressed_ones_of_somebody_else_are_played_each_where_it_was(ros: Ros) -> None:
+    kind = "sensor_msgs/msg/CompressedImage"
+    topics = [BagTopic(name=name, type=kind) for name in ("/a/bag_record/compressed", "/a/compressed", "/b/compressed")]
+    player = ros.node(lambda **options: BagPlayer(topics, **options))
+    played = dict(player.get_publisher_names_and_types_by_node("bag_player", "/"))
+    assert {name: types for name, types in played.items() if name[:2] in ("/a", "/b")} == {
+        "/a": ["sensor_msgs/msg/Image"],
+        "/a/compressed": [kind],
+        "/b": ["sensor_msgs/msg/Image"],
+    }
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])

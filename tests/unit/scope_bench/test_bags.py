@@ -451,9 +451,44 @@ def test_pictures_that_cannot_be_compressed_are_kept_as_they_are(tmp_path: Path)
     assert kinds == {"/depth": (IMAGE, 2), **compressed} and kept == [depth, depth]
 
 
+@pytest.mark.parametrize("kind", [COMPRESSED, "std_msgs/msg/String"])
 @pytest.mark.parametrize("first", ["/eye", "/eye/compressed"])
-def test_pictures_that_are_published_compressed_as_well_do_not_end_the_recording(first: str, tmp_path: Path) -> None:
-    """As by image_transport, which publishes the same pictures under the name that ours get."""
+def test_pictures_are_not_mixed_with_those_that_somebody_publishes_compressed(
+    first: str, kind: str, tmp_path: Path
+) -> None:
+    """As image_transport does, under the name that ours get."""
+    raw, packed = gray_picture()
+    theirs = packed if kind == COMPRESSED else b"\0\1\0\0\2\0\0\0x\0"
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0), PictureCodec())
+    for topic in sorted([("/eye", IMAGE), ("/eye/compressed", kind)], reverse=first != "/eye"):
+        sink.add_topic(BagTopic(name=topic[0], type=topic[1]))
+    sink.put("/eye", 1, raw)
+    sink.put("/eye/compressed", 2, theirs)
+    sink.close()
+    assert (sink.failure, sink.messages) == ("", 2)
+    with BagReader(tmp_path / "bag") as bag:
+        kinds = {topic.name: topic.type for topic in bag.topics}
+        kept = [(name, data) for name, _, data in bag.messages()]
+    assert kinds == {"/eye/bag_record/compressed": COMPRESSED, "/eye/compressed": kind}
+    assert kept == [("/eye/bag_record/compressed", packed), ("/eye/compressed", theirs)]
+
+
+def test_pictures_that_somebody_publishes_compressed_later_do_not_end_the_recording(tmp_path: Path) -> None:
+    raw, packed = gray_picture()
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0), PictureCodec())
+    sink.add_topic(BagTopic(name="/eye", type=IMAGE))
+    sink.put("/eye", 1, raw)
+    sink.add_topic(BagTopic(name="/eye/compressed", type=COMPRESSED))
+    sink.put("/eye/compressed", 2, packed)
+    sink.put("/eye", 3, raw)
+    sink.close()
+    assert (sink.failure, sink.messages) == ("", 3)
+    with BagReader(tmp_path / "bag") as bag:
+        assert [(name, data) for name, _, data in bag.messages()] == [("/eye/compressed", packed)] * 3
+
+
+def gray_picture() -> tuple[bytes, bytes]:
+    """Return a picture as it is published, and compressed."""
     header = TYPES.types["std_msgs/msg/Header"](
         stamp=TYPES.types["builtin_interfaces/msg/Time"](sec=12, nanosec=34), frame_id="eye"
     )
@@ -461,16 +496,7 @@ def test_pictures_that_are_published_compressed_as_well_do_not_end_the_recording
         header=header, height=6, width=8, encoding="mono8", is_bigendian=0, step=8, data=np.zeros(48, np.uint8)
     )
     raw = bytes(TYPES.serialize_cdr(image, IMAGE))
-    packed = PictureCodec().pack(raw)
-    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0), PictureCodec())
-    for topic in sorted([("/eye", IMAGE), ("/eye/compressed", COMPRESSED)], reverse=first != "/eye"):
-        sink.add_topic(BagTopic(name=topic[0], type=topic[1]))
-    sink.put("/eye", 1, raw)
-    sink.put("/eye/compressed", 2, packed)
-    sink.close()
-    assert (sink.failure, sink.messages) == ("", 2)
-    with BagReader(tmp_path / "bag") as bag:
-        assert [(name, data) for name, _, data in bag.messages()] == [("/eye/compressed", packed)] * 2
+    return raw, PictureCodec().pack(raw)
 
 
 def test_a_picture_that_differs_from_those_before_does_not_end_the_recording(tmp_path: Path) -> None:

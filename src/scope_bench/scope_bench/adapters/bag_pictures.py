@@ -11,7 +11,8 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-SUFFIX = "/compressed"
+SUFFIX, BESIDE = "/compressed", "/bag_record"
+"""Pictures of a topic are recorded as topic/compressed; as topic/bag_record/compressed where somebody else has that."""
 _ENCODINGS = {
     ("uint8", 1): "mono8",
     ("uint8", 3): "bgr8",

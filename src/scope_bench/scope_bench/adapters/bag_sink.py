@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX, PictureCodec
+from scope_bench.adapters.bag_pictures import BESIDE, COMPRESSED, IMAGE, SUFFIX, PictureCodec
 from scope_bench.adapters.bags import BagError, BagTopic, BagWriter
 
 
@@ -46,6 +46,7 @@ class BagSink:
         self.failure = ""
         self._ending = self._opened = False
         self._pictures: dict[str, BagTopic] = {}
+        self._packed_names: dict[str, str] = {}
         self._announced: set[str] = set()
         self._change = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="bag")
@@ -118,9 +119,8 @@ class BagSink:
             self._size -= len(data)
         if topic in self._pictures:
             packed = self._packed(data)
-            self._announce(writer, topic, compressed=packed is not None)
-            if packed is not None:
-                topic, data = topic + SUFFIX, packed
+            topic = self._announce(writer, topic, compressed=packed is not None)
+            data = data if packed is None else packed
         writer.write(topic, stamp_ns, data)
         self.messages, self.bytes = writer.messages, writer.bytes
 
@@ -132,12 +132,17 @@ class BagSink:
         except ValueError:
             return None
 
-    def _announce(self, writer: BagWriter, topic: str, *, compressed: bool) -> None:
-        name, kind = (topic + SUFFIX, COMPRESSED) if compressed else (topic, IMAGE)
+    def _announce(self, writer: BagWriter, topic: str, *, compressed: bool) -> str:
+        """Make the topic of pictures known under which they are written, and return its name."""
+        name, kind = topic, IMAGE
+        if compressed:
+            beside = BESIDE if topic + SUFFIX in self._announced else ""  # by somebody else, before the first picture
+            name, kind = self._packed_names.setdefault(topic, topic + beside + SUFFIX), COMPRESSED
         self._add(writer, BagTopic(name=name, type=kind, qos=self._pictures[topic].qos))
+        return name
 
     def _add(self, writer: BagWriter, topic: BagTopic) -> None:
-        # Who publishes pictures also compressed does so under the name that they get here.
+        # Who begins to publish pictures also compressed does so under the name that they have had here until then.
         if topic.name not in self._announced:
             self._announced.add(topic.name)
             writer.add_topic(topic)

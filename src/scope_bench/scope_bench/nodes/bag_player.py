@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from icu_common.nodes import qos
-from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX, PictureCodec
+from scope_bench.adapters.bag_pictures import BESIDE, COMPRESSED, IMAGE, SUFFIX, PictureCodec
 from scope_bench.adapters.bags import BagTopic
 from scope_bench.nodes.bag_qos import message_class, playing_qos
 
@@ -61,11 +61,14 @@ class BagPlayer(Node):
         # Not the name that rclpy keeps its own publishers under.
         self._outputs: dict[str, Any] = {}
         self._clock_out: Any = self.create_publisher(Clock, "/clock", qos.RESULTS) if in_step else None
+        topics = list(topics)
+        names = {topic.name for topic in topics}
         for topic in topics:
             name, kind = topic.name, topic.type
-            if unpack and kind == COMPRESSED and name.endswith(SUFFIX):
+            base = name.removesuffix(SUFFIX)
+            if unpack and kind == COMPRESSED and base != name and base + BESIDE + SUFFIX not in names:
                 self._packed.add(name)
-                name, kind = name.removesuffix(SUFFIX), IMAGE
+                name, kind = base.removesuffix(BESIDE), IMAGE
             for ending, other in ASIDE.items() if aside else ():
                 if name.endswith(ending):
                     name = name.removesuffix(ending) + other
