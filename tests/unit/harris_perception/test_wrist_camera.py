@@ -121,6 +121,13 @@ def test_wrong_poses_that_agree_with_one_another_are_left_out(count: int, wrong:
         assert angle < 0.01 and shift < 0.005, (seed, angle, shift)
 
 
+@pytest.mark.parametrize("count", [4, 5, 6, 8])
+def test_few_right_poses_are_all_used(count: int) -> None:
+    for seed in range(5):
+        grippers, targets = motions(count, np.random.default_rng(seed), 0.002, 0.0005)
+        assert calibrate_wrist(grippers, targets).used.all(), seed
+
+
 def test_what_cannot_be_solved_is_refused_with_the_motion_that_helps() -> None:
     grippers, targets = motions(8, np.random.default_rng(4))
     with pytest.raises(DegenerateError, match="2 poses, 3 are needed: turn the wrist"):

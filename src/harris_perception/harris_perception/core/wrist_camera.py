@@ -314,6 +314,8 @@ def _consensus(a: list[Transform], b: list[Transform], config: WristConfig) -> n
     common unit, the product of both medians counts.
     """
     best, used = np.inf, np.ones(len(a), dtype=bool)
+    # Any three poses nearly fit themselves, so the middle of five would be one of them, and right poses stick out.
+    keep = (len(a) + 4) // 2
     for triple in _some_combinations(len(a), 3, _SUBSETS):
         some_a, some_b = [a[i] for i in triple], [b[i] for i in triple]
         try:
@@ -322,14 +324,15 @@ def _consensus(a: list[Transform], b: list[Transform], config: WristConfig) -> n
             continue
         x = closed_form("park", some_a, some_b)
         size = _misfit(a, b, x, _mean([p @ x @ q for p, q in zip(some_a, some_b)]))
-        middle = float(np.prod(np.maximum(np.median(size, axis=0), 1e-9)))
-        if middle < best:
-            best, used = middle, _near(size, config)
+        middle = np.maximum(np.sort(size, axis=0)[keep - 1], 1e-9)
+        if (product := float(np.prod(middle))) < best:
+            best, used = product, _near(size, middle * (1 + 5 / max(1, len(a) - 3)), config)
     return used
 
 
 def _fitting(a: list[Transform], b: list[Transform], result: WristCamera, config: WristConfig) -> npt.NDArray[np.bool_]:
-    return _near(_misfit(a, b, result.gripper_from_camera, result.base_from_target), config)
+    size = _misfit(a, b, result.gripper_from_camera, result.base_from_target)
+    return _near(size, np.median(size, axis=0), config)
 
 
 def _misfit(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Transform) -> Array:
@@ -337,9 +340,9 @@ def _misfit(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Tra
     return np.asarray(np.linalg.norm(_residuals(a, b, x, z).reshape(-1, 2, 3), axis=2))
 
 
-def _near(size: Array, config: WristConfig) -> npt.NDArray[np.bool_]:
+def _near(size: Array, middle: Array, config: WristConfig) -> npt.NDArray[np.bool_]:
     # The median of a three-dimensional normal's length is 1.538 of its standard deviation.
-    sigma = np.maximum(np.median(size, axis=0) / 1.538, (1e-9, 1e-9))
+    sigma = np.maximum(middle / 1.538, 1e-9)
     return np.asarray((size <= config.outlier_sigmas * 1.5 * sigma).all(axis=1))
 
 
