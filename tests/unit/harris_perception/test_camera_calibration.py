@@ -74,6 +74,25 @@ def test_parameters_lie_within_their_stated_uncertainties() -> None:
     assert 0.35 < np.mean(squares) < 2.2
 
 
+def test_uncertainties_are_those_of_all_parameters_together() -> None:
+    """Also with an OpenCV that takes the corners for the residuals, of which there are twice as many."""
+    seen, free = views(), [0, 1, 2, 3, 4, 5, 6, 7]
+    result = calibrate_camera(BOARD, seen, CONFIG)
+    slopes = np.zeros((2 * sum(len(view.ids) for view in seen), len(free) + 6 * len(seen)))
+    row = 0
+    for i, view in enumerate(seen):
+        points = BOARD.points()[view.ids]
+        _, turn, shift = cv2.solvePnP(points, view.xy, result.model.k, result.model.d)
+        of_all = cv2.projectPoints(points, turn, shift, result.model.k, result.model.d)[1]
+        rows, pose = slice(row, row + len(of_all)), slice(len(free) + 6 * i, len(free) + 6 * i + 6)
+        slopes[rows, : len(free)], slopes[rows, pose] = of_all[:, 6:][:, free], of_all[:, :6]
+        row += len(of_all)
+    freedom = slopes.shape[0] - slopes.shape[1]
+    variance = np.sum(result.residual_px**2) / freedom
+    expected = np.sqrt(variance * np.diag(np.linalg.inv(slopes.T @ slopes)))[: len(free)]
+    assert list(result.sigma.values()) == pytest.approx(expected, rel=0.02)
+
+
 def test_pair_lies_within_its_stated_uncertainties() -> None:
     truth = {f"left_{n}": v for n, v in intrinsics(camera()).items()}
     truth |= {f"right_{n}": v for n, v in intrinsics(camera("right", baseline=0.12)).items()}
