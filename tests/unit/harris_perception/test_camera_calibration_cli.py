@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import struct
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import pytest
 import yaml
 from unit.harris_perception.drawn_board import camera, picture, poses
 
+from harris_perception.adapters.camera_sources import CameraConfig, open_source
 from harris_perception.cli.calibrate import main
 from harris_perception.core.board import Board
 from icu_common.core.camera_model import CameraModel
@@ -53,6 +56,26 @@ def test_one_camera_is_calibrated_and_its_file_loads(folder: Path, tmp_path: Pat
     assert len(report["views"]) == 6 and report["rms_px"] < 0.1 and report["sigma"]["fx_px"] > 0
     assert set(report["coverage"]) == {"x", "y", "size", "skew"}
     assert cv2.imread(str(tmp_path / "bench_left_residuals.png")).shape == (1000, 1280, 3)
+
+
+def held(png: Path, orientation: int) -> bytes:
+    """Return a picture as a JPEG of a camera that notes how it was held (EXIF), 1 = upright."""
+    jpeg = cv2.imencode(".jpg", cv2.imread(str(png)), [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
+    tag = struct.pack("<2sHIHHHIHHI", b"II", 42, 8, 1, 0x0112, 3, 1, orientation, 0, 0)
+    return jpeg[:2] + struct.pack(">2sH6s", b"\xff\xe1", len(tag) + 8, b"Exif\0\0") + tag + jpeg[2:]
+
+
+def test_pictures_are_taken_as_the_sensor_has_them_however_it_was_held(folder: Path, tmp_path: Path) -> None:
+    """Turned upright, the same camera would have its centre elsewhere in each of them."""
+    for number, orientation in enumerate((1, 3, 3, 6, 8, 3)):
+        (tmp_path / f"photo{number}.jpg").write_bytes(held(folder / f"left{number}.png", orientation))
+    assert main(["mono", str(tmp_path / "*.jpg"), *SMALL, "-o", str(tmp_path)]) == 0
+    model = CameraModel.load(tmp_path / "camera.yaml")
+    assert model.size == (960, 720)
+    assert model.k == pytest.approx(camera().k, abs=3)
+    camera_node = CameraConfig(source="images", left_path=str(tmp_path / "*.jpg"), rate_hz=240.0)
+    source = open_source(camera_node, now_ns=lambda: 7, stop=threading.Event())
+    assert {source.read(1.0).pictures[0].shape for _ in range(6)} == {(720, 960, 3)}
 
 
 def test_board_files_are_written(tmp_path: Path) -> None:

@@ -281,7 +281,7 @@ def picture_files(place: str) -> list[Path]:
 def _read_files(files: Sequence[Path]) -> Iterator[Picture]:
     for file in files:
         try:
-            picture = decoded(file, cv2.IMREAD_COLOR)
+            picture = decoded(file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)  # as the calibration's
         except ValueError as error:
             raise SourceError(str(error)) from error
         if picture is None:

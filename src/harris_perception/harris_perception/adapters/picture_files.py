@@ -28,6 +28,15 @@ def read_gray(path: Path) -> npt.NDArray[np.uint8]:
     return _eight_bits(read_deep_gray(path))
 
 
+def read_sensor_gray(path: Path) -> npt.NDArray[np.uint8]:
+    """Read a picture as the sensor has it, however the camera was held (EXIF); else as :func:`read_gray`.
+
+    A lens has its centre and its distortion on the sensor.
+    """
+    how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    return _eight_bits(_stretched(_read(path, how)))
+
+
 def read_deep_gray(path: Path) -> npt.NDArray[Any]:
     """Read a picture as (H, W) uint8, or float32 from 0 to 255 if it has more than 8 bits; raises as above."""
     return _stretched(_read(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH))

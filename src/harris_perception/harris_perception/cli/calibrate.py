@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from harris_perception.adapters.camera_sources import SourceError, picture_files
-from harris_perception.adapters.picture_files import read_gray, write_picture
+from harris_perception.adapters.picture_files import read_sensor_gray, write_picture
 from harris_perception.core.board import PAPERS_MM, Board, board_pdf, board_svg
 from harris_perception.core.board_detection import BoardDetector, BoardView, size_shown
 from harris_perception.core.camera_calibration import (
@@ -69,7 +69,7 @@ def _detect_all(board: Board, files: Sequence[Path], what: str) -> list[BoardVie
     shown, detector = sys.stderr.isatty(), BoardDetector(board)
     views = []
     for i, file in enumerate(files, start=1):
-        views.append(detector.detect(read_gray(file), file.name))
+        views.append(detector.detect(read_sensor_gray(file), file.name))
         if shown:
             done = 30 * i // len(files)
             print(f"\r{what} [{'#' * done}{'.' * (30 - done)}] {i}/{len(files)}", end="", file=sys.stderr, flush=True)
@@ -90,7 +90,7 @@ def _require_some(board: Board, files: Sequence[Path], views: Sequence[BoardView
         advice = "check the dictionary and the size (inner corners, one less than squares)"
     else:
         for file in files[:2]:
-            size = size_shown(read_gray(file), board)
+            size = size_shown(read_sensor_gray(file), board)
             if size is not None:
                 advice = f"{file.name} shows {size[0]}x{size[1]} inner corners: try --chessboard {size[0]}x{size[1]}"
                 break
