@@ -34,6 +34,7 @@ from icu_common.nodes.conversions import (
     controls_of_message,
     header,
     image_message,
+    panel_state_of_message,
     result_of_message,
     stamp_ns,
     transform_of_pose,
@@ -70,14 +71,15 @@ class Rig:
         self.infos.publish(camera_info_message(CAMERA, header(START, CAMERA_LEFT)))
         ros.spin_until(lambda: self.node._camera is not None, 10.0)
 
-    def show(self, shown: np.ndarray, number: int, with_corners: bool = True) -> float:
+    def show(self, shown: np.ndarray, number: int, with_corners: bool = True, encoding: str = "bgr8") -> float:
         """Publish one picture and return the confidence that answers it."""
         before = len(self.confidences)
         head = header(START + number * PERIOD, CAMERA_LEFT)
         if with_corners:
             corners = HarrisDetector().detect(shown)
             self.corners.publish(cloud_message(("u", "v", "response"), np.c_[corners.xy, corners.response], head))
-        self.images.publish(image_message(np.repeat(shown[..., None], 3, axis=2), "bgr8", head))
+        packed = shown if encoding == "mono8" else np.repeat(shown[..., None], 3, axis=2)
+        self.images.publish(image_message(packed, encoding, head))
         self.ros.spin_until(lambda: len(self.confidences) > before, 30.0)
         return float(self.confidences[-1].data)
 
@@ -107,6 +109,18 @@ def test_pose_after_three_agreeing_pictures_then_lost_then_moved(ros: Any) -> No
     assert confidences[:2] == [0.0, 0.0] and confidences[2] > 0.85
     ros.spin_until(lambda: len(rig.poses) == 2, 10.0)
     assert error_mm(rig.poses[-1], shift_m=0.03) < 0.15
+
+
+def test_lamps_are_told_by_colour_only(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1})
+    states: list[DiagnosticArray] = ros.collect(rig.probe, DiagnosticArray, "state", qos.RESULTS)
+    ros.spin_until(lambda: rig.probe.count_publishers("state"), 10.0)
+    for number, encoding in enumerate(("bgr8", "mono8"), start=1):
+        rig.show(picture(), number, encoding=encoding)
+        ros.spin_until(lambda n=number: len(states) == n, 10.0)
+    colour, grey = ({c.name: c.lamp for c in panel_state_of_message(state).controls} for state in states)
+    assert colour["RUN_STOP"] == "off"
+    assert set(grey.values()) == {""}, "of a picture without colour nobody knows whether they shine"
 
 
 def test_a_camera_that_loses_its_calibration_ends_the_poses(ros: Any) -> None:

@@ -122,6 +122,7 @@ class PanelReader:
         *,
         patches: Patches | None = None,
         tip: Array | None = None,
+        coloured: bool = True,
     ) -> PanelSeen:
         """Read one picture.
 
@@ -139,6 +140,8 @@ class PanelReader:
             Where the print agrees with the template; without it nothing but the stylus counts as hiding.
         tip
             (3,) metres, the stylus's tip in the camera's rectified frame, when it is seen.
+        coloured
+            Whether the camera sees colours: without them a coloured lamp is not read.
         """
         shadow = self._own_shadow(camera_from_panel, camera, tip)
         pixels = camera.project(camera_from_panel.apply(self._points))
@@ -147,6 +150,7 @@ class PanelReader:
             colours=_sampled(bgr, pixels),
             outside=~_inside(pixels, camera),
             covered=_sampled(shadow, pixels)[:, 0],
+            coloured=coloured,
         )
         prints = self._prints(camera_from_panel, camera, shadow, patches)
         odd = self._odd(look, prints)
@@ -167,7 +171,7 @@ class PanelReader:
         elif not hidden and control.kind == "knob":
             angle = self._marker(look(control, "marker"))
         elif not hidden and control.lit_colour:
-            lamp = self._lamp(control, look(control, "lamp"), look(control, "around"))
+            lamp = self._lamp(control, look)
         return ControlSeen(
             name=control.name,
             kind=control.kind,
@@ -179,10 +183,12 @@ class PanelReader:
             marks=control.marks,
         )
 
-    def _lamp(self, control: Control, inner: Array, around: Array) -> str:
-        colour = inner.mean(axis=0)
+    def _lamp(self, control: Control, look: _Look) -> str:
+        colour, around = look(control, "lamp").mean(axis=0), look(control, "around")
         lit = rgb(control.lit_colour)
         if max(lit) - min(lit) >= 60:
+            if not look.coloured:
+                return ""
             return _hue(colour) if float(np.ptp(colour)) >= self.config.lit_chroma else "off"
         return "white" if float(colour.mean()) > self.config.lit_gain * float(np.median(around)) else "off"
 
@@ -264,12 +270,16 @@ class PanelReader:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Look:
-    """The samples of one picture at all places: colours (N, 3), whether outside of it, whether behind the stylus."""
+    """The samples of one picture at all places: colours (N, 3), whether outside of it, whether behind the stylus.
+
+    ``coloured`` tells whether the picture has any.
+    """
 
     parts: dict[tuple[str, str], slice]
     colours: Array
     outside: npt.NDArray[np.bool_]
     covered: Array
+    coloured: bool
 
     def __call__(self, control: Control, part: str) -> Array:
         return self.colours[self.parts[control.name, part]]

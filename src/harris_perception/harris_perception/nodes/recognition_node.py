@@ -19,7 +19,7 @@ from std_msgs.msg import Float32, String
 from visualization_msgs.msg import MarkerArray
 
 from harris_perception.core.fiducials import MarkerFinder, SeenMarker
-from harris_perception.core.gray import bgr_of, eight_bits, gray_of
+from harris_perception.core.gray import bgr_of, eight_bits, gray_of, has_color
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, with_plane
@@ -289,7 +289,10 @@ class RecognitionNode(Node):
         picture, stamp = bgr_of(image_array(message), message.encoding), stamp_ns(message.header.stamp)
         fresh = self._tip is not None and abs(stamp - self._tip[0]) <= 1e9 * self._live.config.tip_max_age_s
         tip = self._tip[1] if fresh and self._tip is not None else None
-        seen = self._reader.read(picture, pose, self._camera[1], stamp, patches=sighting.patches, tip=tip)
+        coloured = has_color(message.encoding)
+        seen = self._reader.read(
+            picture, pose, self._camera[1], stamp, patches=sighting.patches, tip=tip, coloured=coloured
+        )
         self._state.publish(panel_state_message(seen, message.header))
 
     def _report(self) -> None:
