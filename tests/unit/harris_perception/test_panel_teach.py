@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,8 @@ def test_with_its_calibration_the_cameras_distortion_does_not_stay_in_the_layout
     layout, template = write_panel(taught, tmp_path / "new", "a test")
     assert load_layout(layout) == taught.layout and cv2.imread(str(template)).shape == (600, 1280, 3)
     assert f"--scope taught --set recognition.template={template}" in how_to_start(taught, template)
+    spaced = shlex.split(how_to_start(taught, tmp_path / "my panels" / "taught.png"))
+    assert f"recognition.template={tmp_path}/my panels/taught.png" in spaced, "it is pasted into a shell"
     before = layout.read_text()
     with pytest.raises(TeachingError, match="is there already"):
         write_panel(taught, tmp_path / "new", "a test")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import cv2
@@ -43,6 +44,6 @@ def write_panel(taught: Taught, folder: Path, source: str) -> tuple[Path, Path]:
 def how_to_start(taught: Taught, template: Path) -> str:
     """Return the command that brings the robot up with this panel."""
     return (
-        f"bring_up --scope {taught.layout.model} --set recognition.template={template.resolve()} "
+        f"bring_up --scope {taught.layout.model} --set recognition.template={shlex.quote(str(template.resolve()))} "
         f"--set recognition.template_px_per_mm={taught.px_per_mm:g}"
     )
