@@ -68,6 +68,8 @@ def test_the_tip_is_published_where_it_is_certain(ros: Any) -> None:
     assert point_array(tips[2]) == pytest.approx(point_array(tips[1]), abs=1e-9)
     show(7_000_000_000, [picture[:, :, 0] for picture in second], "mono8")
     ros.spin_until(lambda: any("'mono8' has no color" in text for text in said()), WITHIN_S, said)
+    show(8_000_000_000, [picture[:, :, :2] for picture in second], "yuv422")
+    ros.spin_until(lambda: any("'yuv422' is none of mono8, bgr8" in text for text in said()), WITHIN_S, said)
 
 
 def test_the_parameter_file_has_the_settings_names() -> None:

@@ -80,9 +80,10 @@ class StylusNode(Node):
 
 
 def _color(image: Image) -> npt.NDArray[np.uint8]:
+    picture = image_array(image)
     if not has_color(image.encoding):
         raise ValueError(f"encoding {image.encoding!r} has no color, by which the ball is found")
-    return bgr_of(image_array(image), image.encoding)
+    return bgr_of(picture, image.encoding)
 
 
 def main() -> int:
