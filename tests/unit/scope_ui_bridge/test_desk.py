@@ -274,6 +274,18 @@ def test_a_command_without_an_answer_fails_visibly_and_frees_the_desk() -> None:
     assert of_type(rig.act(), SendCommand)
 
 
+def test_an_order_that_is_held_up_until_it_is_given_up_does_not_go_out_any_more() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    (command,) = of_type(rig.act(), SendCommand)  # its record waits for a disk that hangs
+    rig.wait(2.8, alive=True)
+    assert rig.desk.still_wanted(command)
+    rig.wait(0.4, alive=True)
+    (again,) = of_type(rig.act(), SendCommand)
+    assert not rig.desk.still_wanted(command), "both would press a button that was meant to be pressed once"
+    assert rig.desk.still_wanted(again)
+
+
 def test_a_recording_that_ended_by_itself_is_in_the_log_and_in_the_records() -> None:
     rig = Rig()
     effects = rig.desk.recording_ended(False, "the disk is full", rig.now)

@@ -332,8 +332,9 @@ class Desk:
         return [_selection_shown(None)] if had else []
 
     def still_wanted(self, order: Order) -> bool:
-        """Tell whether an order may still go out: no stop and no change of hands since it was made."""
-        return order.stops == self.stops and order.epoch == self.lease.epoch and bool(self.lease.holder)
+        """Tell whether an order may still go out: no stop and no change of hands since, and it was not given up."""
+        same_hands = order.epoch == self.lease.epoch and bool(self.lease.holder)
+        return order.stops == self.stops and same_hands and self._log.open_entry(order.entry) is not None
 
     # --- selection and actuation -----------------------------------------------------------------------------------
 

@@ -60,7 +60,7 @@ class Record:
 class Order:
     """Something that may move the machine; ``record`` is on disk before it goes out.
 
-    It is dropped when the desk has stopped or changed hands in between, see ``Desk.still_wanted``.
+    It is dropped when the desk has stopped, changed hands or given it up in between, see ``Desk.still_wanted``.
     """
 
     entry: int
