@@ -165,7 +165,7 @@ def test_a_panel_that_moved_since_the_selection_voids_it() -> None:
     rig.select(control="RUN_STOP")
     rig.desk.scene.place_panel(pose(0.0015))
     assert of_type(rig.act(), SendCommand), "1.5 mm is within the bound of 2 mm"
-    rig.desk.order_failed(Order(entry=2, stops=0, epoch=1, record={}), "test")
+    rig.desk.order_failed(Order(entry=2, stops=0, epoch=1, record={}), "test", rig.now)
     rig = Rig()
     rig.select(control="RUN_STOP")
     rig.desk.scene.place_panel(pose(0.0025))
@@ -271,6 +271,8 @@ def test_a_command_without_an_answer_fails_visibly_and_frees_the_desk() -> None:
     rig.act()
     effects = rig.wait(3.2, alive=True)
     assert [entry["status"] for entry in logged(effects)] == ["no_answer"]
+    (line,) = of_type(effects, Record)
+    assert (line.record["command"], line.record["result"]) == ("press", "no_answer")
     assert of_type(rig.act(), SendCommand)
 
 
@@ -639,7 +641,12 @@ def test_a_stop_voids_an_order_that_has_not_gone_out() -> None:
     (command,) = of_type(rig.act(), SendCommand)
     rig.ask(rig.a, type="stop")
     assert not rig.desk.still_wanted(command)
-    assert logged(rig.desk.order_failed(command, "stopped"))[0]["status"] == "failed"
+    effects = rig.desk.order_failed(command, "stopped", rig.now)
+    assert logged(effects)[0]["status"] == "failed"
+    (line,) = of_type(effects, Record)
+    assert (line.record["result"], line.record["reason"]) == ("failed", "stopped"), (
+        "the records tell that it did not go out"
+    )
     rig.select(control="RUN_STOP")
     (command,) = of_type(rig.act(), SendCommand)
     rig.ask(rig.a, type="lease", step="release")

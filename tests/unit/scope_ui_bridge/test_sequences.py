@@ -168,7 +168,7 @@ def test_a_stop_voids_a_sequence_that_has_not_gone_out() -> None:
     order = started(rig)
     rig.ask(rig.a, type="stop")
     assert not rig.desk.still_wanted(order)
-    rig.desk.order_failed(order, "stopped before it went out")
+    rig.desk.order_failed(order, "stopped before it went out", rig.now)
     assert told(rig.wait(0.1, alive=True))["status"] == "failed"
 
 

@@ -401,9 +401,9 @@ class WebServer:
             elif isinstance(order, CallService):
                 self._call(order.service, lambda ok, text: self._service_answered(order.entry, ok, text))
         except OSError as error:
-            self._carry_out(self._desk.order_failed(order, f"the record could not be written: {error}"))
+            self._carry_out(self._desk.order_failed(order, f"the record could not be written: {error}", self._now()))
         except GraphError as error:
-            self._carry_out(self._desk.order_failed(order, str(error)))
+            self._carry_out(self._desk.order_failed(order, str(error), self._now()))
 
     def _call(self, service: str, answered: Callable[[bool, str], None]) -> None:
         if service == "record":

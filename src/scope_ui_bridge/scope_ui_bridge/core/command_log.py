@@ -121,7 +121,8 @@ class CommandLog:
             # An accepted goal may take its time, but not while the controller rests: then its end was lost.
             since_s = max(entry.sent_mono_s, self._last_active_s if entry.status == "accepted" else -math.inf)
             if now.mono_s - since_s > max(timeout_s, _PATIENCE_S.get(entry.action, 0.0)):
-                effects.append(shown(self.update(entry, status="no_answer")))
+                changed = self.update(entry, status="no_answer")
+                effects += [shown(changed), result_record(changed, now)]
         return effects
 
     def ended(self, entry: LogEntry, result: GoalResult, now: Now) -> list[Effect]:

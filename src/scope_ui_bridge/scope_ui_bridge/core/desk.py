@@ -505,13 +505,14 @@ class Desk:
 
     # --- answers ---------------------------------------------------------------------------------------------------
 
-    def order_failed(self, order: Order, reason: str) -> list[Effect]:
+    def order_failed(self, order: Order, reason: str, now: Now) -> list[Effect]:
         """Note that an order did not go out (no controller, audit file not writable, stopped in between)."""
         entry = self._log.open_entry(order.entry)
         if entry is None:
             return []
         self.sequence.ended(entry.goal_id, "failed", reason)
-        return [shown(self._log.update(entry, status="failed", reason=reason))]
+        changed = self._log.update(entry, status="failed", reason=reason)
+        return [shown(changed), command_log.result_record(changed, now)]
 
     def service_answered(self, number: int, success: bool, text: str, now: Now) -> list[Effect]:
         """Note the answer of a service that log entry ``number`` asked."""
