@@ -3,7 +3,8 @@
 Run as a program. It draws the panel from its layout, answers gestures as the controller does (accepted, then reached
 with a measured error after a motion of 1.5 s), and obeys stop, reset, home and enable. Lines on standard input
 change the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``heartbeat_timeout 9`` and
-``motion 6`` (s), ``stall`` and ``resume`` (pictures).
+``motion 6`` (s), ``stall`` and ``resume`` (pictures), ``deaf 1`` (no stop is heard),
+``driver homing`` (what the driver says).
 """
 
 from __future__ import annotations
@@ -114,6 +115,7 @@ class SyntheticScope(Node):
         self.heartbeat_ns = 0
         self.heartbeat_timeout = 0.6
         self.motion = 1.5
+        self.deaf = 0.0
         self.controller, self.driver = "ready", "idle"
         self.knobs = {c.name: c.marks[0][1] if c.marks else 10.0 for c in self.layout.controls if c.kind == "knob"}
         self.changed_ns = 0
@@ -156,6 +158,9 @@ class SyntheticScope(Node):
             word, *rest = line.split()
             if word in ("stall", "resume"):
                 self.stalled = word == "stall"
+            elif word == "driver":
+                self.driver = rest[0]
+                self.say()
             else:
                 setattr(self, word, float(rest[0]))
 
@@ -278,6 +283,8 @@ class SyntheticScope(Node):
         self.start(str(stamp_ns(message.header.stamp)), text, place)
 
     def stop(self, why: str) -> None:
+        if self.deaf:
+            return
         if self.goal is not None:
             self.answer(self.goal[0], self.goal[1], Outcome.ABORTED, reason=f"stopped: {why}")
             self.goal = None

@@ -207,16 +207,24 @@ def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrume
 
 
 def test_the_stop_button_of_a_viewer_and_of_a_page_without_script(browser: Any, instrument: Instrument) -> None:
-    instrument.tell("motion 6")
+    instrument.tell("motion 20")
     operator = Operator(browser, instrument.address())
     operator.takes_control()
     viewer = Operator(browser, instrument.new_address())
     viewer.sees("#lease-text", "Operator 1 is in control")
     operator.selects("MENU", "Menu")
+    instrument.tell("deaf 1")
     operator.confirms()
     viewer.sees("#chip-driver", "Moving")
     viewer.page.click("#stop")
+    viewer.sees("#banner", "STOP has not got through. Use the wired emergency stop")
+    assert "Moving" in viewer.page.inner_text("#chip-driver"), "the bridge has heard it, but the driver has not"
+    instrument.tell("driver unhomed")  # it was started anew, at rest
+    viewer.sees("#banner", "Moving")
+    instrument.tell("deaf 0")
+    viewer.page.click("#stop")
     viewer.sees("#chip-driver", "Stopped")
+    viewer.sees("#banner", "STOPPED")
     operator.logs("STOP.*Operator 2", 5.0)
     operator.page.click("[data-call=reset]")
     operator.sees("#chip-driver", "Idle")

@@ -23,7 +23,7 @@ export function stop() {
   fetch(`/stop?press=${press}`, { method: "POST", keepalive: true }).then(arrived, () => {});
   // Neither is given up: on a link that hangs it may still arrive. But who pressed must know that it has not.
   setTimeout(() => {
-    if (through) return;
+    if (through && !desk.unheard) return;
     desk.unstopped = true;
     say(t("banner_stop_failed"), true);
   }, STOP_ANSWER_MS);

@@ -20,11 +20,16 @@ class Desk {
   replay = false;
   frozen = false; // the picture before is held over the live one
   teaching = false; // the picture that a panel is pointed at in lies over the live one
-  unstopped = false; // STOP was pressed here and has not got through
+  unstopped = false; // STOP was pressed here and has not got through, to the bridge or to the machine
   changed = () => {};
 
   get mine() {
     return Boolean(this.state && this.me.id && this.state.lease.holder === this.me.id && !this.link.silent);
+  }
+
+  /** Whether a STOP that the bridge has heard is not seen to be heard by the machine: its driver or its line may hang. */
+  get unheard() {
+    return !this.link.silent && !this.replay && ["moving", "homing", "disconnected", ""].includes(this.state?.driver.state);
   }
 
   /** Why the last thing that was asked for was refused; empty when it was not. */

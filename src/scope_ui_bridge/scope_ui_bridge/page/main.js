@@ -295,7 +295,7 @@ function renderAge() {
   const rtt = link.rttMs === null ? "–" : Math.round(link.rttMs);
   chip("chip-link", silent ? "bad" : "good", silent ? t("link_lost") : t("link_ok", { rtt }));
   const { state: driver, reason } = state?.driver ?? {};
-  if (driver === "stopped" && !silent) desk.unstopped = false;
+  if (["stopped", "alarm", "unhomed"].includes(driver) && !silent) desk.unstopped = false; // or the driver was started anew
   banner(find("banner"), [
     { when: desk.unstopped, look: "bad", text: t("banner_stop_failed") },
     { when: turnedAway, look: "bad", text: turnedAway },
