@@ -275,6 +275,10 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     page.keyboard.press("Enter")
     assert "Press" not in page.inner_text("#log")
     operator.sees("#banner", "picture is old")
+    instrument.tell("driver homing")  # which needs no picture
+    operator.sees("#banner", "Moving, and the live picture is old. STOP or Esc stops it")
+    instrument.tell("driver idle")
+    operator.sees("#banner", "picture is old. Nothing can be selected or moved")
     spoken = page.evaluate("""async () => {
         const said = [];
         const heard = new MutationObserver(() => said.push(document.getElementById("refusal").textContent));

@@ -303,7 +303,7 @@ function renderAge() {
     { when: desk.replay, look: "waiting", text: t("banner_replay") },
     { when: driver === "alarm", look: "bad", text: t("banner_alarm", { reason: said(reason) }) },
     { when: driver === "stopped", look: "bad", text: state && stopBanner(state) },
-    { when: age > limits.max_age_ms, look: "waiting", text: t("banner_stale") },
+    { when: age > limits.max_age_ms, look: "waiting", text: t(state?.moving ? "banner_moving_stale" : "banner_stale") },
     { when: restarted, look: "waiting", text: t("banner_restarted") },
     { when: lostControl, look: "waiting", text: t("banner_lost_control") },
     { when: !state, look: "none", text: t("banner_connecting") },

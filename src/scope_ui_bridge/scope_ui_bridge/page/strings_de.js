@@ -138,6 +138,7 @@ export const DE = {
   banner_ready: "Bereit. Ein Element im Bild wählen, dann bestätigen.",
   banner_viewing: "Sie sehen zu. Zum Bedienen die Bedienung übernehmen.",
   banner_moving: "Bewegt sich. STOP oder Esc hält an.",
+  banner_moving_stale: "Bewegt sich, und das Livebild ist alt. STOP oder Esc hält an.",
   banner_waiting: "Nicht bereit: {reason}",
   banner_link_viewer: "Die Verbindung ist verloren. STOP von dieser Seite kommt vielleicht nicht an. Neuer Versuch …",
   banner_stop_failed: "STOP ist nicht durchgekommen. Den verdrahteten Not-Halt benutzen.",

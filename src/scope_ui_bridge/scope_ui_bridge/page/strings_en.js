@@ -138,6 +138,7 @@ export const EN = {
   banner_ready: "Ready. Select a control in the picture, then confirm.",
   banner_viewing: "Viewing. Take control to operate.",
   banner_moving: "Moving. STOP or Esc stops it.",
+  banner_moving_stale: "Moving, and the live picture is old. STOP or Esc stops it.",
   banner_waiting: "Not ready: {reason}",
   banner_link: "The link to the bridge is lost. The machine stops by itself. Trying again …",
   banner_link_viewer: "The link to the bridge is lost. This page’s STOP may not arrive. Trying again …",
