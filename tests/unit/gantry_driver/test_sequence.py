@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from gantry_driver.core.sequence import Report, SendCommand, SequenceConfig, SequenceRun
@@ -114,6 +116,23 @@ def test_a_check_that_is_not_seen_stops_it() -> None:
     assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
     assert end.result.reason == ("step 1 of 2, press:RUN_STOP: not seen in time: lamp:RUN_STOP=red (lamp green)")
     assert run.result(answer("r.2"), 5 * S) == [] and run.tick(500 * S) == []
+
+
+def test_a_screen_that_changed_before_the_touch_is_none_that_the_touch_has_changed() -> None:
+    def screen(changed_ns: int, stamp_ns: int) -> PanelSeen:
+        control = ControlSeen(name="SCREEN", kind="touch_area", changed_ns=changed_ns)
+        return PanelSeen(stamp_ns=stamp_ns, controls=(control,))
+
+    for changed_ns, passes in ((S, False), (3 * S, True)):  # an alarm that came up on the way there; what the touch did
+        run = run_of("steps: ['press:AUTO_SET => screen']")
+        run.start(0)
+        run.panel(screen(changed_ns, 4 * S), 4 * S)
+        reached = answer("r.1", effect="lamp off -> green")
+        told = replace(reached, details=(*reached.details, ("touched_ns", str(2 * S))))
+        actions = run.result(told, 5 * S) or run.tick(9 * S)
+        assert isinstance(actions[0], Report)
+        assert actions[0].result.outcome is (Outcome.REACHED if passes else Outcome.ABORTED)
+        assert passes or actions[0].result.reason.endswith("not seen in time: screen (no change)")
 
 
 def test_a_stop_between_two_gestures_ends_it_so_that_nothing_goes_on_after_a_reset() -> None:

@@ -456,6 +456,7 @@ class Controller:
         depth, config = -job.touch.touch_z, self.config
         here = self._world.here
         job.plunge_ns = self._now_ns
+        job.touched_ns = job.touched_ns or self._now_ns
         if job.kind == "double":
             between = config.motion.stylus_max_m if config.motion.stylus_two_positions else config.double_lift_m
             self._try(job, Phase.TOUCH, lambda: motion_plan.plunge_twice(here, depth, between, config.motion))

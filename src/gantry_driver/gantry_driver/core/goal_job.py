@@ -138,6 +138,8 @@ class Job:
     hover_error_m: float = math.nan
     error_m: float = math.nan
     plunge_ns: int = 0
+    touched_ns: int = 0
+    """When the stylus first went down to touch, 0 before."""
     down_ns: int = 0
     fault: Fault | None = None
 
@@ -168,6 +170,8 @@ class Job:
             details.append(("corrections", str(self.aim.corrections)))
             details.append(("hover_error_m", f"{self.hover_error_m:.6f}"))
             details.append(("effect", self.effect or "not looked for"))
+        if outcome.final and self.touched_ns:
+            details.append(("touched_ns", str(self.touched_ns)))
         if outcome.final and knob is not None:
             details.append(("turns", str(knob.turns)))
             details += [("knob_deg", f"{knob.seen_deg:.2f}"), ("knob_off_deg", f"{knob.off_deg:.2f}")]

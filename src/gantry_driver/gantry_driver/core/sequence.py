@@ -159,13 +159,16 @@ class SequenceRun:
 
     def _unlike(self, check: Check, answer: GoalResult) -> str:
         """Return what is seen instead of what the check wants, empty when it is fulfilled."""
-        effect = dict(answer.details).get("effect", "not looked for")
+        details = dict(answer.details)
+        effect = details.get("effect", "not looked for")
         if check.kind == "effect":
             return effect if effect in ("none seen", "not looked for") else ""
         # Only a picture of this step says what the step has done.
         seen = self._seen if self._seen is not None and self._seen.stamp_ns > self._step_ns else None
         if check.kind == "screen":
-            changed = effect == "screen changed" or (seen is not None and seen.changed_ns() > self._step_ns)
+            # What came up on the way there, such as an alarm, is none of its doing.
+            touched_ns = int(details.get("touched_ns", self._step_ns))
+            changed = effect == "screen changed" or (seen is not None and seen.changed_ns() > touched_ns)
             return "" if changed else "no change"
         control = seen.control(check.control) if seen is not None and seen.stamp_ns > self._answered_ns else None
         if control is None:
