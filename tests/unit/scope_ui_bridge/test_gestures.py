@@ -210,3 +210,19 @@ def test_what_is_seen_of_the_panel_goes_to_all_pages_when_it_changes() -> None:
     assert told(hidden, same, screen)[0]["hidden_by"] == "something"
     _, hello = rig.desk.join("Operator 2")
     assert [c["name"] for c in hello["panel"]] == ["RUN_STOP", "CH1_SCALE", "SCREEN"]
+
+
+def test_a_lamp_that_nobody_sees_any_more_is_not_shown_as_lit() -> None:
+    rig = Rig()
+    lamp = ControlSeen(name="RUN_STOP", kind="button", lamp="green")
+
+    def told(seconds: float) -> list[list[str]]:
+        messages = [e.message for e in of_type(rig.wait(seconds, alive=True), Broadcast)]
+        return [[c["lamp"] for c in m["controls"]] for m in messages if m["type"] == "panel"]
+
+    for _ in range(3):
+        rig.desk.panel.show(seen(lamp), rig.now)
+        assert told(1.5) in ([], [["green"]])
+    assert told(1.0) == [[]], "the panel is not recognised, or recognition has ended"
+    rig.desk.panel.show(seen(lamp), rig.now)
+    assert told(0.1) == [["green"]]

@@ -55,7 +55,10 @@ class BridgeConfig(Config):
         0.5, "No actuation below this confidence of the recognition", minimum=0.0, maximum=1.0
     )
     recognition_max_age_s: float = setting(
-        2.0, "No actuation when the recognition has been silent for this time", minimum=0.1, unit="s"
+        2.0,
+        "No actuation, and nothing shown as seen of the panel, when the recognition has been silent for this time",
+        minimum=0.1,
+        unit="s",
     )
     panel_moved_limit_m: float = setting(
         0.002, "A selection is void when the panel has moved by more than this", minimum=0.0001, unit="m"

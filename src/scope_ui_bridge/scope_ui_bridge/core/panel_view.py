@@ -16,10 +16,11 @@ class PanelView:
         self.seen: PanelSeen | None = None
         self.message: list[dict[str, Any]] = []
         self._changed: dict[str, tuple[int, int]] = {}
+        self._shown_s = -math.inf
 
     def show(self, seen: PanelSeen, now: Now) -> None:
         """Take what was seen."""
-        self.seen = seen
+        self.seen, self._shown_s = seen, now.mono_s
         shown = []
         for control in seen.controls:
             shown.append(
@@ -36,6 +37,11 @@ class PanelView:
                 }
             )
         self.message = shown
+
+    def expire(self, limit_s: float, now: Now) -> None:
+        """Show nothing of a panel that has not been seen for ``limit_s``: a lamp may have changed since."""
+        if now.mono_s - self._shown_s > limit_s:
+            self.message = []
 
     def _changed_ms(self, name: str, changed_ns: int, now: Now) -> int:
         """Return the wall time of a change, 0 for none; the graph's clock may be a recording's."""
