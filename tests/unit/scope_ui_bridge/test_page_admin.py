@@ -6,6 +6,7 @@ import asyncio
 import io
 import json
 import os
+import shlex
 import shutil
 import ssl
 import stat
@@ -19,6 +20,7 @@ from unit.scope_ui_bridge.web_rig import Rig
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users
 from scope_ui_bridge.cli import page_admin
 from scope_ui_bridge.core.audit import AuditError
+from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.passwords import Role, matches
 
 
@@ -89,6 +91,17 @@ def test_a_certificate_for_a_long_name_is_made_and_one_that_failed_leaves_nothin
     assert page_admin.main(["certificate", host, "--folder", str(folder)]) == 0
     show = ["openssl", "x509", "-in", str(folder / "certificate.pem"), "-noout", "-ext", "subjectAltName"]
     assert f"DNS:{host}" in subprocess.run(show, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_the_page_is_known_by_all_names_of_the_certificate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hosts = ("icu-7", "icu-7.example.org", "192.0.2.7", "2001:db8::7")
+    assert page_admin.main(["certificate", *hosts, "--folder", str(tmp_path)]) == 0
+    told = shlex.split(capsys.readouterr().out.partition("Use them: ")[2])
+    values = dict(text.removeprefix("ui_bridge.").split("=", 1) for text in told if text != "--set")
+    config = BridgeConfig(**values)
+    names = ("icu-7", "icu-7.example.org", "192.0.2.7", "[2001:db8::7]")
+    assert config.origins(config.port) == {f"https://{name}:8080" for name in names}
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")

@@ -9,6 +9,7 @@ import argparse
 import getpass
 import ipaddress
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
 from scope_ui_bridge.adapters.secret_files import read_users, write_secret
 from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, verify
+from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.passwords import PasswordError, Role, new_user
 
 _DAYS = 825  # what browsers take at most
@@ -98,10 +100,12 @@ def make_certificate(hosts: Sequence[str], folder: Path) -> str:
         text=True,
         check=True,
     ).stdout.strip()
-    return (
-        f"{certificate}\n{key}\n{shown}\nUse them: --set ui_bridge.host={hosts[0]} "
-        f"--set ui_bridge.tls_certificate={certificate} --set ui_bridge.tls_key={key}"
-    )
+    use = [f"host={hosts[0]}", f"tls_certificate={certificate}", f"tls_key={key}"]
+    if hosts[1:]:  # the bridge answers to no other name than its host's
+        further = (f"[{host}]" if ":" in host else host for host in hosts[1:])
+        use.append("extra_origins=" + " ".join(f"https://{host}:{BridgeConfig().port}" for host in further))
+    settings = " ".join(f"--set {shlex.quote(f'ui_bridge.{text}')}" for text in use)
+    return f"{certificate}\n{key}\n{shown}\nUse them: {settings}"
 
 
 def _kind(host: str) -> str:
