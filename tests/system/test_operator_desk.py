@@ -333,6 +333,7 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     for part in ("driver", "controller", "calibration", "recognition"):
         person.sees(f"#chip-{part}", "unknown")
         assert page.get_attribute(f"#chip-{part}", "data-look") == "none", "what was last heard may hold no more"
+    assert page.inner_text("#position-x") == page.inner_text("#position-stylus") == "–"
     page.click("#stop")
     person.sees("#banner", "STOP has not got through. Use the wired emergency stop")
     page.unroute("**/stop*")

@@ -348,7 +348,7 @@ def test_a_move_needs_a_machine_at_rest(state: str) -> None:
 
 def test_a_held_jog_goes_on_in_steps_and_ends_when_let_go() -> None:
     rig = Rig()
-    rig.desk.machine.set_position(0.1, 0.05, 0.0)
+    rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
     effects = rig.jog(0, 1)
     (goal,) = of_type(effects, SendGoal)
     entry = logged(effects)[0]
@@ -367,7 +367,7 @@ def test_a_held_jog_goes_on_in_steps_and_ends_when_let_go() -> None:
 @pytest.mark.parametrize("how", ["silence", "stop", "release", "rejected"])
 def test_a_held_jog_ends_with(how: str) -> None:
     rig = Rig()
-    rig.desk.machine.set_position(0.1, 0.05, 0.0)
+    rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
     (goal,) = of_type(rig.jog(-1, 0), SendGoal)
     outcome = Outcome.REACHED
     if how == "silence":
@@ -384,9 +384,9 @@ def test_a_held_jog_ends_with(how: str) -> None:
 def test_a_jog_that_cannot_be_is_refused() -> None:
     rig = Rig()
     assert refusal(rig.jog(1, 0)) == "position_unknown"
-    rig.desk.machine.set_position(math.nan, 0.0, 0.0)
+    rig.desk.machine.set_position(math.nan, 0.0, 0.0, rig.now)
     assert refusal(rig.jog(1, 0)) == "position_unknown"
-    rig.desk.machine.set_position(0.1, 0.05, 0.0)
+    rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
     answered = answer(rig.jog(1, 0, step_mm=10.5))
     assert (answered["code"], answered["values"]) == ("jog_step", {"step_mm": 10.5, "limit_mm": 10.0})
     assert refusal(rig.jog(1, 0, step_mm=0.0)) == "jog_step"
@@ -692,11 +692,22 @@ def test_the_state_is_sent_on_change_at_most_ten_times_a_second_and_at_least_onc
     assert 2 <= len(states(rig.wait(3.0, alive=True))) <= 5
     sent = []
     for step in range(40):
-        rig.desk.machine.set_position(0.001 * step, 0.02, 0.003)
+        rig.desk.machine.set_position(0.001 * step, 0.02, 0.003, rig.now)
         sent += states(rig.wait(0.05, alive=True))
     assert 15 <= len(sent) <= 21
     assert sent[-1]["position_mm"][1:] == [20.0, 3.0]
     assert sent[-1]["driver"] == {"state": "idle", "reason": ""}
+
+
+def test_a_place_that_no_driver_reports_any_more_is_not_shown() -> None:
+    rig = Rig()
+    for _ in range(4):
+        rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
+        rig.wait(0.5, alive=True)
+        assert rig.desk.machine.message()["position_mm"] == [100.0, 50.0, 0.0]
+    rig.wait(1.0, alive=True)
+    assert rig.desk.machine.message()["position_mm"] is None, "the driver hangs or has ended; the stylus may be down"
+    assert refusal(rig.jog(1, 0)) == "position_unknown"
 
 
 def test_a_tip_that_was_seen_before_the_clock_was_set_back_is_not_seen_now() -> None:

@@ -102,7 +102,7 @@ def test_the_way_is_planned_to_the_selection_and_then_the_one_that_is_driven() -
     desk = rig.desk
     assert desk.path("left") == {"path": [], "planned": True}
     rig.select(control="RUN_STOP")
-    desk.machine.set_position(0.1, 0.05, 0.02)
+    desk.machine.set_position(0.1, 0.05, 0.02, rig.now)
     assert desk.path("left")["path"] == [], "where the gantry is, is not known before the calibration"
     # base_link: as the panel's frame, 30 mm before its face
     base = Transform(pose().rotation, pose().apply(np.array([0.0, 0.0, 0.03])))

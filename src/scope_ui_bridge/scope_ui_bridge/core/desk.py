@@ -245,6 +245,7 @@ class Desk:
         effects += self._log.expire(self.machine.active, self.config.answer_timeout_s, now)
         if self._log.goal(self.sequence.run_id) is None:
             self.sequence.ended(self.sequence.run_id, "no_answer", "")
+        self.machine.expire(now)
         self.panel.expire(self.config.recognition_max_age_s, now)
         effects += self._pass_on()
         state = self._snapshot(now)

@@ -13,6 +13,7 @@ from scope_ui_bridge.core.effects import Now
 from scope_ui_bridge.core.refusal import Refusal
 
 _MOST_AHEAD_S = 0.1
+_POSITION_LIFE_S = 1.0
 _MOVING = {
     "driver": {"moving", "homing"},
     "controller": {"moving", "looking", "touching"},
@@ -36,6 +37,7 @@ class MachineView:
         self._confidence = math.nan
         self._confidence_s = -math.inf
         self._position: tuple[float, float, float] | None = None
+        self._position_s = -math.inf
         self._frames: dict[str, deque[int]] = {camera: deque(maxlen=90) for camera in wire.CAMERAS}
         self._picture_s = -math.inf
         self.facts: dict[str, dict[str, str]] = {}
@@ -55,13 +57,18 @@ class MachineView:
         """Note the recognition's confidence, 0 = not recognised."""
         self._confidence, self._confidence_s = confidence, now.mono_s
 
-    def set_position(self, x_m: float, y_m: float, stylus_m: float) -> None:
+    def set_position(self, x_m: float, y_m: float, stylus_m: float, now: Now) -> None:
         """Note where the tip is: x, y in base_link, the stylus's extension; metres."""
-        self._position = (x_m, y_m, stylus_m)
+        self._position, self._position_s = (x_m, y_m, stylus_m), now.mono_s
+
+    def expire(self, now: Now) -> None:
+        """Forget a position that nobody reports any more."""
+        if now.mono_s - self._position_s > _POSITION_LIFE_S:
+            self._position = None
 
     @property
     def position(self) -> tuple[float, float, float] | None:
-        """Where the tip is, as in :meth:`set_position`; None while unknown."""
+        """Where the tip is, as in :meth:`set_position`; None while unknown or not reported."""
         return self._position
 
     def set_facts(self, part: str, facts: dict[str, str]) -> None:

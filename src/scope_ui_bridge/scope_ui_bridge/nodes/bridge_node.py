@@ -306,7 +306,8 @@ class BridgeNode(Node):
     def _joints_seen(self, message: JointState) -> None:
         reading = joint_positions(message, JOINTS)
         x, y = self._axes @ reading[:2]
-        self._mail.newest("joints", self._desk.machine.set_position, float(x), float(y), float(reading[2]))
+        position = float(x), float(y), float(reading[2])
+        self._mail.newest("joints", self._server.post_value, self._desk.machine.set_position, *position)
 
     def _confidence_seen(self, message: Float32) -> None:
         self._mail.newest("confidence", self._server.post_value, self._desk.machine.set_confidence, float(message.data))

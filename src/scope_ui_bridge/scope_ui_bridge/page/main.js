@@ -210,7 +210,7 @@ function render() {
   find("stage").classList.toggle("moving", state.moving);
   put(find("you"), t("you", { name: me.name, count: state.viewers }));
   ["x", "y", "stylus"].forEach((axis, index) => {
-    const value = state.position_mm?.[index];
+    const value = link.silent ? NaN : state.position_mm?.[index];
     put(find(`position-${axis}`), Number.isFinite(value) ? t("mm", { value: value.toFixed(1) }) : "–");
   });
   renderLease();
