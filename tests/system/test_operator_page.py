@@ -293,8 +293,8 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     instrument.tell("confidence 0.2")
     operator.sees("#refusal", "recognised with 0.2; at least 0.5")
     assert not page.is_enabled("[data-act=press]")
-    instrument.tell("confidence 0.97")
     instrument.tell("shift 0.01")
+    instrument.tell("confidence 0.97")
     moved = re.compile("The panel has moved by 10 mm since the selection")
     for _ in range(5):
         operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "ready again")
