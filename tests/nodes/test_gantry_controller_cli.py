@@ -141,6 +141,7 @@ def test_ctrl_c_stops_the_machine(ros: Any, bench: GantryBench) -> None:
     code, output = program.end()
     assert code == 1, output
     assert "interrupted: stopping" in output and "aborted: the driver is 'stopped: stop requested'" in output, output
+    assert "accepted" not in output.partition("interrupted")[2], "told again, it reads as if the stop had been too late"
 
 
 @pytest.mark.parametrize(

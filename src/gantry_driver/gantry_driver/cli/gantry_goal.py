@@ -156,12 +156,14 @@ def carry_out(session: OperatorSession, request: Request) -> int:
         return _stop(session, goal_id)
 
 
-def _follow(session: OperatorSession, goal_id: str, until: float) -> int:
-    shown = 0
+def _answers(session: OperatorSession, goal_id: str) -> list[GoalResult]:
+    return [result for result in session.results if result.goal_id == goal_id]
 
+
+def _follow(session: OperatorSession, goal_id: str, until: float, shown: int = 0) -> int:
     def final() -> GoalResult | None:
         nonlocal shown
-        mine = [r for r in session.results if r.goal_id == goal_id]
+        mine = _answers(session, goal_id)
         for result in mine[shown:]:
             say(describe(result))
         shown = len(mine)
@@ -178,10 +180,11 @@ def _stop(session: OperatorSession, goal_id: str) -> int:
         say("interrupted before the goal was sent")
         return FAILED
     say("interrupted: stopping")
+    shown = len(_answers(session, goal_id))
     session.stop()
     session.interrupted = False
     try:
-        _follow(session, goal_id, time.monotonic() + STOP_ANSWER_S)
+        _follow(session, goal_id, time.monotonic() + STOP_ANSWER_S, shown)
     except (TimedOut, Interrupted):
         say("stop was requested; no answer from the controller")
     return FAILED
