@@ -4,7 +4,7 @@ Run as a program. It draws the panel from its layout, answers gestures as the co
 with a measured error after a motion of 1.5 s), and obeys stop, reset, home and enable. Lines on standard input
 change the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``heartbeat_timeout 9`` and
 ``motion 6`` (s), ``stall`` and ``resume`` (pictures), ``deaf 1`` (no stop is heard),
-``driver homing`` (what the driver says).
+``mute 1`` (nothing is said of the panel), ``driver homing`` (what the driver says).
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class SyntheticScope(Node):
         self.heartbeat_ns = 0
         self.heartbeat_timeout = 0.6
         self.motion = 1.5
-        self.deaf = 0.0
+        self.deaf = self.mute = 0.0
         self.controller, self.driver = "ready", "idle"
         self.knobs = {c.name: c.marks[0][1] if c.marks else 10.0 for c in self.layout.controls if c.kind == "knob"}
         self.changed_ns = 0
@@ -175,7 +175,8 @@ class SyntheticScope(Node):
         self.phase += 0.2
         stamp = self.now()
         pose = panel_pose(self.shift)
-        self.confidences.publish(Float32(data=self.confidence))
+        if not self.mute:
+            self.confidences.publish(Float32(data=self.confidence))
         self.poses.publish(pose_message(pose, header(stamp, CAMERA_LEFT)))
         base = Transform(pose.rotation, pose.apply(np.array([0.0, 0.0, TIP_ABOVE_M])))
         self.bases.publish(transform_message(base, header(stamp, CAMERA_LEFT), BASE))

@@ -290,6 +290,11 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     assert len(spoken) <= 2, f"a screen reader would speak of each: {spoken}"
     instrument.tell("resume")
     operator.until(lambda: page.is_hidden("#stale"), 5.0, lambda: "the picture is live again")
+    operator.sees("#chip-recognition", "97 %")
+    instrument.tell("mute 1")
+    operator.sees("#chip-recognition", "unknown")
+    operator.sees("#refusal", r"The recognition has been silent for \d\.?\d* s")
+    instrument.tell("mute 0")
     instrument.tell("confidence 0.2")
     operator.sees("#refusal", "recognised with 0.2; at least 0.5")
     assert not page.is_enabled("[data-act=press]")

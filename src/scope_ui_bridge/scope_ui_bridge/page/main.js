@@ -197,7 +197,7 @@ function render() {
   }
   const seen = state.confidence > 0;
   const unsure = ["panel_not_seen", "low_confidence", "recognition_silent"].includes(state.refusal?.code);
-  if (link.silent) {
+  if (link.silent || state.refusal?.code === "recognition_silent") {
     chip("chip-recognition", "none", t("unknown"));
   } else {
     chip(
