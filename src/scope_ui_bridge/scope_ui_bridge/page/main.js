@@ -38,6 +38,7 @@ let wasMine = false;
 let turnedAway = "";
 let last = null; // the entry of the last command that was no stop
 let declinedBy = ""; // who has control and keeps it, though this page has asked
+let overtakenBy = ""; // whose request stands in the place of this page's
 desk.changed = render;
 
 // --- what comes from the bridge ------------------------------------------------------------------------------------
@@ -125,6 +126,8 @@ function setState(next) {
   const { holder, requester } = next.lease;
   if (before === desk.me.id && requester === "" && holder !== desk.me.id) declinedBy = holder;
   if (requester === desk.me.id || holder !== declinedBy) declinedBy = "";
+  if (before === desk.me.id && requester !== before && holder !== before) overtakenBy = requester;
+  if (requester !== overtakenBy) overtakenBy = "";
   wasMine = mine;
   render();
 }
@@ -235,6 +238,7 @@ function renderLease() {
   const may = me.role !== "viewer" && !desk.replay;
   let text = mine ? t("lease_mine") : holder ? t("lease_other", { name }) : t("lease_free");
   if (declinedBy) text = t("lease_declined", { name });
+  if (overtakenBy) text = t("lease_overtaken", { name: asking });
   if (asked) text = t("lease_asked", { name: asking });
   if (requester === me.id && me.id) text = t("lease_waiting", { name });
   put(find("lease-text"), text);

@@ -40,6 +40,7 @@ export const DE = {
   lease_other: "{name} bedient. Sie sehen zu.",
   lease_declined: "{name} behält die Bedienung.",
   lease_asked: "{name} bittet um die Bedienung.",
+  lease_overtaken: "{name} hat nach Ihnen um die Bedienung gebeten; Ihre Bitte gilt nicht mehr.",
   lease_waiting: "Sie haben {name} um die Bedienung gebeten.",
   other_page: "{name} (andere Seite)",
   lease_take: "Bedienung übernehmen",

@@ -39,6 +39,7 @@ export const EN = {
   lease_mine: "You are in control.",
   lease_other: "{name} is in control. You are viewing.",
   lease_declined: "{name} keeps control.",
+  lease_overtaken: "{name} has asked for control after you; your request is void.",
   lease_asked: "{name} asks for control.",
   lease_waiting: "You have asked {name} for control.",
   other_page: "{name} (another page)",
