@@ -14,6 +14,7 @@ export function stop() {
   // The bridge knows by the press that it is one stop.
   const press = Math.random().toString(36).slice(2);
   let through = false;
+  desk.stopping = true;
   const arrived = ({ ok }) => {
     if (!ok) return;
     through = true;

@@ -20,6 +20,7 @@ class Desk {
   replay = false;
   frozen = false; // the picture before is held over the live one
   teaching = false; // the picture that a panel is pointed at in lies over the live one
+  stopping = false; // STOP was pressed here, and the machine has not been seen at rest since
   unstopped = false; // STOP was pressed here and has not got through, to the bridge or to the machine
   changed = () => {};
 
@@ -29,7 +30,8 @@ class Desk {
 
   /** Whether a STOP that the bridge has heard is not seen to be heard by the machine: its driver or its line may hang. */
   get unheard() {
-    return !this.link.silent && !this.replay && ["moving", "homing", "disconnected", ""].includes(this.state?.driver.state);
+    const mayMove = ["moving", "homing", "disconnected", ""].includes(this.state?.driver.state);
+    return this.stopping && mayMove && !this.link.silent && !this.replay;
   }
 
   /** Why the last thing that was asked for was refused; empty when it was not. */

@@ -24,6 +24,7 @@ import { COMPUTED } from "./video.js";
 
 const KEEP_ALIVE_MS = 200;
 const READ_MS = 1000;
+const AT_REST = ["stopped", "alarm", "unhomed"]; // after STOP; the last one when the driver was started anew
 
 startLanguage();
 const { link, video } = desk;
@@ -120,6 +121,7 @@ function showChoices() {
 function setState(next) {
   const before = desk.state?.lease.requester;
   desk.state = next;
+  if (AT_REST.includes(next.driver.state)) desk.stopping = false;
   const mine = next.lease.holder === desk.me.id;
   if (mine) restarted = lostControl = false;
   if (wasMine && !mine) lostControl = true;
@@ -299,7 +301,7 @@ function renderAge() {
   const rtt = link.rttMs === null ? "–" : Math.round(link.rttMs);
   chip("chip-link", silent ? "bad" : "good", silent ? t("link_lost") : t("link_ok", { rtt }));
   const { state: driver, reason } = state?.driver ?? {};
-  if (["stopped", "alarm", "unhomed"].includes(driver) && !silent) desk.unstopped = false; // or the driver was started anew
+  if (AT_REST.includes(driver) && !silent) desk.unstopped = false;
   banner(find("banner"), [
     { when: desk.unstopped, look: "bad", text: t("banner_stop_failed") },
     { when: turnedAway, look: "bad", text: turnedAway },
