@@ -8,7 +8,7 @@ const NS = "http://www.w3.org/2000/svg";
 const SPAN_MS = 60_000;
 const [WIDTH, HEIGHT] = [340, 84];
 const series = { x: [], y: [], stylus: [], picture: [], link: [] };
-const errors = []; // {mm}
+const errors = []; // mm
 
 export function sample(now) {
   const [x, y, stylus] = desk.state?.position_mm ?? [];

@@ -68,7 +68,6 @@ export const DE = {
   turn_degrees: "Wie weit drehen",
   clear: "Aufheben",
 
-  machine_title: "Maschine",
   call_enable: "Freigeben",
   call_disable: "Sperren",
   call_home: "Referenzfahrt",
@@ -133,7 +132,6 @@ export const DE = {
   stale: "VERALTET · {age} s alt",
   link_ok: "{rtt} ms",
   link_lost: "WEG",
-  link_connecting: "Verbindet",
 
   banner_connecting: "Verbindet …",
   banner_ready: "Bereit. Ein Element im Bild wählen, dann bestätigen.",

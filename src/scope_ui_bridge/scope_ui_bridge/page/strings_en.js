@@ -68,7 +68,6 @@ export const EN = {
   turn_degrees: "How far to turn",
   clear: "Clear",
 
-  machine_title: "Machine",
   call_enable: "Enable",
   call_disable: "Disable",
   call_home: "Home",
@@ -133,7 +132,6 @@ export const EN = {
   stale: "STALE · {age} s old",
   link_ok: "{rtt} ms",
   link_lost: "LOST",
-  link_connecting: "Connecting",
 
   banner_connecting: "Connecting …",
   banner_ready: "Ready. Select a control in the picture, then confirm.",
