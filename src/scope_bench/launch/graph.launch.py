@@ -25,7 +25,7 @@ def start(context: LaunchContext) -> list:
     state = state_folder(given, values["namespace"])
     run = Path(values["run"] or mkdtemp(prefix="icu_gantry_")).expanduser()
     run.mkdir(parents=True, exist_ok=True)
-    programs, _ = load_graph(
+    programs = load_graph(
         Path(values["config"]).expanduser(),
         values["profile"],
         run=run,

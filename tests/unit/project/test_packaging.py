@@ -139,7 +139,7 @@ def launch_modules(share: Path) -> dict[str, types.ModuleType]:
 @pytest.mark.parametrize("profile", ["bench", "test", "hardware", "replay"])
 def test_who_starts_the_graph_depends_on_the_packages_of_its_programs(profile: str, tmp_path: Path) -> None:
     """Else ``colcon build --packages-up-to scope_bench``, or its package alone, gives a graph that cannot start."""
-    programs, _ = load_graph(ROOT / "config", profile, run=tmp_path / "run", state=tmp_path)
+    programs = load_graph(ROOT / "config", profile, run=tmp_path / "run", state=tmp_path)
     named = {d.name for d in parse_package(str(ROOT / "src/scope_bench")).exec_depends}
     assert {program.package for program in programs} - {"scope_bench"} <= named
 
@@ -163,7 +163,7 @@ def test_ros2_launch_starts_the_graph_that_bring_up_starts(
     context |= {"scope": "", "package": "", "run": str(tmp_path / "run")}
     assert declared == set(context)
     started = launch["start"](context)
-    programs, _ = load_graph(ROOT / "config", profile, run=tmp_path / "run", state=tmp_path, robot_namespace=namespace)
+    programs = load_graph(ROOT / "config", profile, run=tmp_path / "run", state=tmp_path, robot_namespace=namespace)
     for action, program in zip(started, programs, strict=True):
         given = action.keywords
         if not program.is_node:

@@ -44,7 +44,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def load(config: Path, profile: str, namespace: str = "") -> dict:
-    programs, _ = load_graph(config, profile, run=Path("/r"), state=Path("/s"), robot_namespace=namespace)
+    programs = load_graph(config, profile, run=Path("/r"), state=Path("/s"), robot_namespace=namespace)
     return {p.name: p for p in programs}
 
 

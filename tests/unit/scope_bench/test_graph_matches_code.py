@@ -21,7 +21,7 @@ PROFILES = ("bench", "test", "carriage", "hardware", "replay")
 
 
 def programs(profile: str) -> list[Program]:
-    return load_graph(ROOT / "config", profile, run=Path("/run"), state=Path("/state"))[0]
+    return load_graph(ROOT / "config", profile, run=Path("/run"), state=Path("/state"))
 
 
 def entry_points(package: str) -> dict[str, str]:

@@ -121,7 +121,7 @@ class BringUp:
         with tempfile.TemporaryDirectory(prefix="icu_gantry_") as temporary:
             run = (self.options.run_dir or Path(temporary)).resolve()
             run.mkdir(parents=True, exist_ok=True)
-            programs, _ = load_graph(
+            programs = load_graph(
                 config,
                 self.options.profile,
                 run=run,

@@ -95,8 +95,8 @@ def check_namespace(namespace: str) -> None:
 
 def load_graph(
     config: Path, profile: str, *, run: Path, state: Path, robot_namespace: str = "", scope: str = ""
-) -> tuple[list[Program], list[str]]:
-    """Read ``graph.yaml`` in the folder ``config`` for one profile.
+) -> list[Program]:
+    """Return the programs of ``graph.yaml`` in the folder ``config`` for one profile, in the file's order.
 
     Parameters
     ----------
@@ -108,11 +108,6 @@ def load_graph(
         Put before every name, for several robots in one ROS domain.
     scope
         Model of the designated instrument; empty for the file's default.
-
-    Returns
-    -------
-    programs, profiles
-        The programs in the file's order, and the names of all profiles.
 
     Raises
     ------
@@ -164,7 +159,7 @@ def load_graph(
             )
         )
     _refuse_unread_values(programs)
-    return programs, profiles
+    return programs
 
 
 def _read(path: Path, parse: Callable[..., Any]) -> Any:
