@@ -34,7 +34,6 @@ from icu_common.nodes.conversions import (
     check_frame,
     check_not_ahead,
     controls_of_message,
-    diagnostic_status,
     header,
     joint_positions,
     panel_state_of_message,
@@ -48,6 +47,7 @@ from icu_common.nodes.conversions import (
     transform_of_message,
     transform_of_pose,
 )
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
@@ -69,7 +69,7 @@ class ControllerNode(Node):
         self._state = self.create_publisher(String, "state", qos.LATCHED)
         self._target = self.create_publisher(PointStamped, "target", qos.LATCHED)
         self._stop = self.create_publisher(Empty, "stop_request", qos.RESULTS)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._diagnostics = Diagnostics(self, "gantry controller")
         self._hear(PointStamped, "goal", qos.COMMAND, _point_goal)
         self._hear(String, "command", qos.COMMAND, lambda m: msg.Command(text=m.data))
         self._hear(String, "driver_state", qos.LATCHED, lambda m: msg.DriverState(text=m.data))
@@ -174,8 +174,7 @@ class ControllerNode(Node):
         faulty = controller.state.startswith(("stopped", "alarm"))
         level = "error" if faulty else "warn" if controller.state.startswith("waiting") else "ok"
         values = [("phase", controller.phase.value), ("goal", controller.goal), *counts]
-        status = diagnostic_status("gantry controller", level, controller.state, values)
-        self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
+        self._diagnostics.tell(level, controller.state, values)
 
 
 def _point_goal(message: PointStamped) -> msg.Event:

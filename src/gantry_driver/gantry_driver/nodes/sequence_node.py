@@ -20,12 +20,11 @@ from icu_common.core.sequence import SequenceError, parse_file
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     check_not_ahead,
-    diagnostic_status,
-    header,
     panel_state_of_message,
     result_message,
     result_of_message,
 )
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
@@ -47,7 +46,7 @@ class SequenceNode(Node):
         self.create_subscription(String, "sequence", self._on_sequence, qos.COMMAND)
         self._results = self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
         self.create_subscription(DiagnosticArray, "panel/state", self._on_panel, qos.SENSOR)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._diagnostics = Diagnostics(self)
         self.create_subscription(String, "state", self._on_controller, qos.LATCHED)
         self.create_timer(TICK_S, self._on_tick)
         self.create_timer(1.0, self._report)
@@ -123,8 +122,7 @@ class SequenceNode(Node):
         level, text = (
             ("warn", f"waiting: {hindrance}") if hindrance else ("ok", self._run.state if self._run else "idle")
         )
-        status = diagnostic_status(self.get_fully_qualified_name(), level, text, [("sequences", self._count)])
-        self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
+        self._diagnostics.tell(level, text, [("sequences", self._count)])
 
     def _act(self, actions: list[Action]) -> None:
         for action in actions:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
@@ -23,7 +22,8 @@ from harris_perception.core.board_detection import BoardDetector
 from harris_perception.core.gray import eight_bits, gray_of
 from harris_perception.core.view_collection import ViewCollection
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import diagnostic_status, header, image_array, stamp_ns
+from icu_common.nodes.conversions import image_array, stamp_ns
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.runtime import prepare_transport
 
 _MAX_APART_NS = 2_000_000
@@ -65,7 +65,7 @@ class CalibrationCaptureNode(Node):
         self._newest: list[tuple[int, npt.NDArray[np.uint8]] | None] = [None] * len(topics)
         self._apart_ns: deque[int] = deque(maxlen=30)
         self._coverage = self.create_publisher(String, "calibration/camera_coverage", qos.LATCHED)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._diagnostics = Diagnostics(self)
         self.create_timer(1.0, self._report)
         for side, topic in enumerate(topics):
             self.create_subscription(Image, topic, lambda m, side=side: self._on_image(side, m), qos.NEWEST)
@@ -113,9 +113,7 @@ class CalibrationCaptureNode(Node):
         for reach in self.collection.reaches:
             values.append((reach.name, f"{reach.low:.2f} to {reach.high:.2f}"))
             values.append((f"{reach.name}_missing", reach.missing))
-        status = diagnostic_status(self.get_fully_qualified_name(), level, self._said, values)
-        head = header(self.get_clock().now().nanoseconds, "")
-        self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))
+        self._diagnostics.tell(level, self._said, values)
 
 
 def capture(

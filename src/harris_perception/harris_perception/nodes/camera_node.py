@@ -10,7 +10,6 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -26,7 +25,8 @@ from icu_common.core import frames as frame_names
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import ConfigError
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import camera_info_message, diagnostic_status, header, image_message
+from icu_common.nodes.conversions import camera_info_message, header, image_message
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
@@ -96,7 +96,7 @@ class CameraNode(Node):
             on_failure=lambda text: self.get_logger().error(text, throttle_duration_sec=5.0),
             **_waits(config),
         )
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._diagnostics = Diagnostics(self, "camera")
         self._period_s = 1.0
         self.create_timer(self._period_s, self._report)
         self._capture.start()
@@ -123,10 +123,7 @@ class CameraNode(Node):
             ("age_when_published_ms", f"{max(self._ages_ms, default=0.0):.1f}"),
             ("failures", status.failures),
         ]
-        head = header(self._now_ns(), "")
-        self._diagnostics.publish(
-            DiagnosticArray(header=head, status=[diagnostic_status("camera", level, text, values)])
-        )
+        self._diagnostics.tell(level, text, values)
 
     def close(self) -> None:
         """Stop the capture, so that nothing is published by a node that is being taken down."""

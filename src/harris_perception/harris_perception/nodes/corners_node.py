@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
@@ -28,11 +27,10 @@ from icu_common.core.config import ConfigError, nested, setting
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     cloud_message,
-    diagnostic_status,
-    header,
     image_array,
     image_message,
 )
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -88,7 +86,7 @@ class CornersNode(Node):
         self._picture = self.create_publisher(Image, "corners_image", qos.IMAGES)
         self._labels = self.create_publisher(Image, "edges", qos.IMAGES)
         self._lines = self.create_publisher(PointCloud2, "edge_lines", qos.RESULTS)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._diagnostics = Diagnostics(self)
         self.create_timer(1.0, self._report)
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
 
@@ -163,9 +161,7 @@ class CornersNode(Node):
             ("ms_per_frame", f"{per_frame_ms:.2f}"),
             ("corners", self._found),
         ]
-        status = diagnostic_status(self.get_fully_qualified_name(), "ok" if new else "warn", text, values)
-        head = header(self.get_clock().now().nanoseconds, "")
-        self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))
+        self._diagnostics.tell("ok" if new else "warn", text, values)
 
 
 def _corner_detector(config: CornersNodeConfig) -> HarrisDetector | HarrisLaplaceDetector | RepeatableDetector:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image, PointCloud2
@@ -21,13 +20,13 @@ from icu_common.core import frames
 from icu_common.core.config import Config, nested, setting
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
-    diagnostic_status,
     disparity_message,
     header,
     image_array,
     organised_cloud_message,
     stamp_ns,
 )
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
@@ -67,7 +66,7 @@ class DenseStereoNode(Node):
         self._configure()
         self._disparity = self.create_publisher(DisparityImage, "disparity", qos.IMAGES)
         self._points = self.create_publisher(PointCloud2, "dense_points", qos.IMAGES)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._diagnostics = Diagnostics(self, "dense_stereo")
         self.create_timer(_LOOK_S, self._follow_readers)
         self.create_timer(1.0, self._report)
 
@@ -143,10 +142,7 @@ class DenseStereoNode(Node):
         state = "matching" if self._listening else "idle: nobody subscribes"
         values = [("pairs", self._matched), ("unpaired", self._pairs.unpaired), *self._values]
         level, text = ("warn", complaint) if complaint and self._listening else ("ok", state)
-        head = header(self.get_clock().now().nanoseconds, "")
-        self._diagnostics.publish(
-            DiagnosticArray(header=head, status=[diagnostic_status("dense_stereo", level, text, values)])
-        )
+        self._diagnostics.tell(level, text, values)
 
 
 def main() -> int:

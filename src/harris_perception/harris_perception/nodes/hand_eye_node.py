@@ -38,7 +38,6 @@ from icu_common.nodes.conversions import (
     check_not_ahead,
     cloud_array,
     controls_of_message,
-    diagnostic_status,
     header,
     joint_positions,
     point_array,
@@ -49,6 +48,7 @@ from icu_common.nodes.conversions import (
     transform_message,
     transform_of_pose,
 )
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
@@ -67,7 +67,7 @@ class HandEyeNode(Node):
         self._transform = self.create_publisher(TransformStamped, "camera_from_base", qos.LATCHED)
         self._axes = self.create_publisher(Float64MultiArray, "axes", qos.LATCHED)
         self._state = self.create_publisher(String, "state", qos.LATCHED)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._diagnostics = Diagnostics(self)
         self._act([SetState(self.calibrator.state)])
         self._load()
         self.create_subscription(PointStamped, "tip", self._on_tip, qos.SENSOR)
@@ -253,8 +253,7 @@ class HandEyeNode(Node):
     def _report(self) -> None:
         kept = self.calibrator
         self._act(kept.look_around(self._now_ns()))
-        status = diagnostic_status(self.get_fully_qualified_name(), kept.level, kept.state, kept.values())
-        self._diagnostics.publish(DiagnosticArray(header=header(self._now_ns(), ""), status=[status]))
+        self._diagnostics.tell(kept.level, kept.state, kept.values())
 
 
 def _axes_message(base_from_reading: Array | None) -> Float64MultiArray:

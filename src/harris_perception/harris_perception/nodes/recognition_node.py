@@ -39,7 +39,6 @@ from icu_common.nodes.conversions import (
     cloud_message,
     controls_message,
     covariance_array,
-    diagnostic_status,
     header,
     image_array,
     panel_state_message,
@@ -49,6 +48,7 @@ from icu_common.nodes.conversions import (
     stamp_ns,
     transform_of_pose,
 )
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -126,7 +126,7 @@ class RecognitionNode(Node):
         self._state = self.create_publisher(DiagnosticArray, "state", qos.RESULTS)
         self._points = self.create_publisher(PointCloud2, "points", qos.RESULTS)
         self._confidence_out = self.create_publisher(Float32, "confidence", qos.RESULTS)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._diagnostics = Diagnostics(self)
         self._controls.publish(controls_message(self._layout, header(self.get_clock().now().nanoseconds, PANEL)))
         self.create_subscription(CameraInfo, "camera_info", self._on_camera, qos.SENSOR)
         self.create_subscription(PointCloud2, "corners", self._on_corners, qos.SENSOR)
@@ -322,9 +322,7 @@ class RecognitionNode(Node):
         level = "ok" if self._confidence > 0 and not unaided else "warn"
         if self._alarm:
             level, text = "error", self._alarm
-        status = diagnostic_status(self.get_fully_qualified_name(), level, text, values)
-        head = header(self.get_clock().now().nanoseconds, "")
-        self._diagnostics.publish(DiagnosticArray(header=head, status=[status]))
+        self._diagnostics.tell(level, text, values)
 
 
 def _designated(config: RecognitionNodeConfig) -> tuple[PanelLayout, npt.NDArray[Any] | None]:

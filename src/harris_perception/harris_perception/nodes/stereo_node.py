@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
@@ -32,13 +31,13 @@ from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     cloud_array,
     cloud_message,
-    diagnostic_status,
     estimate_message,
     header,
     image_array,
     pose_message,
     stamp_ns,
 )
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
@@ -98,7 +97,7 @@ class StereoNode(Node):
         self._points = self.create_publisher(PointCloud2, "points2", qos.RESULTS)
         self._plane = self.create_publisher(PoseStamped, "panel_plane", qos.RESULTS)
         self._estimate = self.create_publisher(PoseWithCovarianceStamped, "panel_plane_estimate", qos.RESULTS)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._diagnostics = Diagnostics(self, "stereo")
         for i, side in enumerate(SIDES):
             self._listen(i, Image, f"{side}/image_raw", qos.IMAGES)
             self._listen(i + 2, PointCloud2, f"{side}/corners", qos.RESULTS)
@@ -162,10 +161,7 @@ class StereoNode(Node):
         complaint = self._calibration.complaint or silent or (self._complaint if wanted else "")
         values = [("pairs", self._matched), ("unpaired", self._sets.unpaired), *self._values]
         level, text = ("warn", complaint) if complaint else ("ok", "matching" if wanted else "idle: nobody subscribes")
-        head = header(self.get_clock().now().nanoseconds, "")
-        self._diagnostics.publish(
-            DiagnosticArray(header=head, status=[diagnostic_status("stereo", level, text, values)])
-        )
+        self._diagnostics.tell(level, text, values)
 
 
 def main() -> int:

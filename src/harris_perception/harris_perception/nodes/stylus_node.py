@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image
@@ -17,7 +16,8 @@ from harris_perception.core.stylus import Search, StylusConfig, StylusTracker
 from harris_perception.nodes.stereo_calibration import StereoCalibration
 from icu_common.core import frames
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import diagnostic_status, header, image_array, point_message, stamp_ns
+from icu_common.nodes.conversions import header, image_array, point_message, stamp_ns
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 
@@ -35,7 +35,7 @@ class StylusNode(Node):
         self._last = Search(tip=None, reason="no pictures yet")
         self._configure(self._live.config)
         self._tip = self.create_publisher(PointStamped, "tip", qos.RESULTS)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+        self._diagnostics = Diagnostics(self, "stylus_tracker")
         for stream, side in enumerate(("left", "right")):
             self.create_subscription(
                 Image, f"{side}/image_raw", lambda message, stream=stream: self._on_image(stream, message), qos.IMAGES
@@ -73,10 +73,7 @@ class StylusNode(Node):
             values.append(("fit_error", f"{max(last.left.error, last.right.error):.3f}"))
             values.append(("arc_deg", f"{min(last.left.arc_deg, last.right.arc_deg):.0f}"))
         level, text = ("warn", f"tip not seen: {reason}") if reason else ("ok", "tip seen")
-        status = diagnostic_status("stylus_tracker", level, text, values)
-        self._diagnostics.publish(
-            DiagnosticArray(header=header(self.get_clock().now().nanoseconds, ""), status=[status])
-        )
+        self._diagnostics.tell(level, text, values)
 
 
 def _color(image: Image) -> npt.NDArray[np.uint8]:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from icu_common.core.config import ConfigError
 from icu_common.core.panel_layout import load_layout
-from icu_common.nodes.conversions import diagnostic_status, header
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
-from icu_common.nodes.qos import RESULTS
 from icu_common.nodes.runtime import run
 from scope_bench.adapters.simulation import Health, Simulation
 from scope_bench.core.configuration import BenchConfig
@@ -28,7 +26,7 @@ class BenchNode(Node):
         self._settings = LiveParameters(self, BenchConfig, self._changed)
         self._simulation = _simulation(self._settings.config)
         self._frames_before = 0
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RESULTS)
+        self._diagnostics = Diagnostics(self)
         self.create_timer(DIAGNOSTICS_S, self._report)
         self._simulation.start()
 
@@ -47,9 +45,7 @@ class BenchNode(Node):
             ("render_ms", round(health.render_ms, 1)),
             ("bad_lines", health.bad_lines),
         ]
-        status = diagnostic_status(self.get_fully_qualified_name(), level, message, values)
-        stamp = self.get_clock().now().nanoseconds
-        self._diagnostics.publish(DiagnosticArray(header=header(stamp, ""), status=[status]))
+        self._diagnostics.tell(level, message, values)
 
     def close(self) -> None:
         """Stop the simulation and remove its sockets."""
