@@ -28,6 +28,18 @@ export function say(text, urgent = false) {
   find(urgent ? "say-now" : "say").textContent = text;
 }
 
+/** Make an element of a drawing. */
+export function svg(tag, attributes) {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  return element;
+}
+
+/** A path's dark line under its bright one: readable on any picture. */
+export function doubled(d, name = "") {
+  return ["under", "over"].map((layer) => svg("path", { d, class: `${layer} ${name}` }));
+}
+
 /** Let the browser save a file. */
 export function save(name, blob) {
   const link = document.createElement("a");

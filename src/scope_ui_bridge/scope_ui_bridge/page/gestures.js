@@ -1,11 +1,10 @@
 // What can be done with the selection: press, double, long, hold; turn, clicks and positions of a knob; draw a line.
 
 import { desk } from "./desk.js";
-import { find } from "./dom.js";
+import { find, svg } from "./dom.js";
 import { seenOf } from "./panel_seen.js";
 import { collect, collecting } from "./sequence.js";
 
-const NS = "http://www.w3.org/2000/svg";
 let dialOf = 0; // the selection whose angle the dial was set to
 
 /** The fields of a confirmation, besides the selection and the picture. */
@@ -76,12 +75,9 @@ function newKnob(seen) {
   find("set-mark").replaceChildren(new Option("–", ""), ...marks.map((name) => new Option(name, name)));
   find("set-mark").closest("label").hidden = marks.length === 0;
   find("set-degrees").value = String(seen?.angle_deg ?? 0);
-  const ticks = Object.values(seen?.marks ?? {}).map((degrees) => {
-    const tick = document.createElementNS(NS, "path");
-    tick.setAttribute("d", "M0 -46V-38");
-    tick.setAttribute("transform", `rotate(${-degrees})`);
-    return tick;
-  });
+  const ticks = Object.values(seen?.marks ?? {}).map((degrees) =>
+    svg("path", { d: "M0 -46V-38", transform: `rotate(${-degrees})` }),
+  );
   find("dial").querySelector(".marks").replaceChildren(...ticks);
 }
 

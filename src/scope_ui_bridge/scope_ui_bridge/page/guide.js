@@ -1,11 +1,10 @@
 // Calibration step by step: what is fulfilled, how far it is, where the tip was looked at, and how good it became.
 
 import { desk } from "./desk.js";
-import { find, put } from "./dom.js";
+import { find, put, svg } from "./dom.js";
 import { said } from "./said.js";
 import { t } from "./strings.js";
 
-const NS = "http://www.w3.org/2000/svg";
 const TRAVEL_MM = [360, 220];
 const GOOD_MM = 0.25;
 let facts = {};
@@ -37,13 +36,7 @@ export function sampleGuide() {
   lastDone = done;
 }
 
-function dot([x, y]) {
-  const circle = document.createElementNS(NS, "circle");
-  circle.setAttribute("cx", x);
-  circle.setAttribute("cy", TRAVEL_MM[1] - y);
-  circle.setAttribute("r", 6);
-  return circle;
-}
+const dot = ([x, y]) => svg("circle", { cx: x, cy: TRAVEL_MM[1] - y, r: 6 });
 
 function step(id, done) {
   const item = find(id);

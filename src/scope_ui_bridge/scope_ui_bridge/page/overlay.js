@@ -1,9 +1,9 @@
 // What lies over the picture: outlines and marks in SVG, and a real button for each control. All in raw pixels of the
 // picture; the centre of the first pixel is (0, 0), hence the half pixel.
 
+import { doubled, svg } from "./dom.js";
 import { t } from "./strings.js";
 
-const NS = "http://www.w3.org/2000/svg";
 const ROOM = 1000; // px of the picture around a control that is alone: more than is ever wanted
 
 export class Overlay extends EventTarget {
@@ -18,18 +18,16 @@ export class Overlay extends EventTarget {
   #seen;
 
   /** `seen` returns what is seen of a control, in words. */
-  constructor(stage, svg, box, seen = () => "") {
+  constructor(stage, drawing, box, seen = () => "") {
     super();
     this.#seen = seen;
     this.#stage = stage;
-    this.#svg = svg;
+    this.#svg = drawing;
     this.#box = box;
     const names = ["edges", "outline", "controls", "corners", "path", "target", "tip", "chosen", "line"];
     for (const name of names) {
-      const group = document.createElementNS(NS, "g");
-      group.setAttribute("class", `layer-${name}`);
-      svg.append(group);
-      this.#layers[name] = group;
+      this.#layers[name] = svg("g", { class: `layer-${name}` });
+      drawing.append(this.#layers[name]);
     }
     box.addEventListener("keydown", (event) => this.#arrows(event));
     stage.addEventListener("click", (event) => this.#clicked(event));
@@ -72,7 +70,7 @@ export class Overlay extends EventTarget {
   line(ends) {
     const { pixel, to_pixel: to } = this.#selection ?? {};
     const [from, end] = ends ?? (to ? [pixel, to] : []);
-    this.#layers.line.replaceChildren(...(from ? doubled("path", { d: arrow(from, end) }) : []));
+    this.#layers.line.replaceChildren(...(from ? doubled(arrow(from, end)) : []));
   }
 
   /** Name the buttons anew, in another language or after something has changed on the panel. */
@@ -92,7 +90,7 @@ export class Overlay extends EventTarget {
     const names = panel.controls.map((control) => control.name);
     if (names.join() !== before) this.#makeButtons(panel.controls);
     this.#placeAll();
-    this.#layers.outline.replaceChildren(...doubled("path", { d: path(panel.outline, true) }));
+    this.#layers.outline.replaceChildren(...doubled(path(panel.outline, true)));
     this.#drawControls();
     if (names.join() !== before) this.dispatchEvent(new CustomEvent("controls"));
   }
@@ -139,7 +137,7 @@ export class Overlay extends EventTarget {
   #drawControls() {
     const shapes = this.#panel.controls.flatMap((control) => {
       const chosen = this.#selection?.control === control.name ? " chosen" : "";
-      return doubled("path", { d: path(control.outline, true) }, `${control.kind}${chosen}`);
+      return doubled(path(control.outline, true), `${control.kind}${chosen}`);
     });
     this.#layers.controls.replaceChildren(...shapes);
   }
@@ -147,17 +145,17 @@ export class Overlay extends EventTarget {
   #dots(corners) {
     let d = "";
     for (let i = 0; i + 1 < corners.length; i += 2) d += `M${corners[i]} ${corners[i + 1]}h0`;
-    this.#layers.corners.replaceChildren(...(d ? doubled("path", { d }) : []));
+    this.#layers.corners.replaceChildren(...(d ? doubled(d) : []));
   }
 
   #edges(lines) {
     const d = lines.map(([u, v, ...rest]) => `M${u} ${v}L${rest.join(" ")}`).join("");
-    this.#layers.edges.replaceChildren(...(d ? doubled("path", { d }) : []));
+    this.#layers.edges.replaceChildren(...(d ? doubled(d) : []));
   }
 
   /** The tip's way: dashed while it is only planned. */
   #line(points, planned) {
-    this.#layers.path.replaceChildren(...(points.length ? doubled("path", { d: path(points, false) }, planned ? "planned" : "") : []));
+    this.#layers.path.replaceChildren(...(points.length ? doubled(path(points, false), planned ? "planned" : "") : []));
   }
 
   #mark(name, pixel) {
@@ -170,7 +168,7 @@ export class Overlay extends EventTarget {
     const d =
       `M${u - r} ${v}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0` +
       `M${u - 1.7 * r} ${v}h${r}M${u + 0.7 * r} ${v}h${r}M${u} ${v - 1.7 * r}v${r}M${u} ${v + 0.7 * r}v${r}`;
-    this.#layers[name].replaceChildren(...doubled("path", { d }));
+    this.#layers[name].replaceChildren(...doubled(d));
   }
 
   #clicked(event) {
@@ -246,14 +244,4 @@ function round(value) {
 
 function path(points, closed) {
   return points.length ? `M${points.map(([u, v]) => `${u} ${v}`).join("L")}${closed ? "Z" : ""}` : "";
-}
-
-/** A dark line under a bright one: readable on any picture. */
-function doubled(tag, attributes, name = "") {
-  return ["under", "over"].map((layer) => {
-    const element = document.createElementNS(NS, tag);
-    for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-    element.setAttribute("class", `${layer} ${name}`);
-    return element;
-  });
 }

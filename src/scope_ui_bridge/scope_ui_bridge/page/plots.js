@@ -1,10 +1,9 @@
 // Plots of the last minute: position, picture's age and link, and the measured error of the last touches.
 
 import { desk } from "./desk.js";
-import { find, put } from "./dom.js";
+import { find, put, svg } from "./dom.js";
 import { t } from "./strings.js";
 
-const NS = "http://www.w3.org/2000/svg";
 const SPAN_MS = 60_000;
 const [WIDTH, HEIGHT] = [340, 84];
 const series = { x: [], y: [], stylus: [], picture: [], link: [] };
@@ -30,16 +29,13 @@ function draw(id, lines, unit, digits) {
   const all = lines.flatMap(({ points }) => points.map((point) => point[1]));
   const high = Math.max(...all, 0);
   const low = Math.min(...all, 0);
-  const svg = figure.querySelector("svg");
+  const drawing = figure.querySelector("svg");
   const place = ([px, value]) => `${px.toFixed(1)} ${(HEIGHT - 4 - ((value - low) / (high - low || 1)) * (HEIGHT - 8)).toFixed(1)}`;
-  const paths = lines.map(({ name, points }) => {
-    const path = document.createElementNS(NS, "path");
-    path.setAttribute("class", `line-${name}`);
-    path.setAttribute("d", points.length ? `M${points.map(place).join("L")}` : "");
-    return path;
-  });
-  svg.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
-  svg.replaceChildren(...paths);
+  const paths = lines.map(({ name, points }) =>
+    svg("path", { class: `line-${name}`, d: points.length ? `M${points.map(place).join("L")}` : "" }),
+  );
+  drawing.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
+  drawing.replaceChildren(...paths);
   const last = ({ label, points }) => `${label} ${points.length ? points.at(-1)[1].toFixed(digits) : "–"}`;
   put(figure.querySelector(".values"), `${lines.map(last).join(" · ")} ${unit}`);
   put(figure.querySelector(".range"), all.length ? `${low.toFixed(digits)} … ${high.toFixed(digits)} ${unit}` : t("plot_empty"));

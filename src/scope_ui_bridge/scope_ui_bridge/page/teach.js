@@ -1,12 +1,11 @@
 // Teaching a new panel, for engineers: a held picture, its four corners and its controls pointed at, a layout written.
 
 import { desk } from "./desk.js";
-import { find, put, say } from "./dom.js";
+import { doubled, find, put, say } from "./dom.js";
 import { said } from "./said.js";
 import { t } from "./strings.js";
 import { wasDragged } from "./tools.js";
 
-const NS = "http://www.w3.org/2000/svg";
 const CORNERS = ["lower_left", "lower_right", "upper_right", "upper_left"];
 let held = null; // {stamp, width, height}
 let corners = CORNERS.map(() => null); // [u, v], or null until it is pointed at
@@ -16,6 +15,8 @@ let answer = ""; // what became of the last one, in words
 let command = "";
 
 const place = (index) => (index < 4 ? corners[index] : controls[index - 4]?.at ?? null);
+const all = () => [...Array(4 + controls.length).keys()];
+const firstOpen = () => all().find((index) => place(index) === null);
 
 function setPlace(index, at) {
   if (index < 4) corners[index] = at;
@@ -75,7 +76,7 @@ function pointed(event) {
     Math.round(10 * (((event.clientY - area.top) / area.height) * held.height - 0.5)) / 10,
   ];
   setPlace(active, at);
-  const open = [...Array(4 + controls.length).keys()].find((index) => place(index) === null);
+  const open = firstOpen();
   active = open ?? active;
   renderPlaces();
 }
@@ -84,23 +85,12 @@ function mark(index) {
   const at = place(index);
   if (!at) return [];
   const [u, v] = at;
-  const d = `M${u - 12} ${v}h8M${u + 4} ${v}h8M${u} ${v - 12}v8M${u} ${v + 4}v8`;
-  return ["under", "over"].map((layer) => {
-    const path = document.createElementNS(NS, "path");
-    path.setAttribute("d", d);
-    path.setAttribute("class", `${layer}${index === active ? " active" : ""}`);
-    return path;
-  });
+  return doubled(`M${u - 12} ${v}h8M${u + 4} ${v}h8M${u} ${v - 12}v8M${u} ${v + 4}v8`, index === active ? "active" : "");
 }
 
 function outline() {
   if (corners.some((corner) => corner === null)) return [];
-  return ["under", "over"].map((layer) => {
-    const path = document.createElementNS(NS, "path");
-    path.setAttribute("d", `M${corners.map((corner) => corner.join(" ")).join("L")}Z`);
-    path.setAttribute("class", layer);
-    return path;
-  });
+  return doubled(`M${corners.map((corner) => corner.join(" ")).join("L")}Z`);
 }
 
 function row(index) {
@@ -143,8 +133,7 @@ function row(index) {
 }
 
 function drawMarks() {
-  const all = [...Array(4 + controls.length).keys()];
-  find("held-marks").replaceChildren(...outline(), ...all.flatMap(mark));
+  find("held-marks").replaceChildren(...outline(), ...all().flatMap(mark));
 }
 
 function renderPlaces() {
@@ -169,7 +158,7 @@ async function write(event) {
   event.preventDefault();
   answer = command = "";
   desk.changed();
-  const open = [...Array(4 + controls.length).keys()].find((index) => place(index) === null);
+  const open = firstOpen();
   if (open !== undefined) {
     active = open;
     renderPlaces();
