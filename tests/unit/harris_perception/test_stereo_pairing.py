@@ -40,6 +40,14 @@ def test_an_exact_partner_is_preferred_to_a_near_one() -> None:
     assert pairing.add(1, 100, "b") == ("exact", "b")
 
 
+def test_moments_are_thinned_by_their_stamps_also_of_a_recording_that_starts_anew() -> None:
+    pairing, due = Pairing(1), []
+    for stamp_ms in (1000, 1067, 1133, 1199, 1200, 1398, 100, 200, 301):
+        pairing.add(0, stamp_ms * 1_000_000, "")
+        due += [stamp_ms] if pairing.due(5.0) else []
+    assert due == [1000, 1199, 1398, 100, 301]
+
+
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 40)), max_size=80))
 def test_every_item_is_returned_once_given_up_or_waiting(arrivals: list[tuple[int, int]]) -> None:
     pairing = Pairing(3, tolerance_ns=1, depth=4)

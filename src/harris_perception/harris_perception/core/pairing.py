@@ -30,7 +30,7 @@ class Pairing:
         self._waiting: list[OrderedDict[int, Any]] = [OrderedDict() for _ in range(streams)]
         self.tolerance_ns, self._depth = tolerance_ns, depth
         self.unpaired = 0
-        self.newest_ns = 0
+        self.newest_ns = self._due_ns = 0
 
     def add(self, stream: int, stamp_ns: int, item: Any) -> tuple[Any, ...] | None:
         """Take one item; return the items of one moment, in the order of the streams, once they are complete.
@@ -53,6 +53,15 @@ class Pairing:
                 del other[old]
                 self.unpaired += old != stamp
         return items
+
+    def due(self, rate_hz: float) -> bool:
+        """Whether the newest moment comes a period after the last one that was due; a millisecond is jitter.
+
+        By their stamps, so that a replayed recording is thinned in the same way, also one that starts anew.
+        """
+        early = self._due_ns <= self.newest_ns < self._due_ns + 1e9 / rate_hz - 1e6
+        self._due_ns = self._due_ns if early else self.newest_ns
+        return not early
 
     def _nearest(self, other: OrderedDict[int, Any], stamp_ns: int) -> int | None:
         near = min(other, key=lambda stamp: abs(stamp - stamp_ns), default=None)

@@ -59,7 +59,7 @@ class DenseStereoNode(Node):
         self._pairs = Pairing(2)
         self._stereo: DenseStereo | None = None
         self._listening: list[Subscription] = []
-        self._last_ns = self._matched = self._reported_ns = 0
+        self._matched = self._reported_ns = 0
         self._values: list[tuple[str, Any]] = []
         self._complaint = ""
         warm()
@@ -98,21 +98,12 @@ class DenseStereoNode(Node):
 
     def _on_image(self, stream: int, message: Image) -> None:
         pair = self._pairs.add(stream, stamp_ns(message.header.stamp), message)
-        if pair is None or self._stereo is None or not self._due(pair[0]):
+        if pair is None or self._stereo is None or not self._wanted() or not self._pairs.due(self._live.config.rate_hz):
             return
         try:
             self._match(self._stereo, *pair)
         except ValueError as error:
             self._complaint = str(error)
-
-    def _due(self, image: Image) -> bool:
-        # By the pictures' own clock, so that a replayed recording is thinned in the same way; a millisecond is jitter.
-        stamp = stamp_ns(image.header.stamp)
-        period_ns = 1e9 / self._live.config.rate_hz - 1e6
-        due = self._wanted() and not self._last_ns <= stamp < self._last_ns + period_ns
-        if due:
-            self._last_ns = stamp
-        return due
 
     def _match(self, stereo: DenseStereo, left: Image, right: Image) -> None:
         start = time.perf_counter()

@@ -91,7 +91,7 @@ class StereoNode(Node):
         self._matcher: Matcher | None = None
         warm()
         self._configure()
-        self._last_ns = self._matched = self._reported_ns = 0
+        self._matched = self._reported_ns = 0
         self._values: list[tuple[str, Any]] = []
         self._complaint = ""
         self._points = self.create_publisher(PointCloud2, "points2", qos.RESULTS)
@@ -113,20 +113,13 @@ class StereoNode(Node):
 
     def _on_message(self, stream: int, message: Any) -> None:
         complete = self._sets.add(stream, stamp_ns(message.header.stamp), message)
-        if complete is not None and self._matcher is not None and self._due(complete[0]):
-            try:
+        if complete is None or self._matcher is None or not self._wanted():
+            return
+        try:
+            if self._sets.due(self._live.config.rate_hz):
                 self._match(self._matcher, complete)
-            except ValueError as error:
-                self._complaint = str(error)
-
-    def _due(self, image: Image) -> bool:
-        # By the pictures' own clock, so that a replayed recording is thinned in the same way; a millisecond is jitter.
-        stamp = stamp_ns(image.header.stamp)
-        period_ns = 1e9 / self._live.config.rate_hz - 1e6
-        due = self._wanted() and not self._last_ns <= stamp < self._last_ns + period_ns
-        if due:
-            self._last_ns = stamp
-        return due
+        except ValueError as error:
+            self._complaint = str(error)
 
     def _wanted(self) -> bool:
         return any(p.get_subscription_count() > 0 for p in (self._points, self._plane, self._estimate))
