@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Float64MultiArray
 
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Transform
@@ -92,6 +93,15 @@ def test_pose_and_transform_round_trip() -> None:
     ):
         np.testing.assert_allclose(back.rotation, transform.rotation, atol=1e-12)
         np.testing.assert_allclose(back.translation, transform.translation)
+
+
+def test_axes_travel_row_by_row_and_none_when_they_are_withdrawn() -> None:
+    axes = np.array([[1.003, -0.002], [0.0, 0.998]])
+    assert np.array_equal(cv.axes_of_message(cv.axes_message(axes)), axes)
+    assert cv.axes_of_message(cv.axes_message(None)) is None
+    for wrong in ([1.0, 0.0, 0.0], [1.0, 0.0, 0.0, math.nan]):
+        with pytest.raises(ValueError, match="4 finite values are needed"):
+            cv.axes_of_message(Float64MultiArray(data=wrong))
 
 
 def test_result_round_trip() -> None:

@@ -67,10 +67,7 @@ UNSAID = {
         *("bring_up --scope {} --set recognition.template={} --set recognition.template_px_per_mm={}",),
     ),
     "the log": (
-        *(
-            "serial_driver: {}; under load a stop may take longer, see README, Hardware",
-            "{}: 4 finite values are needed",
-        ),
+        *("serial_driver: {}; under load a stop may take longer, see README, Hardware",),
         *("encoding {} is none of bgr8, mono8, {}", "OpenCV could not encode the picture"),
         *("encoding {} is none of {}, nor one of these with 16 bits",),
     ),

@@ -12,7 +12,6 @@ import traceback
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from rclpy.duration import Duration
@@ -30,6 +29,7 @@ from icu_common.core.camera_model import CameraModel
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
+    axes_of_message,
     camera_model,
     check_frame,
     check_not_ahead,
@@ -202,11 +202,7 @@ def _camera_from_base(message: TransformStamped) -> msg.Event:
 
 
 def _axes(message: Float64MultiArray) -> msg.Event:
-    if not message.data:
-        return msg.Axes(base_from_reading=None)  # the calibration was withdrawn
-    if len(message.data) != 4:
-        raise ValueError(f"{len(message.data)} values, 4 are needed (2 x 2, row by row)")
-    return msg.Axes(base_from_reading=np.array(message.data).reshape(2, 2))
+    return msg.Axes(base_from_reading=axes_of_message(message))
 
 
 def _tip(message: PointStamped) -> msg.Event:

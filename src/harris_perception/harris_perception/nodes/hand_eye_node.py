@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
@@ -30,9 +30,9 @@ from harris_perception.core.calibrator import (
 )
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, FacePoints
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
-from icu_common.core.geometry import Array
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
+    axes_message,
     camera_model,
     check_frame,
     check_not_ahead,
@@ -208,7 +208,7 @@ class HandEyeNode(Node):
                 case SetState():
                     self._state.publish(String(data=action.text))
                 case SetAxes():
-                    self._axes.publish(_axes_message(action.base_from_reading))
+                    self._axes.publish(axes_message(action.base_from_reading))
                 case SetPose():
                     head = header(action.stamp_ns, CAMERA_LEFT)
                     self._transform.publish(transform_message(action.camera_from_base, head, BASE))
@@ -254,15 +254,6 @@ class HandEyeNode(Node):
         kept = self.calibrator
         self._act(kept.look_around(self._now_ns()))
         self._diagnostics.tell(kept.level, kept.state, kept.values())
-
-
-def _axes_message(base_from_reading: Array | None) -> Float64MultiArray:
-    if base_from_reading is None:
-        return Float64MultiArray()
-    layout = MultiArrayLayout(
-        dim=[MultiArrayDimension(label="base", size=2, stride=4), MultiArrayDimension(label="axis", size=2, stride=2)]
-    )
-    return Float64MultiArray(layout=layout, data=[float(v) for v in base_from_reading.flat])
 
 
 def _answered(call: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:

@@ -23,7 +23,7 @@ from geometry_msgs.msg import (
 )
 from rclpy.clock import ROSClock
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointField, RegionOfInterest
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import ColorRGBA, Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 from stereo_msgs.msg import DisparityImage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
@@ -336,6 +336,21 @@ def transform_of_message(message: TransformStamped) -> Transform:
     """Unpack parent_from_child."""
     q, t = message.transform.rotation, message.transform.translation
     return Transform.from_quaternion((q.x, q.y, q.z, q.w), (t.x, t.y, t.z))
+
+
+def axes_message(base_from_reading: Array | None) -> Float64MultiArray:
+    """Pack a matrix (2, 2), row by row; a message without values says that the calibration was withdrawn."""
+    if base_from_reading is None:
+        return Float64MultiArray()
+    sizes = [MultiArrayDimension(label=label, size=2, stride=stride) for label, stride in (("base", 4), ("axis", 2))]
+    return Float64MultiArray(layout=MultiArrayLayout(dim=sizes), data=base_from_reading.ravel().tolist())
+
+
+def axes_of_message(message: Float64MultiArray) -> Array | None:
+    """Return base_from_reading (2, 2), None when it was withdrawn; raise ValueError for other than 4 finite values."""
+    if len(message.data) not in (0, 4) or not np.isfinite(message.data).all():
+        raise ValueError(f"{list(message.data)}: 4 finite values are needed (2 x 2, row by row)")
+    return np.array(message.data).reshape(2, 2) if message.data else None
 
 
 def joint_message(names: Sequence[str], positions_m: Iterable[float], head: Header) -> JointState:

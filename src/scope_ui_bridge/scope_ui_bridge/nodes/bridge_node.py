@@ -35,6 +35,7 @@ from icu_common.core.panel_layout import Control, LayoutError, PanelLayout, load
 from icu_common.core.sequence import Sequence, parse_file
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
+    axes_of_message,
     camera_model,
     check_frame,
     cloud_array,
@@ -292,10 +293,8 @@ class BridgeNode(Node):
         self._use_calibration()
 
     def _axes_seen(self, message: Float64MultiArray) -> None:
-        self._withdrawn = len(message.data) == 0
-        if not self._withdrawn and (len(message.data) != 4 or not np.isfinite(message.data).all()):
-            raise ValueError(f"{list(message.data)}: 4 finite values are needed")
-        self._axes = np.eye(2) if self._withdrawn else np.array(message.data).reshape(2, 2)
+        axes = axes_of_message(message)
+        self._withdrawn, self._axes = axes is None, np.eye(2) if axes is None else axes
         self._use_calibration()
 
     def _use_calibration(self) -> None:
