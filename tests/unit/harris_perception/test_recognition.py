@@ -19,7 +19,7 @@ from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_search import SearchConfig
 from harris_perception.core.panel_template import draw_panel
 from harris_perception.core.planar_pose import FacePoints, fit_pose, homography_of_pose, map_points, planar_pose
-from harris_perception.core.pose_agreement import AgreementConfig, PoseAgreement, mean_pose
+from harris_perception.core.pose_agreement import AgreementConfig, PoseAgreement
 from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import ConfigError
@@ -427,13 +427,6 @@ def test_wandering_poses_never_agree() -> None:
     rng = np.random.default_rng(6)
     agreement = PoseAgreement(AgreementConfig(frames=3), LAYOUT.size_mm)
     assert all(agreement.add(poses(rng, 1, shift=0.002 * step)[0]) is None for step in range(20))
-
-
-def test_mean_pose_of_small_turns() -> None:
-    a, b = (Transform(np.asarray(cv2.Rodrigues(np.array([0, 0, s * 0.01]))[0]), np.array([s, 0, 1.0])) for s in (-1, 1))
-    middle = mean_pose([a, b])
-    np.testing.assert_allclose(middle.rotation, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(middle.translation, (0, 0, 1))
 
 
 def test_window_below_frames_is_refused() -> None:

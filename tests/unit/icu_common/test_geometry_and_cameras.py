@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.core.geometry import Plane, Transform, nearest_rotation
+from icu_common.core.geometry import Plane, Transform, mean_pose, nearest_rotation
 
 SEED = 20261121
 
@@ -49,6 +49,13 @@ def test_refusals() -> None:
         Transform(np.eye(3), np.array([0, np.nan, 0]))
     with pytest.raises(ValueError, match="no direction"):
         Transform.from_quaternion((0, 0, 0, 0), (0, 0, 0))
+
+
+def test_mean_pose_of_small_turns() -> None:
+    a, b = (Transform(np.asarray(cv2.Rodrigues(np.array([0, 0, s * 0.01]))[0]), np.array([s, 0, 1.0])) for s in (-1, 1))
+    middle = mean_pose([a, b])
+    np.testing.assert_allclose(middle.rotation, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(middle.translation, (0, 0, 1))
 
 
 def test_plane_and_ray() -> None:

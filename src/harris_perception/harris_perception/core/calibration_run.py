@@ -34,7 +34,7 @@ from harris_perception.core.hand_eye import (
 from harris_perception.core.planar_pose import FacePoints
 from icu_common.core.camera_model import StereoModel
 from icu_common.core.config import Config, ConfigError, setting
-from icu_common.core.geometry import Array, Transform, nearest_rotation
+from icu_common.core.geometry import Array, Transform, mean_pose
 from icu_common.core.results import GoalResult, Outcome
 
 
@@ -159,8 +159,7 @@ class StillWatch:
         fresh = [(pose, points) for stamp, pose, points in self._panels if stamp >= oldest_ns]
         if len(fresh) < config.panels:
             return f"the panel was seen {len(fresh)} of {config.panels} times while the machine stood still"
-        rotation = nearest_rotation(np.mean([pose.rotation for pose, _ in fresh], axis=0))
-        pose = Transform(rotation, np.mean([pose.translation for pose, _ in fresh], axis=0))
+        pose = mean_pose([pose for pose, _ in fresh])
         points = FacePoints.joined([points for _, points in fresh])
         return PanelSample(reading=self._reading, camera_from_panel=pose, points=points)
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
 from icu_common.core.config import Config, setting
-from icu_common.core.geometry import Transform, nearest_rotation
+from icu_common.core.geometry import Transform, mean_pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,9 +59,3 @@ class PoseAgreement:
     def _near(self, a: Transform, b: Transform) -> bool:
         apart = np.linalg.norm(a.apply(self._corners) - b.apply(self._corners), axis=1)
         return bool(apart.max() * 1e3 <= self._config.tolerance_mm)
-
-
-def mean_pose(poses: Collection[Transform]) -> Transform:
-    """Return the mean of nearby poses: mean translation, nearest rotation to the mean matrix."""
-    rotation = nearest_rotation(np.mean([p.rotation for p in poses], axis=0))
-    return Transform(rotation, np.mean([p.translation for p in poses], axis=0))

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from harris_perception.core.hand_eye import DegenerateError
 from icu_common.core.config import Config, setting
-from icu_common.core.geometry import Array, Transform, nearest_rotation
+from icu_common.core.geometry import Array, Transform, mean_pose, nearest_rotation
 
 METHODS = ("park", "horaud", "daniilidis")
 _MAX_PAIRS = 2000
@@ -257,7 +257,7 @@ def _solve(a: Sequence[Transform], b: Sequence[Transform], used: npt.NDArray[np.
     starts = {}
     for method in METHODS:
         x = closed_form(method, a, b)
-        z = _mean([p @ x @ q for p, q in zip(a, b)])
+        z = mean_pose([p @ x @ q for p, q in zip(a, b)])
         starts[method] = (float(np.sum(_residuals(a, b, x, z) ** 2)), x, z)
     start = min(starts, key=lambda name: starts[name][0])
     _, x, z = starts[start]
@@ -323,7 +323,7 @@ def _consensus(a: list[Transform], b: list[Transform], config: WristConfig) -> n
         except DegenerateError:
             continue
         x = closed_form("park", some_a, some_b)
-        size = _misfit(a, b, x, _mean([p @ x @ q for p, q in zip(some_a, some_b)]))
+        size = _misfit(a, b, x, mean_pose([p @ x @ q for p, q in zip(some_a, some_b)]))
         middle = np.maximum(np.sort(size, axis=0)[keep - 1], 1e-9)
         if (product := float(np.prod(middle))) < best:
             best, used = product, _near(size, middle * (1 + 5 / max(1, len(a) - 3)), config)
@@ -350,11 +350,6 @@ def _moved(transform: Transform, step: Array) -> Transform:
     return Transform(
         nearest_rotation(transform.rotation @ _exp(step[:3])), transform.translation + transform.rotation @ step[3:]
     )
-
-
-def _mean(poses: Sequence[Transform]) -> Transform:
-    rotation = nearest_rotation(np.mean([p.rotation for p in poses], axis=0))
-    return Transform(rotation, np.mean([p.translation for p in poses], axis=0))
 
 
 def _logs(rotations: Array) -> Array:

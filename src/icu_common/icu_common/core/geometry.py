@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -143,3 +144,9 @@ def nearest_rotation(matrix: npt.ArrayLike) -> Array:
     flip = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))])
     result: Array = u @ flip @ vt
     return result
+
+
+def mean_pose(poses: Collection[Transform]) -> Transform:
+    """Return the mean of nearby poses: mean translation, nearest rotation to the mean matrix."""
+    rotation = nearest_rotation(np.mean([p.rotation for p in poses], axis=0))
+    return Transform(rotation, np.mean([p.translation for p in poses], axis=0))
