@@ -8,17 +8,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
 import sys
 import time
 from collections.abc import Sequence
-from types import FrameType
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -26,7 +21,7 @@ from gantry_driver.core.monitor import Monitor
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.frames import JOINTS
 from icu_common.nodes.qos import LATCHED, RESULTS
-from icu_common.nodes.runtime import own_arguments, prepare_transport
+from icu_common.nodes.runtime import own_arguments, ros_session
 
 LIVE_S, PIPED_S = 0.1, 1.0
 
@@ -66,36 +61,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(own_arguments(arguments))
     if not given.seconds > 0:
         parser.error(f"--seconds {given.seconds:g}: above 0 is needed")
-    stopping = False
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal stopping
-        stopping = True
-
-    prepare_transport()
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-    node = MonitorNode(given.driver)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
     live = sys.stdout.isatty()
-    end, shown_at = time.monotonic() + given.seconds, time.monotonic()
-    try:
-        while not stopping and time.monotonic() < end:
-            executor.spin_once(timeout_sec=0.05)
-            now = time.monotonic()
-            if now - shown_at >= (LIVE_S if live else PIPED_S):
-                shown_at = now
-                text = node.monitor.line(now)
-                print(f"\r\x1b[K{text}" if live else text, end="" if live else "\n", flush=True)
-    finally:
-        if live:
-            print(flush=True)
-        executor.remove_node(node)
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown()
+    with ros_session(arguments) as session:
+        node = MonitorNode(given.driver)
+        session.executor.add_node(node)
+        end, shown_at = time.monotonic() + given.seconds, time.monotonic()
+        try:
+            while session.goes_on and time.monotonic() < end:
+                session.spin(0.05)
+                now = time.monotonic()
+                if now - shown_at >= (LIVE_S if live else PIPED_S):
+                    shown_at = now
+                    text = node.monitor.line(now)
+                    print(f"\r\x1b[K{text}" if live else text, end="" if live else "\n", flush=True)
+        finally:
+            if live:
+                print(flush=True)
+            session.end(node)
     return 0
 
 
