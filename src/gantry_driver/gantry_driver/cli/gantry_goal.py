@@ -128,12 +128,7 @@ def carry_out(session: OperatorSession, request: Request) -> int:
     publisher = points if request.gesture is None else commands
     goal_id = ""
     try:
-        session.wait_for(
-            lambda: publisher.get_subscription_count() > 0 and node.count_publishers("gantry/result") > 0,
-            until,
-            lambda: f"nobody takes {publisher.topic_name}: is the graph running, and in this ROS domain?",
-        )
-        session.wait_until_heard(until)
+        session.wait_until_taken(publisher, "gantry/result", until)
         if request.gesture is None:
             assert request.xyz is not None
             stamp = session.now_ns()

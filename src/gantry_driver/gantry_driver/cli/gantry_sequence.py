@@ -71,9 +71,8 @@ def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
     """Publish the sequence, follow its steps, and return the exit code."""
     until = time.monotonic() + timeout_s
     run_id = f"cli-{os.getpid()}-{time.time_ns() % 10**9}"
-    node = session.node
     answers = session.hear("gantry/sequence_result")
-    publisher = node.create_publisher(String, "gantry/sequence", qos.COMMAND)
+    publisher = session.node.create_publisher(String, "gantry/sequence", qos.COMMAND)
     sent = False
     heard = done = 0
     told_by = math.inf
@@ -96,12 +95,7 @@ def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
         return None if missing and time.monotonic() < told_by else answer
 
     try:
-        session.wait_for(
-            lambda: publisher.get_subscription_count() > 0 and node.count_publishers("gantry/sequence_result") > 0,
-            until,
-            lambda: f"nobody takes {publisher.topic_name}: is the graph running, and in this ROS domain?",
-        )
-        session.wait_until_heard(until)
+        session.wait_until_taken(publisher, "gantry/sequence_result", until)
         publisher.publish(String(data=f"id: {run_id}\n{text}"))
         sent = True
         result = session.wait_for(final, until, lambda: "the sequence has not ended in time")

@@ -21,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Empty, Header, String
@@ -125,6 +126,15 @@ class OperatorSession:
                 raise TimedOut(missing())
             self._executor.spin_once(timeout_sec=0.05)
         return value
+
+    def wait_until_taken(self, publisher: Publisher, answers: str, until: float) -> None:
+        """Wait until somebody takes what is published and answers it, and the heartbeat is heard."""
+        self.wait_for(
+            lambda: publisher.get_subscription_count() > 0 and self.node.count_publishers(answers) > 0,
+            until,
+            lambda: f"nobody takes {publisher.topic_name}: is the graph running, and in this ROS domain?",
+        )
+        self.wait_until_heard(until)
 
     def wait_until_heard(self, until: float) -> None:
         """Wait until driver and controller have had the heartbeat."""
