@@ -80,14 +80,23 @@ def check_not_ahead(head: Header, clock: ROSClock) -> None:
         raise ValueError(f"its stamp is {ahead_s:.3f} s ahead of the clock here, {MOST_AHEAD_S:g} s are allowed")
 
 
+def _data(values: npt.NDArray[Any]) -> array.array[int]:
+    """Return the bytes of a contiguous array as messages take them fastest; see docs/decisions/transport.md."""
+    data = array.array("B")
+    data.frombytes(values.data.cast("B") if values.size else b"")
+    return data
+
+
+def _float_fields(names: Sequence[str]) -> list[PointField]:
+    return [PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, name in enumerate(names)]
+
+
 def image_message(picture: npt.NDArray[Any], encoding: str, head: Header) -> Image:
-    """Pack (H, W) or (H, W, C); filling ``array.array`` from a buffer is the fast way in rclpy (see ros decisions)."""
+    """Pack (H, W) or (H, W, C)."""
     contiguous = np.ascontiguousarray(picture)
     message = Image(header=head, height=contiguous.shape[0], width=contiguous.shape[1], encoding=encoding)
     message.step = int(np.prod(contiguous.shape[1:])) * contiguous.itemsize  # strides of empty arrays are anything
-    data = array.array("B")
-    data.frombytes(contiguous.data.cast("B") if contiguous.size else b"")
-    message.data = data
+    message.data = _data(contiguous)
     return message
 
 
@@ -116,15 +125,10 @@ def image_array(message: Image) -> npt.NDArray[Any]:
 def cloud_message(columns: Sequence[str], values: npt.ArrayLike, head: Header) -> PointCloud2:
     """Pack (N, len(columns)) float32 values as an unorganised cloud with these field names."""
     rows = np.ascontiguousarray(np.asarray(values, dtype=np.float32).reshape(-1, len(columns)))
-    fields = [
-        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, name in enumerate(columns)
-    ]
-    cloud = PointCloud2(header=head, height=1, width=len(rows), fields=fields, is_dense=bool(np.isfinite(rows).all()))
-    cloud.point_step = 4 * len(columns)
+    cloud = PointCloud2(header=head, height=1, width=len(rows), fields=_float_fields(columns))
+    cloud.is_dense, cloud.point_step = bool(np.isfinite(rows).all()), 4 * len(columns)
     cloud.row_step = cloud.point_step * len(rows)
-    data = array.array("B")
-    data.frombytes(rows.data.cast("B") if rows.size else b"")
-    cloud.data = data
+    cloud.data = _data(rows)
     return cloud
 
 
@@ -168,15 +172,10 @@ def organised_cloud_message(xyz_m: npt.NDArray[Any], bgr: npt.NDArray[np.uint8],
     for i in range(3):  # one by one: numpy copies rows of three values ten times as slowly
         points[:, :, i] = xyz_m[:, :, i]
         colours[:, :, 12 + i] = bgr[:, :, i]
-    fields = [
-        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
-        for i, name in enumerate(("x", "y", "z", "rgb"))
-    ]
+    fields = _float_fields(("x", "y", "z", "rgb"))
     cloud = PointCloud2(header=head, height=height, width=width, fields=fields, point_step=16, row_step=16 * width)
     cloud.is_dense = bool(np.isfinite(points[:, :, 2]).all())
-    data = array.array("B")
-    data.frombytes(points.data.cast("B"))
-    cloud.data = data
+    cloud.data = _data(points)
     return cloud
 
 
