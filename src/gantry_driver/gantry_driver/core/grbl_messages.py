@@ -68,8 +68,6 @@ class Report(Message):
         Machine position, work position and the offset between them; None where the report has none.
     planner_free, rx_free
         From ``Bf``; -1 where the report has none.
-    feed_mm_min
-        NaN where the report has none.
     """
 
     state: str
@@ -79,9 +77,6 @@ class Report(Message):
     wco_mm: tuple[float, ...] | None = None
     planner_free: int = -1
     rx_free: int = -1
-    feed_mm_min: float = math.nan
-    pins: str = ""
-    accessories: str = ""
 
     @property
     def state_text(self) -> str:
@@ -106,10 +101,8 @@ class StartupLine(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildOptions(Message):
-    """``[OPT:flags,planner,rx]``; sizes are 0 where the firmware names none."""
+    """``[OPT:flags,planner,rx]``: the size of the receive buffer, 0 where the firmware names none."""
 
-    flags: str
-    planner_blocks: int
     rx_bytes: int
 
 
@@ -221,9 +214,8 @@ def _banner(text: str) -> Banner | None:
 
 def _feedback(key: str, value: str) -> Message:
     if key == "OPT":
-        parts = value.split(",")
-        planner, rx = (int(p) if p.isdigit() else 0 for p in (parts + ["", ""])[1:3])
-        return BuildOptions(flags=parts[0], planner_blocks=planner, rx_bytes=rx)
+        _, _, rx, *_ = [*value.split(","), "", ""]
+        return BuildOptions(rx_bytes=int(rx) if rx.isdigit() else 0)
     if key == "FIRMWARE":
         return Firmware(dialect=Dialect.GRBLHAL if "grblhal" in value.lower() else Dialect.UNKNOWN, version=value)
     if key == "VER" and "FluidNC" in value:
@@ -261,8 +253,7 @@ def _report(text: str) -> Report | None:
     if points["MPos"] is None and points["WPos"] is None:
         return None
     buffers = _numbers(found.get("Bf", "-1,-1"), 2)
-    speeds = _numbers(found.get("FS", found.get("F", "0")), 1)
-    if buffers is None or speeds is None:
+    if buffers is None or _numbers(found.get("FS", found.get("F", "0")), 1) is None:
         return None
     return Report(
         state=state,
@@ -272,9 +263,6 @@ def _report(text: str) -> Report | None:
         wco_mm=points["WCO"],
         planner_free=int(buffers[0]),
         rx_free=int(buffers[1]),
-        feed_mm_min=speeds[0] if "FS" in found or "F" in found else math.nan,
-        pins=found.get("Pn", ""),
-        accessories=found.get("A", ""),
     )
 
 

@@ -163,7 +163,6 @@ class GrblSession:
     def __init__(self, counts: Counts | None = None) -> None:
         self.counts = counts if counts is not None else Counts()
         self.rx_bytes = DEFAULT_RX_BYTES
-        self.planner_blocks = 0
         self.poll_interval_s = 0.1
         self.awaiting_banner = False
         self.latency_s = 0.0
@@ -196,7 +195,6 @@ class GrblSession:
         self.paused = False
         self.polling = False
         self.rx_bytes = DEFAULT_RX_BYTES
-        self.planner_blocks = 0
         self._planner_room = self._rx_room = self._rx_empty = -1
         self.last_report_at = None
         self.wco_mm = None
@@ -275,7 +273,6 @@ class GrblSession:
         elif isinstance(message, Alarm):
             self.counts.alarms += 1
         elif isinstance(message, BuildOptions):
-            self.planner_blocks = message.planner_blocks
             self.rx_bytes = message.rx_bytes or DEFAULT_RX_BYTES
         return [message]
 
