@@ -28,7 +28,7 @@ from unit.harris_perception import panel_scene as scene
 from harris_perception.core.fiducials import MarkerFinder
 from harris_perception.core.harris import HarrisDetector
 from harris_perception.core.panel_template import draw_panel, px_from_mm
-from harris_perception.core.planar_pose import inverse, pose_of_homography
+from harris_perception.core.planar_pose import inverse, map_points, planar_poses
 from harris_perception.core.pose_agreement import AgreementConfig, PoseAgreement
 from harris_perception.core.recognition import PanelRecogniser
 from icu_common.core.geometry import Transform
@@ -131,7 +131,11 @@ class Peer:
         homography, mask = cv2.findHomography(there, here, cv2.RANSAC, 3.0, maxIters=5000, confidence=0.999)
         if homography is None or int(mask.sum()) < 10:
             return None
-        return pose_of_homography(homography @ inverse(self.mm_from_px), LAYOUT.size_mm, CAMERA)
+        x, y = (np.linspace(0.0, side, 5) for side in LAYOUT.size_mm)
+        places_mm = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        pixels = map_points(homography @ inverse(self.mm_from_px), places_mm)
+        poses = planar_poses(places_mm * 1e-3, pixels, CAMERA) if np.isfinite(pixels).all() else []
+        return next(iter(poses), None)
 
 
 class Markers:

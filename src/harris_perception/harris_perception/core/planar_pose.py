@@ -142,24 +142,11 @@ def map_points(homography: Array, points: npt.NDArray[Any]) -> Array:
         return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
-def pose_of_homography(rectified_from_mm: Array, size_mm: tuple[float, float], camera: CameraModel) -> Transform | None:
-    """Return camera_from_panel from a homography of a face of ``size_mm``, or None when it is no camera's."""
-    x, y = (np.linspace(0.0, side, 5) for side in size_mm)
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    pixels = map_points(rectified_from_mm, points)
-    return planar_pose(points * 1e-3, pixels, camera) if np.isfinite(pixels).all() else None
-
-
 def homography_of_pose(camera_from_panel: Transform, camera: CameraModel) -> Array:
     """Return rectified_from_mm (3, 3), its last element one."""
     columns = np.column_stack([camera_from_panel.rotation[:, :2] * 1e-3, camera_from_panel.translation])
     homography = camera.p[:, :3] @ columns
     return np.asarray(homography / homography[2, 2])
-
-
-def planar_pose(points_m: Array, pixels: Array, camera: CameraModel) -> Transform | None:
-    """Return camera_from_panel of at least four points (N, 2) m on a plane, seen at (N, 2) px; None without one."""
-    return next(iter(planar_poses(points_m, pixels, camera)), None)
 
 
 def planar_poses(points_m: Array, pixels: Array, camera: CameraModel) -> list[Transform]:

@@ -33,7 +33,6 @@ from harris_perception.core.planar_pose import (
     FacePoints,
     PoseFit,
     fit_pose,
-    homography_of_pose,
     planar_poses,
 )
 from harris_perception.core.pose_agreement import AgreementConfig
@@ -73,8 +72,6 @@ class Sighting:
 
     Attributes
     ----------
-    rectified_from_mm
-        (3, 3) homography from the face's mm to rectified pixels.
     camera_from_panel
         Pose in the camera's rectified frame, metres.
     points
@@ -91,7 +88,6 @@ class Sighting:
         The pose with its covariance.
     """
 
-    rectified_from_mm: Array
     camera_from_panel: Transform
     points: FacePoints
     rms_px: float
@@ -328,7 +324,6 @@ class PanelRecogniser:
         if patches is None:
             return None
         return Sighting(
-            rectified_from_mm=homography_of_pose(pose, camera),
             camera_from_panel=pose,
             points=points,
             rms_px=rms,
