@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 from icu_common.core.config import Config, ConfigError, nested, setting
 
-AXES = ("x", "y", "z")
 REPORTS_MISSED = 1.5
 """Time between status reports, as often as which a board must be silent before its link counts as lost."""
 STYLUS_KINDS = ("z_axis", "servo_m3", "solenoid_m8")

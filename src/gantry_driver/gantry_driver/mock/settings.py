@@ -14,7 +14,6 @@ from pathlib import Path
 
 from gantry_driver.mock.gcode import MAX_NUMBER
 
-AXES = "XYZ"
 N_SYSTEMS = 6
 MASKS = (2, 3, 10, 23)
 BOOLEANS = (4, 5, 6, 13, 20, 21, 22, 32)
