@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-import select
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -55,15 +54,6 @@ def browser() -> Iterator[Any]:
         running = playwright.chromium.launch(executable_path=program, args=OPTIONS)
         yield running
         running.close()
-
-
-def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
-    deadline = time.monotonic() + within_s
-    while not (value := condition()):
-        if time.monotonic() > deadline:
-            pytest.fail(f"{what}: not within {within_s:g} s")
-        select.select([], [], [], 0.02)
-    return value
 
 
 class Operator:

@@ -17,8 +17,8 @@ from typing import Any
 
 import pytest
 from ros_rig import domain_of_worker
-from system.conftest import PATIENT, executable
-from system.operator_browser import Operator, wait_for
+from system.conftest import PATIENT, executable, wait_for
+from system.operator_browser import Operator
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
