@@ -15,7 +15,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from gantry_driver.core.session import MAX_LINE_BYTES
+from gantry_driver.core.session import MAX_LINE_BYTES, plain
 
 Vector = tuple[float, float, float]
 
@@ -176,12 +176,12 @@ class ProgramChecker:
         modes = self._modes
         kept = [w for w in words if w.letter != "F" and _GROUP_OF.get(w.name) not in ("motion", "feed mode")]
         if not any(w.letter in "XYZ" for w in kept):
-            return "".join(f"{w.letter}{_plain(w.value)}" for w in kept if w.name != "G53")
+            return "".join(f"{w.letter}{plain(w.value, 6)}" for w in kept if w.name != "G53")
         # Values before commands: the rest of a line that a reset has cut is no move.
-        text = "".join(f"{w.letter}{_plain(w.value)}" for w in sorted(kept, key=lambda w: w.letter in "GM"))
+        text = "".join(f"{w.letter}{plain(w.value, 6)}" for w in sorted(kept, key=lambda w: w.letter in "GM"))
         if not feed:
             return text
-        speed = "" if feed == modes.sent_feed else f"F{_plain(feed / modes.scale)}"
+        speed = "" if feed == modes.sent_feed else f"F{plain(feed / modes.scale, 6)}"
         modes.sent_feed = feed
         return f"{speed}{text}{'G1' if modes.motion == 'G0' else modes.motion}"
 
@@ -312,7 +312,7 @@ class ProgramChecker:
             if "motion" in commands and modes.motion in ("G2", "G3"):
                 raise self._error(words[0].column, "an arc needs an axis word of its plane (error:26)")
             return 0.0, 0.0
-        none = _plain(modes.feed / modes.scale) == "0"
+        none = plain(modes.feed / modes.scale, 6) == "0"
         if modes.motion != "G0" and (none or (modes.feed_mode == "G93" and "F" not in values)):
             raise self._error(axes[0].column, "no feed rate (error:22)")
         return self._move(special == "G53", values, axes)
@@ -439,8 +439,3 @@ class ProgramChecker:
         if error > 0.5 or (error > 0.005 and error > 0.001 * math.dist(start, centre)):
             raise self._error(axes[0].column, f"the arc's radii differ by {error:.3f} mm (error:33)")
         return centre
-
-
-def _plain(value: float) -> str:
-    text = f"{value:.6f}".rstrip("0").rstrip(".")
-    return "0" if text in ("-0", "") else text

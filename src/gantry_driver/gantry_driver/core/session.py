@@ -30,7 +30,6 @@ HOLD = b"!"
 RESUME = b"~"
 STATUS = b"?"
 SOFT_RESET = b"\x18"
-JOG_CANCEL = b"\x85"
 
 DEFAULT_RX_BYTES = 128
 MAX_LINE_BYTES = 80
@@ -50,6 +49,12 @@ RESET_RETRY_S = 1.0
 _ACTS = re.compile(r"[$F]|M0*[3478](?!\d)|G0*(?:28|30)(?!\d)|[XYZ](?!.*G0*(?:[123]|92)\Z)", re.IGNORECASE)
 """What a board that has just been reset would obey: see docs/decisions/lines-after-a-reset.md."""
 _EEPROM = re.compile(r"\$(?!J=)[^=]*=|\$RST|G0*10(?!\d).*L0*20?(?!\d)|G0*28\.10*(?!\d)|G0*30\.10*(?!\d)", re.IGNORECASE)
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """Return a number in as few bytes as it has with so many digits behind the point."""
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

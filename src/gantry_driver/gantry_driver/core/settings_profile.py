@@ -6,6 +6,8 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 
+from gantry_driver.core.session import plain
+
 _LINE = re.compile(r"\$(\d{1,3})\s*=\s*([-+]?\d+\.?\d*)\s*(?:[;(].*)?\Z")
 LARGEST = 1e9
 """Far beyond every setting, and with its decimals far from the end of a board's line."""
@@ -83,4 +85,4 @@ def _equal(text: str, value: float) -> bool:
 def _plain(value: float) -> str:
     if not math.isfinite(value):
         raise ProfileError(f"{value} cannot be written")
-    return f"{value:.3f}".rstrip("0").rstrip(".")
+    return plain(value)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.session import plain
 from icu_common.core.frames import JOINTS
 
 _M_WORD, _S_WORD = re.compile(r"M(\d+)"), re.compile(r"S([\d.]+)")
@@ -107,11 +108,11 @@ def lift_lines(config: DriverConfig) -> tuple[str, ...]:
     """Return the lines that take the stylus off the panel and move nothing else."""
     stylus = config.stylus
     if stylus.kind == "servo_m3":
-        return (MODES, f"M3S{_number(stylus.servo_up)}", f"G4P{_number(stylus.dwell_s)}", SYNCHRONISE)
+        return (MODES, f"M3S{plain(stylus.servo_up)}", f"G4P{plain(stylus.dwell_s)}", SYNCHRONISE)
     if stylus.kind == "solenoid_m8":
-        return (MODES, "M9", f"G4P{_number(stylus.dwell_s)}", SYNCHRONISE)
+        return (MODES, "M9", f"G4P{plain(stylus.dwell_s)}", SYNCHRONISE)
     top = config.machine.homed_mpos_mm()[2]
-    return (MODES, f"F{_number(config.stylus_feed_m_s * 60_000.0)}Z{_number(top)}G53G1", SYNCHRONISE)
+    return (MODES, f"F{plain(config.stylus_feed_m_s * 60_000.0)}Z{plain(top)}G53G1", SYNCHRONISE)
 
 
 def may_be_down_after(line: str, config: DriverConfig) -> bool | None:
@@ -210,13 +211,13 @@ def _segment(
     """Return lines, each with the F word that it needs; the words stand so that no rest of a line is a move."""
     start, end = mpos_mm(here, config), mpos_mm(target, config)
     axes = 3 if config.stylus.kind == "z_axis" else 2
-    words = "".join(f"{'XYZ'[a]}{_number(end[a])}" for a in range(axes) if _number(end[a]) != _number(start[a]))
+    words = "".join(f"{'XYZ'[a]}{plain(end[a])}" for a in range(axes) if plain(end[a]) != plain(start[a]))
     move = []
     if words:
         distance = math.hypot(*(end[a] - start[a] for a in range(axes)))
         # Below 1 mm/min GRBL's planner takes minutes for a step; such a segment is rounding.
         feed = max(distance / seconds * 60.0, 1.0) if seconds else config.feed_m_s * 6e4
-        move = [(f"F{_number(feed, 1)}", f"{words}G53G1")]
+        move = [(f"F{plain(feed, 1)}", f"{words}G53G1")]
     if config.stylus.kind == "z_axis" or target[2] == here[2]:
         return move
     # Without a Z axis the stylus is up during every move that it starts or ends in the air.
@@ -227,12 +228,7 @@ def _segment(
 def _stylus(down: bool, config: DriverConfig) -> list[tuple[str, str]]:
     stylus = config.stylus
     if stylus.kind == "servo_m3":
-        word = f"M3S{_number(stylus.servo_down if down else stylus.servo_up)}"
+        word = f"M3S{plain(stylus.servo_down if down else stylus.servo_up)}"
     else:
         word = "M8" if down else "M9"
-    return [("", word), ("", f"G4P{_number(stylus.dwell_s)}")]
-
-
-def _number(value: float, digits: int = 3) -> str:
-    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
-    return "0" if text in ("-0", "") else text
+    return [("", word), ("", f"G4P{plain(stylus.dwell_s)}")]
