@@ -238,7 +238,7 @@ class _Reader:
         if number != int(number) or not 0 <= number < count:
             raise self.error(entry, f"id = {entry.get('id')!r}: {dictionary} has the markers 0 to {count - 1}")
         x, y = self.numbers(entry, "position_mm", 2)
-        size = self.numbers({**entry, "size_mm": [entry.get("size_mm")]}, "size_mm", 1, positive=True)[0]
+        size = self.one_number(entry, "size_mm", positive=True)
         return Fiducial(dictionary=dictionary, id=int(number), position_mm=(x, y), size_mm=size)
 
     def check_place(
@@ -290,7 +290,7 @@ class _Reader:
         )
 
     def one_artwork(self, entry: dict[str, Any]) -> Artwork:
-        line_mm = self.numbers({**entry, "line_mm": [entry.get("line_mm", 0.4)]}, "line_mm", 1, positive=True)[0]
+        line_mm = self.one_number(entry, "line_mm", 0.4, positive=True)
         if "rectangle_mm" in entry:
             self.known(entry, {"rectangle_mm", "fill", "outline", "line_mm"})
             x, y, width, height = self.numbers(entry, "rectangle_mm", 4)
@@ -310,15 +310,15 @@ class _Reader:
         if "text" in entry:
             self.known(entry, {"text", "at_mm", "height_mm", "colour", "line_mm"})
             x, y = self.numbers(entry, "at_mm", 2)
-            height = self.numbers({**entry, "height_mm": [entry.get("height_mm", 3.0)]}, "height_mm", 1, positive=True)[
-                0
-            ]
+            height = self.one_number(entry, "height_mm", 3.0, positive=True)
             colour = self.colour(entry, "colour", "#e8ece8")
             return Text(text=self.text(entry, "text"), at_mm=(x, y), height_mm=height, colour=colour, line_mm=line_mm)
         raise self.error(entry, "artwork needs one of rectangle_mm, circle_mm, line_from_to_mm, text")
 
-    def one_number(self, entry: dict[str, Any], key: str, default: float) -> float:
-        return self.numbers({**entry, key: [entry.get(key, default)]}, key, 1)[0]
+    def one_number(
+        self, entry: dict[str, Any], key: str, default: float | None = None, *, positive: bool = False
+    ) -> float:
+        return self.numbers({**entry, key: [entry.get(key, default)]}, key, 1, positive=positive)[0]
 
     def marks(self, entry: dict[str, Any]) -> tuple[tuple[str, float], ...]:
         given = entry.get("marks_deg", {})
@@ -344,10 +344,7 @@ class _Reader:
             raise self.error(entry, f"dimple = {given!r}: a mapping of place_mm, diameter_mm and depth_mm is needed")
         self.known(given, {"place_mm", "diameter_mm", "depth_mm"})
         x, y = self.numbers(given, "place_mm", 2)
-        diameter, depth = (
-            self.numbers({**given, key: [given.get(key)]}, key, 1, positive=True)[0]
-            for key in ("diameter_mm", "depth_mm")
-        )
+        diameter, depth = (self.one_number(given, key, positive=True) for key in ("diameter_mm", "depth_mm"))
         reach = math.hypot(x, y) + diameter / 2
         if reach > knob_mm / 2 or math.hypot(x, y) < diameter / 2:
             raise self.error(
