@@ -92,8 +92,6 @@ class Outline:
     ----------
     centre_px
         (2,) centre in rectified pixels.
-    radius_px
-        Radius in the plane touching the viewing sphere at the centre, in pixels of the rectified focal length.
     error
         Rms difference of the pixels from a shaded disc, as a share of the ball's chroma.
     arc_deg
@@ -101,7 +99,6 @@ class Outline:
     """
 
     centre_px: Array
-    radius_px: float
     error: float
     arc_deg: float
 
@@ -334,7 +331,7 @@ class StylusTracker:
         if abs(grown / radius - 1) > self.config.max_size_error:
             raise Doubt(f"a radius of {grown:.1f} px does not fit the expected {radius:.1f} px")
         pixel = self._pixel(frame.T @ np.array([*(offset / self.stereo.focal_px), 1.0]), model)
-        return Outline(centre_px=pixel, radius_px=grown, error=error, arc_deg=fit.arc_deg)
+        return Outline(centre_px=pixel, error=error, arc_deg=fit.arc_deg)
 
     def _pixel(self, ray: Array, model: CameraModel) -> Array:
         pixel: Array = ray[:2] / ray[2] * (model.p[0, 0], model.p[1, 1]) + model.p[:2, 2]
