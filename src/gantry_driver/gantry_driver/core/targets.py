@@ -338,16 +338,9 @@ def turn_points(control: PanelControl, angle_deg: float, config: TouchConfig) ->
 
     The arc lies symmetrically about the knob's lower side, where a camera below the panel sees the tip best.
     """
-    steps = max(1, math.ceil(abs(angle_deg) / config.turn_step_deg - 1e-9))
-    angles = np.radians(-90.0 + angle_deg * (np.arange(steps + 1) / steps - 0.5))
+    angles = np.radians(-90.0 + angle_deg * (_shares(angle_deg, config) - 0.5))
     radius = config.turn_radius_fraction * float(control.size.min()) / 2
-    return np.column_stack(
-        [
-            control.centre[0] + radius * np.cos(angles),
-            control.centre[1] + radius * np.sin(angles),
-            np.full(steps + 1, control.height),
-        ]
-    )
+    return _around(control, radius, angles, control.height)
 
 
 def dimple_points(
@@ -380,15 +373,20 @@ def dimple_points(
             f"the stylus has {play_deg:.1f} degrees of play in the dimple of {control.name}, at most {MOST_BIAS_DEG:g} "
             "can be made up for"
         )
+    angles = math.atan2(y, x) + np.radians(knob_deg + angle_deg * _shares(angle_deg, config))
+    return _around(control, radius, angles, control.height - depth)
+
+
+def _shares(angle_deg: float, config: TouchConfig) -> Array:
+    """Return how much of a turn is made at each point of its arc, 0 to 1."""
     steps = max(1, math.ceil(abs(angle_deg) / config.turn_step_deg - 1e-9))
-    angles = math.atan2(y, x) + np.radians(knob_deg + angle_deg * np.arange(steps + 1) / steps)
-    return np.column_stack(
-        [
-            control.centre[0] + radius * np.cos(angles),
-            control.centre[1] + radius * np.sin(angles),
-            np.full(steps + 1, control.height - depth),
-        ]
-    )
+    return np.arange(steps + 1) / steps
+
+
+def _around(control: PanelControl, radius: float, angles: Array, height: float) -> Array:
+    """Return (N, 3) points at angles (N,) rad around a control's middle."""
+    xy = control.centre + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    return np.column_stack([xy, np.full(len(angles), height)])
 
 
 def _drag_points(start: Array, control: PanelControl | None, to: Point, scene: Scene) -> Array:
