@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from gantry_driver.nodes.sequence_node import SequenceNode
@@ -129,6 +130,19 @@ def test_a_stop_while_a_check_is_waited_for_ends_it_before_anything_is_reset(ros
     rig.see("red")
     ros.spin_until(lambda: rig.states[-1].data == "idle", 10.0)
     assert len(rig.commands) == 1, "the second step was never sent"
+
+
+def test_a_clock_that_was_set_back_ends_it_at_once_and_not_when_the_time_has_come_again(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.sequence.publish(String(data="id: mine\nsteps: ['press:RUN_STOP']"))
+    rig.wait_for_command(1)
+    clock = rig.node.get_clock()
+    now = clock.now()
+    clock._set_ros_time_is_active(True)
+    # The whole of what follows takes less than the minute: for a timer of this clock no time passes.
+    clock.set_ros_time_override(now - Duration(seconds=60.0))
+    ended = rig.final("mine")
+    assert ended.outcome is Outcome.ABORTED and "the clock jumped back by " in ended.reason
 
 
 def test_without_a_controller_it_is_refused_and_nothing_is_sent_later(ros: Any) -> None:

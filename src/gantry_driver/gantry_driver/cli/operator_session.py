@@ -30,6 +30,7 @@ from icu_common.core.results import GoalResult
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import result_of_message, time_message
 from icu_common.nodes.runtime import prepare_transport
+from icu_common.nodes.timers import every
 
 REACHED, FAILED, USAGE, TIMED_OUT = 0, 1, 2, 3
 """Exit codes."""
@@ -74,7 +75,7 @@ class OperatorSession:
         self._heartbeat = node.create_publisher(Header, "operator/heartbeat", qos.RESULTS)
         self._stop = node.create_publisher(Empty, "gantry/stop_request", qos.RESULTS)
         self.watch("gantry/state")
-        node.create_timer(HEARTBEAT_S, self._beat)
+        every(node, HEARTBEAT_S, self._beat)
         self._beats_heard = 0
 
     def watch(self, topic: str) -> None:

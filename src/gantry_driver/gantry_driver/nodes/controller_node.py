@@ -50,6 +50,7 @@ from icu_common.nodes.conversions import (
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 
 TICK_S = 0.05
 DIAGNOSTICS_S = 1.0
@@ -90,8 +91,8 @@ class ControllerNode(Node):
         self._see(PointStamped, "stylus/tip", qos.SENSOR, _tip)
         self._see(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
         self._hear(Header, "heartbeat", qos.SENSOR, lambda m: msg.Heartbeat())
-        self.create_timer(TICK_S, self._tick)
-        self.create_timer(DIAGNOSTICS_S, self._diagnose)
+        every(self, TICK_S, self._tick)
+        every(self, DIAGNOSTICS_S, self._diagnose)
         self._handle(msg.Tick())
 
     def close(self) -> None:

@@ -27,6 +27,7 @@ from icu_common.nodes.conversions import (
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 
 TICK_S = 0.1
 
@@ -48,8 +49,8 @@ class SequenceNode(Node):
         self.create_subscription(DiagnosticArray, "panel/state", self._on_panel, qos.SENSOR)
         self._diagnostics = Diagnostics(self)
         self.create_subscription(String, "state", self._on_controller, qos.LATCHED)
-        self.create_timer(TICK_S, self._on_tick)
-        self.create_timer(1.0, self._report)
+        every(self, TICK_S, self._on_tick)
+        every(self, 1.0, self._report)
         self._state.publish(String(data="idle"))
 
     def close(self) -> None:

@@ -41,6 +41,7 @@ from icu_common.nodes.conversions import (
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 
 LINK_CHECK_S = 0.5
 PUBLISH_WITHIN_S = 2.0
@@ -79,8 +80,8 @@ class SerialDriverNode(LifecycleNode):
         self.create_service(Trigger, "accept_settings", self._on_accept)
         self.create_service(Trigger, "write_settings", self._on_write)
         self.create_service(SetBool, "enable", self._on_enable)
-        self.create_timer(1.0, self._publish_diagnostics)
-        self.create_timer(LINK_CHECK_S, self._check_link)
+        every(self, 1.0, self._publish_diagnostics)
+        every(self, LINK_CHECK_S, self._check_link)
         if config.autostart:
             self.trigger_configure()
             self.trigger_activate()

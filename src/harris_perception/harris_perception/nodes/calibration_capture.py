@@ -25,6 +25,7 @@ from icu_common.nodes import qos
 from icu_common.nodes.conversions import image_array, stamp_ns
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.runtime import prepare_transport
+from icu_common.nodes.timers import every
 
 _MAX_APART_NS = 2_000_000
 _MANY = 10
@@ -66,7 +67,7 @@ class CalibrationCaptureNode(Node):
         self._apart_ns: deque[int] = deque(maxlen=30)
         self._coverage = self.create_publisher(String, "calibration/camera_coverage", qos.LATCHED)
         self._diagnostics = Diagnostics(self)
-        self.create_timer(1.0, self._report)
+        every(self, 1.0, self._report)
         for side, topic in enumerate(topics):
             self.create_subscription(Image, topic, lambda m, side=side: self._on_image(side, m), qos.NEWEST)
 

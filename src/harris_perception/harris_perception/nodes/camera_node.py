@@ -29,6 +29,7 @@ from icu_common.nodes.conversions import camera_info_message, header, image_mess
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 
 
 class Eye:
@@ -98,7 +99,7 @@ class CameraNode(Node):
         )
         self._diagnostics = Diagnostics(self, "camera")
         self._period_s = 1.0
-        self.create_timer(self._period_s, self._report)
+        every(self, self._period_s, self._report)
         self._capture.start()
 
     def _on_config(self, config: CameraConfig) -> None:

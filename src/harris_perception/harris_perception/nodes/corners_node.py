@@ -34,6 +34,7 @@ from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 
 COLUMNS = ("u", "v", "response")
 SCALE = "scale"
@@ -87,7 +88,7 @@ class CornersNode(Node):
         self._labels = self.create_publisher(Image, "edges", qos.IMAGES)
         self._lines = self.create_publisher(PointCloud2, "edge_lines", qos.RESULTS)
         self._diagnostics = Diagnostics(self)
-        self.create_timer(1.0, self._report)
+        every(self, 1.0, self._report)
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
 
     def _use(self, config: CornersNodeConfig) -> None:

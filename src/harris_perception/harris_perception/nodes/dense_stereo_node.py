@@ -29,6 +29,7 @@ from icu_common.nodes.conversions import (
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 
 _LOOK_S = 0.25
 """How soon the node notices that somebody subscribes, or nobody any more."""
@@ -67,8 +68,8 @@ class DenseStereoNode(Node):
         self._disparity = self.create_publisher(DisparityImage, "disparity", qos.IMAGES)
         self._points = self.create_publisher(PointCloud2, "dense_points", qos.IMAGES)
         self._diagnostics = Diagnostics(self, "dense_stereo")
-        self.create_timer(_LOOK_S, self._follow_readers)
-        self.create_timer(1.0, self._report)
+        every(self, _LOOK_S, self._follow_readers)
+        every(self, 1.0, self._report)
 
     def _configure(self) -> None:
         config, stereo = self._live.config, self._calibration.stereo

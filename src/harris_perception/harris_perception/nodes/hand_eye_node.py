@@ -51,6 +51,7 @@ from icu_common.nodes.conversions import (
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 
 _TICK_S = 0.05
 
@@ -89,8 +90,8 @@ class HandEyeNode(Node):
             ("save", self._save),
         ):
             self.create_service(Trigger, name, _answered(call))
-        self.create_timer(_TICK_S, lambda: self._act(self.calibrator.tick(self._now_ns())))
-        self.create_timer(1.0, self._report)
+        every(self, _TICK_S, lambda: self._act(self.calibrator.tick(self._now_ns())))
+        every(self, 1.0, self._report)
 
     def close(self) -> None:
         """Say that a run was cut short."""

@@ -21,6 +21,7 @@ from icu_common.core.camera_model import CameraModel
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import image_array, result_message, stamp_ns
+from icu_common.nodes.timers import every
 
 _PICTURE_WAIT_S = 5.0
 
@@ -46,7 +47,7 @@ class PanelTeacher:
         self._answers = node.create_publisher(DiagnosticArray, "teach/result", qos.RESULTS)
         node.create_subscription(Image, "teach/image_raw", self._on_picture, qos.RESULTS)
         node.create_subscription(String, "teach/request", self._on_request, qos.RESULTS)
-        node.create_timer(0.5, self._on_tick)
+        every(node, 0.5, self._on_tick)
 
     def close(self) -> None:
         """End the thread; what it is writing is finished."""

@@ -52,6 +52,7 @@ from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 
 _KEPT_CORNERS = 8
 _TICK_S = 0.02
@@ -134,8 +135,8 @@ class RecognitionNode(Node):
         if self._live.config.plane_max_age_s > 0:
             self.create_subscription(PoseWithCovarianceStamped, "plane", self._on_plane, qos.SENSOR)
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
-        self.create_timer(_TICK_S, self._on_tick)
-        self.create_timer(1.0, self._report)
+        every(self, _TICK_S, self._on_tick)
+        every(self, 1.0, self._report)
         self._teacher = PanelTeacher(self, self._live.config.teach_folder, lambda: self._camera and self._camera[1])
 
     def close(self) -> None:

@@ -40,6 +40,7 @@ from icu_common.nodes.conversions import (
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 
 COLUMNS = ("x", "y", "z", "sigma")
 _SEED = 0
@@ -101,7 +102,7 @@ class StereoNode(Node):
         for i, side in enumerate(SIDES):
             self._listen(i, Image, f"{side}/image_raw", qos.IMAGES)
             self._listen(i + 2, PointCloud2, f"{side}/corners", qos.RESULTS)
-        self.create_timer(1.0, self._report)
+        every(self, 1.0, self._report)
 
     def _listen(self, stream: int, kind: Any, topic: str, profile: Any) -> None:
         self.create_subscription(kind, topic, lambda message: self._on_message(stream, message), profile)

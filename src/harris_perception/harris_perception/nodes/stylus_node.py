@@ -20,6 +20,7 @@ from icu_common.nodes.conversions import header, image_array, point_message, sta
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 
 
 class StylusNode(Node):
@@ -40,7 +41,7 @@ class StylusNode(Node):
             self.create_subscription(
                 Image, f"{side}/image_raw", lambda message, stream=stream: self._on_image(stream, message), qos.IMAGES
             )
-        self.create_timer(1.0, self._report)
+        every(self, 1.0, self._report)
 
     def _configure(self, config: StylusConfig) -> None:
         self._pairs.tolerance_ns = round(config.pair_tolerance_s * 1e9)

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from rclpy.validate_topic_name import validate_topic_name
 
+from icu_common.nodes.timers import every
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagTopic, is_known
 from scope_bench.nodes.bag_qos import listening_qos, message_class, recorded_qos
@@ -42,7 +43,7 @@ class BagRecorder(Node):
         self._exclude = re.compile(exclude) if exclude else None
         self.recorded: set[str] = set()
         self._ignored: set[str] = set()
-        self.create_timer(_LOOK_S, self._look)
+        every(self, _LOOK_S, self._look)
         self._look()
 
     @property

@@ -20,6 +20,7 @@ from icu_common.nodes.conversions import image_array, stamp_ns
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 from scope_bench.adapters.beds_server import BedsServer
 
 STATES = {"controller": "gantry/state", "driver": "gantry/driver_state", "calibration": "calibration/state"}
@@ -65,7 +66,7 @@ class BedsNode(Node):
             self.server = BedsServer(config.port, links, tuple(STATES), self._state, self._picture)
         except OSError as error:
             raise ConfigError(f"port = {config.port}: {error}") from error
-        self.create_timer(1.0, self._check_states)
+        every(self, 1.0, self._check_states)
         self.get_logger().warning(f"beds: {self.server.address}")
 
     def _hear(self, name: str, what: str) -> Callable[[String], None]:

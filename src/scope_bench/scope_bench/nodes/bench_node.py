@@ -12,6 +12,7 @@ from icu_common.core.panel_layout import load_layout
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 from scope_bench.adapters.simulation import Health, Simulation
 from scope_bench.core.configuration import BenchConfig
 
@@ -27,7 +28,7 @@ class BenchNode(Node):
         self._simulation = _simulation(self._settings.config)
         self._frames_before = 0
         self._diagnostics = Diagnostics(self)
-        self.create_timer(DIAGNOSTICS_S, self._report)
+        every(self, DIAGNOSTICS_S, self._report)
         self._simulation.start()
 
     def _changed(self, config: BenchConfig) -> None:

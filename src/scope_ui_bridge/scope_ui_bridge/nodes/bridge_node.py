@@ -57,6 +57,7 @@ from icu_common.nodes.conversions import (
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.timers import every
 from scope_ui_bridge.adapters.graph_port import GraphError
 from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
 from scope_ui_bridge.adapters.web_server import WebServer
@@ -131,9 +132,9 @@ class BridgeNode(Node):
         except ConfigError:
             self._server.close()
             raise
-        self.create_timer(1.0, self._check_server)
-        self.create_timer(0.5, self._call_the_roll)
-        self.create_timer(1.0, self._check_states)
+        every(self, 1.0, self._check_server)
+        every(self, 0.5, self._call_the_roll)
+        every(self, 1.0, self._check_states)
         self.issue_token()
 
     @property
@@ -198,7 +199,7 @@ class BridgeNode(Node):
         self._hear(DiagnosticArray, "panel/teach/result", qos.RESULTS, self._taught)
         self._hear(DiagnosticArray, "gantry/sequence_result", qos.RESULTS, self._sequence_result_seen)
 
-        self.create_timer(_LAYERS_PERIOD_S, self._hear_layers)
+        every(self, _LAYERS_PERIOD_S, self._hear_layers)
 
     def _hear_layers(self) -> None:
         """Listen to corners and edges only while a page shows them, so that nobody computes them for nothing."""

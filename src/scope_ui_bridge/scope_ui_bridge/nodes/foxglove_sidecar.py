@@ -20,6 +20,7 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import own_arguments, run
+from icu_common.nodes.timers import every
 
 PORT = 8765
 
@@ -38,7 +39,7 @@ class FoxgloveSidecar(Node):
         self._server = foxglove.start_server(name="icu_gantry", host="127.0.0.1", port=port, capabilities=[])
         self.port = int(self._server.port)
         print(f"Foxglove: open ws://127.0.0.1:{self.port} with config/foxglove_layout.json", flush=True)
-        self.create_timer(1.0, self._look_for_topics)
+        every(self, 1.0, self._look_for_topics)
 
     def close(self) -> None:
         """End the server."""
