@@ -144,6 +144,19 @@ def test_arcs_are_refused_exactly_when_a_point_of_them_is_outside(
         assert result.seconds == pytest.approx(radius * sweep / 10.0, rel=0.02, abs=0.02)
 
 
+@pytest.mark.parametrize("motion", ["G2", "G3"])
+@pytest.mark.parametrize("off", ["-300", "-299.9999999", "-300.0000001"])
+def test_an_arc_that_ends_where_it_begins_but_for_rounding_is_a_whole_circle(motion: str, off: str) -> None:
+    """GRBL takes less than 5e-7 rad for none; steps of 0.1 mm add up to no whole number of millimetres, either."""
+    checker = ProgramChecker(BOUNDS, (-299.7, -150.0, -1.0))
+    for text in ("G91 F600", *["G1 X-0.1"] * 3, "G90"):
+        checker.check(text)
+    circle = checker.check(f"{motion} X{off} Y-150 J20")
+    assert circle is not None and circle.seconds == pytest.approx(math.tau * 20.0 / 10.0)
+    with pytest.raises(GcodeError, match="outside"):
+        checker.check(f"{motion} X{off} Y-150 J100")
+
+
 @given(st.text(max_size=60))
 def test_any_text_is_checked_or_refused_with_a_place(text: str) -> None:
     checker = ProgramChecker(BOUNDS, START)

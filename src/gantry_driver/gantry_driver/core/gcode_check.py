@@ -61,6 +61,8 @@ _LARGEST = {"N": (9_999_999.0, 27), "T": (255.0, 38)}
 _PLANES = {"G17": (0, 1, 2), "G18": (2, 0, 1), "G19": (1, 2, 0)}
 _REALTIME = frozenset("?!~\x18")
 _ROUNDING_MM = 1e-3
+_NO_TURN = 5e-7
+"""Radians of an arc up to which GRBL goes once more around."""
 
 
 class GcodeError(ValueError):
@@ -398,7 +400,9 @@ class ProgramChecker:
         radius = math.dist(start, centre)
         begin = math.atan2(start[1] - centre[1], start[0] - centre[0])
         sweep = math.atan2(end[1] - centre[1], end[0] - centre[0]) - begin
-        sweep = -(-sweep % math.tau or math.tau) if clockwise else (sweep % math.tau or math.tau)
+        sweep = -sweep % math.tau if clockwise else sweep % math.tau
+        sweep += math.tau if sweep <= _NO_TURN else 0.0
+        sweep = -sweep if clockwise else sweep
         extremes = [target]
         for quarter in range(-8, 9):
             angle = quarter * math.pi / 2
