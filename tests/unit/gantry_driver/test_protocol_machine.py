@@ -402,6 +402,24 @@ def test_fluidnc_is_asked_for_its_macros(known: int, monkeypatch: Any) -> None:
     assert rig.connect().states[-1] == f"mismatch: {said}"
 
 
+def test_fluidnc_keeps_some_settings_to_itself_and_the_place_of_homing_tells_of_them(monkeypatch: Any) -> None:
+    monkeypatch.setattr(protocol_board, "BANNER", b"\r\nGrbl 3.7 [FluidNC v3.7]\r\nALARM:14\r\n")
+    board = Board()
+    board.macros = dict.fromkeys(FLUIDNC_MACROS, "")
+    for number in (13, 23, 27):
+        del board.settings[number]
+    rig = Rig(board=board).connect()
+    assert rig.state == "unhomed" and rig.machine.write_settings(rig.now).startswith("nothing to write")
+    board.homed = (-356.0, -216.0, -4.0)  # another pull-off
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state != "homing")
+    assert rig.states[-1].startswith("mismatch: homed at MPos -356.000, -216.000, -4.000 mm")
+
+    board.settings[23] = "0"  # what is told counts
+    rig.machine.closed("unplugged", rig.now)
+    assert rig.connect().states[-1] == "mismatch: $23 is 0, the configuration says 3"
+
+
 def test_a_firmware_without_startup_lines_connects_and_the_refusal_is_told() -> None:
     board = Board()
     board.refuse["$N"] = 3

@@ -185,6 +185,10 @@ class Runner:
         self._connect(lambda: "")
         return self._machine.settings
 
+    def expected_settings(self) -> dict[int, float]:
+        """Return what the settings of the board that is connected must be."""
+        return self._machine.expected_settings()
+
     def write(self, profile: Mapping[int, float]) -> list[str]:
         """Write what differs from a profile and read it back; return what the board did not keep.
 
@@ -271,7 +275,7 @@ def run_settings(config: DriverConfig, *, save: Path | None, profile: Mapping[in
             save.write_text(f"; settings of the board at {config.port}\n{profile_text(found)}", encoding="ascii")
             print(f"{save}: {len(found)} settings")
             return DONE
-        wanted = config.expected_settings() if profile is None else profile
+        wanted = runner.expected_settings() if profile is None else profile
         wrong = differences(found, wanted)
         if profile is not None and wrong:
             wrong = runner.write(profile)

@@ -51,6 +51,8 @@ _MACROS = ("$/macros/startup_line0", "$/macros/startup_line1", "$/macros/after_r
 READ_STARTUP = {"$N": ("$N0", "$N1"), **{name: (name,) for name in _MACROS}}
 """What asks for the lines that a board runs by itself, and the names in the answer; FluidNC calls them macros."""
 STARTUP_TRIES = 5
+KEPT_TO_ITSELF = {Dialect.FLUIDNC: frozenset({13, 23, 27})}
+"""Units, corner and pull-off, which not every version of a firmware tells: where the machine has homed tells them."""
 
 Reading = tuple[float, float, float]
 
@@ -269,6 +271,11 @@ class Connection:
         """The board's settings as it printed them."""
         return dict(self._settings)
 
+    def expected_settings(self) -> dict[int, float]:
+        """Return what the board's settings must be, without those that its firmware does not tell."""
+        kept = KEPT_TO_ITSELF.get(self.dialect, frozenset()) - self._settings.keys()
+        return {n: value for n, value in self.config.expected_settings().items() if n not in kept}
+
     def accept_settings(self, now: float) -> str:
         """Accept that the board's settings differ from the configuration; holds for these differences only."""
         if self.phase is not Phase.MISMATCH or not self._settings or self._misplaced:
@@ -284,7 +291,7 @@ class Connection:
         """
         if self.phase not in (Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE) or self._rests_extended():
             return f"settings are written to a board at rest with the stylus up, the driver is {self.state_text}"
-        wanted = dict(profile if profile is not None else self.config.expected_settings())
+        wanted = dict(profile if profile is not None else self.expected_settings())
         lines = lines_to_write(self._settings, wanted) if self._settings else []
         if not lines:
             known = "it has these settings" if self._settings else "the board has no settings"
@@ -336,7 +343,7 @@ class Connection:
         return found
 
     def _check_settings(self, now: float) -> None:
-        wrong = differences(self._settings, self.config.expected_settings())
+        wrong = differences(self._settings, self.expected_settings())
         self._mismatch = "; ".join([*wrong, *self._startup_lines()])
         if (idle := self._settings.get(IDLE_DELAY)) is not None and idle.partition(".")[0] != STAYS_ON:
             text = f"${IDLE_DELAY} is {idle}: motors that let go can be pushed unnoticed, {STAYS_ON} keeps them on"

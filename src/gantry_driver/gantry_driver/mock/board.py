@@ -72,7 +72,7 @@ class Board(Execution):
         if rest == "$":
             if self.state in (State.RUN, State.HOLD):
                 return ERROR_NOT_IDLE
-            for text in reports.settings(self.eeprom):
+            for text in reports.settings(self.eeprom, self.options.dialect):
                 self._say(text)
         elif rest == "G":
             self._say(reports.modes(self.parser, self.eeprom.flag(13)))

@@ -74,7 +74,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--start", type=_start, metavar="X,Y,Z", help="where the axes stand at power-up, mm")
     parser.add_argument("--keep-running", action="store_true", help="opening the port does not reset the board")
-    parser.add_argument("--dialect", choices=tuple(RX_BYTES), default="GRBL", help="banner, build and buffer size")
+    parser.add_argument("--dialect", choices=tuple(RX_BYTES), default="GRBL", help="banner, build, buffer, settings")
     parser.add_argument("--mist", action="store_true", help="built with M7")
     return parser
 

@@ -107,7 +107,7 @@ class BoardOptions:
     mist: bool = False
     """Built with M7."""
     dialect: str = "GRBL"
-    """One of :data:`RX_BYTES`; of the others only banner, build information and buffer size are imitated."""
+    """One of :data:`RX_BYTES`; of the others only banner, build information, buffer and what is told of settings."""
 
     @property
     def rx_bytes(self) -> int:

@@ -14,6 +14,8 @@ BANNERS = {
 }
 MACROS = {f"MACROS{name.upper()}": f"$/macros/{name}=" for name in ("startup_line0", "startup_line1", "after_reset")}
 """FluidNC's answers in place of ``$N``, which it has no more, by the questions as this parser collects them."""
+FLUIDNC_SETTINGS = (10, 20, 21, 22, 23, 30, 32, *(base + axis for base in (100, 110, 120, 130) for axis in range(3)))
+"""All that FluidNC tells of its config file by number."""
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 UNLOCK_HINT = "[MSG:'$H'|'$X' to unlock]"
 RESET_HINT = "[MSG:Reset to continue]"
@@ -40,9 +42,10 @@ def rate(mm_per_min: float, inches: bool) -> str:
     return f"{mm_per_min / MM_PER_INCH:.1f}" if inches else f"{mm_per_min:.0f}"
 
 
-def settings(eeprom: Eeprom) -> list[str]:
+def settings(eeprom: Eeprom, dialect: str) -> list[str]:
     """Return the answer to ``$$``."""
-    return [f"${number}={shown(number, value)}" for number, value in eeprom.values.items()]
+    told = FLUIDNC_SETTINGS if dialect == "FluidNC" else eeprom.values
+    return [f"${number}={shown(number, eeprom.values[number])}" for number in told]
 
 
 def parameters(
