@@ -105,6 +105,25 @@ def test_a_hold_that_shows_before_its_stop_has_the_lock_is_that_stop(
     rig.until(lambda: rig.results[-1].reason == "asked for")
 
 
+def test_the_loss_of_a_silent_board_is_told_before_its_port_is_closed(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That may take long: Linux waits half a minute for a USB board that takes no byte any more."""
+    board, rig = start()
+    rig.home()
+    rig.go((0.35, 0.2, 0.0))
+    rig.until(lambda: rig.state == "moving")
+    close, told = serial.Serial.close, []
+    monkeypatch.setattr(
+        serial.Serial, "close", lambda port: (told.append((rig.results[-1], rig.states[-1])), close(port))
+    )
+    board.fault("hang", seconds=3.0)
+    rig.until(lambda: told)
+    result, (_, state) = told[0]
+    assert result.outcome.value == "aborted" and "no status report" in result.reason
+    assert state.startswith("disconnected: no status report")
+
+
 def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:
     board, rig = start(time_scale=2.0)
     rig.home()

@@ -265,10 +265,10 @@ class SerialLink:
     def _publish(self) -> None:
         with self._changed:
             events = self._machine.take_events()
-        if any(isinstance(event, CloseRequested) for event in events):
-            self._close_port()
         if events:
             self._on_events(events)
+        if any(isinstance(event, CloseRequested) for event in events):
+            self._close_port()  # last: Linux waits half a minute for a board that takes no byte any more
 
 
 def _plain(error: Exception) -> str:
