@@ -1065,3 +1065,29 @@ def test_marlin_is_told_from_the_others_and_nothing_but_a_question_is_sent_to_it
     assert "nothing to accept" in machine.accept_settings(now)
     machine.stop("stop requested", now)
     assert machine.output(now) == b""
+
+
+def test_a_grbl_before_1_1_is_told_from_the_others_and_asked_for_nothing() -> None:
+    """Its reports were noise, and so the link was lost and found again for ever."""
+    machine = Machine(DriverConfig(enabled_at_start=True))
+    machine.opened(0.0)
+    machine.receive(b"\r\nGrbl 0.9j ['$' for help]\r\n['$H'|'$X' to unlock]\r\n", 0.1)
+    sent = b""
+    for now in (0.1 * k for k in range(2, 100)):
+        machine.tick(now)
+        sent += machine.output(now)
+    machine.heartbeat(now)
+    assert machine.state_text.startswith("mismatch: the firmware is a GRBL before 1.1") and sent == b""
+    assert "before 1.1" in machine.home(now) and "nothing to accept" in machine.accept_settings(now)
+
+
+def test_a_banner_that_noise_has_made_an_old_one_is_a_reset_like_any_other(monkeypatch: Any) -> None:
+    rig = Rig().homed()
+    rig.go((0.3, 0.1, 0.0))
+    rig.until(lambda: rig.board.state == "Run")
+    monkeypatch.setattr(protocol_board, "BANNER", protocol_board.BANNER.replace(b"1.1h", b"0.1h"))
+    rig.board.power_cycle()
+    rig.step()
+    monkeypatch.undo()
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.outcomes() == ["accepted", "aborted"] and "reset by itself" in rig.results[-1].reason

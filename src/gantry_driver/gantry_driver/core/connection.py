@@ -51,6 +51,11 @@ _MACROS = ("$/macros/startup_line0", "$/macros/startup_line1", "$/macros/after_r
 READ_STARTUP = {"$N": ("$N0", "$N1"), **{name: (name,) for name in _MACROS}}
 """What asks for the lines that a board runs by itself, and the names in the answer; FluidNC calls them macros."""
 STARTUP_TRIES = 5
+REFUSED = {
+    Dialect.MARLIN: "the firmware is Marlin, which has no feed hold; GRBL is needed",
+    Dialect.GRBL_0: "the firmware is a GRBL before 1.1, whose reports have another form; 1.1 is needed",
+}
+"""The firmwares that are not driven, and why."""
 KEPT_TO_ITSELF = {Dialect.FLUIDNC: frozenset({13, 23, 27})}
 """Units, corner and pull-off, which not every version of a firmware tells: where the machine has homed tells them."""
 
@@ -241,11 +246,11 @@ class Connection:
         if firmware.dialect is not Dialect.UNKNOWN:
             self.dialect = firmware.dialect
         self.firmware = firmware.version
-        if firmware.dialect is Dialect.MARLIN and self.phase is Phase.SYNCHRONISE:
-            self._refuse_marlin(now)
+        if firmware.dialect in REFUSED and self.phase is Phase.SYNCHRONISE:
+            self._refuse(firmware.dialect, now)
 
-    def _refuse_marlin(self, now: float) -> None:
-        self.dialect, self._mismatch = Dialect.MARLIN, "the firmware is Marlin, which has no feed hold; GRBL is needed"
+    def _refuse(self, dialect: Dialect, now: float) -> None:
+        self.dialect, self._mismatch = dialect, REFUSED[dialect]
         self.session.polling = False
         self._enter(Phase.IDENTIFY, now)
         self._enter(Phase.MISMATCH, now, self._mismatch)

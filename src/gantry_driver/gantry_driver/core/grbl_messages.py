@@ -19,6 +19,7 @@ class Dialect(str, Enum):
 
     UNKNOWN = "unknown"
     GRBL = "GRBL"
+    GRBL_0 = "GRBL0"
     GRBLHAL = "grblHAL"
     FLUIDNC = "FluidNC"
     MARLIN = "Marlin"
@@ -201,7 +202,7 @@ def parse_line(raw: bytes) -> Message:
 
 def _banner(text: str) -> Banner | None:
     if match := _GRBL.search(text):
-        dialect = Dialect.GRBL
+        dialect = Dialect.GRBL_0 if match[2].startswith("0.") else Dialect.GRBL
         if match[1]:
             dialect = Dialect.GRBLHAL
         elif "FluidNC" in match[3]:

@@ -16,6 +16,7 @@ from gantry_driver.core.connection import (
     HOLD_REPEAT_S,
     OLD_HOLDS,
     READ_STARTUP,
+    REFUSED,
     Connection,
     Goal,
     Reading,
@@ -181,7 +182,7 @@ class Machine(Connection):
         hold_written
             The ``!`` is on the wire already.
         """
-        if self.phase is Phase.ALARM or self.dialect is Dialect.MARLIN:
+        if self.phase is Phase.ALARM or self.dialect in REFUSED:
             return
         self._latched = self._latched or reason
         if self.phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
@@ -429,8 +430,8 @@ class Machine(Connection):
 
     def _on_reset(self, event: WasReset, now: float) -> None:
         banner = event.banner
-        if banner.dialect is Dialect.MARLIN:
-            self._refuse_marlin(now)
+        if banner.dialect is Dialect.MARLIN or (banner.dialect in REFUSED and self.phase is Phase.SYNCHRONISE):
+            self._refuse(banner.dialect, now)
             return
         self._critical = False
         if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):

@@ -58,6 +58,7 @@ export const PHRASES_DE = [
   ["not opened yet", "noch nicht geöffnet"],
   ["link lost: {}", "Leitung verloren: {}"],
   ["the firmware is Marlin, which has no feed hold; GRBL is needed", "die Firmware ist Marlin, die keinen Vorschubhalt kennt; nötig ist GRBL"],
+  ["the firmware is a GRBL before 1.1, whose reports have another form; 1.1 is needed", "die Firmware ist ein GRBL vor 1.1, dessen Meldungen eine andere Form haben; nötig ist 1.1"],
   ["nothing to accept: the driver is {}", "nichts anzunehmen: der Treiber ist {}"],
   ["settings are written to a board at rest with the stylus up, the driver is {}", "Einstellungen werden nur geschrieben, wenn die Platine ruht und der Stift oben ist; der Treiber ist {}"],
   ["writing {}", "schreibt {}"],
