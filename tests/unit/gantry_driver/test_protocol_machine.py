@@ -630,6 +630,26 @@ def test_homing_is_no_silence_and_its_alarm_is_one() -> None:
     assert "ALARM:9 (homing: no switch found)" in rig.states[-1] and not rig.machine.homed
 
 
+def test_an_alarm_that_a_reset_does_not_leave_stays_one() -> None:
+    """While an emergency stop is pressed, grblHAL answers a reset by the alarm, without a banner."""
+    rig = Rig().homed()
+    board = rig.board
+    leave = board.reset
+    board.alarm(10)
+    board.reset = lambda: board.say("ALARM:10")  # type: ignore[method-assign]
+    rig.until(lambda: rig.state == "alarm")
+    for _ in range(2):
+        rig.run_for(1.0)
+        assert rig.machine.reset(rig.now) == ""
+        rig.run_for(8.0)
+        assert rig.machine.state_text.startswith("alarm: ALARM:10") and rig.machine.connects == 1
+    board.reset = leave  # type: ignore[method-assign]
+    rig.run_for(3.0)
+    assert rig.machine.phase.name == "ALARM", "it is left when somebody asks for it, not when the button is released"
+    assert rig.machine.reset(rig.now) == ""
+    rig.until(lambda: rig.state == "unhomed")
+
+
 def test_an_alarm_outlasts_the_reset_that_the_board_adds_to_it() -> None:
     rig = Rig().connect()
     rig.step()

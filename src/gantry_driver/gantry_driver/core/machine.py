@@ -513,7 +513,9 @@ class Machine(Connection):
         self._finish(Outcome.ABORTED, text, now)
         self._forget_position()
         self._latched = ""  # The alarm is latched itself, and its reset is the same call.
-        if self.phase not in (Phase.ALARM, Phase.ALARM_RESET):
+        if self.phase is Phase.ALARM_RESET:  # an emergency stop is still pressed: no banner comes
+            self.session.awaiting_banner = False
+        if self.phase is not Phase.ALARM:
             self._enter(Phase.ALARM, now, text)
 
     def _on_count_broken(self, event: CountBroken, now: float) -> None:
