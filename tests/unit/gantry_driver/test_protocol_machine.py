@@ -691,6 +691,15 @@ def test_a_board_that_only_wants_to_be_homed_is_unhomed(banner: bytes, code: int
     rig.until(lambda: rig.state == "alarm")
 
 
+def test_homing_with_the_door_open_is_refused_by_a_reason_that_names_it() -> None:
+    rig = Rig().connect()
+    rig.board.refuse["$H"] = 13
+    rig.step()
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1].startswith("stopped: homing refused: error:13 (safety door open)")
+
+
 def test_stop_while_homing_resets_at_once() -> None:
     rig = Rig().connect()
     rig.step()

@@ -289,6 +289,7 @@ ERROR_TEXTS = {
     9: "locked by an alarm",
     10: "soft limits need homing",
     11: "line too long",
+    13: "safety door open",
     15: "jog beyond the travel",
     16: "bad jog",
     17: "laser mode needs PWM",

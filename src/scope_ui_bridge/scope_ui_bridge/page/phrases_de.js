@@ -163,6 +163,7 @@ export const PHRASES_DE = [
   ["locked by an alarm", "durch einen Alarm gesperrt"],
   ["soft limits need homing", "Grenzen brauchen eine Referenzfahrt"],
   ["line too long", "Zeile zu lang"],
+  ["safety door open", "Schutztür offen"],
   ["jog beyond the travel", "Fahrt über den Weg hinaus"],
   ["bad jog", "falsche Fahranweisung"],
   ["laser mode needs PWM", "Laserbetrieb braucht PWM"],
