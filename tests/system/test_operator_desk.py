@@ -593,6 +593,21 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
     operator.sees("#chip-driver", "Idle")
     page.click("#tab-calibrate")
     operator.sees("#guide-machine", "✓")
+    plotted = """async (places) => {
+        const { desk } = await import('/page/desk.js');
+        const { sampleGuide } = await import('/page/guide.js');
+        const { state } = desk;
+        places.forEach((position_mm, at) => {
+            desk.state = { ...state, position_mm, calibration: { state: "calibrating", reason: `${at + 1}/12` } };
+            sampleGuide();
+        });
+        desk.state = state;
+        const numbers = (node, ...names) => names.map((name) => Number(node.getAttribute(name)));
+        const plot = document.getElementById("coverage");
+        const shown = plot.getAttribute("viewBox").split(" ").map(Number);
+        return [shown, [...plot.children].map((place) => numbers(place, "cx", "cy"))];
+    }"""
+    assert page.evaluate(plotted, [[30, 40, 0], [580, 410, 0]]) == [[0, 0, 580, 410], [[30, 370], [580, 0]]]
 
 
 def test_outlines_edges_and_the_way_are_seen_on_any_picture(operator: Operator, tmp_path: Path) -> None:

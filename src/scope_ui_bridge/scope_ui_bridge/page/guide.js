@@ -5,7 +5,7 @@ import { find, put, svg } from "./dom.js";
 import { said } from "./said.js";
 import { t } from "./strings.js";
 
-const TRAVEL_MM = [360, 220];
+const FRAME_MM = [360, 220]; // of the places, at least: a larger machine's widen it
 const GOOD_MM = 0.25;
 let facts = {};
 let places = []; // [x, y] mm, where the tip was when the count rose
@@ -31,12 +31,16 @@ export function sampleGuide() {
   if (done > 0 && (done < lastDone || lastDone === 0)) places = []; // another run; the end of one leaves them
   if (done > lastDone && desk.state.position_mm) {
     places.push(desk.state.position_mm.slice(0, 2));
-    find("coverage").replaceChildren(...places.map(dot));
+    drawPlaces();
   }
   lastDone = done;
 }
 
-const dot = ([x, y]) => svg("circle", { cx: x, cy: TRAVEL_MM[1] - y, r: 6 });
+function drawPlaces() {
+  const [width, height] = FRAME_MM.map((least, axis) => Math.max(least, ...places.map((place) => place[axis])));
+  find("coverage").setAttribute("viewBox", `0 0 ${width} ${height}`);
+  find("coverage").replaceChildren(...places.map(([x, y]) => svg("circle", { cx: x, cy: height - y, r: 6 })));
+}
 
 function step(id, done) {
   const item = find(id);
