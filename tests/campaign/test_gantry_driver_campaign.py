@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from campaign.virtual_link import VirtualRig
 
 from gantry_driver.core.grbl_messages import Report
 from gantry_driver.core.machine import Machine
+from gantry_driver.core.machine_config import DriverConfig, MachineConfig
 from icu_common.core.results import Outcome
 
 SHORT = 6 * len(FAULTS)
@@ -65,3 +67,31 @@ def test_a_program_is_checked_with_the_offset_that_the_board_has_stored() -> Non
     assert rig.machine.run_program("p", ["G0 X20 Y10"], rig.now).outcome is Outcome.ACCEPTED
     rig.until(lambda: rig.results and rig.results[-1].outcome is Outcome.REACHED, 10.0)
     assert rig.mpos() == pytest.approx((-339.0, -209.0, -1.0), abs=0.02)
+
+
+def test_the_retreat_has_the_time_that_a_slow_axis_takes() -> None:
+    """The board slows down what is faster than its $112."""
+    machine = MachineConfig(max_rate_mm_min=(12000.0, 12000.0, 600.0))
+    rig = VirtualRig(DriverConfig(enabled_at_start=True, machine=machine), 0)
+    rig.board.eeprom.values[112] = 600.0
+    rig.home()
+    rig.go([(0.0, 0.0, 0.055)], "down")
+    rig.until(lambda: rig.mpos()[2] < -53.0, 20.0)
+    rig.stop("operator")
+    rig.until(lambda: rig.machine.phase.name == "STOPPED", 20.0)
+    assert rig.mpos()[2] == pytest.approx(-1.0, abs=0.01)
+    assert rig.states[-1] == "stopped: operator"
+
+
+def test_a_retreat_under_way_keeps_its_time_when_the_speed_is_changed() -> None:
+    config = DriverConfig(enabled_at_start=True, stylus_feed_m_s=0.01)
+    rig = VirtualRig(config, 0)
+    rig.home()
+    rig.go([(0.0, 0.0, 0.055)], "down")
+    rig.until(lambda: rig.mpos()[2] < -53.0, 20.0)
+    rig.stop("operator")
+    rig.until(lambda: rig.machine.phase.name == "LIFTING", 10.0)
+    rig.machine.configure(dataclasses.replace(config, stylus_feed_m_s=0.03), rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED", 20.0)
+    assert rig.mpos()[2] == pytest.approx(-1.0, abs=0.01)
+    assert rig.states[-1] == "stopped: operator"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import pty
 import select
@@ -16,7 +15,7 @@ import pytest
 import serial
 from nodes.grbl_board import GrblBoard, LinkRig
 
-from gantry_driver.core.machine_config import DriverConfig, MachineConfig
+from gantry_driver.core.machine_config import DriverConfig
 
 HOMED = (-359.0, -219.0, -1.0)
 Start = Callable[..., tuple[GrblBoard, LinkRig]]
@@ -278,33 +277,6 @@ def test_stops_during_the_retreat_let_it_finish(start: Start) -> None:
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
     assert board.mpos()[2] == pytest.approx(HOMED[2], abs=0.01) and rig.states[-1][1] == "stopped: first"
     assert rig.link.stop_writes == 1, "one hold for the motion, none for the retreat"
-
-
-def test_the_retreat_has_the_time_that_a_slow_axis_takes(start: Start) -> None:
-    """The board slows down what is faster than its $112."""
-    machine = MachineConfig(max_rate_mm_min=(12000.0, 12000.0, 600.0))
-    board, rig = start("--set", "112=600", config=DriverConfig(enabled_at_start=True, machine=machine))
-    rig.home(60.0)
-    rig.go((0.0, 0.0, 0.055))
-    rig.until(lambda: bool(rig.positions) and rig.positions[-1][2] > 0.052)
-    rig.link.stop("operator")
-    rig.until(lambda: rig.machine.phase.name == "STOPPED")
-    assert board.mpos()[2] == pytest.approx(HOMED[2], abs=0.01)
-    assert rig.states[-1][1] == "stopped: operator"
-
-
-def test_a_retreat_under_way_keeps_its_time_when_the_speed_is_changed(start: Start) -> None:
-    config = DriverConfig(enabled_at_start=True, stylus_feed_m_s=0.01)
-    board, rig = start(config=config)
-    rig.home()
-    rig.go((0.0, 0.0, 0.055))
-    rig.until(lambda: bool(rig.positions) and rig.positions[-1][2] > 0.052)
-    rig.link.stop("operator")
-    rig.until(lambda: rig.machine.phase.name == "LIFTING")
-    rig.link.call(lambda machine, now: machine.configure(dataclasses.replace(config, stylus_feed_m_s=0.03), now))
-    rig.until(lambda: rig.machine.phase.name == "STOPPED")
-    assert board.mpos()[2] == pytest.approx(HOMED[2], abs=0.01)
-    assert rig.states[-1][1] == "stopped: operator"
 
 
 @pytest.mark.parametrize(("dialect", "told", "buffer"), [("grblHAL", 1024, 1024), ("FluidNC", 128, 256)])
