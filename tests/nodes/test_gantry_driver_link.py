@@ -27,7 +27,8 @@ def start(tmp_path: Path) -> Iterator[Start]:
     made: list[GrblBoard | LinkRig] = []
 
     def make(*arguments: str, config: DriverConfig | None = None, time_scale: float = 1.0) -> tuple[GrblBoard, LinkRig]:
-        board = GrblBoard(tmp_path, *arguments, time_scale=time_scale)
+        # Near its home: how long the way there takes matters to no test.
+        board = GrblBoard(tmp_path, "--start=-350,-210,-2", *arguments, time_scale=time_scale)
         made.append(board)
         rig = LinkRig(board.port, config)
         made.append(rig)
