@@ -24,7 +24,7 @@ def test_every_button_is_pressed_in_its_middle(layout: str) -> None:
     buttons = [c for c in robot.layout.controls if c.kind == "button"]
     assert len(buttons) >= 4
     for button in buttons:
-        robot.look_at_panel()
+        robot.look_at_panel(3)  # as few as may agree
         robot.take_records()
         result = robot.command(f"press:{button.name}")
         records = robot.take_records()
