@@ -171,16 +171,11 @@ PATIENT = {
 }
 
 
-# Every step of the procedure, at half as many places: test_calibration_run.py has the whole plan, on a virtual clock.
-FEWER_PLACES = {"columns": 3, "rows": 2, "backlash_places": 1}
-
-
 @pytest.fixture(scope="session")
 def started_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningGraph]:
     """A graph as it is after its start: neither homed nor calibrated; the tests of a session share it."""
     patience = [text for name, value in PATIENT.items() for text in ("--set", f"ui_bridge.{name}={value}")]
-    places = [text for name, value in FEWER_PLACES.items() for text in ("--set", f"hand_eye.run.{name}={value}")]
-    graph = RunningGraph(tmp_path_factory.mktemp("graph"), 50 + os.getpid() % 40, *patience, *places)
+    graph = RunningGraph(tmp_path_factory.mktemp("graph"), 50 + os.getpid() % 40, *patience)
     try:
         yield graph
     finally:
