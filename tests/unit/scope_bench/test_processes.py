@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+import pytest
 
 from scope_bench.adapters.processes import ProcessGroup
 
 PYTHON = [sys.executable, "-u", "-S", "-c"]
 STUBBORN = "import signal, sys; [signal.signal(s, signal.SIG_IGN) for s in (2, 15)]; print('up'); signal.pause()"
+
+
+@pytest.fixture(autouse=True)
+def interruptible() -> Iterator[None]:
+    """A shell that starts the tests in its background lets them, and what they start, ignore SIGINT."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 class Watch:
