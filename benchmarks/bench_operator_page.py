@@ -106,7 +106,7 @@ def stops(rig: MachineRig, operator: Operator, count: int) -> list[Row]:
     took = []
     page = operator.page
     for _ in range(count):
-        since = rig.mark()
+        since = rig.board.mark()
         # The browser's clock at the key, by the page itself: playwright's own way to the browser is no part of it.
         page.keyboard.press("Escape")
         pressed_s = page.evaluate("() => window.pressed") / 1e3 - (time.time() - time.monotonic())

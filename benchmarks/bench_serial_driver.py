@@ -157,20 +157,6 @@ def camera_graph() -> Iterator[None]:
             process.wait(30.0)
 
 
-class Clock:
-    """The board's clock in terms of this process's: the narrowest of many questions."""
-
-    def __init__(self, mock: GrblBoard) -> None:
-        self.offset_s, self.width_s = 0.0, float("inf")
-        for _ in range(200):
-            before = time.monotonic()
-            board_s = mock.ask("counters")["t"]
-            after = time.monotonic()
-            if after - before < self.width_s:
-                self.width_s = after - before
-                self.offset_s = (before + after) / 2 - board_s
-
-
 def run_node(port: str, holds: str) -> int:
     """The driver's process: as in the graph, but a signal does not end it, and each hold it writes is noted."""
     import rclpy
@@ -268,7 +254,7 @@ def stops(count: int) -> list[Row]:
                 "SIGTERM": lambda: os.kill(child.pid, signal.SIGTERM),
             }
             asked: dict[str, list[float]] = {name: [] for name in ways}
-            clock, rng, far = Clock(mock), np.random.default_rng(1), False
+            (offset_s, clock_width_s), rng, far = mock.clock_s(), np.random.default_rng(1), False
             seen.clear()
             began = time.monotonic()
             for turn in range(count * len(ways)):
@@ -291,7 +277,7 @@ def stops(count: int) -> list[Row]:
                     until(lambda at=asked_at: states[-1] == "idle" or time.monotonic() > at + 0.05)
             pictures = len(seen) / (time.monotonic() - began)
             written = [float(text) for text in holds]
-            heard = [e["t"] + clock.offset_s for e in mock.log() if e["kind"] == "realtime" and e["byte"] == ord("!")]
+            heard = [t + offset_s for t in mock.holds()]
         finally:
             child.kill()
             child.wait()
@@ -303,7 +289,7 @@ def stops(count: int) -> list[Row]:
     print(f"beside a camera graph with {pictures:.1f} pictures a second, {scheduling} scheduling, load {load:.1f}")
     rows = []
     for name, moments in asked.items():
-        places = {"the port": (written, 0.0), "the board, by a pseudo-terminal": (heard, clock.width_s)}
+        places = {"the port": (written, 0.0), "the board, by a pseudo-terminal": (heard, clock_width_s)}
         for place, (times, width_s) in places.items():
             took = [1e3 * (min(t for t in times if t > moment - width_s) - moment) for moment in moments]
             p50, p99 = np.percentile(took, [50, 99])

@@ -8,26 +8,36 @@ import time
 from pathlib import Path
 from typing import Any
 
+LISTENS_WITHIN_S = ANSWERS_WITHIN_S = 30.0
+"""The bench may be drawing a picture, on a loaded machine, before it listens and before it answers."""
+HOLD = ord("!")
+
 
 class LineSocket:
     """Requests and answers as JSON lines over a Unix socket, waited for where nobody listens on it yet."""
 
-    def __init__(self, path: Path, within_s: float = 30.0) -> None:
+    def __init__(self, path: Path) -> None:
         self._socket = socket.socket(socket.AF_UNIX)
-        self._socket.settimeout(5.0)
-        deadline = time.monotonic() + within_s
+        self._socket.settimeout(ANSWERS_WITHIN_S)
+        deadline = time.monotonic() + LISTENS_WITHIN_S
         while True:
             try:
                 self._socket.connect(str(path))
                 break
             except (FileNotFoundError, ConnectionRefusedError) as error:  # not bound yet, or bound and not listening
-                assert time.monotonic() < deadline, f"nobody listens on {path} within {within_s:g} s: {error}"
+                assert time.monotonic() < deadline, f"nobody listens on {path} within {LISTENS_WITHIN_S:g} s: {error}"
                 time.sleep(0.02)
-        self._file = self._socket.makefile("rw")
+        self._file = self._socket.makefile("rwb")
 
-    def ask(self, **request: Any) -> dict[str, Any]:
-        self._file.write(json.dumps(request) + "\n")
+    def ask(self, do: str, **values: Any) -> dict[str, Any]:
+        return self.send(json.dumps({"do": do, **values}).encode())
+
+    def send(self, line: bytes) -> dict[str, Any]:
+        self._file.write(line + b"\n")
         self._file.flush()
+        return self.read()
+
+    def read(self) -> dict[str, Any]:
         answer = json.loads(self._file.readline())
         assert isinstance(answer, dict)
         return answer
@@ -35,3 +45,66 @@ class LineSocket:
     def close(self) -> None:
         self._file.close()
         self._socket.close()
+
+
+class BoardSocket(LineSocket):
+    """The mock board's control socket: what the board received and where it stands."""
+
+    def ask(self, do: str, **values: Any) -> dict[str, Any]:
+        answer = super().ask(do, **values)
+        assert answer["ok"], answer
+        return answer
+
+    def fault(self, kind: str, **values: Any) -> None:
+        self.ask("fault", kind=kind, **values)
+
+    def log(self, since: int = 0, kind: str | None = None) -> list[dict[str, Any]]:
+        """Return the entries from that number on, of one kind if given, oldest first."""
+        entries: list[dict[str, Any]] = []
+        while batch := self.ask("log", since=since, kind=kind)["entries"]:
+            entries += batch
+            since = batch[-1]["n"] + 1
+        return entries
+
+    def mark(self) -> int:
+        """Return the number of the next entry."""
+        entries = self.log()
+        return int(entries[-1]["n"]) + 1 if entries else 0
+
+    def lines(self, since: int = 0) -> list[dict[str, Any]]:
+        """Return the lines that the board took, oldest first: text, answer, t."""
+        return self.log(since, "line")
+
+    def holds(self, since: int = 0) -> list[float]:
+        """Return when it was told to hold, in s of its clock."""
+        return [entry["t"] for entry in self.log(since, "realtime") if entry["byte"] == HOLD]
+
+    def mpos(self) -> tuple[float, float, float]:
+        """Return the true place in mm."""
+        x, y, z = self.ask("state")["mpos"]
+        return x, y, z
+
+    def at_rest(self) -> tuple[float, float, float]:
+        """Return the place once it has not changed for a while."""
+        deadline = time.monotonic() + 10.0
+        seen, since_s = self.mpos(), time.monotonic()
+        while time.monotonic() < since_s + 0.3:
+            if (now := self.mpos()) != seen:
+                seen, since_s = now, time.monotonic()
+            assert time.monotonic() < deadline, "the machine does not come to rest"
+            time.sleep(0.02)
+        return seen
+
+    def counters(self) -> dict[str, int]:
+        return dict(self.ask("counters")["counters"])
+
+    def clock_s(self) -> tuple[float, float]:
+        """Return what added to the board's clock gives time.monotonic(), and how well that is known, in s."""
+        offset_s, width_s = 0.0, float("inf")
+        for _ in range(200):
+            before = time.monotonic()
+            board_s = self.ask("counters")["t"]
+            after = time.monotonic()
+            if after - before < width_s:  # the narrowest of many questions
+                offset_s, width_s = (before + after) / 2 - board_s, after - before
+        return offset_s, width_s

@@ -65,8 +65,8 @@ class PortRig:
         return self._board.counters().get(name, 0)
 
     def lines(self, since: int, kind: str = "line") -> list[dict[str, Any]]:
-        return [entry for entry in self._board.log(since) if entry["kind"] == kind]
+        return self._board.log(since, kind)
 
     @property
     def entry(self) -> int:
-        return int(self._board.log()[-1]["n"]) + 1
+        return self._board.mark()

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import math
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from line_socket import BoardSocket
 
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.core.machine import Machine
@@ -21,8 +21,8 @@ from icu_common.core.frames import JOINTS
 from icu_common.core.results import GoalResult
 
 
-class GrblBoard:
-    """One mock_grbl process; ``port`` is its link, :meth:`ask` its control socket."""
+class GrblBoard(BoardSocket):
+    """One mock_grbl process and its control socket; ``port`` is its link."""
 
     def __init__(self, folder: Path, *arguments: str, time_scale: float = 1.0) -> None:
         self.port = folder / "grbl"
@@ -32,41 +32,10 @@ class GrblBoard:
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE)
         assert self.process.stdout is not None
         assert self.process.stdout.readline(), "mock_grbl did not start"
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._socket.settimeout(5.0)
-        self._socket.connect(str(control))
-        self._answers = self._socket.makefile("rb")
-
-    def ask(self, do: str, **arguments: Any) -> dict[str, Any]:
-        self._socket.sendall(json.dumps({"do": do, **arguments}).encode() + b"\n")
-        answer: dict[str, Any] = json.loads(self._answers.readline())
-        assert answer["ok"], answer
-        return answer
-
-    def fault(self, kind: str, **arguments: Any) -> None:
-        self.ask("fault", kind=kind, **arguments)
-
-    def lines(self, since: int = 0) -> list[dict[str, Any]]:
-        """Return the lines that the board took, oldest first: text, answer, t."""
-        return [entry for entry in self.log(since) if entry["kind"] == "line"]
-
-    def log(self, since: int = 0) -> list[dict[str, Any]]:
-        entries: list[dict[str, Any]] = []
-        while batch := self.ask("log", since=since)["entries"]:
-            entries += batch
-            since = batch[-1]["n"] + 1
-        return entries
-
-    def mpos(self) -> tuple[float, float, float]:
-        x, y, z = self.ask("state")["mpos"]
-        return x, y, z
-
-    def counters(self) -> dict[str, int]:
-        return dict(self.ask("counters")["counters"])
+        super().__init__(control)
 
     def close(self) -> None:
-        self._answers.close()
-        self._socket.close()
+        super().close()
         self.process.terminate()
         try:
             self.process.wait(5.0)

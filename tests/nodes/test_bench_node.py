@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from line_socket import LineSocket
 from rclpy.parameter import Parameter
 
 from icu_common.adapters.frame_link import FrameClient
@@ -73,25 +74,6 @@ class Board:
         self.path.unlink(missing_ok=True)
 
 
-class Asker:
-    """A test's connection to the bench's test socket."""
-
-    def __init__(self, path: Path) -> None:
-        self._socket = socket.socket(socket.AF_UNIX)
-        self._socket.settimeout(30.0)
-        self._socket.connect(str(path))
-        self._file = self._socket.makefile("rw", encoding="utf-8")
-
-    def __call__(self, do: str, **values: Any) -> dict[str, Any]:
-        self._file.write(json.dumps({"do": do, **values}) + "\n")
-        self._file.flush()
-        return json.loads(self._file.readline())
-
-    def close(self) -> None:
-        self._file.close()
-        self._socket.close()
-
-
 class Bench:
     def __init__(self, folder: Path, **settings: Any) -> None:
         self.folder = folder
@@ -111,8 +93,9 @@ class Bench:
         self.stack = contextlib.ExitStack()
         self.stack.callback(self.simulation.stop)
         self.simulation.start()
-        self.ask = Asker(folder / "bench")
-        self.stack.callback(self.ask.close)
+        self._truth = LineSocket(folder / "bench")
+        self.stack.callback(self._truth.close)
+        self.ask = self._truth.ask
 
     def board(self) -> Board:
         board = Board(self.folder / "truth")

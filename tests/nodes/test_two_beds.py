@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from geometry_msgs.msg import PointStamped
-from nodes.mock_socket import BoardSocket
+from line_socket import BoardSocket
 from ros_rig import Ros
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
@@ -105,16 +105,16 @@ def test_no_crosstalk(beds: list[Bed], ros: Ros) -> None:
     try:
         first.home()
         ros.spin_until(lambda: second.state == "unhomed", 30.0, lambda: second.state)
-        assert boards[1].lines() == [line for line in boards[1].lines() if not line.startswith(("$H", "F", "G"))]
+        assert not [line for line in boards[1].lines() if line["text"].startswith(("$H", "F", "G"))]
         second.home()
         ros.spin_until(lambda: first.goal.get_subscription_count() == 1, 10.0)
-        resting = boards[1].position()
+        resting = boards[1].mpos()
         before = len(boards[1].lines())
-        start = boards[0].position()
+        x, y, _ = boards[0].mpos()
         stamp = first.node.get_clock().now().nanoseconds
         first.goal.publish(point_message((0.05, 0.02, 0.0), header(stamp, "base_link")))
-        ros.spin_until(lambda: boards[0].position() == pytest.approx((start[0] + 50, start[1] + 20), abs=0.05), 20.0)
-        assert boards[1].position() == resting and boards[1].lines()[before:] == []
+        ros.spin_until(lambda: boards[0].mpos()[:2] == pytest.approx((x + 50, y + 20), abs=0.05), 20.0)
+        assert boards[1].mpos() == resting and boards[1].lines()[before:] == []
 
         first.call("gantry/stop", Trigger, Trigger.Request())
         ros.spin_until(lambda: first.state.startswith("stopped"), 10.0, lambda: first.state)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from nodes.mock_socket import BoardSocket
+from line_socket import BoardSocket
 from ros_rig import domain_of_worker
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -225,7 +225,7 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
         desk.ask("gantry/home")
         desk.sees("idle", 30.0)
         desk.goes(0.01, 0.01)
-        start_mm = board.position()
+        start_mm = board.mpos()
 
         desk.go(0.34, 0.2)
         desk.until(lambda line: line.get("state") == "moving", 10.0)
@@ -247,9 +247,9 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
         desk.sees("stopped: operator's heartbeat lost", 30.0)
         desk.ask("gantry/reset", 30.0)
         desk.sees("idle", 10.0)
-        assert board.position() == resting_mm, "nothing resumes by itself"
+        assert board.mpos() == resting_mm, "nothing resumes by itself"
         desk.goes(0.02, 0.01)
-        x_mm, y_mm = board.position()
+        x_mm, y_mm, _ = board.mpos()
         assert (x_mm - start_mm[0], y_mm - start_mm[1]) == pytest.approx((10.0, 0.0), abs=0.05)
     finally:
         board.close()

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from line_socket import LineSocket
+from line_socket import BoardSocket, LineSocket
 from system.operator_browser import browser  # noqa: F401
 from system.terminal_operator import operator  # noqa: F401
 
@@ -138,9 +138,9 @@ class RunningGraph:
         """Connect to the physical truth."""
         return LineSocket(self.run_dir / "bench")
 
-    def board(self) -> LineSocket:
+    def board(self) -> BoardSocket:
         """Connect to the mock board's control socket."""
-        return LineSocket(self.run_dir / "board")
+        return BoardSocket(self.run_dir / "board")
 
     def truth_log(self) -> list[dict[str, Any]]:
         """Return what happened physically: contacts, releases, reactions."""

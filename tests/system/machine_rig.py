@@ -18,7 +18,6 @@ from system.shaped_link import ShapedLink
 
 _PERCEPTION = ("bench", "camera", "corners_left", "corners_right", "stereo", "dense_stereo", "stylus_tracker")
 _LEFT_OUT = (*_PERCEPTION, "recognition", "hand_eye", "ui_bridge")
-HOLD = ord("!")
 
 
 class MachineRig:
@@ -41,7 +40,7 @@ class MachineRig:
         self.link = ShapedLink(self.graph.port, **link)
         self.start_bridge()
         self.board = self.graph.board()
-        self._set_clock()
+        self.clock_s, _ = self.board.clock_s()
 
     def _start(self, script: str, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
         command = [sys.executable, str(ROOT / "tests" / script), *arguments]
@@ -84,36 +83,9 @@ class MachineRig:
         """Return the same address through the link that can be cut."""
         return address.replace(f":{self.graph.port}/", f":{self.link.port}/")
 
-    def _set_clock(self) -> None:
-        """Learn the board's clock in terms of ours, from the narrowest of many questions."""
-        self.clock_s, width = 0.0, float("inf")
-        for _ in range(100):
-            before = time.monotonic()
-            board_s = self.board.ask(do="counters")["t"]
-            after = time.monotonic()
-            if after - before < width:
-                width = after - before
-                self.clock_s = (before + after) / 2 - board_s
-
-    def mark(self) -> int:
-        """Return the number of the board's next log entry."""
-        entries = self.board.ask(do="log", since=self._newest())["entries"]
-        return int(entries[-1]["n"]) + 1 if entries else 0
-
-    def _newest(self) -> int:
-        since = 0
-        while batch := self.board.ask(do="log", since=since)["entries"]:
-            since = batch[-1]["n"] + 1
-        return max(since - 1, 0)
-
     def halted_s(self, since: int, within_s: float = 5.0) -> float:
         """Return our time at which the driver's hold came to the board, after log entry ``since``."""
-
-        def hold() -> list[float]:
-            entries = self.board.ask(do="log", since=since, kind="realtime")["entries"]
-            return [entry["t"] + self.clock_s for entry in entries if entry["byte"] == HOLD]
-
-        return float(wait_for(hold, within_s, "the driver's hold")[0])
+        return float(wait_for(lambda: self.board.holds(since), within_s, "the driver's hold")[0]) + self.clock_s
 
     def close(self) -> None:
         self.link.close()

@@ -61,7 +61,7 @@ class Room:
             )
             if not operator.refused():
                 break
-        return self.rig.mark()
+        return self.rig.board.mark()
 
     def resets(self, then: str = "Idle") -> None:
         """Go on as a person would: take control if it was lost, reset."""

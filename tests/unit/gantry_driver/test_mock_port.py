@@ -7,7 +7,6 @@ import json
 import os
 import select
 import signal
-import socket
 import stat
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from typing import Any
 
 import pytest
 import serial
+from line_socket import LineSocket
 from unit.gantry_driver.mock_rig import BANNER, FREE, UNLOCK
 
 from gantry_driver.mock.machine import Machine
@@ -27,31 +27,6 @@ from gantry_driver.mock.service import Service
 from gantry_driver.mock.settings import make_eeprom
 
 DEADLINE_S = 20.0
-
-
-class Lines:
-    """A client of one of the board's sockets."""
-
-    def __init__(self, path: Path) -> None:
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._socket.settimeout(DEADLINE_S)
-        self._socket.connect(os.fspath(path))
-        self._file = self._socket.makefile("rwb")
-
-    def read(self) -> dict[str, Any]:
-        return json.loads(self._file.readline())
-
-    def ask(self, **request: Any) -> dict[str, Any]:
-        return self.send(json.dumps(request).encode())
-
-    def send(self, line: bytes) -> dict[str, Any]:
-        self._file.write(line + b"\n")
-        self._file.flush()
-        return self.read()
-
-    def close(self) -> None:
-        self._file.close()
-        self._socket.close()
 
 
 class Running:
@@ -74,8 +49,8 @@ class Running:
         stack.callback(self.service.stop)
         self.control = self.client(self.control_path)
 
-    def client(self, path: Path) -> Lines:
-        client = Lines(path)
+    def client(self, path: Path) -> LineSocket:
+        client = LineSocket(path)
         self._stack.callback(client.close)
         return client
 
@@ -318,7 +293,7 @@ def test_program_needs_little_of_a_core(program: tuple[subprocess.Popen[str], Pa
     process, folder = program
     assert process.stdout is not None
     path = process.stdout.readline().strip()
-    with serial.Serial(path, 115200, timeout=DEADLINE_S) as port, contextlib.closing(Lines(folder / "t")) as truth:
+    with serial.Serial(path, 115200, timeout=DEADLINE_S) as port, contextlib.closing(LineSocket(folder / "t")) as truth:
         expect(port, BANNER)
         shares = []
         for command in (b"", b"G1X-100F3000\n"):
