@@ -62,7 +62,6 @@ class SerialLink:
         self._writing = False
         self._thread = threading.Thread(target=self._run, name="serial-link", daemon=True)
         self._stop_asked = ""
-        self.stop_writes: int = 0
 
     def start(self) -> None:
         """Start the thread; the port may appear later."""
@@ -145,7 +144,6 @@ class SerialLink:
             os.write(fd, HOLD)
         except (OSError, termios.error):
             return False
-        self.stop_writes += 1
         return True
 
     # --- the thread ------------------------------------------------------------------------------------------
