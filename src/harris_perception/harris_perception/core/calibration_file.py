@@ -15,6 +15,8 @@ from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 
 FORMAT = 2
+_ALIKE_PX = 0.05
+"""Cameras are the same while they project alike to this, over the whole picture."""
 
 
 class CalibrationFileError(ValueError):
@@ -205,7 +207,6 @@ def check_fits(
     machine: str,
     settings: str = "",
     mounting: str = "",
-    limit_px: float = 0.05,
 ) -> None:
     """Refuse a calibration made with other cameras, another resolution, mounting, machine or its other settings.
 
@@ -219,8 +220,6 @@ def check_fits(
         Name of the machine's configuration in use.
     settings, mounting
         In use; empty: unknown.
-    limit_px
-        Cameras are the same while they project alike to this, over the whole picture.
 
     Raises
     ------
@@ -248,7 +247,7 @@ def check_fits(
                 f"{new.width} x {new.height} px"
             )
         change = _difference_px(old, new)
-        if change > limit_px:
+        if change > _ALIKE_PX:
             raise CalibrationFileError(
                 f"the {name} camera's calibration has changed by {change:.2f} px since it was made"
             )

@@ -588,21 +588,13 @@ class _PairBundle:
         }
 
 
-def residual_picture(calibration: CameraCalibration, magnify: float = 0.0) -> Any:
-    """Return (H, W, 3) uint8: each corner with its residual, magnified so that 3 rms are a thirtieth of the width.
-
-    Parameters
-    ----------
-    calibration
-        Whose residuals.
-    magnify
-        How much longer than true the residuals are drawn; 0 chooses.
-    """
+def residual_picture(calibration: CameraCalibration) -> Any:
+    """Return (H, W, 3) uint8: each corner with its residual, magnified so that 3 rms are a thirtieth of the width."""
     model = calibration.model
     zoom = max(1.0, 1280 / model.width)
     picture = np.full((round(model.height * zoom) + 40, round(model.width * zoom), 3), 255, np.uint8)
     rms = max(calibration.rms_px, 1e-9)
-    magnify = magnify or max(1.0, float(f"{model.width / 90 / rms:.1g}"))
+    magnify = max(1.0, float(f"{model.width / 90 / rms:.1g}"))
     bound = 3 * rms
     for at, residual in zip(calibration.at_px, calibration.residual_px):
         start, end = (tuple(round(v * 8) for v in p * zoom) for p in (at, at + magnify * residual))

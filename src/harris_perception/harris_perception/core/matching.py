@@ -21,6 +21,8 @@ F32 = npt.NDArray[np.float32]
 
 _EMPTY_PAIRS = np.empty((0, 2), np.int64)
 _ROWS = 256
+_DISC_PX = 15
+"""Radius of the disc that gives a corner its direction; ORB's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,13 +89,13 @@ class Matches:
     tentative: int
 
 
-def orientations_deg(gray: npt.NDArray[np.uint8], xy: npt.ArrayLike, radius_px: int = 15) -> F32:
+def orientations_deg(gray: npt.NDArray[np.uint8], xy: npt.ArrayLike) -> F32:
     """Return the direction from each corner to the intensity centroid of a disc, (N,) degrees in 0 to 360, y down."""
     points = np.asarray(xy, np.float32).reshape(1, -1, 2)
     if points.size == 0:
         return np.empty(0, np.float32)
-    y, x = np.mgrid[-radius_px : radius_px + 1, -radius_px : radius_px + 1]
-    disc = (x * x + y * y <= radius_px * radius_px).astype(np.float32)
+    y, x = np.mgrid[-_DISC_PX : _DISC_PX + 1, -_DISC_PX : _DISC_PX + 1]
+    disc = (x * x + y * y <= _DISC_PX * _DISC_PX).astype(np.float32)
     moments = [
         cv2.filter2D(gray.astype(np.float32), cv2.CV_32F, disc * weight, borderType=cv2.BORDER_REPLICATE)
         for weight in (x.astype(np.float32), y.astype(np.float32))

@@ -23,6 +23,8 @@ _TUKEY, _MAD = 4.685, 1.4826
 _EDGES_SHARE, _CORNERS_SHARE = 16.0, 4.0
 # What is known of a pose before anything was measured: half a radian, half a metre.
 _UNMEASURED = 0.5
+# Standard deviations by which a plane that was measured otherwise may differ.
+_MOST_OFF = 3.0
 
 FACE_POINT_COLUMNS = ("x", "y", "u", "v", "across_u", "across_v")
 """How points of a face travel."""
@@ -219,8 +221,10 @@ def fit_pose(
     )
 
 
-def with_plane(fit: PoseFit, plane_pose: Transform, covariance: Array, most_off: float = 3.0) -> PoseFit | None:
+def with_plane(fit: PoseFit, plane_pose: Transform, covariance: Array) -> PoseFit | None:
     """Improve a pose by a plane that was measured otherwise, each weighted by its covariance.
+
+    None is returned where they differ too much: it is another plane.
 
     Parameters
     ----------
@@ -230,8 +234,6 @@ def with_plane(fit: PoseFit, plane_pose: Transform, covariance: Array, most_off:
         camera_from_plane: a point of the plane, z along its normal.
     covariance
         (6, 6) of that, as :class:`~harris_perception.core.plane_fit.PlaneFit` has it.
-    most_off
-        Standard deviations by which the two may differ; None is returned where they differ more: it is another plane.
     """
     normal, point = plane_pose.rotation[:, 2], plane_pose.translation
     before, covariance = _EDGES_SHARE * fit.covariance, _CORNERS_SHARE * covariance
@@ -244,7 +246,7 @@ def with_plane(fit: PoseFit, plane_pose: Transform, covariance: Array, most_off:
     jacobian = -np.column_stack([np.cross(places - fit.centre, face), np.tile(face, (3, 1))])
     apart = (places - pose.translation) @ face
     expected = jacobian @ before @ jacobian.T + noise
-    if float(apart @ np.linalg.solve(expected, apart)) > 3 * most_off**2:
+    if float(apart @ np.linalg.solve(expected, apart)) > 3 * _MOST_OFF**2:
         return None
     gain = np.linalg.solve(expected, jacobian @ before).T
     step = -gain @ apart

@@ -98,10 +98,10 @@ class FrameClient:
         From the constructor, when nobody serves at ``path``.
     """
 
-    def __init__(self, path: Path, *, connect_timeout_s: float = 1.0) -> None:
+    def __init__(self, path: Path) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            self._socket.settimeout(connect_timeout_s)
+            self._socket.settimeout(1.0)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 * 1024 * 1024)
             self._socket.connect(os.fspath(path))
         except OSError:

@@ -51,9 +51,9 @@ def shown(entry: LogEntry) -> Broadcast:
 class CommandLog:
     """The newest entries, and those of them that wait for their end."""
 
-    def __init__(self, capacity: int = 200) -> None:
+    def __init__(self) -> None:
         self.count = 0
-        self._entries: deque[LogEntry] = deque(maxlen=capacity)
+        self._entries: deque[LogEntry] = deque(maxlen=200)
         self._pending: dict[str, LogEntry] = {}
         self._last_active_s = -math.inf
 

@@ -16,16 +16,10 @@ _STATE = re.compile(r"step (\d+)/(\d+): ")
 
 
 class SequenceView:
-    """What pages see of sequences.
+    """What pages see of sequences; ``stored`` are those that were read from files, by the files' names."""
 
-    Parameters
-    ----------
-    stored
-        Sequences that were read from files, by the files' names.
-    """
-
-    def __init__(self, stored: dict[str, Sequence] | None = None) -> None:
-        self.stored = stored or {}
+    def __init__(self) -> None:
+        self.stored: dict[str, Sequence] = {}
         self.run_id = ""
         self.who = ""
         self._name = ""
