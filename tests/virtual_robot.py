@@ -13,12 +13,11 @@ import heapq
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-import yaml
+from parameter_files import CONFIG, parameters
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller import Controller
@@ -36,7 +35,7 @@ from harris_perception.core.hand_eye import HandEyeConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.pose_agreement import PoseAgreement
-from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig, Sighting
+from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig
 from harris_perception.core.stylus import StylusConfig, StylusTracker
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import from_mapping
@@ -48,7 +47,6 @@ from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.optics import stereo_rig
 from scope_bench.core.renderer import Renderer
 
-CONFIG = Path(__file__).resolve().parents[1] / "config"
 START_S = 1000.0
 FRAME_S = 1 / 15
 PICTURE_S = 0.06
@@ -64,40 +62,6 @@ PANEL_LOOKS = 6
 Event = Callable[[], None]
 
 
-def parameters(name: str) -> dict[str, Any]:
-    """Return the dotted parameters of a file in config/params."""
-    document = yaml.safe_load((CONFIG / "params" / f"{name}.yaml").read_text())
-    flat: dict[str, Any] = {}
-
-    def flatten(prefix: str, values: dict[str, Any]) -> None:
-        for key, value in values.items():
-            if isinstance(value, dict):
-                flatten(f"{prefix}{key}.", value)
-            else:
-                flat[prefix + key] = value
-
-    flatten("", document["/**"]["ros__parameters"])
-    return flat
-
-
-def camera(calibration: dict[str, Any]) -> CameraModel:
-    """Return the model that belongs to a calibration in the form of its file."""
-
-    def matrix(key: str) -> np.ndarray:
-        part = calibration[key]
-        return np.array(part["data"], dtype=np.float64).reshape(part["rows"], part["cols"])
-
-    return CameraModel(
-        name=str(calibration["camera_name"]),
-        width=int(calibration["image_width"]),
-        height=int(calibration["image_height"]),
-        k=matrix("camera_matrix"),
-        d=matrix("distortion_coefficients").ravel(),
-        r=matrix("rectification_matrix"),
-        p=matrix("projection_matrix"),
-    )
-
-
 class VirtualRobot:
     """One robot; ``now`` is the only clock, in seconds. It homes, calibrates and recognises by :meth:`prepare`."""
 
@@ -107,15 +71,12 @@ class VirtualRobot:
         self.bench = Bench(self.layout, config)
         self.renderer = Renderer(self.layout, config, self.bench.panel_from)
         rig = stereo_rig(config.camera)
-        self.cameras = [camera(rig.calibration(side)) for side in ("left", "right")]
+        self.cameras = [CameraModel.from_mapping(rig.calibration(side)) for side in ("left", "right")]
         self.stereo = StereoModel(left=self.cameras[0], right=self.cameras[1])
         self.tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), self.stereo)
-        looks = parameters("recognition")
-        self._recognition = from_mapping(RecognitionConfig, _part(looks, "recognition"))
+        self._recognition = from_mapping(RecognitionConfig, parameters("recognition", "recognition"))
         self.recogniser = PanelRecogniser(self.layout, self._recognition)
-        self.reader = PanelReader(self.layout, from_mapping(StateConfig, _part(looks, "state")))
-        self._sighting: Sighting | None = None
-        self._tip: np.ndarray | None = None
+        self.reader = PanelReader(self.layout, from_mapping(StateConfig, parameters("recognition", "state")))
         self.heart = self.camera_on = True
         self._detector = HarrisDetector(HarrisConfig())
         self.controller = Controller(from_mapping(ControllerConfig, parameters("gantry_controller")))
@@ -154,9 +115,8 @@ class VirtualRobot:
         assert not refusal, refusal
         self.until(lambda: self.driver.state == "idle", 60.0)
         if calibrate:
-            own = parameters("hand_eye")
             parts = [
-                from_mapping(kind, _part(own, name))
+                from_mapping(kind, parameters("hand_eye", name))
                 for name, kind in (("run", RunConfig), ("still", StillConfig), ("solver", HandEyeConfig))
             ]
             self._procedure = CalibrationRun(parts[0], parts[1], parts[2], self.stereo, self.now_ns)
@@ -198,8 +158,7 @@ class VirtualRobot:
     def _recognise(self, stamp: int, exposed: float) -> None:
         left, right = self._pictures(exposed)
         gray = cv2.cvtColor(left, cv2.COLOR_BGR2GRAY)
-        self._sighting = self.recogniser.locate(gray, self._detector.detect(gray).xy, self.cameras[0])
-        found = self._sighting
+        found = self.recogniser.locate(gray, self._detector.detect(gray).xy, self.cameras[0])
         pose = self._agreement.add(None if found is None else found.camera_from_panel)
         self._pose = pose if pose is not None else self._pose
         self._confidence = found.agreement if found is not None and pose is not None else 0.0
@@ -384,7 +343,3 @@ class VirtualRobot:
         if self._confidence > 0:
             self._tell(msg.PanelPose(camera_from_panel=self._pose, stamp_ns=self._panel_stamp))
         self._tell(msg.PanelConfidence(value=self._confidence))
-
-
-def _part(values: dict[str, Any], name: str) -> dict[str, Any]:
-    return {k.partition(".")[2]: v for k, v in values.items() if k.startswith(name + ".")}

@@ -17,11 +17,12 @@ import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
+from parameter_files import parameters
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
 from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory
-from virtual_robot import VirtualRobot, _part, parameters
+from virtual_robot import VirtualRobot
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller_config import ControllerConfig
@@ -91,7 +92,7 @@ class RecordedRobot(VirtualRobot):
         self._stamp, self._both = 0, True
         self._info_s = self._drawn_s = self._joints_s = -1.0
         self.sampling = False
-        self._still = StillWatch(from_mapping(StillConfig, {**_part(parameters("hand_eye"), "still"), "tips": TIPS}))
+        self._still = StillWatch(from_mapping(StillConfig, {**parameters("hand_eye", "still"), "tips": TIPS}))
         super().__init__(SEED, bench={"light.noise": 0.0})
         tracker = from_mapping(StylusConfig, {**parameters("stylus_tracker"), **TRACKER})
         self.tracker = StylusTracker(tracker, self.stereo)
@@ -151,7 +152,7 @@ class RecordedRobot(VirtualRobot):
                 samples.append(self.sample())
             self.go(x, y, 0.0)
         self._write("/bag/cue", String(data="/calibration/solve"))
-        solver = from_mapping(HandEyeConfig, _part(parameters("hand_eye"), "solver"))
+        solver = from_mapping(HandEyeConfig, parameters("hand_eye", "solver"))
         solved = calibrate(samples, self.stereo, solver)
         self._tell(msg.CameraFromBase(transform=solved.camera_from_base))
         self._tell(msg.Axes(base_from_reading=solved.base_from_reading))

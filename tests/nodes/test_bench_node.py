@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import socket
 import threading
@@ -369,18 +368,3 @@ def test_node_refuses_to_start_without_a_layout(ros: Any, tmp_path: Path) -> Non
     broken.write_text("model: x\n")
     with pytest.raises(ConfigError, match=r"broken.yaml:1"):
         ros.node(BenchNode, {"layout": str(broken)})
-
-
-def test_parameter_file_has_exactly_the_settings() -> None:
-    import yaml
-
-    from icu_common.core.config import settings_of, to_mapping
-
-    text = (LAYOUT_FILE.parents[1] / "params/bench.yaml").read_text(encoding="utf-8")
-    tree = yaml.safe_load(text)["/**"]["ros__parameters"]
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        flat |= {f"{key}.{k}": v for k, v in value.items()} if isinstance(value, dict) else {key: value}
-    paths = {"layout", "motion_socket", "frame_socket", "test_socket", "truth_log"}
-    assert set(flat) == {item.name for item in settings_of(BenchConfig)} - paths
-    assert to_mapping(from_mapping(BenchConfig, flat)) == to_mapping(dataclasses.replace(BenchConfig()))

@@ -13,11 +13,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image
 
-from harris_perception.adapters.camera_sources import CameraConfig
 from harris_perception.nodes.camera_node import CameraNode
 from icu_common.adapters.frame_link import FrameServer
 from icu_common.core.camera_model import CameraModel
-from icu_common.core.config import ConfigError, from_mapping, settings_of
+from icu_common.core.config import ConfigError
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import camera_model, image_array, stamp_ns
 
@@ -137,10 +136,3 @@ def test_settings_that_cannot_work_end_the_node_at_once(ros: Any, tmp_path: Path
         ros.node(CameraNode, {"source": "bench"})
     with pytest.raises(ConfigError, match=r"absent\.yaml"):
         ros.node(CameraNode, {"source": "v4l2", "left_calibration": str(tmp_path / "absent.yaml")})
-
-
-def test_the_parameter_file_has_the_settings_names() -> None:
-    file = Path(__file__).parents[2] / "config" / "params" / "camera.yaml"
-    given = yaml.safe_load(file.read_text(encoding="utf-8"))["/**"]["ros__parameters"]
-    assert set(given) == {item.name for item in settings_of(CameraConfig)}
-    assert from_mapping(CameraConfig, given).source == "v4l2"

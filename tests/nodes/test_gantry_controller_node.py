@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from geometry_msgs.msg import PointStamped
 from nodes.gantry_bench import CAMERA, CAMERA_FROM_PANEL, RUN_STOP, GantryBench
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray, String
 
-from gantry_driver.core.controller_config import ControllerConfig
-from icu_common.core.config import from_mapping, settings_of
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
 from icu_common.core.results import Outcome
 from icu_common.nodes.conversions import header, point_array, point_message
-
-PARAMETER_FILE = Path(__file__).parents[2] / "config" / "params" / "gantry_controller.yaml"
 
 
 def positions(bench: GantryBench) -> list[Any]:
@@ -207,18 +201,6 @@ def test_parameters_change_while_running(ros: Any) -> None:
     assert bench.controller.set_parameters([Parameter("motion.x_max_m", value=0.32)])[0].successful
     bench.goal.publish(point_message([0.31, 0.1, 0.0], header(0, BASE)))
     assert bench.spin_until_final(2).outcome is Outcome.REACHED
-
-
-def test_parameter_file_names_every_setting_and_nothing_else() -> None:
-    document = yaml.safe_load(PARAMETER_FILE.read_text(encoding="utf-8"))
-    values: dict[str, Any] = {}
-    for key, value in document["/**"]["ros__parameters"].items():
-        if isinstance(value, dict):
-            values.update({f"{key}.{inner}": v for inner, v in value.items()})
-        else:
-            values[key] = value
-    assert set(values) == {item.name for item in settings_of(ControllerConfig)}
-    assert from_mapping(ControllerConfig, values) == ControllerConfig()
 
 
 @pytest.mark.parametrize("name", ["wrong_key", "motion.x_maximum_m"])

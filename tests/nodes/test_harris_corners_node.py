@@ -9,13 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image, PointCloud2
 
-from harris_perception.nodes.corners_node import CornersNode, CornersNodeConfig
-from icu_common.core.config import from_mapping, to_mapping
+from harris_perception.nodes.corners_node import CornersNode
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import cloud_array, header, image_array, image_message, stamp_ns
 
@@ -330,12 +328,3 @@ def test_the_benchmarks_peer_is_this_node_with_the_corners_of_opencv(ros: Any, m
     expected = cv2.goodFeaturesToTrack(noisy, 2000, 0.01, 0, blockSize=3, useHarrisDetector=True, k=0.04)
     np.testing.assert_array_equal(found[:, :2], expected.reshape(-1, 2))
     assert len(found) > 50 and cv2.getNumThreads() == threads
-
-
-def test_parameter_file_names_every_setting_and_holds_the_defaults() -> None:
-    path = Path(__file__).parents[2] / "config" / "params" / "corners.yaml"
-    values = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
-    nested = ("scales", "repeatable", "combined", "edges")
-    edges = {f"{part}.{name}": value for part in nested for name, value in values.pop(part).items()}
-    assert values | edges == to_mapping(CornersNodeConfig())
-    assert from_mapping(CornersNodeConfig, values | edges) == CornersNodeConfig()

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from unit.harris_perception.rendered_stylus import stereo_model
 
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.nodes.stereo_node import StereoConfig, StereoNode
-from icu_common.core.config import from_mapping, settings_of
+from harris_perception.nodes.stereo_node import StereoNode
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_info_message,
@@ -193,13 +190,6 @@ def test_what_is_missing_is_said_and_nothing_is_published(ros: Any) -> None:
     rig.show(2_000_000_000)
     ros.spin_until(lambda: rig.points, WITHIN_S)
     assert [stamp_ns(p.header.stamp) for p in rig.points] == [2_000_000_000]
-
-
-def test_the_parameter_file_has_the_settings_names() -> None:
-    file = Path(__file__).parents[2] / "config" / "params" / "stereo.yaml"
-    given = yaml.safe_load(file.read_text(encoding="utf-8"))["/**"]["ros__parameters"]
-    assert set(given) == {item.name for item in settings_of(StereoConfig)}
-    assert from_mapping(StereoConfig, given) == StereoConfig()
 
 
 def test_a_setting_out_of_bounds_is_refused_at_the_start(ros: Any) -> None:

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import CameraInfo, Image
 from unit.harris_perception.rendered_stylus import render, stereo_model
 
-from harris_perception.core.stylus import StylusConfig
 from harris_perception.nodes.stylus_node import StylusNode
-from icu_common.core.config import from_mapping, settings_of
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import camera_info_message, header, image_message, point_array, stamp_ns
 
@@ -70,10 +66,3 @@ def test_the_tip_is_published_where_it_is_certain(ros: Any) -> None:
     ros.spin_until(lambda: any("'mono8' has no color" in text for text in said()), WITHIN_S, said)
     show(8_000_000_000, [picture[:, :, :2] for picture in second], "yuv422")
     ros.spin_until(lambda: any("'yuv422' is none of mono8, bgr8" in text for text in said()), WITHIN_S, said)
-
-
-def test_the_parameter_file_has_the_settings_names() -> None:
-    file = Path(__file__).parents[2] / "config" / "params" / "stylus_tracker.yaml"
-    given = yaml.safe_load(file.read_text(encoding="utf-8"))["/**"]["ros__parameters"]
-    assert set(given) == {item.name for item in settings_of(StylusConfig)}
-    assert from_mapping(StylusConfig, given) == StylusConfig()

@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from virtual_robot import CONFIG, VirtualRobot
+from parameter_files import CONFIG
+from virtual_robot import VirtualRobot
 
 from icu_common.core.results import Outcome
 

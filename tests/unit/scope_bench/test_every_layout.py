@@ -7,13 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from virtual_robot import camera, parameters
+from parameter_files import parameters
 
 from harris_perception.core.harris import HarrisDetector
 from harris_perception.core.panel_state import PanelReader
 from harris_perception.core.recognition import PanelRecogniser
 from harris_perception.core.stylus import StylusConfig, StylusTracker
-from icu_common.core.camera_model import StereoModel
+from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import from_mapping
 from icu_common.core.panel_layout import load_layout
 from scope_bench.core import instrument
@@ -43,7 +43,7 @@ def test_is_drawn_recognised_and_read(name: str) -> None:
         state = instrument.press(state, lamp, 0.0)
     picture, _ = renderer.render(Moment(tip=(0.0, -0.05, 0.0), state=state, now_s=1.0))
     gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-    model = camera(renderer.rig.calibration("left"))
+    model = CameraModel.from_mapping(renderer.rig.calibration("left"))
     sighting = PanelRecogniser(layout).locate(gray, HarrisDetector().detect(gray).xy, model)
     assert sighting is not None
     truth = renderer.rig.rectified_left_from_base() @ panel_from
@@ -68,7 +68,9 @@ def test_the_tip_is_measured_before_lamps_that_shine(name: str) -> None:
     layout, config = load_layout(FOLDER / f"{name}.yaml"), BenchConfig()
     panel_from = base_from_panel(config.panel)
     renderer = Renderer(layout, config, panel_from)
-    stereo = StereoModel(**{side: camera(renderer.rig.calibration(side)) for side in ("left", "right")})
+    stereo = StereoModel(
+        **{side: CameraModel.from_mapping(renderer.rig.calibration(side)) for side in ("left", "right")}
+    )
     tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), stereo)
     base_from_camera = renderer.rig.rectified_left_from_base().inverse()
     lamps = [c for c in layout.controls if c.lit_colour and c.lit_colour not in PINK]

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
+from parameter_files import file_values
 from rclpy.node import Node
 
-from icu_common.core.config import from_mapping, settings_of
+from icu_common.core.config import from_mapping, settings_of, to_mapping
 from scope_bench.core.graph_description import Program, load_graph
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -45,18 +45,6 @@ def config_class(program: Program) -> Any:
     raise AssertionError(f"{module.__name__} has no LiveParameters")
 
 
-def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    result: dict[str, Any] = {}
-    for key, value in values.items():
-        result |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-    return result
-
-
-def file_values(path: Path) -> dict[str, dict[str, Any]]:
-    document = yaml.safe_load(path.read_text())
-    return {node: flat(entry["ros__parameters"]) for node, entry in document.items()}
-
-
 CASES = [pytest.param(profile, p, id=f"{profile}-{p.name}") for profile in PROFILES for p in programs(profile)]
 
 
@@ -75,11 +63,26 @@ def test_executable_exists_and_every_value_is_accepted(profile: str, program: Pr
     from_mapping(config_class(program), values)
 
 
+FROM_THE_GRAPH = {
+    "bench": {"layout", "motion_socket", "frame_socket", "test_socket", "truth_log"},
+    "ui_bridge": {"token_file", "passwords_file", "record_folder", "sequence_folder", "audit_file", "layout"},
+}
+"""What the parameter files leave out."""
+NO_DEFAULTS = {
+    "camera": {"source": "v4l2", "right_device": "2", "rate_hz": 30.0, "width": 1280, "height": 720},
+    "dense_stereo": {"limits.min_depth_m": 0.4, "limits.max_depth_m": 1.2, "limits.binning": 2},
+}
+"""What the parameter files set otherwise than the code."""
+
+
 @pytest.mark.parametrize("program", [p for p in programs("test") if p.is_node], ids=lambda p: p.name)
-def test_parameter_file_names_every_setting(program: Program) -> None:
-    named = {key for path in program.parameter_files for entry in file_values(path).values() for key in entry}
-    declared = {item.name for item in settings_of(config_class(program))}
-    assert declared - named - set(program.parameters) == set()
+def test_parameter_file_names_every_setting_and_holds_the_defaults(program: Program) -> None:
+    (named,) = (entry for path in program.parameter_files for entry in file_values(path).values())
+    config = config_class(program)
+    left_out = {item.name for item in settings_of(config)} - set(named)
+    assert left_out == FROM_THE_GRAPH.get(program.name, set()) and left_out <= set(program.parameters)
+    otherwise = NO_DEFAULTS.get(program.name, {})
+    assert to_mapping(from_mapping(config, named)) == {**to_mapping(config()), **otherwise}
 
 
 def test_cameras_on_the_carriage_of_hardware_are_set_up_in_its_file() -> None:

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from unit.scope_ui_bridge.desk_rig import FACES, Rig, camera, pose, scene
 
-from icu_common.core.config import ConfigError, from_mapping, to_mapping
+from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Transform
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.scene import Scene
@@ -138,14 +137,6 @@ def scene_without_right() -> Scene:
     made.right = None
     made.changed()
     return made
-
-
-def test_the_parameter_file_has_known_keys_and_the_defaults() -> None:
-    document = yaml.safe_load((ROOT / "config" / "params" / "ui_bridge.yaml").read_text())
-    values = document["/**"]["ros__parameters"]
-    assert from_mapping(BridgeConfig, values) == BridgeConfig()
-    given_by_bring_up = {"token_file", "passwords_file", "record_folder", "sequence_folder", "audit_file", "layout"}
-    assert set(to_mapping(BridgeConfig())) - set(values) == given_by_bring_up
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "::", "bridge.example"])
