@@ -15,12 +15,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 from bench_harris import SIZES, picture
-from rows import Row, bound, data_folder, interleaved_ms, row, tune_malloc, write
+from rows import Row, bound, data_folder, interleaved_ms, row, write
 
 from harris_perception.adapters.boundary_files import drawn_pictures, read_drawn
 from harris_perception.core.boundary_evaluation import Finder, counts_of, ods_ois, our_finders, peer_finders
 from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector
 from harris_perception.core.harris import HarrisDetector
+from icu_common.adapters.memory import keep_large_blocks
 
 Pictures = list[tuple[np.ndarray, list[np.ndarray]]]
 
@@ -98,7 +99,7 @@ def main() -> int:
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--limit", type=int, default=1000, help="only so many pictures")
     arguments = parser.parse_args()
-    tune_malloc()
+    keep_large_blocks()
     data = data_folder()
     folder = arguments.folder or (data / "edges" if data else None)
     if folder is None:

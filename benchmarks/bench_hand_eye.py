@@ -13,12 +13,13 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from rows import Row, bound, row, tune_malloc, write
+from rows import Row, bound, row, write
 from simulated_robot import LAYOUT, Robot, Studio
 
 from harris_perception.core.calibration_run import RunConfig, StillConfig
 from harris_perception.core.carriage_camera import shifted
 from harris_perception.core.hand_eye import HandEye, HandEyeConfig
+from icu_common.adapters.memory import keep_large_blocks
 from icu_common.core.geometry import Array
 from scope_bench.core.configuration import BenchConfig, CameraConfig
 from scope_bench.core.renderer import base_from_panel
@@ -120,7 +121,7 @@ def predicted_tips(calibration: HandEye, places: Array) -> Array:
 
 def campaign(mounting: str, seeds: range) -> list[Outcome]:
     """Calibrate one machine after another; print each as soon as it is done."""
-    tune_malloc()
+    keep_large_blocks()
     config = BenchConfig(camera=ON_CARRIAGE if mounting == "carriage" else CameraConfig())
     studio = Studio(config)
     outcomes: list[Outcome] = []

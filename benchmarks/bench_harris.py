@@ -17,10 +17,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from rows import Row, bound, data_folder, interleaved_ms, row, tune_malloc, write
+from rows import Row, bound, data_folder, interleaved_ms, row, write
 
 from harris_perception.core.deriche import filtered, recursive_filter
 from harris_perception.core.harris import HarrisConfig, HarrisDetector, gaussian_derivative_taps, gaussian_taps
+from icu_common.adapters.memory import keep_large_blocks
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080))
 GOALS = {(640, 480): 3.0, (1280, 720): 3.0, (1920, 1080): 4.0}
@@ -171,7 +172,7 @@ def main() -> int:
         write("harris_default_malloc", measure(1, "default malloc", goals=False), title="grey picture to corners")
         return 0
     subprocess.run([sys.executable, __file__, "--default-malloc"], check=True)
-    tune_malloc()
+    keep_large_blocks()
     rows = measure(1, "tuned malloc", goals=True) + measure(2, "tuned malloc", goals=False) + gaussian() + recursion()
     write("harris", rows, title="grey picture to corners")
     return 0

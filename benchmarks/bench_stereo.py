@@ -13,7 +13,7 @@ import time
 
 import cv2
 import numpy as np
-from rows import Row, bound, data_folder, interleaved_ms, row, tune_malloc, write
+from rows import Row, bound, data_folder, interleaved_ms, row, write
 from simulated_robot import LAYOUT, OUT_OF_SIGHT, Studio
 from stereo_scenes import drawn_scene
 
@@ -22,6 +22,7 @@ from harris_perception.core.dense_stereo import DELTA_PX, DenseConfig, DenseSter
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.stereo_evaluation import ALL_CORNERS, dense_methods, evaluate
 from harris_perception.core.stereo_matching import MatchConfig, Rectifier, disparity_range, match_corners
+from icu_common.adapters.memory import keep_large_blocks
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.nodes.conversions import disparity_message, header, organised_cloud_message
 from scope_bench.core.configuration import BenchConfig
@@ -170,7 +171,7 @@ def panel_ms() -> float:
 
 
 def main() -> int:
-    tune_malloc()
+    keep_large_blocks()
     cv2.setNumThreads(2)
     write("stereo", errors() + on_the_panel() + speed(), title="stereo: errors and time")
     return 0

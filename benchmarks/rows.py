@@ -5,7 +5,6 @@ Functions are timed interleaved, so that whatever else the machine does meanwhil
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import json
 import os
@@ -96,14 +95,6 @@ def interleaved_ms(
     finally:
         gc.enable()
     return {name: sorted(values)[len(values) // 10] for name, values in times.items()}
-
-
-def tune_malloc() -> None:
-    """Keep large blocks instead of returning them to the system: the peers' best case, and how our nodes run."""
-    libc = ctypes.CDLL(None)
-    m_trim_threshold, m_mmap_threshold = -1, -3
-    libc.mallopt(m_mmap_threshold, 1 << 30)
-    libc.mallopt(m_trim_threshold, (1 << 31) - 1)
 
 
 def data_folder() -> Path | None:

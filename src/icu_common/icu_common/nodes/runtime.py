@@ -7,7 +7,6 @@ buffers for pictures, else shared memory with a segment that is large enough; se
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import functools
 import inspect
 import os
@@ -27,6 +26,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from icu_common.adapters.memory import keep_large_blocks
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import ConfigError
 from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
@@ -35,7 +35,6 @@ from icu_common.nodes.hearing import Hearing
 
 _PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _SOCKET_BUFFER_BYTES = 4 << 20
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
 def prepare_transport(shared_memory: bool = True) -> None:
@@ -61,11 +60,7 @@ def prepare_transport(shared_memory: bool = True) -> None:
         os.environ[_PROFILE_VARIABLE] = str(folder / name)
         if local and not shared_memory:  # for LOCALHOST rmw adds shared memory; the profile keeps to the loopback
             os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
-    # mallopt(3): without it each picture is mapped and unmapped anew (1080p: 6.9 instead of 0.4 ms to serialise).
-    with contextlib.suppress(OSError, AttributeError):
-        libc = ctypes.CDLL(None)
-        libc.mallopt(_M_MMAP_THRESHOLD, 1 << 30)
-        libc.mallopt(_M_TRIM_THRESHOLD, (1 << 31) - 1)
+    keep_large_blocks()
 
 
 def _sockets_hold_pictures() -> bool:

@@ -6,22 +6,17 @@ import argparse
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import cv2
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import from_mapping
-from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import PanelLayout, load_layout
 from icu_common.core.yaml_text import values_of_pairs
+from scope_bench.core.bench import matrix
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.instrument import InstrumentState, press, turn
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel, control_pixels
-
-
-def _matrix(transform: Transform) -> dict[str, Any]:
-    return {"rotation": transform.rotation.tolist(), "translation_m": transform.translation.tolist()}
 
 
 def _finite(text: str) -> float:
@@ -107,9 +102,9 @@ def main(arguments: list[str] | None = None) -> int:
         "side": options.side,
         "tip_base_m": list(options.tip),
         "tip_px": view.camera.project(options.tip)[0].tolist(),
-        "camera_left_from_base": _matrix(camera_from_base),
-        "camera_left_from_panel": _matrix(camera_from_base @ stands),
-        "base_from_panel": _matrix(stands),
+        "camera_left_from_base": matrix(camera_from_base),
+        "camera_left_from_panel": matrix(camera_from_base @ stands),
+        "base_from_panel": matrix(stands),
         "controls_px": control_pixels(view, layout),
     }
     try:

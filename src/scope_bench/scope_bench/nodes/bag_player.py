@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from pathlib import PurePosixPath
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
@@ -14,6 +13,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from icu_common.nodes import qos
+from icu_common.nodes.conversions import time_message
 from scope_bench.adapters.bag_pictures import BESIDE, COMPRESSED, IMAGE, SUFFIX, PictureCodec
 from scope_bench.adapters.bags import BagTopic
 from scope_bench.nodes.bag_qos import message_class, playing_qos
@@ -87,8 +87,7 @@ class BagPlayer(Node):
         """Publish the bag's time on /clock."""
         if self._clock_out is None:
             self._clock_out = self.create_publisher(Clock, "/clock", qos.RESULTS)
-        seconds, nanoseconds = divmod(bag_ns, 1_000_000_000)
-        self._clock_out.publish(Clock(clock=Time(sec=seconds, nanosec=nanoseconds)))
+        self._clock_out.publish(Clock(clock=time_message(bag_ns)))
 
     def play(self, topic: str, data: bytes) -> str:
         """Publish one message and return the topic's absolute name; raises ValueError for a broken picture."""
