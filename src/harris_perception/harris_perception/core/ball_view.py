@@ -95,6 +95,11 @@ def ball_view(
     """Measure the outline of one region in its surroundings (h, w).
 
     The level half way between inside and outside is crossed along rows and columns, as in marching squares.
+
+    Raises
+    ------
+    Doubt
+        If the region is too small to be measured.
     """
     bright = float(np.percentile(chroma, 98))
     contrast = np.maximum(bright - around, 1.0)

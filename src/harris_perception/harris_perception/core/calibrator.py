@@ -294,7 +294,7 @@ class Calibrator:
         return self._follow(self._run.start(now_ns), now_ns)
 
     def add_sample(self, now_ns: int) -> str:
-        """Keep where the tip, or the panel, is seen now; return what was kept."""
+        """Keep where the tip, or the panel, is seen now; return what was kept, for people."""
         if self._run is not None:
             raise Refused("a calibration is running")
         sample = self.watch.sample(now_ns)

@@ -164,7 +164,7 @@ class Fit:
         return self.own_covariance(design) + self.common.covariance(design @ self.regression)
 
     def own_covariance(self, design: Array) -> Array:
-        """Return the same without what all samples share."""
+        """Return the same, (N, 3, 3) m^2, without what all samples share."""
         count = len(self.regression)
         blocks = self.spread.reshape(count, 3, count, 3)
         return np.asarray(np.einsum("np,nq,piqj->nij", design, design, blocks))

@@ -373,7 +373,7 @@ def _nothing() -> Band:
 
 
 def checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the picture if it is one that the detectors take, else raise ``ValueError``.
+    """Return the picture (H, W) if it is one that the detectors take, else raise ``ValueError``.
 
     One that may not be written is copied: the kernels would be compiled once more for such.
     """
@@ -385,7 +385,7 @@ def checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def from_lowest(gray: npt.NDArray[Any]) -> F32:
-    """Return a picture less its lowest finite value, float32.
+    """Return a picture (H, W) less its lowest finite value, float32.
 
     Gradients are the same, but the rounding of what comes before them grows with the values: on a constant picture all
     that is left would be corners of rounding.
@@ -396,7 +396,7 @@ def from_lowest(gray: npt.NDArray[Any]) -> F32:
 
 
 def gaussian_taps(sigma: float) -> F32:
-    """Return the weights of a sampled Gaussian, cut at three sigma, sum one."""
+    """Return the weights (2 ceil(3 sigma) + 1,) of a sampled Gaussian of ``sigma`` px, cut at three sigma, sum one."""
     x = np.arange(-math.ceil(3.0 * sigma), math.ceil(3.0 * sigma) + 1)
     weights = np.exp(-0.5 * (x / sigma) ** 2)
     return np.array(weights / weights.sum(), np.float32)

@@ -97,7 +97,22 @@ def matches(
 def robust_homography(
     points_mm: Array, pixels: Array, tolerance_px: float, least: int
 ) -> tuple[Array, npt.NDArray[np.bool_]] | None:
-    """Return the homography that most points agree on, fitted to all of those, and which they are."""
+    """Return the homography that most points agree on, fitted to all of those, and which they are.
+
+    Parameters
+    ----------
+    points_mm, pixels
+        (N, 2) of the face and of the picture, in pairs.
+    tolerance_px
+        So far off a point may be.
+    least
+        So many must agree, else None is returned.
+
+    Returns
+    -------
+    tuple or None
+        (3, 3) pixels_from_mm, and (N,) bool.
+    """
     options: Any = {"ransacReprojThreshold": tolerance_px, "maxIters": 5000, "confidence": 0.999}
     # MAGSAC, which OpenCV 5.0 ends after a few samples, found none of 60 views alone and added none to RANSAC.
     found, mask = cv2.findHomography(points_mm, pixels, method=cv2.RANSAC, **options)

@@ -105,7 +105,22 @@ def mm_from_pixel(corners_px: npt.ArrayLike, size_mm: tuple[float, float]) -> Ar
 
 
 def straight_on(picture: Picture, to_mm: Array, size_mm: tuple[float, float], px_per_mm: float) -> Picture:
-    """Return the face seen straight on, from edge to edge: what recognition takes as ``template``."""
+    """Return the face seen straight on, from edge to edge: what recognition takes as ``template``.
+
+    Parameters
+    ----------
+    picture
+        (H, W, 3) uint8 BGR.
+    to_mm
+        (3, 3) homography from its pixels to millimetres of the face.
+    size_mm, px_per_mm
+        Of the face, and of what is returned.
+
+    Raises
+    ------
+    TeachingError
+        If a side would have fewer than 48 or more than 8192 pixels.
+    """
     wide, high = (side * px_per_mm for side in size_mm)
     if not all(math.isfinite(side) and 48 <= round(side) <= 8192 for side in (wide, high)):
         raise TeachingError(f"{wide:.0f} x {high:.0f} px at {px_per_mm:g} px/mm: sides from 48 to 8192 px are needed")

@@ -67,7 +67,7 @@ class FacePoints:
 
     @classmethod
     def of_rows(cls, rows: npt.NDArray[Any]) -> FacePoints:
-        """Return points from (N, 6), in the order of FACE_POINT_COLUMNS."""
+        """Return points from (N, 6), in the order of FACE_POINT_COLUMNS; raises ValueError unless all are finite."""
         values = np.asarray(rows, dtype=np.float64)
         if not np.isfinite(values).all():
             raise ValueError("a point is not finite")
@@ -133,7 +133,7 @@ class PoseFit:
 
 
 def inverse(matrix: Array) -> Array:
-    """Return the inverse of a square matrix."""
+    """Return the inverse of a square matrix (N, N)."""
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
@@ -288,7 +288,10 @@ def _scale(error: Array, floor: float) -> float:
 
 
 def tukey(error: Array, floor: float) -> Array:
-    """Return square roots of Tukey's weights for residuals around zero."""
+    """Return square roots of Tukey's weights, in the shape of ``error``, for residuals around zero.
+
+    ``floor`` is the least standard deviation that they are taken to have.
+    """
     return np.asarray(1 - np.minimum(np.abs(error) / (_TUKEY * _scale(error, floor)), 1.0) ** 2)
 
 

@@ -40,6 +40,11 @@ class CameraModel:
         (3, 3) rotation rectified_from_raw.
     p
         (3, 4) projection of the rectified picture; ``p[0, 3] = -fx * baseline`` for the right camera of a pair.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a value is not finite, a focal length is not above 0, or ``r`` is no rotation.
     """
 
     name: str
@@ -145,6 +150,13 @@ class CameraModel:
 
     @classmethod
     def from_mapping(cls, document: Mapping[str, Any]) -> CameraModel:
+        """Build from the document that :meth:`load` reads.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If a key is missing, or its value is of another kind or size, or wrong.
+        """
         model = document["distortion_model"]
         if model != "plumb_bob":
             raise ValueError(f"distortion_model {model!r}: only plumb_bob is known")

@@ -110,6 +110,7 @@ class Plane:
 
     @classmethod
     def through(cls, point: npt.ArrayLike, normal: npt.ArrayLike) -> Plane:
+        """Build from a point (3,) of the plane in metres and a normal (3,) of any length but 0."""
         n = np.asarray(normal, dtype=np.float64)
         n = n / np.linalg.norm(n)
         return cls(n, float(n @ np.asarray(point, dtype=np.float64)))

@@ -358,7 +358,7 @@ def joint_message(names: Sequence[str], positions_m: Iterable[float], head: Head
 
 
 def joint_positions(message: JointState, names: Sequence[str]) -> Array:
-    """Return the positions in metres in the order of ``names``.
+    """Return the positions (len(names),) in metres in the order of ``names``.
 
     Raises
     ------
