@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from pinhole import pinhole
 from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from gantry_driver.nodes.controller_node import ControllerNode
-from icu_common.core.camera_model import CameraModel
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import Control, PanelLayout
@@ -55,10 +55,7 @@ REMAPS = [
 CAMERA_FROM_BASE = Transform(np.diag([1.0, -1.0, -1.0]), np.array([-0.15, 0.10, 0.57]))
 BASE_FROM_PANEL = Transform(np.eye(3), np.array([0.02, 0.025, -0.035]))
 CAMERA_FROM_PANEL = CAMERA_FROM_BASE @ BASE_FROM_PANEL
-K = np.array([[1700.0, 0.0, 639.5], [0.0, 1700.0, 359.5], [0.0, 0.0, 1.0]])
-CAMERA = CameraModel(
-    name="left", width=1280, height=720, k=K, d=np.zeros(5), r=np.eye(3), p=np.column_stack([K, np.zeros(3)])
-)
+CAMERA = pinhole()
 LAYOUT = PanelLayout(
     model="test",
     title="test",

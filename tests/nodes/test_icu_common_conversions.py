@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pinhole import pinhole
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64MultiArray
 
-from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import Control, Dimple, PanelLayout
 from icu_common.core.results import GoalResult, Outcome
@@ -174,10 +174,7 @@ def test_an_organised_cloud_has_a_point_and_a_colour_for_each_pixel() -> None:
 
 
 def camera_info() -> CameraInfo:
-    k = np.array([[1700.0, 0.0, 639.5], [0.0, 1700.0, 359.5], [0.0, 0.0, 1.0]])
-    p = np.column_stack([k, np.zeros(3)])
-    model = CameraModel(name="left", width=1280, height=720, k=k, d=np.zeros(5), r=np.eye(3), p=p)
-    return cv.camera_info_message(model, HEAD)
+    return cv.camera_info_message(pinhole(), HEAD)
 
 
 def test_the_same_camera_is_known_whatever_the_header_says() -> None:

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from pinhole import pinhole
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from harris_perception.nodes.camera_node import CameraNode
 from harris_perception.nodes.corners_node import CornersNode
 from harris_perception.nodes.recognition_node import RecognitionNode
 from harris_perception.nodes.stereo_node import StereoNode
-from icu_common.core.camera_model import CameraModel
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_info_message,
@@ -80,15 +80,6 @@ def test_the_corners_of_a_photographed_board_are_found(ros: Any) -> None:
     assert min(shares) > 0.95, f"shares of the board's 54 inner corners that have a Harris corner near: {shares}"
 
 
-def pinhole(
-    name: str, shape: tuple[int, ...], f_px: float, centre: tuple[float, float], baseline_m: float = 0.0
-) -> Any:
-    """Return a camera without distortion, ``baseline_m`` to the right of the first one."""
-    k = np.array([[f_px, 0.0, centre[0]], [0.0, f_px, centre[1]], [0.0, 0.0, 1.0]])
-    p = np.column_stack([k, (-f_px * baseline_m, 0.0, 0.0)])
-    return CameraModel(name=name, width=shape[1], height=shape[0], k=k, d=np.zeros(5), r=np.eye(3), p=p)
-
-
 @needs_photographs
 def test_a_photographed_box_is_recognised(ros: Any, tmp_path: Path) -> None:
     """Its face is the template; where it lies is what OpenCV's SIFT and RANSAC find in the same picture."""
@@ -107,7 +98,7 @@ def test_a_photographed_box_is_recognised(ros: Any, tmp_path: Path) -> None:
         "  - {name: LABEL, kind: connector, position_mm: [160, 110], size_mm: [9, 9]}\n"
     )
     rows, columns = table.shape
-    camera = pinhole("photo", table.shape, float(columns), ((columns - 1) / 2, (rows - 1) / 2))
+    camera = pinhole(size=(columns, rows), focal_px=columns)
     ros.node(
         RecognitionNode,
         {
@@ -147,10 +138,10 @@ def test_a_photographed_motorcycle_is_measured_in_metres(ros: Any) -> None:
         disparity = stored[stored.files[0]].astype(float)
     disparity[~np.isfinite(disparity) | (disparity <= 0)] = np.nan
     truth_m = f_px * baseline_m / (disparity + offset_px)
-    shape = pictures[0].shape
+    height, width = pictures[0].shape[:2]
     models = [
-        pinhole("left", shape, f_px, (311.193, 254.877)),
-        pinhole("right", shape, f_px, (311.193 + offset_px, 254.877), baseline_m),
+        pinhole(size=(width, height), focal_px=f_px, centre_px=(311.193 + shift_px, 254.877), baseline_m=baseline)
+        for shift_px, baseline in ((0.0, 0.0), (offset_px, baseline_m))
     ]
     ros.node(StereoNode, {"matching.min_depth_m": 1.5, "matching.max_depth_m": 6.0})
     probe = ros.plain()

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from pinhole import pinhole
 from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
@@ -24,7 +25,6 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.geometry import Transform
@@ -60,10 +60,7 @@ SERVICES = dict.fromkeys(
 )
 
 
-def camera() -> CameraModel:
-    k = np.array([[1000.0, 0, 319.5], [0, 1000.0, 239.5], [0, 0, 1]])
-    p = np.hstack([k, np.zeros((3, 1))])
-    return CameraModel(name="left", width=640, height=480, k=k, d=np.zeros(5), r=np.eye(3), p=p)
+CAMERA = pinhole(size=(640, 480), focal_px=1000.0)
 
 
 def panel_pose() -> Transform:
@@ -131,7 +128,7 @@ class Graph:
             return
         self.stamps.append(stamp)
         picture = np.full((480, 640, 3), 100, np.uint8)
-        self.publish("left/camera_info", camera_info_message(camera(), header(stamp, CAMERA_LEFT)))
+        self.publish("left/camera_info", camera_info_message(CAMERA, header(stamp, CAMERA_LEFT)))
         self.publish("panel/controls", controls_message(load_layout(LAYOUT), header(stamp, PANEL)))
         self.publish("panel/pose", pose_message(panel_pose(), header(stamp, CAMERA_LEFT)))
         self.publish("panel/confidence", Float32(data=0.9))
@@ -318,7 +315,7 @@ def test_the_way_of_the_tip_is_shown_while_it_moves(ros: Any, bridge: Any) -> No
         return next((f for f in browser.frames[::-1] if f["path"] and not f["planned"]), None)
 
     frame = ros.spin_until(seen, WITHIN_S, lambda: browser.state())
-    assert np.allclose(frame["path"], camera().project(base.apply(np.array(driven))), atol=0.06)
+    assert np.allclose(frame["path"], CAMERA.project(base.apply(np.array(driven))), atol=0.06)
 
 
 def test_nothing_is_drawn_by_a_calibration_that_was_withdrawn(ros: Any, bridge: Any) -> None:
@@ -331,7 +328,7 @@ def test_nothing_is_drawn_by_a_calibration_that_was_withdrawn(ros: Any, bridge: 
     def look(axes: list[float], position: list[float], drawn: bool) -> Any:
         graph.publish("calibration/axes", Float64MultiArray(data=axes))
         graph.publish("joint_states", joint_message(JOINTS, [0.1, 0.05, 0.02], header(graph.now(), "")))
-        graph.publish("left/camera_info", camera_info_message(camera(), header(graph.now(), CAMERA_LEFT)))
+        graph.publish("left/camera_info", camera_info_message(CAMERA, header(graph.now(), CAMERA_LEFT)))
         stamp = header(graph.now(), CAMERA_LEFT)
         graph.publish("left/image_raw", image_message(np.full((480, 640, 3), 90, np.uint8), "bgr8", stamp))
         return browser.frames and (browser.frames[-1]["target"], browser.state().get("position_mm")) == (

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from pinhole import pinhole
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller import Controller
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import Phase
 from gantry_driver.core.targets import PanelControl, PanelMap
-from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
@@ -37,16 +37,7 @@ CAMERA_FROM_BASE = Transform(_AXES, np.array([0.0, 0.0, 0.65]) - _AXES @ _CENTRE
 PANEL_TILT = turned(2, 1.2) @ turned(0, 0.3) @ turned(1, -0.2)
 BASE_FROM_PANEL = Transform(PANEL_TILT, np.array([0.020, 0.025, -0.035]))
 CAMERA_FROM_PANEL = CAMERA_FROM_BASE @ BASE_FROM_PANEL
-K = np.array([[1700.0, 0.0, 639.5], [0.0, 1700.0, 359.5], [0.0, 0.0, 1.0]])
-CAMERA = CameraModel(
-    name="left",
-    width=1280,
-    height=720,
-    k=K,
-    d=np.array([-0.08, 0.0, 0.0, 0.0, 0.0]),
-    r=np.eye(3),
-    p=np.column_stack([K, np.zeros(3)]),
-)
+CAMERA = pinhole(k1=-0.08)
 
 
 def control(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from pinhole import pinhole
 
 from harris_perception.core.calibration_file import StoredCalibration
 from harris_perception.core.planar_pose import FacePoints
@@ -10,13 +11,11 @@ from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry import Transform
 
 
-def camera(focal: float = 1700.0, baseline: float = 0.0) -> CameraModel:
-    k = np.array([[focal, 0.0, 640.0], [0.0, focal, 360.0], [0.0, 0.0, 1.0]])
-    p = np.column_stack([k, [-focal * baseline, 0.0, 0.0]])
-    return CameraModel(name="c", width=1280, height=720, k=k, d=np.zeros(5), r=np.eye(3), p=p)
+def camera(focal_px: float = 1700.0, baseline_m: float = 0.0) -> CameraModel:
+    return pinhole(focal_px=focal_px, centre_px=(640.0, 360.0), baseline_m=baseline_m)
 
 
-PAIR = StereoModel(left=camera(), right=camera(baseline=0.12))
+PAIR = StereoModel(left=camera(), right=camera(baseline_m=0.12))
 
 
 def stored_calibration(camera_from_base: Transform, base_from_reading: np.ndarray) -> StoredCalibration:

@@ -44,7 +44,7 @@ def calibrated(stored: StoredCalibration = STORED, config: CalibratorConfig = CO
     calibrator = Calibrator(config)
     calibrator.offer(stored)
     for side, baseline in (("left", 0.0), ("right", 0.12)):
-        calibrator.take_camera(side, camera(baseline=baseline), NOW_NS)
+        calibrator.take_camera(side, camera(baseline_m=baseline), NOW_NS)
     assert calibrator.state == f"calibrated: {stored.summary()}"
     return calibrator
 
@@ -68,7 +68,7 @@ def kinds(actions: Sequence[Action]) -> list[str]:
 def test_a_run_ends_in_a_calibration_that_is_used_and_then_kept() -> None:
     calibrator = Calibrator(CONFIG)
     for side, baseline in (("left", 0.0), ("right", 0.12)):
-        calibrator.take_camera(side, camera(baseline=baseline), NOW_NS)
+        calibrator.take_camera(side, camera(baseline_m=baseline), NOW_NS)
     calibrator.take_driver("idle", NOW_NS)
     now, actions = NOW_NS, calibrator.run(NOW_NS)
     with pytest.raises(Refused, match="a calibration is already running"):
@@ -141,7 +141,7 @@ def test_homing_begins_the_readings_anew() -> None:
 def test_what_was_seen_with_the_camera_before_is_no_sample_and_no_place_of_the_panel() -> None:
     calibrator, reading = Calibrator(CONFIG), np.array([0.2, 0.1, 0.0])
     for side, baseline in (("left", 0.0), ("right", 0.12)):
-        calibrator.take_camera(side, camera(baseline=baseline), NOW_NS)
+        calibrator.take_camera(side, camera(baseline_m=baseline), NOW_NS)
     look(calibrator, reading, NOW_NS)
     calibrator.take_panel(NOW_NS, POSE, NOW_NS)
     calibrator.take_camera("left", camera(1710.0), NOW_NS + 4 * MS)

@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from unit.harris_perception.rectified_pair import stored_calibration
 
 from harris_perception.core.calibration_file import StoredCalibration
 from harris_perception.core.drift import DriftConfig, DriftWatch
 from harris_perception.core.hand_eye import Sample
-from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Transform
 
 POSE = Transform(np.diag([1.0, -1.0, -1.0]), np.array([-0.17, 0.09, 0.66]))
@@ -19,20 +19,10 @@ CONTROLS = {"RUN_STOP": np.array([0.208, 0.127, 0.003]), "MENU": np.array([0.02,
 
 
 def stored(mounting: str = "fixed") -> StoredCalibration:
-    k = np.array([[1700.0, 0.0, 640.0], [0.0, 1700.0, 360.0], [0.0, 0.0, 1.0]])
-    p = np.column_stack([k, np.zeros(3)])
-    return StoredCalibration(
-        camera_from_base=POSE,
-        base_from_reading=np.array([[1.003, -0.002], [0.0, 0.998]]),
+    return dataclasses.replace(
+        stored_calibration(POSE, np.array([[1.003, -0.002], [0.0, 0.998]])),
         stylus_direction=np.array([0.001, 0.0, -1.0]),
-        left=CameraModel(name="c", width=1280, height=720, k=k, d=np.zeros(5), r=np.eye(3), p=p),
         right=None,
-        machine="bench",
-        rms_m=0.0,
-        sigma_m=0.0,
-        held_out_m=0.0,
-        samples=24,
-        made_at="",
         mounting=mounting,
         base_from_panel=PANEL,
     )

@@ -38,17 +38,7 @@ class Scene:
         self.renderer = Renderer(layout, self.config, self.panel_from)
         rig = self.renderer.rig
         self.camera_from_base = rig.rectified_left_from_base()
-        values = rig.calibration("left")
-        matrices = {k: np.array(values[k]["data"]).reshape(values[k]["rows"], -1) for k in values if "matrix" in k}
-        self.camera = CameraModel(
-            name="left",
-            width=1280,
-            height=720,
-            k=matrices["camera_matrix"],
-            d=np.array(values["distortion_coefficients"]["data"]),
-            r=matrices["rectification_matrix"],
-            p=matrices["projection_matrix"],
-        )
+        self.camera = CameraModel.from_mapping(rig.calibration("left"))
         self.reader = PanelReader(layout)
         self.count = 0
 

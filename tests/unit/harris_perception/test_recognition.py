@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from pinhole import pinhole
 from unit.harris_perception import panel_scene as scene
 
 from harris_perception.core.edge_alignment import edge_points
@@ -230,9 +231,7 @@ def flat_layout(picture: np.ndarray) -> PanelLayout:
 
 def guessed_camera(picture: np.ndarray) -> CameraModel:
     height, width = picture.shape
-    k = np.array([[width, 0.0, (width - 1) / 2], [0.0, width, (height - 1) / 2], [0.0, 0.0, 1.0]])
-    p = np.column_stack([k, np.zeros(3)])
-    return CameraModel(name="photo", width=width, height=height, k=k, d=np.zeros(5), r=np.eye(3), p=p)
+    return pinhole(size=(width, height), focal_px=width)
 
 
 def corner_errors_px(found: np.ndarray, truth_of_pixels: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

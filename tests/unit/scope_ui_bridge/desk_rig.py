@@ -7,8 +7,8 @@ import math
 from typing import Any
 
 import numpy as np
+from pinhole import pinhole
 
-from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Transform
 from icu_common.core.results import GoalResult, Outcome
 from scope_ui_bridge.core.config import BridgeConfig
@@ -28,12 +28,6 @@ FACES = tuple(
 )
 
 
-def camera(name: str = "left", baseline_m: float = 0.0, k1: float = -0.08) -> CameraModel:
-    k = np.array([[1700.0, 0, 639.5], [0, 1700.0, 359.5], [0, 0, 1]])
-    p = np.hstack([k, np.array([[-1700.0 * baseline_m], [0], [0]])])
-    return CameraModel(name=name, width=1280, height=720, k=k, d=np.array([k1, 0, 0, 0, 0]), r=np.eye(3), p=p)
-
-
 def pose(shift_m: float = 0.0) -> Transform:
     """Return camera_from_panel of a panel 0.65 m away that faces the camera, its centre on the optical axis."""
     rotation = np.diag([1.0, -1.0, -1.0])
@@ -41,7 +35,7 @@ def pose(shift_m: float = 0.0) -> Transform:
 
 
 def scene() -> Scene:
-    made = Scene(left=camera(), right=camera("right", 0.12), faces=FACES)
+    made = Scene(left=pinhole(k1=-0.08), right=pinhole("right", baseline_m=0.12, k1=-0.08), faces=FACES)
     made.outline = np.array([[0, 0], [0.32, 0], [0.32, 0.15], [0, 0.15], [0, 0]])
     made.place_panel(pose())
     return made

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unit.scope_ui_bridge.desk_rig import FACES, Rig, camera, pose, scene
+from pinhole import pinhole as camera
+from unit.scope_ui_bridge.desk_rig import FACES, Rig, pose, scene
 
 from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Transform
@@ -24,7 +25,7 @@ def pinhole(x_m: float, y_m: float, z_m: float) -> tuple[float, float]:
 
 def flat_scene() -> Scene:
     made = scene()
-    made.left, made.right = camera(k1=0.0), camera("right", 0.12, k1=0.0)
+    made.left, made.right = camera(), camera("right", baseline_m=0.12)
     made.changed()
     return made
 
