@@ -18,14 +18,13 @@ from harris_perception.core.board import Board
 from harris_perception.core.board_detection import BoardDetector, BoardView, size_shown
 from harris_perception.core.camera_calibration import (
     CalibrationConfig,
-    CalibrationError,
     calibrate_camera,
     calibrate_stereo,
     common_corners,
-    coverage,
     residual_picture,
 )
 from harris_perception.core.view_collection import ViewCollection
+from harris_perception.core.view_coverage import CalibrationError, coverage
 
 BOARD = Board(columns=9, rows=6, square_m=0.025)
 CHARUCO = Board(kind="charuco", columns=9, rows=6, square_m=0.025, marker_m=0.018)

@@ -18,15 +18,14 @@ from harris_perception.core.board import PAPERS_MM, Board, board_pdf, board_svg
 from harris_perception.core.board_detection import BoardDetector, BoardView, size_shown
 from harris_perception.core.camera_calibration import (
     CalibrationConfig,
-    CalibrationError,
     CameraCalibration,
     StereoCalibration,
     ViewError,
     calibrate_camera,
     calibrate_stereo,
-    coverage,
     residual_picture,
 )
+from harris_perception.core.view_coverage import CalibrationError, coverage
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import settings_of

@@ -8,7 +8,7 @@ import numpy as np
 
 from harris_perception.core.board import Board
 from harris_perception.core.board_detection import BoardView
-from harris_perception.core.camera_calibration import Reach, coverage, view_place
+from harris_perception.core.view_coverage import Reach, coverage, view_place
 
 _DIFFERENCE = 0.2  # summed over x, y, size and skew, as in ROS's camera_calibration
 _STILL_PX = 2.0

@@ -1,0 +1,111 @@
+"""What views of a board cover, and what to show next: known before anything is calibrated, while somebody shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from harris_perception.core.board import Board
+from harris_perception.core.board_detection import BoardView
+from icu_common.core.geometry import Array
+
+
+class CalibrationError(ValueError):
+    """The views cannot be calibrated from; the message says what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """How far the views cover one of x, y, size and skew.
+
+    Attributes
+    ----------
+    name
+        x, y: share of the picture's width or height, smallest and largest at which corners were seen.
+        size: square root of the board's share of the picture. skew: 0 = a rectangle, 1 = an angle off by 30 degrees
+        or more.
+    low, high
+        What was reached.
+    missing
+        What to show the camera next; empty when this is covered.
+    """
+
+    name: str
+    low: float
+    high: float
+    missing: str
+
+
+def _homography(board: Board, view: BoardView) -> Array:
+    """Return (3, 3) picture_from_board."""
+    found, _ = cv2.findHomography(board.points()[view.ids, :2], view.xy)
+    if found is None:
+        raise CalibrationError(f"{view.name}: the corners do not fit a flat board; take this picture out")
+    return np.asarray(found, dtype=np.float64)
+
+
+def view_place(board: Board, view: BoardView) -> Array:
+    """Return (4,) x, y, size, skew of one view, each about 0 to 1: what makes it differ from another.
+
+    Raises
+    ------
+    CalibrationError
+        If the corners do not fit a flat board; so do :func:`coverage` and :func:`tilt_spread_deg`.
+    """
+    width, height = view.size
+    w, h = (board.columns - 1) * board.square_m, (board.rows - 1) * board.square_m
+    outer = cv2.perspectiveTransform(np.array([[[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]]]), _homography(board, view))[0]
+    before, after = np.roll(outer, 1, axis=0) - outer, np.roll(outer, -1, axis=0) - outer
+    lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+    angles = np.arccos(np.clip((before * after).sum(axis=1) / lengths, -1, 1))
+    skew = min(1.0, float(np.abs(angles - np.pi / 2).max() / (np.pi / 6)))
+    hull = cv2.contourArea(cv2.convexHull(view.xy.astype(np.float32)))
+    x, y = view.xy.mean(axis=0) / (width, height)
+    return np.array([x, y, np.sqrt(hull / (width * height)), skew])
+
+
+def coverage(board: Board, views: Sequence[BoardView]) -> tuple[Reach, ...]:
+    """Return what the views cover in x, y, size and skew (the four of ROS's camera_calibration)."""
+    if not views:
+        return tuple(Reach(name=n, low=0.0, high=0.0, missing="show the board") for n in ("x", "y", "size", "skew"))
+    seen = np.vstack([view.xy / view.size for view in views])
+    places = np.array([view_place(board, view) for view in views])
+    reaches = []
+    for axis, (name, sides) in enumerate((("x", ("left", "right")), ("y", ("upper", "lower")))):
+        low, high = float(seen[:, axis].min()), float(seen[:, axis].max())
+        needed = [side for side, open_ in zip(sides, (low > 0.12, high < 0.88)) if open_]
+        missing = f"show the board nearer to the picture's {' and '.join(needed)} edge" if needed else ""
+        reaches.append(Reach(name=name, low=low, high=high, missing=missing))
+    low, high = float(places[:, 2].min()), float(places[:, 2].max())
+    missing = "show the board from farther away" if high - low < 0.12 and low > 0.3 else ""
+    missing = "show the board from nearer, filling half of the picture" if high < 0.4 else missing
+    reaches.append(Reach(name="size", low=low, high=high, missing=missing))
+    low, high = float(places[:, 3].min()), float(places[:, 3].max())
+    tilted = int((places[:, 3] > 0.25).sum())
+    missing = "" if tilted >= 4 else f"tilt the board by 20 to 45 degrees in different directions ({tilted} of 4 views)"
+    reaches.append(Reach(name="skew", low=low, high=high, missing=missing))
+    return tuple(reaches)
+
+
+def tilt_spread_deg(board: Board, views: Sequence[BoardView]) -> float:
+    """Return the largest angle between the board's normals in two views, roughly, without a calibration.
+
+    With a guessed focal length the angles are rough, but parallel boards come out parallel with any: the columns of
+    ``K^-1 H`` are then the same up to their length.
+    """
+    normals = []
+    for view in views:
+        width, height = view.size
+        guess = np.array([[max(view.size), 0, width / 2], [0, max(view.size), height / 2], [0, 0, 1.0]])
+        columns = np.linalg.solve(guess, _homography(board, view))
+        normal = np.cross(columns[:, 0], columns[:, 1])
+        normals.append(normal / np.linalg.norm(normal) * np.sign(normal[2] or 1.0))
+    return spread_deg(np.array(normals))
+
+
+def spread_deg(normals: Array) -> float:
+    """Return the largest angle between two of (N, 3) unit vectors."""
+    return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min())))
