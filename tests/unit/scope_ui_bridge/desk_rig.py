@@ -124,6 +124,12 @@ def shown_selections(effects: list[Effect]) -> list[Any]:
     return [e.message["selection"] for e in of_type(effects, Broadcast) if e.message["type"] == "selection"]
 
 
+def selected(effects: list[Effect]) -> dict[str, Any]:
+    """Return the only selection that the pages are told of."""
+    (found,) = shown_selections(effects)
+    return dict(found)
+
+
 def refusal(effects: list[Effect]) -> str:
     """Return the refusal's code, after checking that nothing else came of it, but that nothing is selected now."""
     assert len(effects) - len(shown_selections(effects)) == 1, effects

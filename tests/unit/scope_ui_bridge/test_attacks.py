@@ -10,7 +10,7 @@ from typing import Any
 
 import aiohttp
 import pytest
-from unit.scope_ui_bridge.web_rig import Page, Rig, page, until
+from unit.scope_ui_bridge.web_rig import Page, Rig, page, until, with_rig
 
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.core.audit import verify
@@ -156,8 +156,7 @@ def test_it_is_refused_written_down_and_survived(name: str, tmp_path: Path, capl
                 assert answer.status == 200
         assert rig.graph.named("stop")[0] == ("stop",)
 
-    with Rig(audit=AuditFile(path)) as rig:
-        asyncio.run(scenario(rig))
+    with_rig(scenario, audit=AuditFile(path))
     assert any(named.removeprefix("message ") in record.getMessage() for record in caplog.records)
     with path.open() as lines:
         verify(lines)

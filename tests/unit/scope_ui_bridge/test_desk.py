@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from unit.scope_ui_bridge.desk_rig import BOOT, Rig, answer, logged, of_type, pose, refusal, shown_selections
+from unit.scope_ui_bridge.desk_rig import BOOT, Rig, answer, logged, of_type, pose, refusal, selected, shown_selections
 
 from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.gesture import Gesture, Point, parse_gesture
@@ -27,12 +27,6 @@ from scope_ui_bridge.core.effects import (
     StopNow,
 )
 from scope_ui_bridge.core.passwords import Role
-
-
-def selected(effects: list[Effect]) -> dict:
-    (found,) = [e.message["selection"] for e in of_type(effects, Broadcast) if e.message["type"] == "selection"]
-    return dict(found)
-
 
 # --- from click to command ---
 

@@ -5,23 +5,18 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 import pytest
-from unit.scope_ui_bridge.web_rig import Rig, page, until
+from unit.scope_ui_bridge.web_rig import Rig, page, until, with_rig
 
 from scope_ui_bridge.adapters import front_door
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users, write_secret
 from scope_ui_bridge.core.passwords import Role, hash_password, new_user
-
-
-def with_rig(scenario: Callable[[Rig], Awaitable[None]], **options: Any) -> None:
-    with Rig(**options) as rig:
-        asyncio.run(scenario(rig))
 
 
 def records(path: Path) -> list[dict[str, Any]]:

@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 import pytest
-from unit.scope_ui_bridge.desk_rig import FACES, Rig, answer, of_type, pose, refusal
+from unit.scope_ui_bridge.desk_rig import FACES, Rig, answer, of_type, pose, refusal, selected
 
 from icu_common.core.frames import PANEL
 from icu_common.core.gesture import parse_gesture
 from icu_common.core.panel_state import ControlSeen, PanelSeen
-from scope_ui_bridge.core.effects import Broadcast, Effect, SendCommand
+from scope_ui_bridge.core.effects import Broadcast, SendCommand
 from scope_ui_bridge.core.scene import Face
 
 SCREEN = Face(
@@ -31,11 +31,6 @@ def desk(*controls: ControlSeen) -> Rig:
     rig.desk.scene.faces = (*FACES, SCREEN)
     rig.desk.panel.show(seen(*controls), rig.now)
     return rig
-
-
-def chosen(effects: list[Effect]) -> dict[str, Any]:
-    (found,) = [e.message["selection"] for e in of_type(effects, Broadcast) if e.message["type"] == "selection"]
-    return dict(found)
 
 
 def pixel(x: float, y: float, z: float = 0.004) -> tuple[float, float]:
@@ -70,7 +65,7 @@ def test_a_double_and_a_long_press_of_a_button_and_of_a_point(kind: str) -> None
 )
 def test_a_knob_is_turned_clicked_and_set(gesture: str, more: dict[str, Any], text: str) -> None:
     rig = desk(KNOB)
-    assert chosen(rig.select(control="CH1_SCALE"))["gestures"][:3] == ["turn", "click", "set"]
+    assert selected(rig.select(control="CH1_SCALE"))["gestures"][:3] == ["turn", "click", "set"]
     (command,) = of_type(rig.act(gesture, **more), SendCommand)
     assert command.text.split(" id=")[0] == text
 
@@ -103,16 +98,16 @@ def test_what_a_knob_does_not_take_is_refused_with_the_bound(
 
 def test_clicks_are_offered_for_a_knob_that_has_some_and_positions_for_one_that_is_seen() -> None:
     smooth = ControlSeen(name="CH1_SCALE", kind="knob", angle_deg=1.0)
-    assert "click" not in chosen(desk(smooth).select(control="CH1_SCALE"))["gestures"]
+    assert "click" not in selected(desk(smooth).select(control="CH1_SCALE"))["gestures"]
     rig = desk()
-    assert chosen(rig.select(control="CH1_SCALE"))["gestures"][:2] == ["turn", "press"]
+    assert selected(rig.select(control="CH1_SCALE"))["gestures"][:2] == ["turn", "press"]
     assert refusal(rig.act("set", 10.0)) == "wrong_gesture"
 
 
 def test_a_line_is_chosen_in_the_picture_then_drawn_where_the_panel_is() -> None:
     rig = desk()
     (u, v), (to_u, to_v) = pixel(0.05, 0.06), pixel(0.12, 0.1)
-    line = chosen(rig.select(u=u, v=v, to_u=to_u, to_v=to_v))
+    line = selected(rig.select(u=u, v=v, to_u=to_u, to_v=to_v))
     assert (line["kind"], line["gestures"], line["to_pixel"]) == ("line", ["drag"], [to_u, to_v])
     assert line["panel_mm"] == pytest.approx([50.0, 60.0], abs=0.1), "on top of the screen, which stands proud"
     assert line["to_mm"] == pytest.approx([120.0, 100.0], abs=0.1)
@@ -126,7 +121,7 @@ def test_a_line_is_chosen_in_the_picture_then_drawn_where_the_panel_is() -> None
 
 def test_a_line_given_in_millimetres_is_shown_in_the_picture() -> None:
     rig = desk()
-    line = chosen(rig.select(x_mm=50, y_mm=60, to_x_mm=120, to_y_mm=100))
+    line = selected(rig.select(x_mm=50, y_mm=60, to_x_mm=120, to_y_mm=100))
     assert line["pixel"] == pytest.approx(pixel(0.05, 0.06), abs=0.1)
     assert line["to_pixel"] == pytest.approx(pixel(0.12, 0.1), abs=0.1)
     (command,) = of_type(rig.act("drag"), SendCommand)

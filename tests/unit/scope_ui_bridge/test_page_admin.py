@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
 import json
 import os
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import aiohttp
 import pytest
-from unit.scope_ui_bridge.web_rig import Rig
+from unit.scope_ui_bridge.web_rig import Rig, with_rig
 
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users
 from scope_ui_bridge.cli import page_admin
@@ -129,8 +128,7 @@ def test_the_certificate_serves_the_page_and_strict_cookies(tmp_path: Path, caps
                     url + "control", headers={"Origin": origin["Origin"].replace("https", "http")}, ssl=trusted
                 )
 
-    with Rig(tls_certificate=str(certificate), tls_key=str(key)) as rig:
-        asyncio.run(scenario(rig))
+    with_rig(scenario, tls_certificate=str(certificate), tls_key=str(key))
 
 
 def test_the_chain_goes_on_after_a_record_that_lost_only_its_end_of_line(tmp_path: Path) -> None:

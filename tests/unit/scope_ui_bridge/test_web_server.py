@@ -6,7 +6,6 @@ import asyncio
 import json
 import re
 import time
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import aiohttp
 import cv2
 import numpy as np
 import pytest
-from unit.scope_ui_bridge.web_rig import Page, Rig, page, until
+from unit.scope_ui_bridge.web_rig import Page, Rig, page, until, with_rig
 
 from icu_common.core.config import ConfigError
 from icu_common.core.results import GoalResult, Outcome
@@ -24,11 +23,6 @@ from scope_ui_bridge.core.audit import verify
 from scope_ui_bridge.core.effects import Broadcast, Now
 
 NOW = Now(mono_s=0.0, ros_ns=0, wall_s=0.0)
-
-
-def with_rig(scenario: Callable[[Rig], Awaitable[None]], **options: Any) -> None:
-    with Rig(**options) as rig:
-        asyncio.run(scenario(rig))
 
 
 async def still_there(rig: Rig) -> None:

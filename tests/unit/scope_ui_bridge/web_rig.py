@@ -8,7 +8,7 @@ import itertools
 import json
 import struct
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import aiohttp
@@ -167,6 +167,11 @@ async def page(rig: Rig, *, sign_in: bool = True, control: bool = True, take: bo
                 if take:
                     assert (await made.ask(type="lease", step="take"))["ok"]
         yield made
+
+
+def with_rig(scenario: Callable[[Rig], Awaitable[None]], **options: Any) -> None:
+    with Rig(**options) as rig:
+        asyncio.run(scenario(rig))
 
 
 async def until(condition: Callable[[], Any], what: str) -> Any:
