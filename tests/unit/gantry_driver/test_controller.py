@@ -724,6 +724,24 @@ def test_a_touch_beside_the_target_is_not_called_reached() -> None:
     assert result.error_m == pytest.approx(0.0007, abs=1e-6)
 
 
+@pytest.mark.parametrize("command", ["press:RUN_STOP", "double:RUN_STOP", "turn:CH1_SCALE:30"])
+def test_a_tip_that_is_seen_in_the_air_has_not_touched(command: str) -> None:
+    bench = Bench().start()
+    hovering: list[float] = []
+
+    def stick(b: Bench) -> None:
+        # The axis counts its steps, the stylus stays where it is; a camera that repeats its picture shows the same.
+        hovering.append(b.tip_in_base()[2])
+        b.tip_seen_in_base = lambda: np.array([*b.tip_in_base()[:2], hovering[0]])  # type: ignore[method-assign]
+
+    bench.on_phase[Phase.TOUCH] = stick
+    result = bench.do(command)
+    sent = len(bench.paths)
+    words = "the tip was seen 8.0 mm above the surface when it should touch, 3 mm are allowed"
+    aborted(bench, result, words, "the stylus is up")
+    assert sent == 3, "down and up, and no arc is followed in the air"
+
+
 def test_correction_that_leaves_the_table() -> None:
     panel = BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])
     limits = from_mapping(ControllerConfig, {"motion.x_max_m": float(panel[0]) + 0.0005}).motion

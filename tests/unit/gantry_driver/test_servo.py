@@ -98,7 +98,10 @@ def test_errors_that_do_not_follow_the_corrections_end_it() -> None:
 
 def test_a_touch_must_have_been_seen_in_its_place() -> None:
     look = Look(after_ns=0, needed=2, kept=4)
-    assert contact_complaint(0.0005, look, CONFIG) == ""
-    assert contact_complaint(0.0006, look, CONFIG) == "touched 0.60 mm beside the target, 0.5 mm are allowed"
-    assert contact_complaint(math.nan, look, CONFIG).startswith("touched, but not measured: the tip was seen 0 times")
-    assert contact_complaint(math.nan, look, ControllerConfig(require_servo=False)) == ""
+    unseen = math.nan
+    assert contact_complaint(0.0005, 0.003, look, CONFIG) == ""
+    assert contact_complaint(0.0005, 0.0031, look, CONFIG).startswith("the tip was seen 3.1 mm above the surface")
+    assert contact_complaint(0.0006, 0.0, look, CONFIG) == "touched 0.60 mm beside the target, 0.5 mm are allowed"
+    words = "touched, but not measured: the tip was seen 0 times"
+    assert contact_complaint(unseen, unseen, look, CONFIG).startswith(words)
+    assert contact_complaint(unseen, unseen, look, ControllerConfig(require_servo=False)) == ""

@@ -482,13 +482,14 @@ class Controller:
     def _measure_contact(self, job: Job) -> str:
         """Measure the error at contact; return what is wrong with it, empty for nothing."""
         assert job.touch is not None
-        seen = self._seen_in_base(job)
+        seen, above_m = self._seen_in_base(job), math.nan
         if seen is not None:
-            place = job.touch.in_base
-            job.error_m, job.measured_beside = float(np.linalg.norm(seen[:2] - place[:2])), False
+            off = seen - job.touch.in_base
+            job.error_m, job.measured_beside = float(np.linalg.norm(off[:2])), False
+            above_m = float(off[2]) - self.config.touch.ball_radius_m
         elif job.measured_beside:
             job.error_m = job.hover_error_m
-        return contact_complaint(job.error_m, self._tip_look, self.config)
+        return contact_complaint(job.error_m, above_m, self._tip_look, self.config)
 
     def _wait_for_pictures(self, job: Job) -> None:
         self._enter(Phase.MEASURE, self.config.picture_wait_s)

@@ -100,10 +100,18 @@ def _corrected(error_xy: Array, aim: Aim, most_m: float) -> Fault | Aim:
     return corrected
 
 
-def contact_complaint(error_m: float, look: Look, config: ControllerConfig) -> str:
-    """Say what is wrong with a touch that was seen ``error_m`` beside its place (NaN: was not seen); else empty."""
+def contact_complaint(error_m: float, above_m: float, look: Look, config: ControllerConfig) -> str:
+    """Say what is wrong with a touch that was seen ``error_m`` beside its place, ``above_m`` above it; else empty.
+
+    NaN: was not seen. A stylus that sticks, or a camera that repeats its last picture, shows the tip where it hovered.
+    """
     if math.isnan(error_m) and config.require_servo:
         return f"touched, but not measured: {look.unseen_text(config.tip_spread_m)}"
+    if above_m > config.max_depth_error_m:
+        return (
+            f"the tip was seen {1000 * above_m:.1f} mm above the surface when it should touch, "
+            f"{1000 * config.max_depth_error_m:g} mm are allowed: does the stylus come down, is the picture new?"
+        )
     if error_m > config.max_error_m:
         bound = 1000 * config.max_error_m
         return f"touched {1000 * error_m:.2f} mm beside the target, {bound:g} mm are allowed"

@@ -281,6 +281,7 @@ export const PHRASES_DE = [
   ["cameras beside it", "Kameras daneben"],
   ["corrected aim: {}", "korrigiertes Ziel: {}"],
   ["touched, but not measured: {}", "berührt, aber nicht gemessen: {}"],
+  ["the tip was seen {} mm above the surface when it should touch, {} mm are allowed: does the stylus come down, is the picture new?", "die Spitze war {} mm über der Fläche zu sehen, als sie berühren sollte, {} mm sind erlaubt: geht der Stift herunter, ist das Bild neu?"],
   ["touched {} mm beside the target, {} mm are allowed", "{} mm neben dem Ziel berührt, {} mm sind erlaubt"],
   ["touched, but no effect was seen within {} s; the stylus is up", "berührt, aber innerhalb von {} s war keine Wirkung zu sehen; der Stift ist oben"],
   ["the marker of {} was not seen within {} s", "die Marke von {} war innerhalb von {} s nicht zu sehen"],
