@@ -287,6 +287,47 @@ def test_a_hidden_control_is_waited_for_and_then_refused() -> None:
     assert "nothing was moved" in result.reason and len(bench.paths) == sent
 
 
+def test_what_a_hand_did_while_it_was_waited_for_is_no_effect_and_hides_none() -> None:
+    bench = seeing()
+    bench.hidden["RUN_STOP"] = "something"
+    bench.run(0.5)
+    bench.on_phase[Phase.WAIT] = lambda b: (b.hidden.clear(), setattr(b, "lamp", "red"))
+    bench.on_phase[Phase.CONTACT] = lambda b: setattr(b, "lamp", "green")
+    assert details(bench.do("press:RUN_STOP"))["effect"] == "lamp red -> green"
+
+
+@pytest.mark.parametrize(("lamp", "effect"), [("red", "none seen"), ("green", "lamp red -> green")])
+def test_a_lamp_that_changes_on_the_way_to_it_is_not_the_touchs_doing(lamp: str, effect: str) -> None:
+    bench = seeing()
+
+    def press(b: Bench) -> None:
+        b.lamp = lamp
+
+    bench.on_phase[Phase.APPROACH] = lambda b: setattr(b, "lamp", "red")
+    bench.on_phase[Phase.CONTACT] = press
+    assert details(bench.do("press:RUN_STOP"))["effect"] == effect
+
+
+def test_on_a_busy_computer_the_effect_is_told_by_what_is_seen_on_the_way() -> None:
+    bench = seeing()
+    bench.talking.discard("state")
+    bench.run(1.2)
+    bench.on_phase[Phase.APPROACH] = lambda b: b.talking.add("state")
+    bench.on_phase[Phase.CONTACT] = lambda b: setattr(b, "lamp", "red")
+    assert details(bench.do("press:RUN_STOP"))["effect"] == "lamp green -> red"
+
+
+@pytest.mark.parametrize("command", ["turn:CH1_SCALE:-36", "click:CH1_SCALE:2"])
+def test_a_knob_that_was_hidden_is_turned_by_what_is_seen_once_it_is_free(command: str) -> None:
+    bench = seeing()
+    bench.knob_slips, bench.hidden["CH1_SCALE"] = 0.3, "something"
+    bench.run(0.5)
+    bench.on_phase[Phase.WAIT] = lambda b: (b.hidden.clear(), setattr(b, "knob_deg", 80.0))
+    result = bench.do(command)
+    assert result.outcome is Outcome.REACHED and bench.knob_deg == pytest.approx(44.0, abs=2.0), result
+    assert float(details(result)["knob_deg"]) == pytest.approx(bench.knob_deg, abs=0.01)
+
+
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK])
 def test_a_hand_that_comes_between_ends_the_gesture_above_the_panel(phase: Phase) -> None:
     bench = seeing(look_timeout_s=20.0)

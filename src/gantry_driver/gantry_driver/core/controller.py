@@ -18,7 +18,7 @@ import numpy as np
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core import goal_intake, motion_plan
 from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.effects import Knob, effect
+from gantry_driver.core.effects import Knob, effect, knob_of
 from gantry_driver.core.goal_job import (
     FREE_VIEW,
     LOOKING,
@@ -73,7 +73,7 @@ class Controller:
     # Every transition of a goal. A method either enters another phase or finishes the goal.
     _NEXT: ClassVar[dict[tuple[Phase, Step], Callable[[Controller, Job], None]]] = {
         (Phase.MOVE, Step.ARRIVED): lambda self, job: self._finish_move(job),
-        (Phase.WAIT, Step.SEEN): lambda self, job: self._begin(job),
+        (Phase.WAIT, Step.SEEN): lambda self, job: self._begin_anew(job),
         (Phase.WAIT, Step.UNSEEN): lambda self, job: self._finish_hidden(job),
         (Phase.APPROACH, Step.ARRIVED): lambda self, job: self._look_at_hover(job),
         (Phase.LOOK, Step.SEEN): lambda self, job: self._judge_hover(job),
@@ -180,6 +180,8 @@ class Controller:
                 world.panel = event.panel
             case msg.PanelState():
                 world.take_seen(event.seen)
+                if self._job is not None:
+                    self._job.look_before(event.seen)
             case msg.CameraFromBase():
                 world.camera_from_base = event.transform
             case msg.Axes():
@@ -292,6 +294,19 @@ class Controller:
             self._finish(job, Outcome.REACHED)
         else:
             self._try(job, Phase.MOVE if job.touch is None else Phase.APPROACH, lambda: self._way_to(job))
+
+    def _begin_anew(self, job: Job) -> None:
+        """Begin with what is seen now: what was hidden when the goal was taken may be read, or was turned by a hand."""
+        if job.knob is not None:
+            assert job.gesture is not None and job.scene is not None and self._world.seen is not None
+            name = job.knob.name
+            try:
+                job.knob = knob_of(job.gesture, name, self._world.seen.control(name))
+                job.touch = goal_intake.find_touch(job.gesture, job.knob, job.scene, self.config)
+            except (Refused, OutOfReach) as error:
+                self._finish(job, Outcome.ABORTED, f"{error}; nothing was moved")
+                return
+        self._begin(job)
 
     def _has_dimple(self, job: Job, knob: Knob) -> bool:
         assert job.scene is not None

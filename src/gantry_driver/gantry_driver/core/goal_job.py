@@ -129,6 +129,7 @@ class Job:
     gesture: Gesture | None = None
     knob: Knob | None = None
     before: PanelSeen | None = None
+    """What was seen last before the stylus went down, with the control's lamp where it has one that could be read."""
     effect: str = ""
     went_aside: bool = False
     hold_s: float = 0.0
@@ -142,6 +143,14 @@ class Job:
     """When the stylus first went down to touch, 0 before."""
     down_ns: int = 0
     fault: Fault | None = None
+
+    def look_before(self, seen: PanelSeen) -> None:
+        """Take what is seen before the touch: a lamp may have changed since the goal was taken, or been hidden then."""
+        if self.touch is None or self.touched_ns:
+            return
+        control = seen.control(self.touch.control)
+        if self.before is None or (control is not None and control.lamp):
+            self.before = seen
 
     def goal_base(self) -> Array:
         """Return the goal (3,) in base_link: what is touched, or where a mere move goes."""
