@@ -742,6 +742,28 @@ def test_a_tip_that_is_seen_in_the_air_has_not_touched(command: str) -> None:
     assert sent == 3, "down and up, and no arc is followed in the air"
 
 
+GONE_DOWN = "the stylus had gone down: look at the panel before trying again"
+
+
+@pytest.mark.parametrize(
+    ("fault", "end"),
+    [
+        (shift_panel, "the stylus is up"),
+        (lambda b: b.talking.discard("joints"), "the machine was told to stop"),
+        (lambda b: b._say_driver("stopped: by hand"), "nothing more was moved"),
+    ],
+)
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.CONTACT])
+def test_who_is_told_that_a_press_was_broken_off_is_told_that_it_may_have_acted(
+    phase: Phase, fault: Callable[[Bench], None], end: str
+) -> None:
+    bench = Bench().start()
+    bench.on_phase[phase] = fault
+    result = bench.do("hold:RUN_STOP:2")
+    assert result.outcome is Outcome.ABORTED and end in result.reason
+    assert result.reason.endswith(GONE_DOWN) is (phase is Phase.CONTACT), result.reason
+
+
 def test_correction_that_leaves_the_table() -> None:
     panel = BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])
     limits = from_mapping(ControllerConfig, {"motion.x_max_m": float(panel[0]) + 0.0005}).motion

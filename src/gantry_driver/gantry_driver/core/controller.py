@@ -137,7 +137,7 @@ class Controller:
         self._now_ns, self._closed = now_ns, True
         self._actions = [msg.CallStop(reason=cause), *answers]
         if self._job is not None:
-            self._finish(self._job, Outcome.ABORTED, f"{cause}; the machine was told to stop")
+            self._abort(self._job, f"{cause}; the machine was told to stop")
         self._set_state(f"stopped: {cause}")
         return self._actions
 
@@ -597,7 +597,13 @@ class Controller:
 
     def _finish_broken_off(self, job: Job) -> None:
         assert job.fault is not None
-        self._finish(job, Outcome.ABORTED, f"{job.fault.cause}; the stylus is up")
+        self._abort(job, f"{job.fault.cause}; the stylus is up")
+
+    def _abort(self, job: Job, reason: str) -> None:
+        """End a goal that was broken off: who presses once more what has acted presses twice."""
+        if job.touched_ns and not reason.startswith("touched"):
+            reason = f"{reason}; the stylus had gone down: look at the panel before trying again"
+        self._finish(job, Outcome.ABORTED, reason)
 
     def _fault(self, job: Job) -> Fault | None:
         """Return what ends the goal early, if anything; asked after every event."""
@@ -615,9 +621,9 @@ class Controller:
         cause = fault.cause if job.fault is None else f"{job.fault.cause}; then {fault.cause}"
         if fault.stop:
             self._actions.append(msg.CallStop(reason=cause))
-            self._finish(job, Outcome.ABORTED, f"{cause}; the machine was told to stop")
+            self._abort(job, f"{cause}; the machine was told to stop")
         elif not fault.lift or job.fault is not None:
-            self._finish(job, Outcome.ABORTED, f"{cause}; nothing more was moved")
+            self._abort(job, f"{cause}; nothing more was moved")
         else:
             job.fault = fault
             if self.phase not in MOVING:
