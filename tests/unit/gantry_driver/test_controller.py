@@ -887,6 +887,38 @@ def test_started_with_the_stylus_extended_it_asks_for_a_stop_and_says_why() -> N
     assert bench.stops == 1
 
 
+@pytest.mark.parametrize(
+    ("driver", "state"),
+    [
+        ("unhomed", "waiting: not homed"),
+        ("disconnected: link lost: unplugged", "waiting: driver disconnected: link lost: unplugged"),
+        ("alarm: 3 reset while moving", "alarm: 3 reset while moving"),
+    ],
+)
+def test_a_stylus_that_a_lost_driver_has_left_down_is_told_until_it_is_up(driver: str, state: str) -> None:
+    bench = Bench().start()
+
+    def die(b: Bench) -> None:
+        b._motion = None
+        b.talking -= {"joints"}  # the position is not known any more, and a new one tells none
+
+    bench.on_phase[Phase.CONTACT] = die
+    assert bench.do("hold:RUN_STOP:5").outcome is Outcome.ABORTED
+    bench._say_driver(driver)
+    left = f"{1000 * bench.readings[2]:.1f}"
+    assert float(left) > 20.0
+    words = f"the stylus was last extended by {left} mm and may still press: homing lifts it"
+    assert bench.controller.state == f"{state}; {words}"
+    bench._say_driver("homing")
+    assert bench.controller.state == "waiting: homing"
+    bench.readings, bench.talking = np.zeros(3), {*bench.talking, "joints"}
+    bench._say_driver("idle")
+    bench.run(0.2)
+    assert bench.controller.state == "ready"
+    bench._say_driver("unhomed")
+    assert bench.controller.state == "waiting: not homed"
+
+
 def test_a_stop_that_nobody_heard_is_asked_for_again() -> None:
     bench = Bench()
     bench.readings = np.array([0.05, 0.05, 0.02])

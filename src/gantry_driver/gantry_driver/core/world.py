@@ -29,6 +29,8 @@ _DRIVER_TEXT = {
     "mismatch": "settings mismatch",
     "disabled": "not enabled",
 }
+_LIFTS_NOTHING = ("disconnected", "connecting", "unhomed", "mismatch", "alarm")
+"""Driver states in which the stylus stays where it was: its position is not known any more, or nobody moves it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,6 +190,9 @@ class World:
         """Say how far the stylus was extended."""
         return f"the controller started with the stylus extended by {1000 * self.here[2]:.1f} mm"
 
+    def _left_down_text(self) -> str:
+        return f"the stylus was last extended by {1000 * self.here[2]:.1f} mm and may still press: homing lifts it"
+
     def scene(self) -> Scene:
         """Return what a touch is planned with; :meth:`obstacles` must have named nothing."""
         assert self.camera_from_base is not None and self.camera_from_panel is not None
@@ -211,6 +216,8 @@ class World:
                 shown += f": {reason.strip()}"
             if self.left_behind:
                 shown += f"; {self.left_behind}"
+            elif state in _LIFTS_NOTHING and self.readings is not None and self.readings[2] > EXTENDED_M:
+                shown += f"; {self._left_down_text()}"
             yield Obstacle(state=shown, reason=f"the driver is {self.driver!r}, 'idle' is needed", every_goal=True)
         elif self.readings is None or silent:
             text = f"no joint_states {since(self.age_s(self.readings_ns))}"

@@ -188,6 +188,7 @@ export const PHRASES_DE = [
   ["not homed", "keine Referenz"],
   ["the driver is moving", "der Treiber bewegt etwas"],
   ["settings mismatch", "Einstellungen stimmen nicht"],
+  ["the stylus was last extended by {} mm and may still press: homing lifts it", "der Stift war zuletzt um {} mm ausgefahren und drückt vielleicht noch: die Referenzfahrt hebt ihn"],
   ["the controller started with the stylus extended by {} mm", "die Steuerung begann mit um {} mm ausgefahrenem Stift"],
   ["{}, a stop is asked for", "{}, ein Stop ist verlangt"],
   ["no joint_states", "keine Gelenkwerte"],
