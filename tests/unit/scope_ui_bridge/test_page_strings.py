@@ -88,6 +88,17 @@ def test_all_that_the_graph_can_say_is_known_in_german() -> None:
     assert missing == [], "give them a line in page/phrases_de.js, or their file one in graph_texts.ONLY_ELSEWHERE"
 
 
+def test_what_ended_a_gesture_is_not_left_in_english_by_a_phrase_that_takes_half_of_it() -> None:
+    # As the page does: of the phrases that match, the one with the most letters.
+    phrases = sorted(german_phrases(), key=lambda phrase: -len(phrase.replace("{}", "")))
+    patterns = {phrase: re.compile(re.escape(phrase).replace(r"\{\}", "(.+)")) for phrase in phrases}
+    end = "; the stylus is up"
+    for phrase in phrases:
+        if "are allowed" in phrase and not phrase.endswith(end):
+            said = phrase.replace("{}", "7") + end
+            assert next(p for p in phrases if patterns[p].fullmatch(said)) == f"{{}}{end}", said
+
+
 def test_german_phrases_keep_every_value() -> None:
     for english, sentence in german_phrases().items():
         holes = re.findall(r"\{(\d*)\}", sentence)

@@ -555,8 +555,11 @@ class Controller:
             job.effect = f"{knob.name} at {angle:+.1f} degrees"
             self._finish(job, Outcome.REACHED)
         elif knob.turns >= self.config.set_tries:
-            cause = f"{knob.name} stands {abs(knob.off_deg):.1f} degrees off after {knob.turns} turns"
-            self._finish(job, Outcome.ABORTED, f"{cause}, {allowed:g} are allowed; the stylus is up")
+            reason = (
+                f"{knob.name} stands {abs(knob.off_deg):.1f} degrees off after {knob.turns} turns, "
+                f"{allowed:g} are allowed; the stylus is up"
+            )
+            self._finish(job, Outcome.ABORTED, reason)
         else:
             self._turn_again(job)
 
