@@ -116,16 +116,26 @@ def test_a_value_that_cannot_be_read_does_not_end_the_sequencer(ros: Any) -> Non
     assert rig.wait_for_command(1) == "press:SAVE id=good.1"
 
 
-def test_a_stop_while_a_check_is_waited_for_ends_it_before_anything_is_reset(ros: Any) -> None:
+@pytest.mark.parametrize(
+    "state",
+    [
+        "stopped: operator",
+        "alarm: 1 hard limit",
+        "waiting: no operator (heartbeat)",
+        "waiting: not enabled",
+        "waiting: driver disconnected: unplugged",
+    ],
+)
+def test_what_ends_a_gesture_ends_a_sequence_that_waits_for_a_check_too(ros: Any, state: str) -> None:
     rig = Rig(ros)
     steps = "{do: press:RUN_STOP, check: 'lamp:RUN_STOP=red', within_s: 60}, 'press:SAVE'"
     rig.sequence.publish(String(data=f"id: mine\nsteps: [{steps}]"))
     rig.wait_for_command(1)
     rig.reach("mine.1")
     ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
-    rig.state.publish(String(data="stopped: operator"))
+    rig.state.publish(String(data=state))
     ended = rig.final("mine")
-    assert ended.outcome is Outcome.ABORTED and ended.reason.endswith("press:RUN_STOP: stopped: operator")
+    assert ended.outcome is Outcome.ABORTED and ended.reason.endswith(f"press:RUN_STOP: {state}")
     rig.state.publish(String(data="ready"))
     rig.see("red")
     ros.spin_until(lambda: rig.states[-1].data == "idle", 10.0)

@@ -127,7 +127,7 @@ class SequenceRun:
         return self._fail(f"not seen in time: {missing}", now_ns)
 
     def stopped(self, cause: str, now_ns: int) -> list[Action]:
-        """Hear that the machine was stopped: nothing may go on after a reset. A gesture in work has its own answer."""
+        """Hear that the machine was stopped or left alone: nothing may go on later. A gesture has its own answer."""
         return [] if self.done or self._answer is None else self._fail(cause, now_ns)
 
     def abort(self, cause: str, now_ns: int) -> list[Action]:

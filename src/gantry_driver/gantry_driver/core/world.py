@@ -29,6 +29,9 @@ _DRIVER_TEXT = {
     "mismatch": "settings mismatch",
     "disabled": "not enabled",
 }
+_NO_OPERATOR = "waiting: no operator (heartbeat)"
+AT_AN_END = ("stopped", "alarm", _NO_OPERATOR, *(f"waiting: {t}" for s, t in _DRIVER_TEXT.items() if s != "moving"))
+"""How ``/gantry/state`` begins while the machine cannot go on, or nobody is there who wants it to."""
 _LIFTS_NOTHING = ("disconnected", "connecting", "unhomed", "mismatch", "alarm")
 """Driver states in which the stylus stays where it was: its position is not known any more, or nobody moves it."""
 
@@ -232,7 +235,7 @@ class World:
         heartbeat_age = self.age_s(self.heartbeat_ns)
         if heartbeat_age > config.heartbeat_timeout_s:
             yield Obstacle(
-                state="waiting: no operator (heartbeat)",
+                state=_NO_OPERATOR,
                 reason=f"no operator heartbeat {since(heartbeat_age)}, "
                 f"at most {config.heartbeat_timeout_s:g} s are allowed",
                 every_goal=True,

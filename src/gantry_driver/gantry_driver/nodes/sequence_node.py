@@ -2,7 +2,8 @@
 
 ``sequence`` takes the text of a sequence file (see icu_common.core.sequence), with ``id: TEXT`` as its first line if
 its answers are to be told apart. It gives the controller one command at a time, so whatever stops a gesture stops the
-sequence; a stop between two gestures ends it too, so that none goes on after a reset.
+sequence; between two gestures a stop ends it too, and so does an operator or a driver that is lost: none goes on when
+they are back.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from std_msgs.msg import String
 
 from gantry_driver.core.goal_job import WORKING
 from gantry_driver.core.sequence import Action, SendCommand, SequenceConfig, SequenceRun
+from gantry_driver.core.world import AT_AN_END
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import SequenceError, parse_file
 from icu_common.nodes import qos
@@ -110,7 +112,7 @@ class SequenceNode(Node):
 
     def _on_controller(self, message: String) -> None:
         self._controller = message.data.partition(":")[0]
-        if self._run is not None and self._controller in ("stopped", "alarm"):
+        if self._run is not None and message.data.startswith(AT_AN_END):
             self._act(self._run.stopped(message.data, self._now_ns()))
 
     def _on_tick(self) -> None:
