@@ -311,7 +311,7 @@ def test_a_lamp_that_changes_on_the_way_to_it_is_not_the_touchs_doing(lamp: str,
 def test_on_a_busy_computer_the_effect_is_told_by_what_is_seen_on_the_way() -> None:
     bench = seeing()
     bench.talking.discard("state")
-    bench.run(1.2)
+    bench.run(1.7)
     bench.on_phase[Phase.APPROACH] = lambda b: b.talking.add("state")
     bench.on_phase[Phase.CONTACT] = lambda b: setattr(b, "lamp", "red")
     assert details(bench.do("press:RUN_STOP"))["effect"] == "lamp green -> red"
@@ -345,10 +345,23 @@ def test_a_panel_out_of_sight_ends_the_gesture_above_it() -> None:
     assert bench.readings[2] == 0.0
 
 
-def test_old_states_are_not_believed() -> None:
+@pytest.mark.parametrize("command", ["click:CH1_SCALE:1", "set:CH1_SCALE:UP", "turn:CH1_SCALE:36"])
+def test_old_states_are_not_believed(command: str) -> None:
     bench = seeing()
     bench.talking.discard("state")
     bench.now_ns += 1500 * MS
     bench.run(0.3)
-    result = bench.do("click:CH1_SCALE:1")
+    result = bench.do(command)
     assert result.outcome is Outcome.REJECTED and "nothing is seen of CH1_SCALE" in result.reason
+    assert "nothing is seen of CH1_SCALE for 1.9 s, at most 1.5 s are allowed" in result.reason, "nor turned blindly"
+    assert bench.paths == []
+
+
+def test_a_knob_whose_marker_cannot_be_read_is_turned_unseen_also_when_the_state_is_old() -> None:
+    bench = seeing()
+    bench.knob_deg = math.nan
+    bench.run(0.3)
+    bench.talking.discard("state")
+    bench.run(1.8)
+    result = bench.do("turn:CH1_SCALE:36")
+    assert result.outcome is Outcome.REACHED and details(result)["turns"] == "1"

@@ -71,7 +71,7 @@ class ControllerConfig(Config):
     require_effect: bool = setting(False, "A press without an effect that is seen counts as failed")
     read_timeout_s: float = setting(3.0, "Time for reading a knob's marker", minimum=0.2, maximum=30.0, unit="s")
     state_max_age_s: float = setting(
-        1.0, "Age of what is seen of the controls before a gesture", minimum=0.1, maximum=10.0, unit="s"
+        1.5, "Age of what is seen of the controls before a gesture", minimum=0.1, maximum=10.0, unit="s"
     )
     aside_m: float = setting(
         0.025,

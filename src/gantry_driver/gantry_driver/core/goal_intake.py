@@ -16,7 +16,7 @@ from gantry_driver.core.controller_messages import PointGoal
 from gantry_driver.core.effects import Knob, knob_of
 from gantry_driver.core.goal_job import NANO, Aim, Job
 from gantry_driver.core.targets import Refused, Scene, Touch
-from gantry_driver.core.world import World
+from gantry_driver.core.world import World, since
 from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.geometry import Array
 from icu_common.core.gesture import TURNING, Gesture, Point
@@ -103,6 +103,8 @@ def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config:
     knob = None
     if gesture.kind in TURNING and isinstance(gesture.target, str):
         scene.control(gesture.target)
+        if seen is None:
+            _check_marker_not_old(gesture.target, gesture.kind, world, config)
         knob = knob_of(gesture, gesture.target, None if seen is None else seen.control(gesture.target))
     elif gesture.kind in ("click", "set"):
         raise Refused(f"{gesture.kind} needs a knob's name, found {gesture.text()!r}")
@@ -123,6 +125,16 @@ def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config:
         before=seen,
         hold_s=hold_s.get(gesture.kind, 0.0),
     )
+
+
+def _check_marker_not_old(name: str, kind: str, world: World, config: ControllerConfig) -> None:
+    """Refuse a knob whose marker was read, only too long ago: turned unseen it would end somewhere, unnoticed."""
+    last = None if world.seen is None else world.seen.control(name)
+    if world.seen is not None and last is not None and not (kind == "turn" and math.isnan(last.angle_deg)):
+        raise Refused(
+            f"nothing is seen of {name} {since(world.age_s(world.seen.stamp_ns))}, "
+            f"at most {config.state_max_age_s:g} s are allowed: try again, or is the computer too busy?"
+        )
 
 
 def find_touch(gesture: Gesture, knob: Knob | None, scene: Scene, config: ControllerConfig) -> Touch:

@@ -299,6 +299,7 @@ export const PHRASES_DE = [
   ["lamp {} -> {}", "Lampe {} -> {}"],
   ["screen changed", "Bildschirm geändert"],
   ["nothing is seen of the panel's state: the effect of a {} must be (require_effect)", "vom Zustand der Front ist nichts zu sehen: die Wirkung von {} muss es sein (require_effect)"],
+  ["nothing is seen of {} {}, at most {} s are allowed: try again, or is the computer too busy?", "von {0} ist {1} nichts zu sehen, höchstens {2} s sind erlaubt: noch einmal versuchen, oder ist der Rechner überlastet?"],
   ["nothing is seen of {}: {} needs recognition's state of the panel", "von {} ist nichts zu sehen: {} braucht, was die Erkennung von der Front meldet"],
   ["{} has no clicks (detent_deg in its layout)", "{} hat keine Rasten (detent_deg in der Beschreibung)"],
   ["{} clicks of {} degrees are more than a whole turn", "{} Rasten zu {} Grad sind mehr als eine ganze Drehung"],
