@@ -257,6 +257,7 @@ def test_stale_and_future_stamps(age_ms: int, good: bool) -> None:
         assert result.outcome is Outcome.REACHED
     else:
         rejected(bench, result, "stale", f"{age_ms / 1000:.3f} s", "0.5 s")
+        assert ("the stamp is of the future: do the clocks agree?" in result.reason) is (age_ms < 0)
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,8 @@ def point_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
     if goal.stamp_ns != 0:
         age_s = (world.now_ns - goal.stamp_ns) / NANO
         if not -config.goal_max_age_s <= age_s <= config.goal_max_age_s:
-            raise Refused(f"stale: the stamp is {age_s:.3f} s old, {config.goal_max_age_s:g} s are allowed")
+            reason = f"stale: the stamp is {age_s:.3f} s old, {config.goal_max_age_s:g} s are allowed"
+            raise Refused(f"{reason}; the stamp is of the future: do the clocks agree?" if age_s < 0 else reason)
     if goal.frame == BASE:
         return _move_job(goal, world, config)
     x, y, z = (float(v) for v in goal.xyz)

@@ -221,6 +221,7 @@ export const PHRASES_DE = [
   ["busy with {}, {}", "beschäftigt mit {}, {}"],
   ["point ({}) is not finite", "Punkt ({}) ist nicht endlich"],
   ["frame {} is none of {}", "Koordinatensystem {} ist keines von {}"],
+  ["{}; the stamp is of the future: do the clocks agree?", "{}; der Stempel ist aus der Zukunft: stimmen die Uhren überein?"],
   ["stale: the stamp is {} s old, {} s are allowed", "veraltet: der Stempel ist {} s alt, {} s sind erlaubt"],
   ["z = {} in {} must be 0: the surface is found from the panel", "z = {} in {} muss 0 sein: die Fläche folgt aus der Front"],
   ["z = {} m is above 0, where the stylus is retracted", "z = {} m liegt über 0, wo der Stift eingezogen ist"],
