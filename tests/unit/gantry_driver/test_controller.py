@@ -892,6 +892,7 @@ def test_started_with_the_stylus_extended_it_asks_for_a_stop_and_says_why() -> N
     ("driver", "state"),
     [
         ("unhomed", "waiting: not homed"),
+        ("idle", "waiting: no joint_states"),
         ("disconnected: link lost: unplugged", "waiting: driver disconnected: link lost: unplugged"),
         ("alarm: 3 reset while moving", "alarm: 3 reset while moving"),
     ],

@@ -194,7 +194,12 @@ class World:
         return f"the controller started with the stylus extended by {1000 * self.here[2]:.1f} mm"
 
     def _left_down_text(self) -> str:
-        return f"the stylus was last extended by {1000 * self.here[2]:.1f} mm and may still press: homing lifts it"
+        """Say that nobody has lifted the stylus, if so, as the end of a state."""
+        if self.readings is None or self.readings[2] <= EXTENDED_M:
+            return ""
+        last_mm = 1000 * self.readings[2]
+        text = f"the stylus was last extended by {last_mm:.1f} mm and may still press: homing lifts it"
+        return f"; {text}"
 
     def scene(self) -> Scene:
         """Return what a touch is planned with; :meth:`obstacles` must have named nothing."""
@@ -219,13 +224,13 @@ class World:
                 shown += f": {reason.strip()}"
             if self.left_behind:
                 shown += f"; {self.left_behind}"
-            elif state in _LIFTS_NOTHING and self.readings is not None and self.readings[2] > EXTENDED_M:
-                shown += f"; {self._left_down_text()}"
+            elif state in _LIFTS_NOTHING:
+                shown += self._left_down_text()
             yield Obstacle(state=shown, reason=f"the driver is {self.driver!r}, 'idle' is needed", every_goal=True)
         elif self.readings is None or silent:
             text = f"no joint_states {since(self.age_s(self.readings_ns))}"
             yield Obstacle(
-                state="waiting: no joint_states",
+                state="waiting: no joint_states" + self._left_down_text(),
                 reason=f"{text}, at most {config.joints_timeout_s:g} s are allowed",
                 every_goal=True,
             )
