@@ -624,9 +624,12 @@ def test_homing_is_no_silence_and_its_alarm_is_one() -> None:
     rig.until(lambda: rig.state == "idle")
     rig.machine.home(rig.now)
     rig.until(lambda: rig.board.homing_until > 0)
+    rig.board.homing_until = rig.now + 60.0
+    rig.run_for(2.0 * rig.machine.config.status_timeout_s)
     rig.board.homing_until = -1.0
     rig.board.alarm(9)
     rig.until(lambda: rig.state == "alarm")
+    rig.run_for(0.5)
     assert "ALARM:9 (homing: no switch found)" in rig.states[-1] and not rig.machine.homed
 
 

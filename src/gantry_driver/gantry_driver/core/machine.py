@@ -512,6 +512,7 @@ class Machine(Connection):
             text = f"{text}, after: {self.reason}"
         self._finish(Outcome.ABORTED, text, now)
         self._forget_position()
+        self.session.last_report_at = now  # In a homing cycle it is the first that the board says.
         self._latched = ""  # The alarm is latched itself, and its reset is the same call.
         if self.phase is Phase.ALARM_RESET:  # an emergency stop is still pressed: no banner comes
             self.session.awaiting_banner = False
