@@ -95,3 +95,14 @@ def test_a_retreat_under_way_keeps_its_time_when_the_speed_is_changed() -> None:
     rig.until(lambda: rig.machine.phase.name == "STOPPED", 20.0)
     assert rig.mpos()[2] == pytest.approx(-1.0, abs=0.01)
     assert rig.states[-1] == "stopped: operator"
+
+
+def test_a_place_between_two_motor_steps_is_reached_at_the_nearer() -> None:
+    """Nearer no board can be; with a tolerance below that each goal ended in a stop."""
+    config = DriverConfig(enabled_at_start=True, arrival_tolerance_m=1e-6)
+    rig = VirtualRig(config, 0)
+    rig.home()
+    rig.go([(0.106006, 0.056006, 0.011001)], "between")
+    rig.until(lambda: len(rig.results) == 2, 20.0)
+    assert rig.results[-1].outcome is Outcome.REACHED, rig.results[-1].reason
+    assert rig.results[-1].error_m == pytest.approx(8.5e-6, abs=1e-6)

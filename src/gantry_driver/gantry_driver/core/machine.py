@@ -607,7 +607,7 @@ class Machine(Connection):
         self.session.executed_all()
         self._lowers = False
         error = math.dist(goal.end_m, here)
-        if error > self.config.arrival_tolerance_m:
+        if error > max(self.config.arrival_tolerance_m, self.config.rounding_m()):
             self._halt(f"the board stands at {_metres(here)} instead of {_metres(goal.end_m)}", now)
             return
         self._enter(Phase.IDLE, now)

@@ -6,6 +6,7 @@ the configuration is what the board prints.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from icu_common.core.config import Config, ConfigError, nested, setting
@@ -154,7 +155,11 @@ class DriverConfig(Config):
         0.03, "Speed of the stylus where a point names none, and of its retreat", minimum=1e-4, maximum=0.5, unit="m/s"
     )
     arrival_tolerance_m: float = setting(
-        0.0001, "A trajectory has reached its end when the report is this close", minimum=1e-6, maximum=0.01, unit="m"
+        0.0001,
+        "A trajectory has reached its end when the report is this close, or as close as whole motor steps can be",
+        minimum=1e-6,
+        maximum=0.01,
+        unit="m",
     )
     max_rest_extended_s: float = setting(
         35.0,
@@ -191,3 +196,11 @@ class DriverConfig(Config):
         """Return the largest readings of x, y and stylus in metres."""
         x, y, _ = self.machine.reading_limits_m()
         return x, y, self.stylus_limit_m()
+
+    def rounding_m(self) -> float:
+        """Return how far from where it was sent a board may say that it stands, in metres.
+
+        Half a motor step of each axis, and what line and report leave out behind their third decimal.
+        """
+        axes = 3 if self.stylus.kind == "z_axis" else 2
+        return math.hypot(*(0.5 / steps + 0.001 for steps in self.machine.steps_per_mm[:axes])) / 1000.0
