@@ -49,6 +49,8 @@ def checked(*lines: str, **kwargs: object) -> list[str]:
         (["(a comment", "G0"], 1, 1, "the comment has no end"),
         (["", "$100=5"], 2, 1, "system commands are not part of a program"),
         (["G0 X1"], 1, 4, "X = 1.000 mm (machine) is outside -360 to 0 mm (ALARM:2)"),
+        (["G0 X0.0009"], 1, 4, "X = 0.001 mm (machine) is outside -360 to 0 mm (ALARM:2)"),
+        (["G0 Z-60.00002"], 1, 4, "Z = -60.000020 mm (machine) is outside -60 to 0 mm (ALARM:2)"),
         (["G91", "G0 X-200", "G0 X-70"], 3, 4, "X = -370.000 mm"),
         (["G20", "G0 Y-9"], 2, 4, "Y = -228.600 mm"),
         (["G92 X0", "G0 X101"], 2, 4, "X = 1.000 mm"),
@@ -105,6 +107,12 @@ def test_modes_stay_and_offsets_are_followed() -> None:
     for text in ("G0 X10 Y20", "G91 G1 X5 F100", "Y-1", "G90 G92 X0", "X7"):
         checker.check(text)
     assert checker.position_mm == pytest.approx((-178.0, -181.0, -1.0))
+
+
+def test_steps_that_add_up_to_the_very_end_of_the_travel_are_inside() -> None:
+    checker = ProgramChecker(BOUNDS, START)
+    assert len(list(checker.check_all(["G91 F600", *["G1 X0.1 Y-0.1"] * 1000, "G20", "Y-0.787401575"]))) == 1003
+    assert checker.position_mm == pytest.approx((0.0, -220.0, -1.0), abs=1e-6)
 
 
 def test_times_are_those_of_feed_and_rapid() -> None:

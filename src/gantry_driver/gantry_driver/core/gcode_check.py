@@ -60,7 +60,8 @@ _LARGEST = {"N": (9_999_999.0, 27), "T": (255.0, 38)}
 """Largest value of a word, and GRBL's error for a larger one."""
 _PLANES = {"G17": (0, 1, 2), "G18": (2, 0, 1), "G19": (1, 2, 0)}
 _REALTIME = frozenset("?!~\x18")
-_ROUNDING_MM = 1e-3
+_ROUNDING_MM = 1e-6
+"""What sums and the sixth decimal of a line may add to a target; a board allows nothing beyond its travel."""
 _NO_TURN = 5e-7
 """Radians of an arc up to which GRBL goes once more around."""
 
@@ -373,8 +374,11 @@ class ProgramChecker:
             low, high = self._bounds.low_mm[axis], self._bounds.high_mm[axis]
             if not low - _ROUNDING_MM <= point[axis] <= high + _ROUNDING_MM:
                 column = values[letter].column if letter in values else axes[0].column
+                found = f"{point[axis]:.3f}"
+                if low <= float(found) <= high:
+                    found = f"{point[axis]:.6f}"
                 raise self._error(
-                    column, f"{letter} = {point[axis]:.3f} mm (machine) is outside {low:g} to {high:g} mm (ALARM:2)"
+                    column, f"{letter} = {found} mm (machine) is outside {low:g} to {high:g} mm (ALARM:2)"
                 )
 
     def _pace(self, length: float, target: Sequence[float]) -> tuple[float, float]:
