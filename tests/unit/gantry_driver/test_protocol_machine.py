@@ -822,6 +822,22 @@ def test_a_program_is_checked_as_a_whole_and_then_streamed() -> None:
     assert rig.board.mpos[0] == -349.0
 
 
+def test_a_program_starts_at_a_home_that_motor_steps_round_beyond_the_travel() -> None:
+    """At 53.333 steps/mm a board homes at -359.008 mm; a program was refused for the axes it left alone."""
+    board = Board()
+    board.settings |= {100: "53.333", 101: "53.333"}
+    board.homed = (-359.008, -219.009, -1.0)
+    machine = MachineConfig(steps_per_mm=(53.333, 53.333, 400.0))
+    rig = Rig(DriverConfig(enabled_at_start=True, machine=machine), board).homed()
+    assert rig.machine.run_program("p", ["G53 G1 Y-100 F6000"], rig.now).outcome.value == "accepted"
+    rig.until(lambda: "reached" in rig.outcomes())
+    assert rig.board.mpos == [-359.008, -100.0, -1.0]
+    rig.board.mpos[0] = -359.03
+    rig.run_for(0.2)
+    refused = rig.machine.run_program("p", ["G53 G1 Y-110 F6000"], rig.now)
+    assert refused.reason == "line 1, column 8: X = -359.030 mm (machine) is outside -359 to 0 mm (ALARM:2)"
+
+
 def test_a_long_program_is_queued_while_it_runs() -> None:
     """Who starts it may be interrupted meanwhile, and nobody waits until all of it is queued."""
     rig = Rig().homed()

@@ -281,8 +281,12 @@ class Machine(Connection):
         """
         if self.session.wco_mm is None:
             raise TrajectoryError("the board has not told its work offset (WCO) yet")
-        start = mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config)
-        return ProgramChecker(self.bounds(), start, {"G54": _three(self.session.wco_mm[:3])})
+        bounds, start = self.bounds(), mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config)
+        inside = [min(max(place, low), high) for place, low, high in zip(start, bounds.low_mm, bounds.high_mm)]
+        steps_mm = (1.0 / scale for scale in self.config.machine.steps_per_mm)
+        # At its end an axis reports the motor step that is nearest, which may lie beyond it.
+        start = _three([i if abs(i - place) < step else place for i, place, step in zip(inside, start, steps_mm)])
+        return ProgramChecker(bounds, start, {"G54": _three(self.session.wco_mm[:3])})
 
     def run_checked(
         self, goal_id: str, checker: ProgramChecker, checked: Sequence[CheckedLine], now: float
