@@ -150,10 +150,17 @@ def test_a_dry_run_moves_nothing_and_names_what_the_board_refuses(
     start = board.mpos()
     code, output = run(str(program(*GOOD)), "--port", str(board.port), "--dry-run")
     assert code == 0 and "dry run: 7 lines, 0 refused by the board" in output, output
-    board.fault("error", number=20, after=4)
+    board.fault("error", number=20, after=7)  # $X, $C, and three to where it begins
     code, output = run(str(program(*GOOD)), "--port", str(board.port), "--dry-run")
     assert code == 1 and "program.nc:4:1: the board answers error:20 (command not supported)" in output, output
     assert board.mpos() == start
+
+
+def test_a_dry_run_begins_where_the_program_does(board: GrblBoard, program: Callable[..., Path]) -> None:
+    """A board that is not homed counts from 0, the far end of the travel."""
+    path = program("G91 G1 X10 Y10 F6000", "G2 X10 I5")
+    code, output = run(str(path), "--port", str(board.port), "--dry-run")
+    assert code == 0 and "dry run: 2 lines, 0 refused by the board" in output, output
 
 
 def test_a_dry_run_resets_a_board_that_opening_its_port_does_not_reset(
@@ -179,7 +186,7 @@ def test_a_dry_run_that_ends_in_an_alarm_leaves_the_board_as_after_a_reset(
     board = GrblBoard(tmp_path, "--keep-running", "--set", "130=200")
     try:
         code, output = run(str(program("G53 G1 X-300 Y-100 F9000")), "--port", str(board.port), "--dry-run")
-        assert code == 1 and output.splitlines()[-1] == "error: line 'F9000X-300Y-100G53G1': ALARM:2", output
+        assert code == 1 and output.splitlines()[-1] == "error: line 'X-359Y-219Z-1G53G0': ALARM:2", output
         end = time.monotonic() + 5.0
         # How often it is reset before depends on whether its first banner is still in the port.
         while [line["kind"] for line in board.log() if line["kind"] in ("alarm", "banner")][-2:] != ["alarm", "banner"]:

@@ -23,7 +23,12 @@ class CheckFailed(Exception):
 
 
 def dry_run(
-    port_name: str, baud: int, lines: Sequence[str], on_line: Callable[[int], None] = lambda number: None
+    port_name: str,
+    baud: int,
+    lines: Sequence[str],
+    on_line: Callable[[int], None] = lambda number: None,
+    *,
+    before: Sequence[str] = (),
 ) -> Iterator[tuple[int, int]]:
     """Send lines in check mode, one by one, and yield (index, error number) of each that the board refuses.
 
@@ -33,6 +38,8 @@ def dry_run(
     ----------
     on_line
         Called with the number of lines done.
+    before
+        Lines that let the board's parser stand, with the modes that it has there, where the program begins.
 
     Raises
     ------
@@ -52,14 +59,16 @@ def dry_run(
             report = _read_line(port, lambda text: text.startswith("<"), ANSWER_WITHIN_S)
             if not report.startswith("<Check"):
                 raise CheckFailed(f"after $C the board reports {report or 'nothing'}, <Check is needed")
-            for number, line in enumerate(lines):
+            for number, line in enumerate((*before, *lines), -len(before)):
                 answer = _ask(port, line)
                 if answer.startswith("ALARM"):
                     _read_line(port, lambda text: text.startswith("[MSG:Reset"), RESET_HINT_S)
+                if answer.startswith("ALARM") or (number < 0 and answer != "ok"):
                     raise CheckFailed(f"line {line!r}: {answer}")
-                if answer != "ok":
-                    yield number, int(answer.partition(":")[2])
-                on_line(number + 1)
+                if number >= 0:
+                    if answer != "ok":
+                        yield number, int(answer.partition(":")[2])
+                    on_line(number + 1)
         finally:
             # Leaves check mode, whatever was answered, and empties the buffer.
             port.write(b"\x18")

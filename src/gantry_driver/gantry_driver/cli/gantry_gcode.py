@@ -28,10 +28,11 @@ from gantry_driver.adapters.check_mode import CheckFailed, dry_run
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.core.gcode_check import CheckedLine, GcodeError, ProgramChecker
 from gantry_driver.core.grbl_messages import error_text
-from gantry_driver.core.machine import Machine
+from gantry_driver.core.machine import PROGRAM_MODES, Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, StateChanged
 from gantry_driver.core.progress import duration_text, progress_text
+from gantry_driver.core.session import plain
 from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile, profile_text
 from gantry_driver.core.trajectory_gcode import TrajectoryError
 from icu_common.adapters.program_end import ends_quietly
@@ -297,8 +298,11 @@ def run_dry(name: str, lines: Sequence[CheckedLine], config: DriverConfig) -> in
     def show(done: int) -> None:
         display.show(progress_text(done, ends, "dry run"), done / max(len(lines), 1))
 
+    # A board that is not homed counts from 0; in check mode a move only sets its parser's place.
+    x, y, z = map(plain, config.machine.homed_mpos_mm())
+    before = [*PROGRAM_MODES, f"X{x}Y{y}Z{z}G53G0"]
     try:
-        for index, code in dry_run(config.port, config.baud, [line.text for line in lines], show):
+        for index, code in dry_run(config.port, config.baud, [line.text for line in lines], show, before=before):
             refused += 1
             display.say(f"{name}:{lines[index].number}:1: the board answers {error_text(code)}")
     except (CheckFailed, serial.SerialException, OSError) as error:
