@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -131,6 +132,32 @@ def test_bring_up_ends_every_program_in_order_when(
     ended = (tmp_path / "log").read_text().splitlines()
     assert ended == [f"{tmp_path}/lib/p/{name} ends" for name in ("driver", "board")]
     assert list((tmp_path / "tmp").iterdir()) == []
+
+
+TALKATIVE = """\
+#!/bin/sh
+trap 'echo "$0 ends" >> "$LOG"; exit 0' INT
+line=$(head -c 20000 /dev/zero | tr '\\0' x)
+for _ in $(seq 30); do echo "error: $line"; done
+echo "$0 has said all" >> "$LOG"
+while true; do sleep 0.1; done
+"""
+
+
+def test_programs_go_on_and_end_while_the_terminal_takes_no_output(
+    tmp_path: Path, two: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """After Control-S nobody read what they print; a driver that waits for that tells nobody where it is."""
+    (tmp_path / "lib" / "p" / "driver").write_text(TALKATIVE)
+    log, end = tmp_path / "log", time.monotonic() + 20.0
+    with two() as process:  # whose output is read by nobody before it has ended
+        while not (log.exists() and "driver has said all" in log.read_text()):
+            assert time.monotonic() < end and process.poll() is None
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20.0) == 0
+    ended = log.read_text().splitlines()[1:]
+    assert ended == [f"{tmp_path}/lib/p/{name} ends" for name in ("driver", "board")]
 
 
 def test_a_second_graph_under_the_same_names_is_refused(two: Callable[..., subprocess.Popen[str]]) -> None:

@@ -11,8 +11,10 @@ import signal
 import stat
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
+from queue import SimpleQueue
 from types import FrameType
 
 from icu_common.adapters.executables import find_executable
@@ -28,6 +30,8 @@ IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "http://", "https:
 """Lines with one of these are shown without --verbose."""
 WAIT_S = 60.0
 """So long a program waits for the simulated device that it belongs to."""
+LAST_WORDS_S = 1.0
+"""For what is still to be printed at the end."""
 _SETTING = re.compile(r"\w+\.[\w.]+=.*", re.DOTALL)
 
 
@@ -106,6 +110,7 @@ class BringUp:
         self.stopping = False
         self.complete = False
         self.page = ""
+        self._lines: SimpleQueue[str | None] = SimpleQueue()
 
     def run(self) -> int:
         """Run until a signal comes; return the exit code."""
@@ -153,6 +158,8 @@ class BringUp:
         if self.options.in_step:
             environment[in_step.VARIABLE] = "1"
         group = ProcessGroup(environment, self._output, self._event)
+        printer = threading.Thread(target=self._print_all, name="printer", daemon=True)
+        printer.start()
         try:
             wanted = {*self.options.only} or {p.name for p in programs}
             waiting = [p for p in programs if p.name in wanted - {*self.options.without}]
@@ -189,6 +196,8 @@ class BringUp:
             killed = group.stop()
             if killed:
                 self.say(f"had to be killed: {', '.join(killed)}")
+            self._lines.put(None)
+            printer.join(LAST_WORDS_S)
         return 1 if group.gave_up or killed else 0
 
     def _arguments(self, program: Program, temporary: Path) -> list[str]:
@@ -217,12 +226,19 @@ class BringUp:
         self.stopping = True
 
     def say(self, text: str) -> None:
-        """Print a line; once nobody can read it any more, end as by a signal."""
-        try:
-            print(text, flush=True)
-        except OSError:  # the terminal is closed, or the reader of a pipe has gone
-            self.stopping = True
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        """Print a line, without waiting for a terminal that takes none (Control-S): the programs would wait, too."""
+        self._lines.put(text)
+
+    def _print_all(self) -> None:
+        """Print line by line; once nobody can read them any more, end as by a signal."""
+        for text in iter(self._lines.get, None):
+            data = f"{text}\n".encode(errors="backslashreplace")
+            try:
+                while data:
+                    data = data[os.write(sys.stdout.fileno(), data) :]
+            except OSError:  # the terminal is closed, or the reader of a pipe has gone
+                self.stopping = True
+                return
 
     def _output(self, name: str, line: str) -> None:
         found = re.search(r"https?://\S+\?token=\S+", line)
