@@ -86,12 +86,8 @@ class Bench:
         """Return the ball's true centre now, (3,) metres in base_link."""
         return self.panel_from.apply(np.asarray(self.touch.tip_mm) / 1000)
 
-    def tip_at(self, time_s: float) -> Array:
-        """Return the ball's true centre at ``time_s``, between the samples around it; (3,) metres in base_link."""
-        return self._places_at(time_s)[0]
-
     def _places_at(self, time_s: float) -> tuple[Array, Array]:
-        """Return the ball's centre (3,) and the carriage's place (2,), metres in base_link."""
+        """Return the ball's centre (3,) and the carriage's place (2,), m in base_link, between the samples around."""
         if not self._history:
             return np.zeros(3), np.zeros(2)
         later = self._history[-1]
