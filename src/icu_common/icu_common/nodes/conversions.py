@@ -203,22 +203,6 @@ def disparity_message(
     return message
 
 
-def disparity_array(message: DisparityImage) -> npt.NDArray[np.float32]:
-    """Return (H, W) float32 disparities in pixels, NaN where unknown.
-
-    Raises
-    ------
-    ValueError
-        If the picture in it is not of float32.
-    """
-    if message.image.encoding != "32FC1":
-        raise ValueError(f"encoding {message.image.encoding!r}: a disparity picture is 32FC1")
-    values = image_array(message.image).astype(np.float32)
-    # The least disparity is a float32 too; half a step below it is nothing that was found.
-    values[values < message.min_disparity - 0.5 * message.delta_d] = np.nan
-    return values
-
-
 def camera_info_message(model: CameraModel, head: Header) -> CameraInfo:
     """Pack a camera model."""
     info = CameraInfo(header=head, width=model.width, height=model.height, distortion_model="plumb_bob")
