@@ -113,8 +113,8 @@ def test_a_session_survives_every_mixture_of_almost_valid_pieces(pieces: list[by
         (b"echo:Marlin 2.1.2", Banner(dialect=Dialect.MARLIN, version="2.1.2")),
         (b"\xfe\x80Grbl 1.1h ['$' for help]", Banner(dialect=Dialect.GRBL, version="1.1h")),
         (b"<Run|MPos:1.0,2.Grbl 1.1h ['$' for help]", Banner(dialect=Dialect.GRBL, version="1.1h")),
-        (b"[OPT:VNM,35,1024,3,0]", BuildOptions(rx_bytes=1024)),
-        (b"[OPT:PHS]", BuildOptions(rx_bytes=0)),
+        (b"[OPT:VNM,35,1024,3,0]", BuildOptions(rx_bytes=1024, planner_blocks=35)),
+        (b"[OPT:PHS]", BuildOptions(rx_bytes=0, planner_blocks=0)),
         (b"[MSG:Reset to continue]", Feedback(key="MSG", text="Reset to continue")),
         (b"$132=60.000", SettingValue(number=132, text="60.000")),
         (b"okok", Garbage(raw=b"okok")),
@@ -347,6 +347,18 @@ def test_executed_follows_the_planner_and_never_overtakes() -> None:
     assert (session.counts.sent, session.counts.acknowledged, session.counts.executed) == (5, 5, 2)
     session.executed_all()
     assert session.counts.executed == 5
+
+
+def test_executed_follows_a_board_that_does_not_report_its_planner() -> None:
+    """As $10=1 has it, GRBL's default: a program's progress stayed at nothing until its end."""
+    session = GrblSession()
+    list(session.receive(b"[OPT:V,15,128]\r\n", 0.0))
+    for number in range(20):
+        session.queue(f"G1X-{number}")
+        session.output(0.0)
+        list(session.receive(b"ok\r\n", 0.0))
+    list(session.receive(b"<Run|MPos:0,0,0|FS:0,0>\r\n", 0.0))
+    assert (session.counts.acknowledged, session.counts.executed) == (20, 5)
 
 
 def test_nothing_is_due_while_lines_wait_for_room() -> None:

@@ -102,9 +102,10 @@ class StartupLine(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildOptions(Message):
-    """``[OPT:flags,planner,rx]``: the size of the receive buffer, 0 where the firmware names none."""
+    """``[OPT:flags,planner,rx]``: the sizes of receive buffer and planner, 0 where the firmware names none."""
 
     rx_bytes: int
+    planner_blocks: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,8 +216,9 @@ def _banner(text: str) -> Banner | None:
 
 def _feedback(key: str, value: str) -> Message:
     if key == "OPT":
-        _, _, rx, *_ = [*value.split(","), "", ""]
-        return BuildOptions(rx_bytes=int(rx) if rx.isdigit() else 0)
+        _, *sizes = [*value.split(","), "", ""]
+        planner, rx = (int(size) if size.isdigit() else 0 for size in sizes[:2])
+        return BuildOptions(rx_bytes=rx, planner_blocks=planner)
     if key == "FIRMWARE":
         return Firmware(dialect=Dialect.GRBLHAL if "grblhal" in value.lower() else Dialect.UNKNOWN, version=value)
     if key == "VER" and "FluidNC" in value:

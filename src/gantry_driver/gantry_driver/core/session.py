@@ -168,6 +168,7 @@ class GrblSession:
     def __init__(self, counts: Counts | None = None) -> None:
         self.counts = counts if counts is not None else Counts()
         self.rx_bytes = DEFAULT_RX_BYTES
+        self._planner_blocks = 0
         self.poll_interval_s = 0.1
         self.awaiting_banner = False
         self.latency_s = 0.0
@@ -200,6 +201,7 @@ class GrblSession:
         self.paused = False
         self.polling = False
         self.rx_bytes = DEFAULT_RX_BYTES
+        self._planner_blocks = 0
         self._planner_room = self._rx_room = self._rx_empty = -1
         self.last_report_at = None
         self.wco_mm = None
@@ -279,6 +281,7 @@ class GrblSession:
             self.counts.alarms += 1
         elif isinstance(message, BuildOptions):
             self.rx_bytes = message.rx_bytes or DEFAULT_RX_BYTES
+            self._planner_blocks = message.planner_blocks
         return [message]
 
     def _answer(self, answer: Message, now: float) -> list[Message]:
@@ -316,9 +319,12 @@ class GrblSession:
             self._roomy_reports = 0
         elif not (self._in_flight and self._in_flight[-1][0].alone):  # while one goes alone, it is the limit
             self._roomy_reports += 1
+        # A line makes at least no block and each block in the planner waits, so this never counts too many; where a
+        # board does not report its planner ($10=1), it may be full.
         if report.planner_free >= 0:
-            # A line makes at least no block and each block in the planner waits, so this never counts too many.
             self._executed(self.counts.acknowledged - (self._planner_room - report.planner_free))
+        elif self._planner_blocks:
+            self._executed(self.counts.acknowledged - self._planner_blocks)
         broken = self._contradiction(report, now)
         events.append(report)
         if broken:
