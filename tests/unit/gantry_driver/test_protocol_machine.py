@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from unit.gantry_driver import protocol_board
 from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
 
+from gantry_driver.core.gcode_check import CheckedLine
 from gantry_driver.core.machine import QUEUED_LINES, Machine
 from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
 from gantry_driver.core.machine_states import Note
@@ -852,6 +854,33 @@ def test_a_long_program_is_queued_while_it_runs() -> None:
     moves = [text for text in rig.board.executed if "X" in text]
     assert moves == ["F6000X-300G53G1", *(f"X{-300 - k % 2}G53G1" for k in range(1, len(source)))]
     assert QUEUED_LINES / 2 < most < QUEUED_LINES + 60
+
+
+class Walked(list[CheckedLine]):
+    """Lines of a program that count how many of them have been asked for."""
+
+    walked = 0
+
+    def __iter__(self) -> Iterator[CheckedLine]:
+        for line in super().__iter__():
+            self.walked += 1
+            yield line
+
+
+@pytest.mark.parametrize("kind", ["z_axis", "servo_m3"])
+def test_the_start_of_a_long_program_takes_no_longer_than_that_of_a_short_one(kind: str) -> None:
+    """The link waits for it: the heartbeat of 800,000 lines was lost before the first had been sent."""
+    rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind))).homed()
+    checker = rig.machine.program_checker()
+    source = ["M3 S200", *(f"G53 G1 X{-300 - k % 2} F6000" for k in range(3 * QUEUED_LINES)), "M3 S800"]
+    lines = Walked(checker.check_all(source if kind == "servo_m3" else source[1:-1]))
+    started = rig.machine.run_checked("p", checker, lines, rig.now)
+    assert started.goal.endswith("lines, about 18.6 s") and lines.walked == 0
+    rig.step()
+    assert lines.walked <= QUEUED_LINES and rig.machine.reading_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
+    rig.until(lambda: "reached" in rig.outcomes(), 60.0)
+    stylus = rig.machine.config.stylus.stroke_m if kind == "servo_m3" else 0.0
+    assert lines.walked == len(lines) and rig.machine.reading_m == pytest.approx((0.058, 0.0, stylus))
 
 
 def test_nothing_of_a_long_program_is_queued_after_a_stop() -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 
@@ -64,13 +63,17 @@ Reading = tuple[float, float, float]
 
 @dataclass(slots=True, kw_only=True)
 class Goal:
-    """What is being done, its lines that are not queued yet with their dwells, and the line whose answer ends it."""
+    """What is being done, its lines that are not queued yet with their dwells, and the line whose answer ends it.
+
+    ``left`` is how many lines ``rest`` still has; a long program is walked through while it runs, not before.
+    """
 
     goal_id: str
     text: str
     end_m: tuple[float, float, float]
     started: float
-    rest: deque[tuple[str, float]]
+    rest: Iterator[tuple[str, float]]
+    left: int
     marker: int = 0
     acknowledged: bool = False
 

@@ -137,6 +137,8 @@ class ProgramChecker:
         self._offsets = dict(offsets_mm or {"G54": (0.0, 0.0, 0.0)})
         self.begins = (self.position_mm, dict(self._offsets))
         """Where the program starts, and with which offsets."""
+        self.seconds = 0.0
+        """About how long the lines checked so far take."""
         self._modes = _Modes()
         self._number = 0
 
@@ -168,6 +170,7 @@ class ProgramChecker:
         commands = self._commands(words)
         values = self._values(words)
         seconds, feed = self._follow(commands, values, words)
+        self.seconds += seconds
         self._all_used(commands, values)
         text = self._written(words, feed)
         if len(text) + 1 > MAX_LINE_BYTES:

@@ -7,8 +7,7 @@ why, a goal gets exactly one final answer, and nothing that was buffered runs af
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
 from gantry_driver.core.connection import (
@@ -256,9 +255,8 @@ class Machine(Connection):
             motion = write_motion(names, points, start, self.config)
         except TrajectoryError as error:
             return self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=str(error)))
-        self._may_lower(motion.lines)
-        timed = [(line, 0.0) for line in motion.lines]
-        return self._start(goal_id, text, timed, motion.end_m, now)
+        timed = ((line, 0.0) for line in motion.lines)
+        return self._start(goal_id, text, timed, len(motion.lines), motion.end_m, now)
 
     def run_program(self, goal_id: str, source: Iterable[str], now: float) -> GoalResult:
         """Check a whole G-code program and start it; or refuse it, with line and column, before a byte is sent."""
@@ -299,29 +297,28 @@ class Machine(Connection):
                 raise TrajectoryError("place or work offset have changed since the program was checked")
         except TrajectoryError as error:
             return self._refuse_program(goal_id, error)
-        self._may_lower(line.text for line in checked)
-        text = f"program of {len(checked)} lines, about {sum(line.seconds for line in checked):.1f} s"
-        end = reading_m(checker.position_mm, self._stylus_down, self.config)
+        text = f"program of {len(checked)} lines, about {checker.seconds:.1f} s"
+        end = reading_m(checker.position_mm, False, self.config)
         # The checker begins with these modes; the board may have been left with others.
         modes = ((mode, 0.0) for mode in PROGRAM_MODES)
         lines = ((line.text, line.seconds) for line in checked)
-        return self._start(goal_id, text, chain(modes, lines, [(SYNCHRONISE, 0.0)]), end, now)
+        count = len(PROGRAM_MODES) + len(checked) + 1
+        return self._start(goal_id, text, chain(modes, lines, [(SYNCHRONISE, 0.0)]), count, end, now)
 
     def _refuse_program(self, goal_id: str, error: Exception) -> GoalResult:
         return self._answer(GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error)))
 
-    def _may_lower(self, lines: Iterable[str]) -> None:
-        """Note where a stylus without a Z axis ends, and that it may be down before that."""
-        if self.config.stylus.kind != "z_axis":
-            told = [may_be_down_after(text, self.config) for text in lines]
-            down = [self._stylus_down, *(known for known in told if known is not None)]
-            self._lowers, self._stylus_down = any(down), down[-1]
+    def _may_lower(self, line: str) -> None:
+        """Note where a line leaves a stylus without a Z axis, and that it may be down before that."""
+        if self.config.stylus.kind != "z_axis" and (down := may_be_down_after(line, self.config)) is not None:
+            self._lowers = self._lowers or self._stylus_down or down
+            self._stylus_down = down
 
     def _start(
-        self, goal_id: str, text: str, lines: Iterable[tuple[str, float]], end_m: Reading, now: float
+        self, goal_id: str, text: str, lines: Iterator[tuple[str, float]], count: int, end_m: Reading, now: float
     ) -> GoalResult:
-        """Send lines from now on, each with the seconds that its dwell may take, and wait for the last one."""
-        self._goal = Goal(goal_id=goal_id, text=text, end_m=end_m, started=now, rest=deque(lines))
+        """Send ``count`` lines, each with the seconds that its dwell may take, and wait for the last one."""
+        self._goal = Goal(goal_id=goal_id, text=text, end_m=end_m, started=now, rest=lines, left=count)
         accepted = self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.ACCEPTED))
         self._enter(Phase.MOVING, now)
         return accepted
@@ -334,10 +331,12 @@ class Machine(Connection):
 
     def _queue_more(self, goal: Goal) -> None:
         """Queue lines while they are few, so that the start of a long program keeps nobody waiting."""
-        while goal.rest and self.session.unsent < QUEUED_LINES:
-            text, seconds = goal.rest.popleft()
+        while goal.left and self.session.unsent < QUEUED_LINES:
+            text, seconds = next(goal.rest)
+            goal.left -= 1
+            self._may_lower(text)
             number = self.session.queue(text, answer_within_s=self._answer_time() + seconds).number
-            goal.marker = 0 if goal.rest else number
+            goal.marker = 0 if goal.left else number
 
     def bounds(self) -> Bounds:
         """Return the travel in machine coordinates and the rates of rapid moves."""
@@ -610,7 +609,8 @@ class Machine(Connection):
             return
         self.session.executed_all()
         self._lowers = False
-        error = math.dist(goal.end_m, here)
+        axes = 3 if self.config.stylus.kind == "z_axis" else 2  # where another stylus is no board tells
+        error = math.dist(goal.end_m[:axes], here[:axes])
         if error > max(self.config.arrival_tolerance_m, self.config.rounding_m()):
             self._halt(f"the board stands at {_metres(here)} instead of {_metres(goal.end_m)}", now)
             return
