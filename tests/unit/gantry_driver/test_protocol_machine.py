@@ -965,6 +965,22 @@ def test_resume_waits_for_the_hold_to_complete() -> None:
     assert resumed and resumed[0] >= hold + 0.4
 
 
+def test_resume_just_after_a_pause_trusts_no_report_from_before_the_hold() -> None:
+    """The hold that showed then was taken for somebody else's, and ended the program."""
+    rig = Rig().homed()
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.3)
+    running = rig.board.report()
+    assert rig.machine.pause(rig.now) == "" and rig.machine.resume(rig.now) == ""
+    rig.machine.receive(f"{running}\r\n".encode(), rig.now)
+    rig.until(lambda: len(rig.outcomes()) == 2, 10.0)
+    assert rig.outcomes() == ["accepted", "reached"] and {code for _, code in rig.board.realtime} >= {*b"!~"}
+    assert rig.go((0.1, 0.0, 0.0)).outcome.value == "accepted"
+    rig.run_for(0.3)
+    rig.board.write(b"!")  # a button at the board: once resumed, a hold is nobody's from here
+    rig.until(lambda: "the board went to Hold" in rig.states[-1])
+
+
 def test_a_stop_and_a_lost_operator_end_a_pause() -> None:
     for end in ("stop", "heartbeat"):
         rig = Rig().homed()

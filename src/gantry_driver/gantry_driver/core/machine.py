@@ -599,7 +599,8 @@ class Machine(Connection):
                 self._hold_sent = now
                 self.session.realtime(HOLD)
         elif report.state != "Hold":
-            self._resuming = False
+            # Just after it the report may be older than the hold that is to be left.
+            self._resuming = now - self._hold_sent <= 1.5 * HOLD_REPEAT_S
         elif report.substate == 0:
             self.session.realtime(RESUME)
 
