@@ -25,7 +25,7 @@ from harris_perception.core.calibrator import (
 )
 from harris_perception.core.drift import DriftConfig
 from icu_common.core.frames import PANEL
-from icu_common.core.geometry import Array
+from icu_common.core.geometry import Array, Transform
 from icu_common.core.results import GoalResult, Outcome
 
 NOW_NS = 1_772_600_000_000_000_000
@@ -126,6 +126,24 @@ def test_drift_is_told_when_it_begins_and_when_it_ends() -> None:
         told.append(kinds(calibrator.look_around(now + 10 * MS)))
     assert told == [[], ["Note", "SetState"], [], ["Note", "SetState"], []]
     assert calibrator.state == f"calibrated: {STORED.summary()}"
+
+
+def test_one_burst_of_sightings_is_one_look_at_drift() -> None:
+    calibrator, reading = calibrated(dataclasses.replace(STORED, base_from_panel=Transform.identity())), np.zeros(3)
+    beside = Transform(POSE.rotation, POSE.translation + (0.003, 0.0, 0.0))
+    for burst, told in enumerate(([], ["Note", "SetState"])):
+        now = NOW_NS + burst * 1000 * MS
+        look(calibrator, reading, now, 0.003)
+        for sighting in range(1, 4):
+            calibrator.take_panel(now + sighting * MS, beside, now + sighting * MS)
+        for late_ms in (10, 300, 600):
+            assert kinds(calibrator.look_around(now + late_ms * MS)) == (told if late_ms == 10 else [])
+    assert "the tip is seen 4.2 mm" in calibrator.state and "the panel's corner is seen 3.0 mm" in calibrator.state
+    # A recording that starts anew, or a clock that was set back, is looked at as before.
+    for now in (NOW_NS - 100_000 * MS, NOW_NS - 99_000 * MS):
+        look(calibrator, reading, now)
+        calibrator.look_around(now + 10 * MS)
+        assert calibrator.drifted.startswith("the panel's corner is seen")
 
 
 def test_homing_begins_the_readings_anew() -> None:

@@ -150,25 +150,31 @@ class StillWatch:
         if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
             self._panels.append((stamp_ns, camera_from_panel, points))
 
-    def panel_sample(self, now_ns: int) -> PanelSample | str:
-        """Return the mean of the poses and all their points, or why there is none yet."""
+    @property
+    def newest_ns(self) -> tuple[int, int]:
+        """The stamps of the newest sighting of the tip and of the panel, 0 before the first."""
+        return self._tips[-1][0] if self._tips else 0, self._panels[-1][0] if self._panels else 0
+
+    def panel_sample(self, now_ns: int, after_ns: int = 0) -> PanelSample | str:
+        """Return the mean of the poses after ``after_ns`` and all their points, or why there is none yet."""
         config = self._config
         if self._reading is None or now_ns - self._reading_ns > config.fresh_s * 1e9:
             return "no joint_states arrive"
         oldest_ns = now_ns - int((config.fresh_s + config.panels * _PANEL_S) * 1e9)
-        fresh = [(pose, points) for stamp, pose, points in self._panels if stamp >= oldest_ns]
+        fresh = [(pose, points) for stamp, pose, points in self._panels if stamp >= oldest_ns and stamp > after_ns]
         if len(fresh) < config.panels:
             return f"the panel was seen {len(fresh)} of {config.panels} times while the machine stood still"
         pose = mean_pose([pose for pose, _ in fresh])
         points = FacePoints.joined([points for _, points in fresh])
         return PanelSample(reading=self._reading, camera_from_panel=pose, points=points)
 
-    def sample(self, now_ns: int) -> Sample | str:
-        """Return a sample, or why there is none yet."""
+    def sample(self, now_ns: int, after_ns: int = 0) -> Sample | str:
+        """Return a sample of what was seen after ``after_ns``, or why there is none yet."""
         config = self._config
         if self._reading is None or now_ns - self._reading_ns > config.fresh_s * 1e9:
             return "no joint_states arrive"
-        fresh = [tip for stamp, tip in self._tips if now_ns - stamp <= (config.fresh_s + config.tips / 5.0) * 1e9]
+        oldest_ns = now_ns - (config.fresh_s + config.tips / 5.0) * 1e9
+        fresh = [tip for stamp, tip in self._tips if stamp >= oldest_ns and stamp > after_ns]
         if len(fresh) < config.tips:
             return f"the tip was seen {len(fresh)} of {config.tips} times while the machine stood still"
         tips = np.array(fresh)

@@ -125,6 +125,7 @@ class Calibrator:
         self.sightings = Pairing(2)
         self.drift: DriftWatch | None = None
         self.stored: StoredCalibration | None = None
+        self._looked_ns = [0, 0]
         self._solved: HandEye | None = None
         self._loaded: StoredCalibration | None = None
         self._run: CalibrationRun | None = None
@@ -467,10 +468,14 @@ class Calibrator:
         if self.drift is None or self.stored is None or self._run is not None or self.reading is None:
             return []
         before = self.drift.text
-        sample, panel = self.watch.sample(now_ns), self.watch.panel_sample(now_ns)
+        # What was looked at already is no other look. A stamp ahead of now is of before the clock was set back.
+        tips_ns, panels_ns = (stamp if stamp <= now_ns else 0 for stamp in self._looked_ns)
+        sample, panel = self.watch.sample(now_ns, tips_ns), self.watch.panel_sample(now_ns, panels_ns)
         if isinstance(sample, Sample):
+            self._looked_ns[0] = self.watch.newest_ns[0]
             self.drift.tip(sample)
         if isinstance(panel, PanelSample):
+            self._looked_ns[1] = self.watch.newest_ns[1]
             base_from_camera = self.stored.camera_from_base_at(panel.reading).inverse()
             self.drift.panel(base_from_camera @ panel.camera_from_panel, self._controls)
         text = self.drift.text
