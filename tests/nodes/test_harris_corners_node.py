@@ -15,7 +15,7 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from harris_perception.nodes.corners_node import CornersNode
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import cloud_array, header, image_array, image_message, stamp_ns
+from icu_common.nodes.conversions import LEVELS, cloud_array, header, image_array, image_message, stamp_ns
 
 SQUARE = sorted([(10.0, 12.0), (10.0, 31.0), (49.0, 12.0), (49.0, 31.0)])
 BAYER = {"bayer_rggb8": "rggb", "bayer_bggr8": "bggr", "bayer_gbrg8": "gbrg", "bayer_grbg8": "grbg"}
@@ -132,9 +132,12 @@ def test_pictures_without_corners_give_empty_results(ros: Any) -> None:
 
 def test_picture_that_cannot_be_read_is_refused_and_the_next_one_works(ros: Any) -> None:
     rig = Rig(ros)
+    reports: list[DiagnosticArray] = ros.collect(rig.probe, DiagnosticArray, "/diagnostics", qos.RESULTS)
     broken = image_message(square(), "mono8", header(1, "c"))
     broken.encoding = "yuv422"
     rig.images.publish(broken)
+    told = ros.spin_until(lambda: [s for r in reports for s in r.status if "refused: " in s.message], 10.0)[0]
+    assert told.message.startswith("picture refused: encoding 'yuv422' is none of ") and told.level == LEVELS["warn"]
     assert pixels(rig.corners_of(image_message(square(), "mono8", header(2, "c")))) == SQUARE
     assert [stamp_ns(c.header.stamp) for c in rig.clouds] == [2]
 

@@ -233,8 +233,11 @@ def test_pictures_between_the_rate_are_left_out_and_others_refused(ros: Any) -> 
     head = header(START + PERIOD + PERIOD // 3, CAMERA_LEFT)
     rig.images.publish(image_message(picture(), "mono8", head))
     # A picture of another size is looked at, refused, and counts as a lost panel.
+    reports: list[DiagnosticArray] = ros.collect(rig.probe, DiagnosticArray, "/diagnostics", qos.RESULTS)
     assert rig.show(np.zeros((480, 640), np.uint8), 2) == 0.0
     assert rig.node._frames == frames + 1
+    told = ros.spin_until(lambda: [s.message for r in reports for s in r.status if "refused" in s.message], 10.0)
+    assert told[0].startswith("not recognised: picture refused: ") and "480" in told[0]
 
 
 def test_template_picture_instead_of_the_drawing(ros: Any, tmp_path: Path) -> None:

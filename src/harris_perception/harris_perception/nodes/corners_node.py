@@ -82,7 +82,7 @@ class CornersNode(Node):
         self._live = LiveParameters(self, CornersNodeConfig, self._use)
         self._use(self._live.config)
         self._frames = self._refused = self._found = self._reported = self._dropped = 0
-        self._busy_s = 0.0
+        self._busy_s, self._refusal = 0.0, ""
         self._corners = self.create_publisher(PointCloud2, "corners", qos.RESULTS)
         self._picture = self.create_publisher(Image, "corners_image", qos.IMAGES)
         self._labels = self.create_publisher(Image, "edges", qos.IMAGES)
@@ -103,14 +103,14 @@ class CornersNode(Node):
         try:
             gray = _gray(message)
         except ValueError as error:
-            self._refused += 1
-            self.get_logger().warning(f"picture refused: {error}", throttle_duration_sec=5.0)
+            self._refused, self._refusal = self._refused + 1, f"picture refused: {error}"
+            self.get_logger().warning(self._refusal, throttle_duration_sec=5.0)
             return
         corners, edges = self._found_in(gray, message)
         self._publish(corners, gray, message)
         if edges is not None:
             self._publish_edges(edges, message)
-        self._frames += 1
+        self._frames, self._refusal = self._frames + 1, ""
         self._found = len(corners)
         self._busy_s += time.perf_counter() - start
 
@@ -154,7 +154,7 @@ class CornersNode(Node):
         self._reported, self._dropped = self._frames, self._images.dropped
         per_frame_ms = 1e3 * self._busy_s / new if new else 0.0
         self._busy_s = 0.0
-        text = f"{new} pictures in the last second" + (f", {dropped} dropped" if dropped else "")
+        text = self._refusal or f"{new} pictures in the last second" + (f", {dropped} dropped" if dropped else "")
         values = [
             ("frames", self._frames),
             ("dropped", self._images.dropped),
@@ -162,7 +162,7 @@ class CornersNode(Node):
             ("ms_per_frame", f"{per_frame_ms:.2f}"),
             ("corners", self._found),
         ]
-        self._diagnostics.tell("ok" if new else "warn", text, values)
+        self._diagnostics.tell("ok" if new and not self._refusal else "warn", text, values)
 
 
 def _corner_detector(config: CornersNodeConfig) -> HarrisDetector | HarrisLaplaceDetector | RepeatableDetector:

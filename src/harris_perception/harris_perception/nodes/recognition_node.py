@@ -114,7 +114,7 @@ class RecognitionNode(Node):
         self._waiting: tuple[Image, float] | None = None
         self._last_stamp, self._last_seen_s, self._confidence = 0, 0.0, 0.0
         self._frames = self._with_corners = self._found = 0
-        self._busy_s, self._seen = 0.0, (0, 0, 0)
+        self._busy_s, self._seen, self._refusal = 0.0, (0, 0, 0), ""
         self._sighting: Sighting | None = None
         self._tip: tuple[int, Array] | None = None
         self._plane: tuple[int, Transform, Array] | None = None
@@ -232,7 +232,7 @@ class RecognitionNode(Node):
     def _look(self, message: Image, corners: npt.NDArray[np.float32] | None) -> None:
         assert self._camera is not None
         start = time.perf_counter()
-        sighting = None
+        sighting, refusal = None, ""
         try:
             gray = eight_bits(gray_of(image_array(message), message.encoding))
             self._with_corners += corners is not None
@@ -242,7 +242,9 @@ class RecognitionNode(Node):
             sighting = self._recogniser.locate(gray, xy, camera, self._markers.poses(markers, camera))
             self._compare(markers, sighting)
         except ValueError as error:
-            self.get_logger().error(f"picture refused: {error}", throttle_duration_sec=5.0)
+            refusal = f"picture refused: {error}"
+            self.get_logger().error(refusal, throttle_duration_sec=5.0)
+        self._refusal = refusal
         found = None
         if sighting is not None and not self._alarm:
             found = self._with_plane(sighting, stamp_ns(message.header.stamp))
@@ -302,6 +304,8 @@ class RecognitionNode(Node):
         self._seen = (self._frames, self._found, self._with_corners)
         text = "recognised" if self._confidence > 0 else "not recognised"
         unaided = frames > 0 and without == frames
+        if self._refusal:
+            text += f": {self._refusal}"
         if unaided:
             text += ", no published corners: they are detected here"
         values: list[tuple[str, Any]] = [
