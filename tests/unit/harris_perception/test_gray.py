@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harris_perception.core.gray import bgr_of, eight_bits, gray_of, has_color
+from harris_perception.core.gray import bgr_of, eight_bits, gray_of, grey_level_of, has_color
 
 BGR = np.array([(200, 30, 60), (10, 255, 90)], np.uint8)
 """Two pixels; the largest value is that of 8 bits, so that deep pictures are the same."""
@@ -41,9 +41,19 @@ def test_deep_grey_becomes_8_bits_whatever_part_of_16_the_camera_fills() -> None
     assert eight_bits(seen) is seen
 
 
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_a_hot_pixel_leaves_the_rest_of_a_deep_picture_as_bright_as_it_was(bits: int) -> None:
+    seen = np.array([[0, 51], [77, 80]], np.uint16) * np.uint16(2 ** (bits - 8))
+    hot = seen.copy()
+    hot[0, 0] = 2**bits - 1
+    np.testing.assert_array_equal(eight_bits(hot), [[255, 51], [77, 80]])
+    np.testing.assert_array_equal(eight_bits(seen), [[0, 51], [77, 80]])
+    assert grey_level_of(seen) == grey_level_of(hot) == 2 ** (bits - 8)
+
+
 def test_what_is_grey_is_repeated_and_what_is_unknown_refused() -> None:
     deep = np.array([[0, 50], [100, 200]], np.uint16)
-    np.testing.assert_array_equal(bgr_of(deep, "mono16")[:, :, 1], [[0, 63], [127, 255]])
+    np.testing.assert_array_equal(bgr_of(deep, "mono16")[:, :, 1], [[0, 50], [100, 200]])
     assert not has_color("mono16") and not has_color("yuv422")
     with pytest.raises(ValueError, match="yuv422"):
         bgr_of(deep, "yuv422")

@@ -35,7 +35,7 @@ _ABOVE_NOISE = 1.5
 """Corners end an outline that are so many times as strong as what starts one; those of a noise of 2 hardly are."""
 
 
-_STARTS = "Strength that starts an edge; node and command count the largest value of more than 8 bits as 255"
+_STARTS = "Strength that starts an edge, in grey levels of 8 bits also where a picture has more"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

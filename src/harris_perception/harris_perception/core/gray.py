@@ -66,7 +66,7 @@ _TO_BGR = {
 def bgr_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[np.uint8]:
     """Return the picture in colour, (H, W, 3) uint8, of what :func:`gray_of` takes.
 
-    The largest value of one with 16 bits becomes 255.
+    Of more than 8 bits as in :func:`eight_bits`.
 
     Raises
     ------
@@ -95,9 +95,11 @@ def _witheight_bits(encoding: str) -> str:
 
 
 def eight_bits(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """Return 8 bits of each value; of other types the picture's largest becomes 255, and what is not finite 0.
+    """Return the upper 8 bits of each value that a camera fills; of floats the largest becomes 255, not finite ones 0.
 
-    Not the upper 8 bits: most deep cameras fill 10 or 12 of the 16.
+    How many of the 16 a camera fills is not told: the fewest of 8, 10, 12, 14 and 16 that hold the picture's largest
+    value. So a glint or a hot pixel leaves the rest as it was, as long as the brightest place has a quarter of the full
+    light; a darker scene comes out brighter by the bits that it leaves free.
     """
     if picture.dtype == np.uint8:
         return picture
@@ -106,13 +108,16 @@ def eight_bits(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 
 
 def bgr_of_gray(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """Return (H, W, 3) uint8 to draw on; 16-bit and float pictures are stretched to their largest value."""
+    """Return (H, W, 3) uint8 to draw on, of :func:`eight_bits`."""
     return np.repeat(eight_bits(gray)[:, :, None], 3, axis=2)
 
 
 def grey_level_of(gray: npt.NDArray[Any]) -> float:
-    """Return what one of 255 grey levels is in the values of a picture: where they are not uint8, up to its largest."""
+    """Return what one grey level of :func:`eight_bits` is in the values of a picture."""
     if gray.dtype == np.uint8:
         return 1.0
+    if gray.dtype.kind == "u":
+        largest = int(gray.max(initial=0))
+        return next(2.0 ** (bits - 8) for bits in (8, 10, 12, 14, 16) if largest < 2**bits)
     top = float(np.max(gray, where=np.isfinite(gray), initial=0.0))
     return top / 255.0 if top > 0.0 else 1.0

@@ -45,7 +45,7 @@ SCALE = "scale"
 class CornersNodeConfig(HarrisConfig):
     """The detectors' settings (three ways to corners), and those of the edges (two ways) found while somebody looks.
 
-    Strengths of edges are in grey levels of 8 bits; the largest value of a picture of more counts as 255.
+    Strengths of edges are in grey levels of 8 bits; those of a picture of more are told in core/gray.py.
     """
 
     corner_method: str = setting(
