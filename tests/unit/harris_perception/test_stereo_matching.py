@@ -143,6 +143,30 @@ def test_rectified_pictures_and_rectified_corners_agree() -> None:
         Rectifier(stereo.left)(raw.astype(np.uint16))  # type: ignore[arg-type]
 
 
+def test_turning_the_pictures_costs_no_precision_and_sigma_tells_the_error() -> None:
+    stereo, rng, picture = stereo_model(), np.random.default_rng(8), texture(shape=(480, 800))
+    y, x = np.mgrid[0:480, 0:800].astype(np.float32)
+    at_zero, slope_x, slope_y = 300.3, 0.02, -0.03
+    across = (x + at_zero + slope_x * x + slope_y * y).astype(np.float32)
+    seen = cv2.remap(picture, across, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    raws = []
+    for model, rectified in ((stereo.left, picture), (stereo.right, seen)):
+        u, v = model.rectify(np.column_stack([x.ravel(), y.ravel()])).astype(np.float32).T.reshape(2, 480, 800)
+        raw = cv2.remap(rectified, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        raws.append(np.clip(raw + rng.normal(0, 1, raw.shape) + 0.5, 0, 255).astype(np.uint8))
+    at = (model.rectify(xy) for model, xy in zip((stereo.left, stereo.right), corners(*raws)))
+    turned = (Rectifier(model)(raw) for model, raw in zip((stereo.left, stereo.right), raws))
+    matches = match_corners(*turned, *at, (100.0, 700.0), MatchConfig())
+    u, v = matches.left_px.T
+    error = matches.disparity_px - (at_zero + slope_x * u + slope_y * v) / (1 + slope_x)
+    right = np.abs(error) < 0.6
+    rms = float(np.sqrt((error[right] ** 2).mean()))
+    print(f"{right.sum()} of {len(error)} matches, rms {rms:.3f} px, sigma {matches.sigma_px[right].mean():.3f} px")
+    assert right.sum() > 150 and right.mean() > 0.95
+    assert rms < 0.06
+    assert np.sqrt((error[right] ** 2 / matches.sigma_px[right] ** 2).mean()) < 1.0
+
+
 def test_settings_that_contradict_are_refused() -> None:
     with pytest.raises(ConfigError, match="window_px = 10"):
         MatchConfig(window_px=10)

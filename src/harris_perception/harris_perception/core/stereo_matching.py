@@ -88,7 +88,8 @@ class Matches:
     disparity_px
         (N,) left column minus right column.
     sigma_px
-        (N,) standard deviation of the disparity, from the windows' difference and texture.
+        (N,) standard deviation of the disparity, from the windows' difference and texture; docs/decisions/stereo.md
+        tells how exact.
     correlation
         (N,) of the windows.
     index
@@ -123,7 +124,8 @@ class Rectifier:
         if gray.shape != (self._model.height, self._model.width) or gray.dtype != np.uint8:
             calibrated = self._model.height, self._model.width
             raise ValueError(f"picture {gray.shape} {gray.dtype}: {calibrated} uint8 is calibrated")
-        return np.asarray(cv2.remap(gray, self._maps[0], self._maps[1], cv2.INTER_LINEAR), np.uint8)
+        # Linear interpolation would blur each line by where it falls between two pixels: docs/decisions/stereo.md.
+        return np.asarray(cv2.remap(gray, self._maps[0], self._maps[1], cv2.INTER_CUBIC), np.uint8)
 
 
 def disparity_range(stereo: StereoModel, config: MatchConfig) -> tuple[float, float]:
