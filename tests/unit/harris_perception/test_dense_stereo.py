@@ -159,9 +159,19 @@ def moved_centre(stereo: StereoModel, by_px: float) -> StereoModel:
 
 
 @pytest.mark.parametrize("binning", [1, 2, 3])
-@pytest.mark.parametrize("offset_px", [0.0, 24.0])
-def test_points_are_metric_whatever_the_binning_and_the_principal_points(binning: int, offset_px: float) -> None:
+@pytest.mark.parametrize(("offset_px", "finer"), [(0.0, 1.0), (24.0, 1.0), (24.0, 1.25), (0.0, 0.8)])
+def test_points_are_metric_whatever_the_binning_the_principal_points_and_the_right_cameras_size(
+    binning: int, offset_px: float, finer: float
+) -> None:
     stereo = moved_centre(stereo_model(), offset_px)
+    right = stereo.right
+    sensor = replace(
+        right,
+        width=round(right.width * finer),
+        height=round(right.height * finer),
+        k=np.diag([finer, finer, 1]) @ right.k,
+    )
+    stereo = StereoModel(left=stereo.left, right=sensor)
     rng = np.random.default_rng(7)
     normal = np.array([0.1, -0.3, -1.0]) / np.linalg.norm([0.1, -0.3, -1.0])
     centre = np.array([0.06, 0.0, 0.62])

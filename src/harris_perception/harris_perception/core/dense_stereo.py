@@ -284,7 +284,7 @@ class DenseStereo:
 
     def __init__(self, stereo: StereoModel, config: DenseConfig, matching: SemiGlobalConfig) -> None:
         self._models, self._binning = (stereo.left, stereo.right), config.binning
-        self._maps = [model.rectification_maps() for model in self._models]
+        self._maps = [model.rectification_maps(stereo.left.size) for model in self._models]
         self.focal_px, self.baseline_m = stereo.focal_px / config.binning, stereo.baseline
         # A pixel of the small picture covers several of the large one, and centres are at whole numbers in both.
         centre = (stereo.left.p[:2, 2] + 0.5) / config.binning - 0.5
@@ -304,9 +304,9 @@ class DenseStereo:
         self._across = across.astype(np.float32)
         self._down = (down / self.focal_px).astype(np.float32)
         # Turning the pictures leaves black borders, in which the matcher would find disparities of its own making.
-        whole = np.full(stereo.left.size[::-1], 255, np.uint8)
         near = np.ones((5, 5), np.uint8)
-        self._covered = [cv2.erode(self.rectified(side, whole), near) == 255 for side in (0, 1)]
+        wholes = (np.full(model.size[::-1], 255, np.uint8) for model in self._models)
+        self._covered = [cv2.erode(self.rectified(side, whole), near) == 255 for side, whole in enumerate(wholes)]
 
     def rectified(self, side: int, raw: npt.NDArray[Any]) -> U8:
         """Rectify a raw picture, (H, W) or (H, W, 3) uint8, of the left (0) or right (1) camera and make it smaller.

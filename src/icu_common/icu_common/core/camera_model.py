@@ -129,9 +129,12 @@ class CameraModel:
         u, v = self._distort(np.column_stack([a, b])).T
         return np.column_stack([self.k[0, 0] * u + self.k[0, 1] * v + self.k[0, 2], self.k[1, 1] * v + self.k[1, 2]])
 
-    def rectification_maps(self) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Return the two maps of ``cv2.remap`` that make the rectified picture (same size) from the raw one."""
-        maps = cv2.initUndistortRectifyMap(self.k, self.d, self.r, self.p[:, :3], self.size, cv2.CV_16SC2)
+    def rectification_maps(self, size: tuple[int, int] | None = None) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """Return the two maps of ``cv2.remap`` that make the rectified picture from the raw one.
+
+        It has the raw one's size, or ``size`` (width, height), as its pair's other camera may have another sensor.
+        """
+        maps = cv2.initUndistortRectifyMap(self.k, self.d, self.r, self.p[:, :3], size or self.size, cv2.CV_16SC2)
         return np.asarray(maps[0]), np.asarray(maps[1])
 
     @classmethod
