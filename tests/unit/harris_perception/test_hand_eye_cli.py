@@ -73,6 +73,7 @@ def test_the_result_is_not_written_over_the_poses(tmp_path: Path, capsys: pytest
         ("\n".join(rows()[:2]), "2 poses, 3 are needed"),
         ("\n".join(rows(turn=0.01)), "10 are needed: without turns"),
         (rows()[0] + "\n1,2,3", "line 2: 3 values, 14 are needed"),
+        ("\n".join(row.replace(",", ";") for row in rows()), "line 2: could not convert string to float: '.*;"),
         (rows()[0] + "\n" + rows()[1].replace("0.", "x.", 1), "line 2: could not convert"),
         (rows()[0].replace("0.", "O.", 1) + "\n" + "\n".join(rows()[1:]), "line 1: could not convert"),
         (

@@ -35,6 +35,7 @@ def read_poses(path: Path) -> tuple[list[Transform], list[Transform]]:
     """
     grippers: list[Transform] = []
     targets: list[Transform] = []
+    named = False
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets put a mark before the first number
             rows = list(csv.reader(file))
@@ -44,8 +45,9 @@ def read_poses(path: Path) -> tuple[list[Transform], list[Transform]]:
         cells = [cell.strip() for cell in row]
         if not any(cells) or cells[0].startswith("#"):
             continue
-        if not grippers and not any(_is_number(cell) for cell in cells):
-            continue  # names
+        if not grippers and not named and not any(_is_number(cell) for cell in cells):
+            named = True
+            continue
         try:
             values = np.array([float(cell) for cell in cells])
         except ValueError as error:
