@@ -52,6 +52,15 @@ def test_markers_are_seen_in_place_and_give_the_pose(view: dict[str, Any]) -> No
     assert np.linalg.norm(pixels, axis=1).max() < 0.7
 
 
+def test_a_marker_where_the_lens_has_no_rays_neither_gives_a_pose_nor_contradicts() -> None:
+    """In the corners of a wide picture the distortion bends back; the print elsewhere is as good as without it."""
+    truth, finder = scene.pose(layout()), MarkerFinder(layout())
+    bending = dataclasses.replace(CAMERA, d=np.array([-40.0, 0.0, 0.0, 0.0, 0.0]))
+    seen = finder.find(picture(layout(), truth), bending)
+    assert finder.poses(seen, bending) == []
+    assert finder.disagreement(seen, truth, bending, 2.0) is None
+
+
 MOVED = "by marker APRILTAG_36h11 3 the panel is 6.0 mm from where its print is, 2 mm are allowed"
 EXCHANGED = "marker APRILTAG_36h11 4 is where the layout has APRILTAG_36h11 3"
 

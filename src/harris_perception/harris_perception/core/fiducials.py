@@ -77,7 +77,9 @@ class MarkerFinder:
                 sides = np.linalg.norm(raw - np.roll(raw, 1, axis=0), axis=1)
                 if sides.min() >= _LEAST_SIDE_PX:
                     refined = _refine(gray, raw, float(sides.mean()) / (dictionary(name).markerSize + 2))
-                    found.append(SeenMarker(dictionary=name, id=int(number), corners_px=camera.rectify(refined)))
+                    corners_px = camera.rectify(refined)
+                    if np.isfinite(corners_px).all():  # not where the lens has no rays
+                        found.append(SeenMarker(dictionary=name, id=int(number), corners_px=corners_px))
         return found
 
     def poses(self, seen: list[SeenMarker], camera: CameraModel) -> list[Transform]:
