@@ -25,7 +25,7 @@ from rclpy.serialization import serialize_message
 from ros_rig import Ros
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
@@ -125,6 +125,31 @@ def test_pictures_beside_compressed_ones_of_somebody_else_are_played_each_where_
         "/a/compressed": [kind],
         "/b": ["sensor_msgs/msg/Image"],
     }
+
+
+def test_pictures_that_were_recorded_as_they_are_and_compressed_are_played_each_where_it_was(
+    ros: Ros, tmp_path: Path, command: Start
+) -> None:
+    """As image_transport publishes them. Of ours each is either compressed or, where it cannot be, as it was."""
+    with BagWriter(tmp_path / "bag", keep_free=0) as bag:
+        for name, message, stamps in (
+            ("/ours", Image, [1, 3]),
+            ("/ours/compressed", CompressedImage, [2, 4]),
+            ("/theirs", Image, [1, 2, 3]),
+            ("/theirs/compressed", CompressedImage, [2, 3, 4]),
+        ):
+            bag.add_topic(BagTopic(name=name, type=f"sensor_msgs/msg/{message.__name__}"))
+            for stamp in stamps:
+                bag.write(name, 10 * stamp, serialize_message(message(header=header(stamp, "eye"))))
+    command("bag_play", str(tmp_path / "bag"), "--start-paused")
+    listener = ros.plain("listener")
+
+    def played() -> list[tuple[str, int]]:
+        names = sorted(name for name, _ in listener.get_topic_names_and_types())
+        return [(name, listener.count_publishers(name)) for name in names if name.startswith(("/ours", "/theirs"))]
+
+    ros.spin_until(lambda: sum(count for _, count in played()) == 4, 15.0, played)
+    assert played() == [("/ours", 2), ("/theirs", 1), ("/theirs/compressed", 1)]
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])

@@ -7,17 +7,19 @@ gantry/recorded_trajectory otherwise, for pages that show them.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import Session, ros_session
+from scope_bench.adapters.bag_pictures import SUFFIX
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic
 from scope_bench.cli.bounds import check_bounds
 from scope_bench.cli.progress import ProgressLine
@@ -87,6 +89,23 @@ def _installed(kind: str) -> bool:
     return True
 
 
+def recorded_twice(bag: BagReader, names: Collection[str]) -> set[str]:
+    """Return the topics of which the same pictures, by their stamps, are in the bag compressed as well.
+
+    So they come from image_transport. Of ours each is there once: compressed, or as it was if it cannot be.
+    """
+
+    def stamps(name: str) -> set[bytes]:
+        return {data[:_STAMP_ENDS] for _, _, data in itertools.islice(bag.messages([name]), _LOOKED_AT)}
+
+    pairs = [name for name in names if name + SUFFIX in names]
+    return {name for name in pairs if stamps(name) & stamps(name + SUFFIX)}
+
+
+_STAMP_ENDS = 12
+"""A message with a header begins with four bytes of CDR and its stamp."""
+_LOOKED_AT = 30
+"""So many messages from the first: a recorder hears one of two topics a little later."""
 _DRIVER = "gantry/driver_state"
 _DRIVER_FOUND_S, _LOOK_S = 1.0, 0.5
 """So long is looked for a driver at work before anything is played, and so often later: programs find each other only
@@ -105,6 +124,7 @@ class Playing:
         self._node = BagPlayer(
             self._topics,
             unpack=not options.keep_compressed,
+            twice=recorded_twice(bag, self._names),
             in_step=bool(options.in_step),
             aside=not options.moving,
             toggle=self._toggle,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -37,6 +37,8 @@ class BagPlayer(Node):
         What is played.
     unpack
         Publish pictures that were recorded compressed as ``Image`` on the topic that they came from.
+    twice
+        Topics whose pictures were recorded as they are, too: there those that are compressed stay so.
     in_step
         Let nothing be lost, and offer /clock from the start.
     aside
@@ -50,6 +52,7 @@ class BagPlayer(Node):
         topics: Iterable[BagTopic],
         *,
         unpack: bool = True,
+        twice: Collection[str] = (),
         in_step: bool = False,
         aside: bool = True,
         toggle: Callable[[], bool] = lambda: False,
@@ -62,11 +65,11 @@ class BagPlayer(Node):
         self._outputs: dict[str, Any] = {}
         self._clock_out: Any = self.create_publisher(Clock, "/clock", qos.RESULTS) if in_step else None
         topics = list(topics)
-        names = {topic.name for topic in topics}
+        apart = {*twice, *(t.name.removesuffix(BESIDE + SUFFIX) for t in topics if t.name.endswith(BESIDE + SUFFIX))}
         for topic in topics:
             name, kind = topic.name, topic.type
             base = name.removesuffix(SUFFIX)
-            if unpack and kind == COMPRESSED and base != name and base + BESIDE + SUFFIX not in names:
+            if unpack and kind == COMPRESSED and base != name and base not in apart:
                 self._packed.add(name)
                 name, kind = base.removesuffix(BESIDE), IMAGE
             for ending, other in ASIDE.items() if aside else ():
