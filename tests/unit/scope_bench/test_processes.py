@@ -146,6 +146,17 @@ def test_stop_ends_all_and_kills_the_stubborn() -> None:
     assert not any(alive(pid) for pid in pids)
 
 
+def test_a_program_that_misses_the_interrupt_while_it_starts_is_ended_at_once() -> None:
+    """While Python imports or something compiles, a KeyboardInterrupt can end in a callback that swallows it."""
+    watch = Watch()
+    starting = "import signal; signal.signal(2, lambda *_: None); print('importing')\nwhile True: signal.pause()"
+    watch.group.start("a", [*PYTHON, starting], tells_ready=True)
+    watch.until(lambda: watch.output)
+    begun = time.monotonic()
+    assert watch.group.stop() == []
+    assert time.monotonic() - begun < 7.0, "an interrupt alone has 14 s"
+
+
 def test_what_ends_last_lives_until_the_others_are_gone(tmp_path: Path) -> None:
     mark = tmp_path / "mark"
     slow = f"""

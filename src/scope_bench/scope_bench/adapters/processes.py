@@ -205,6 +205,9 @@ class ProcessGroup:
     def stop(self, within_s: float = 20.0) -> list[str]:
         """End everything: interrupt, and after a while terminate and kill.
 
+        What is still starting is terminated at once: there a KeyboardInterrupt prints a traceback, or ends in a
+        callback of an import, which swallows it.
+
         First all but those that end last, so that a driver can hold its machine and lift the stylus while the board
         still answers; then those.
 
@@ -215,10 +218,11 @@ class ProcessGroup:
         """
         for watched in self._programs:
             watched.restart_at = None
-            self._close_pipe(watched)
         killed: list[str] = []
         for last in (False, True):
             killed += self._end([w for w in self._programs if w.process is not None and w.ends_last is last], within_s)
+        for watched in self._programs:
+            self._close_pipe(watched)
         self._selector.close()
         return killed
 
@@ -229,8 +233,9 @@ class ProcessGroup:
                 assert watched.process is not None
                 if number == signal.SIGKILL:
                     killed.append(watched.name)
+                starting = number == signal.SIGINT and watched.ready_pipe is not None
                 with contextlib.suppress(ProcessLookupError):
-                    watched.process.send_signal(number)
+                    watched.process.send_signal(signal.SIGTERM if starting else number)
             deadline = time.monotonic() + within_s * share
             while waiting and time.monotonic() < deadline:
                 for key, _ in self._selector.select(0.05):
