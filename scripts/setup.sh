@@ -13,6 +13,8 @@ venv=$root/.venv
 
 fail() { printf 'error: %s\n' "$1" >&2; exit 1; }
 
+# Linux ends an interpreter's path at the first blank of a script's first line.
+case $root in *[[:space:]]*) fail "$root has a blank in its name, and the programs would not start there; move this folder" ;; esac
 command -v "$python" >/dev/null || fail "$python is not installed; install Python 3.10 to 3.13 (Debian and Ubuntu: apt install python3 python3-venv)"
 version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 jazzy=no

@@ -8,6 +8,7 @@ import os
 import pkgutil
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 import types
@@ -104,6 +105,16 @@ def test_the_workflow_calls_what_exists() -> None:
         "CONTRIBUTING.md",
     ):
         assert (ROOT / path).stat().st_size > 200
+
+
+def test_setting_up_refuses_a_folder_whose_programs_would_not_start(tmp_path: Path) -> None:
+    """The first line of a script cannot name an interpreter in a folder with a blank; each program would be missing."""
+    (tmp_path / "my röbot" / "scripts").mkdir(parents=True)
+    script = shutil.copy(ROOT / "scripts" / "setup.sh", tmp_path / "my röbot" / "scripts")
+    environment = {**os.environ, "PYTHON": "none"}
+    done = subprocess.run(["bash", script], capture_output=True, text=True, timeout=20, check=False, env=environment)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert f"error: {tmp_path / 'my röbot'} has a blank in its name" in done.stderr
 
 
 class Recorded:
