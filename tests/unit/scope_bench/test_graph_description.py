@@ -118,6 +118,10 @@ def test_errors(config: Path, old: str, new: str, message: str) -> None:
     ("text", "message"),
     [
         (
+            "/**/eye:\n  ros__parameters: {part: {gain: 1.0,\n    gain: 2.0}}",
+            r"eye\.yaml:3: 'gain' stands here a second time",
+        ),
+        (
             "/**/eye: {ros__parameters: {a: 1}}\n/**/eey: {ros__parameters: {b: 1}}",
             r"eye\.yaml:2: /\*\*/eey is none of the nodes that read this file: /stereo/eye",
         ),

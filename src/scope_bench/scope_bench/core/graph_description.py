@@ -115,7 +115,7 @@ def load_graph(
         For what is no YAML, unknown and repeated keys, unknown profiles and scopes, and parameter files that do not
         exist or have values for a node that does not read them.
     """
-    _refuse_repeated_keys(_read(config / "graph.yaml", yaml.compose))
+    _refuse_repeated_keys("graph.yaml", _read(config / "graph.yaml", yaml.compose))
     document = _read(config / "graph.yaml", yaml.load)
     _check_form(document)
     profiles = list(document["profiles"])
@@ -178,6 +178,7 @@ def _refuse_unread_values(programs: Sequence[Program]) -> None:
         root = _read(path, yaml.compose)
         if root is not None and not isinstance(root, yaml.MappingNode):
             raise GraphError(f"{path.name}:1: a mapping of nodes to their ros__parameters is needed")
+        _refuse_repeated_keys(path.name, root)
         for key, _ in root.value if root is not None else ():
             if not any(_pattern(key.value).fullmatch(reader) for reader in readers):
                 raise GraphError(
@@ -192,18 +193,19 @@ def _pattern(node: str) -> re.Pattern[str]:
     return re.compile("".join(forms.get(part, "/" + re.escape(part)) for part in node.removeprefix("/").split("/")))
 
 
-def _refuse_repeated_keys(node: Any) -> None:
-    """YAML's loader keeps the last of equal keys and says nothing; what the others set would be missing."""
+def _refuse_repeated_keys(file: str, node: Any) -> None:
+    """YAML's loaders, rcl's too, keep the last of equal keys and say nothing; what the others set would be missing."""
     if isinstance(node, yaml.MappingNode):
         seen = set()
         for key, value in node.value:
-            if key.value in seen:
-                raise GraphError(f"graph.yaml:{key.start_mark.line + 1}: {key.value!r} stands here a second time")
-            seen.add(key.value)
-            _refuse_repeated_keys(value)
+            name = str(key.value)  # of a list as a key, which others refuse
+            if name in seen:
+                raise GraphError(f"{file}:{key.start_mark.line + 1}: {name!r} stands here a second time")
+            seen.add(name)
+            _refuse_repeated_keys(file, value)
     elif isinstance(node, yaml.SequenceNode):
         for value in node.value:
-            _refuse_repeated_keys(value)
+            _refuse_repeated_keys(file, value)
 
 
 def _chain(profiles: Mapping[str, Any], profile: str, above: tuple[str, ...] = ()) -> list[str]:
