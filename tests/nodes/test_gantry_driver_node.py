@@ -311,7 +311,9 @@ def test_a_dead_port_thread_is_said_and_ends_the_node_within_a_second(
     op.state("disconnected: the thread of the port has ended", 2.0)
 
 
-def test_sigterm_holds_lifts_and_ends(ros: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_end_holds_lifts_and_ends(number: signal.Signals, ros: Any, tmp_path: Path) -> None:
+    """SIGHUP is what a terminal leaves behind that is closed, or whose connection is cut."""
     board = GrblBoard(tmp_path)
     command = [sys.executable, "-m", "gantry_driver.nodes.serial_driver_node", "--ros-args"]
     command += ["-p", f"port:={board.port}"]
@@ -322,7 +324,8 @@ def test_sigterm_holds_lifts_and_ends(ros: Any, tmp_path: Path) -> None:
         op.go((0.0, 0.0, 0.03), (0.35, 0.0, 0.03))
         op.until(lambda: op.joints and op.joints[-1].position[0] > 0.05)
         since = board.log()[-1]["n"]
-        driver.send_signal(signal.SIGTERM)
+        driver.send_signal(signal.SIGTSTP)  # Ctrl-Z: put aside, it could not hold
+        driver.send_signal(number)
         assert driver.wait(10.0) == 0
         entries = board.log(since)
         hold = next(e["n"] for e in entries if e["kind"] == "realtime" and e["byte"] == ord("!"))

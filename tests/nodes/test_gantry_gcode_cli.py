@@ -302,6 +302,21 @@ def test_space_pauses_and_resumes_and_ctrl_c_ends_safely(board: GrblBoard, progr
     assert not [entry for entry in board.log() if entry["kind"] == "alarm"], "the position is kept"
 
 
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTSTP])
+def test_a_terminal_that_is_closed_and_ctrl_z_leave_no_stylus_down(
+    number: signal.Signals, board: GrblBoard, program: Callable[..., Path]
+) -> None:
+    """Killed or put aside, the program let the board do what it had, and press from then on."""
+    way = [f"G53 G1 X{-300 + 100 * (k % 2)} F6000" for k in range(300)]
+    terminal = Terminal("run", str(program("G53 G1 Z-11 F1800", *way)), "--port", str(board.port))
+    terminal.until("3/301 lines")
+    terminal.process.send_signal(number)
+    assert terminal.end(15.0) == 1
+    x, _, z = board.mpos()
+    assert -359.0 < x < -199.9 and z == pytest.approx(-1.0, abs=0.02)
+    assert not [entry for entry in board.log() if entry["kind"] == "alarm"], "the position is kept"
+
+
 def test_settings_are_kept_in_a_file_compared_and_written_back(board: GrblBoard, tmp_path: Path) -> None:
     port, kept, wrong = str(board.port), tmp_path / "kept.txt", tmp_path / "wrong.txt"
     code, output = run("--port", port, "--save", str(kept), what="settings")

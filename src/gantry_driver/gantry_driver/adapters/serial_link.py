@@ -25,7 +25,7 @@ from gantry_driver.core.session import HOLD
 
 T = TypeVar("T")
 
-_STOP_SIGNALS = {int(signal.SIGINT): "SIGINT", int(signal.SIGTERM): "SIGTERM"}
+_STOP_SIGNALS = {int(number): number.name for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
 FIRST_RETRY_S, LAST_RETRY_S = 0.1, 1.0
 
 
@@ -74,7 +74,7 @@ class SerialLink:
 
     @property
     def wakeup_fd(self) -> int:
-        """For ``signal.set_wakeup_fd``: SIGINT and SIGTERM then stop the machine at once."""
+        """For ``signal.set_wakeup_fd``: SIGINT, SIGTERM and SIGHUP then stop the machine at once."""
         return self._wake_write
 
     def call(self, action: Callable[[Machine, float], T]) -> T:

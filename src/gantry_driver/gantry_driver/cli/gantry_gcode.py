@@ -5,8 +5,9 @@ file, or writes those of the configuration or of a file to the board and reads t
 
 ``gantry_gcode run FILE --port /dev/ttyUSB0`` checks the whole file against the machine, says how long it takes, opens
 the port for itself alone (a driver that has it makes that fail), homes, and streams. Space pauses (the stylus stays
-where it is) and resumes; Ctrl-C holds, lifts the stylus, keeps the position, and ends. ``--dry-run`` lets the board's
-own parser check the lines in ``$C`` mode; nothing moves. ``--check`` does not open the port at all.
+where it is) and resumes; Ctrl-C holds, lifts the stylus, keeps the position, and ends, and so do Ctrl-Z and a terminal
+that is closed. ``--dry-run`` lets the board's own parser check the lines in ``$C`` mode; nothing moves. ``--check``
+does not open the port at all.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from gantry_driver.core.progress import duration_text, progress_text
 from gantry_driver.core.session import plain
 from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile, profile_text
 from gantry_driver.core.trajectory_gcode import TrajectoryError
-from icu_common.adapters.program_end import ends_quietly
+from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.config import ConfigError, from_mapping
 from icu_common.core.results import GoalResult, Outcome
@@ -336,7 +337,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def _on_signals(what: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (*end_signals(), signal.SIGTSTP):  # a program put aside by Ctrl-Z could not hold
         signal.signal(number, what)
 
 

@@ -245,6 +245,7 @@ def make_node(**node_arguments: Any) -> SerialDriverNode:
 def main() -> int:
     if refusal := ask_for_real_time():
         print(f"serial_driver: {refusal}; under load a stop may take longer, see README, Hardware", file=sys.stderr)
+    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # Put aside by Ctrl-Z, it could not hold.
     return run(make_node, shared_memory=False)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import io
 import os
+import signal
 import sys
 from collections.abc import Callable
 from typing import ParamSpec
@@ -13,6 +14,12 @@ INTERRUPTED, UNREAD = 130, 141
 """Exit codes as shells have them: 128 and the number of SIGINT or SIGPIPE."""
 
 P = ParamSpec("P")
+
+
+def end_signals() -> list[signal.Signals]:
+    """Return what asks a program to end: SIGINT, SIGTERM, and a terminal's SIGHUP, which ``nohup`` lets it ignore."""
+    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [signal.SIGINT, signal.SIGTERM, *([] if ignored else [signal.SIGHUP])]
 
 
 def ends_quietly(main: Callable[P, int]) -> Callable[P, int]:

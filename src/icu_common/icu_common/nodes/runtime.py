@@ -27,7 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from icu_common.adapters.memory import keep_large_blocks
-from icu_common.adapters.program_end import ends_quietly
+from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.core.config import ConfigError
 from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
 from icu_common.nodes import in_step
@@ -74,7 +74,7 @@ def _sockets_hold_pictures() -> bool:
 
 
 class Session:
-    """rclpy between its start and its end: an executor, and whether SIGINT or SIGTERM has come."""
+    """rclpy between its start and its end: an executor, and whether a signal to end has come."""
 
     def __init__(self) -> None:
         self.executor = EventsExecutor()
@@ -82,7 +82,7 @@ class Session:
         self._tally = in_step.Tally() if in_step.wanted() else None
         if self._tally is not None:
             self._tally.install()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in end_signals():
             signal.signal(number, self._stop)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
@@ -159,7 +159,7 @@ _collected: list[Callable[..., Node]] | None = None
 
 
 def run(make_node: Callable[..., Node], arguments: Sequence[str] | None = None, *, shared_memory: bool = True) -> int:
-    """Start rclpy, make the node, spin until SIGINT or SIGTERM, close it, and return the exit code.
+    """Start rclpy, make the node, spin until a signal to end, close it, and return the exit code.
 
     The node's ``close`` (if it has one) runs while topics still work, so that a last state can be published.
     ``make_node`` takes options for ``rclpy.node.Node``; ``shared_memory`` is for :func:`prepare_transport`.

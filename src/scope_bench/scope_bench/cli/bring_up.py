@@ -18,6 +18,7 @@ from queue import SimpleQueue
 from types import FrameType
 
 from icu_common.adapters.executables import find_executable
+from icu_common.adapters.program_end import end_signals
 from icu_common.adapters.state_folder import default_state_folder
 from icu_common.core.yaml_text import values_of_pairs
 from icu_common.nodes import in_step
@@ -114,10 +115,8 @@ class BringUp:
 
     def run(self) -> int:
         """Run until a signal comes; return the exit code."""
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in end_signals():
             signal.signal(number, self._stop)
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup wants it
-            signal.signal(signal.SIGHUP, self._stop)
         check_namespace(self.options.namespace)
         config = (self.options.config or configuration_folder()).resolve()
         state = state_folder(self.options.state, self.options.namespace)
