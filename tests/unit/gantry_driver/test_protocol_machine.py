@@ -730,6 +730,18 @@ def test_other_styluses_go_down_after_the_move_and_up_before_it(kind: str, down:
     assert lines[-6:] == ["F9000X-259G53G1", down, "G4P0.1", up, "G4P0.1", "X-159G53G1"]
 
 
+@pytest.mark.parametrize(("kind", "up"), [("servo_m3", "M3S200"), ("solenoid_m8", "M9")])
+def test_other_styluses_are_lifted_before_homing_crosses_the_panel(kind: str, up: str) -> None:
+    """No $H does that: a solenoid was drawn over the panel, and pressed on, taken for lifted."""
+    rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1))).homed()
+    rig.go((0.1, 0.05, 0.02))
+    rig.until(lambda: "reached" in rig.outcomes())
+    rig.board.received.clear()
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle", 5.0)
+    assert up in rig.board.received[: rig.board.received.index("$H")]
+
+
 @pytest.mark.parametrize(("number", "value"), [(32, "1"), (30, "255"), (31, "300")])
 def test_a_servo_needs_the_spindle_settings_that_its_s_values_mean(number: int, value: str) -> None:
     board = Board()

@@ -164,8 +164,8 @@ class Machine(Connection):
         self._forget_position()
         self._enter(Phase.HOMING, now)
         self._marker_done = False
-        if self.config.stylus.kind == "servo_m3":
-            # The servo may be down and a locked board takes no M3: unlock, lift, and only then travel.
+        if self.config.stylus.kind != "z_axis":
+            # The stylus may be down and a locked board takes no M3 or M9: unlock, lift, and only then travel.
             for text in ("$X", *lift_lines(self.config)):
                 self.session.queue(text, answer_within_s=self.config.homing_timeout_s)
         self._marker = self.session.queue("$H", answer_within_s=self.config.homing_timeout_s).number
