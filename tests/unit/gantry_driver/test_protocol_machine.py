@@ -322,6 +322,19 @@ def test_a_stop_without_a_link_is_remembered() -> None:
     assert rig.state == "unhomed"
 
 
+def test_a_board_whose_settings_were_not_heard_is_connected_anew() -> None:
+    """As after two crossing resets and an error; nothing but its cable led out of the mismatch of all settings."""
+    board = Board()
+    board.settings = {}
+    rig = Rig(board=board)
+    rig.machine.opened(rig.now)
+    board.reset()
+    rig.until(lambda: rig.state not in ("connecting", "disconnected") or len(rig.states) > 2)
+    assert rig.states[-1] == "disconnected: the board told no settings"
+    board.settings = dict(SETTINGS)
+    assert rig.connect().state == "unhomed"
+
+
 @pytest.mark.parametrize("delay", ["255", "25", None])
 def test_motors_that_let_go_between_touches_are_told(delay: str | None) -> None:
     board = Board()

@@ -351,6 +351,9 @@ class Connection:
         return found
 
     def _check_settings(self, now: float) -> None:
+        if not self._settings:
+            self._close("the board told no settings", now)
+            return
         wrong = differences(self._settings, self.expected_settings())
         self._mismatch = "; ".join([*wrong, *self._startup_lines()])
         if (idle := self._settings.get(IDLE_DELAY)) is not None and idle.partition(".")[0] != STAYS_ON:

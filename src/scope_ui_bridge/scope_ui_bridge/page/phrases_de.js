@@ -116,6 +116,7 @@ export const PHRASES_DE = [
   ["homed at MPos {} mm, the configuration says {} mm", "Referenz bei MPos {} mm, die Konfiguration sagt {} mm"],
   ["the stylus was left extended for {} s, {} s are allowed", "der Stift blieb {} s lang ausgefahren, {} s sind erlaubt"],
   ["no status report for {} s", "seit {} s kein Statusbericht"],
+  ["the board told no settings", "die Platine hat keine Einstellungen gemeldet"],
   ["after homing the board is {}", "nach der Referenzfahrt ist die Platine {}"],
   ["the board is locked by an alarm whose number was not received", "die Platine ist durch einen Alarm gesperrt, dessen Nummer nicht ankam"],
   ["the board stands at {} instead of {}", "die Platine steht bei {} statt bei {}"],
