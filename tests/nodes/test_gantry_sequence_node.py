@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import time
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -187,6 +190,37 @@ def test_without_a_controller_it_is_refused_and_nothing_is_sent_later(ros: Any) 
     sequence.publish(String(data="id: heard\nsteps: ['press:SAVE']"))
     ros.spin_until(lambda: commands, 10.0)
     assert [m.data for m in commands] == ["press:SAVE id=heard.1"]
+
+
+def test_a_sequencer_that_was_held_up_gives_no_step_that_nobody_expects_any_more(ros: Any) -> None:
+    """Whoever gave it was told long ago that no answer came, and may be at work by hand, or in the room."""
+    rig = Rig(ros, check_s=5.0)
+    done = GoalResult(goal_id="", goal="", outcome=Outcome.REACHED)
+    red = PanelSeen(stamp_ns=0, controls=(ControlSeen(name="RUN_STOP", kind="button", lamp="red"),))
+    waking = {
+        "answer": lambda node: node._on_result(result_message(replace(done, goal_id="answer.1"), rig.now_ns())),
+        "picture": lambda node: node._on_panel(panel_state_message(red, header(rig.now_ns(), "camera"))),
+        "state": lambda node: node._on_controller(String(data="ready")),
+        "clock": lambda node: node._on_tick(),
+        "other": lambda node: node._on_sequence(String(data="id: next\nsteps: ['press:MENU']")),
+    }
+    for run_id, wake in waking.items():
+        rig.node._steady_s = time.monotonic
+        check = "" if run_id == "answer" else " => lamp:RUN_STOP=red"
+        rig.commands.clear()
+        rig.sequence.publish(String(data=f"id: {run_id}\nsteps: ['press:RUN_STOP{check}', 'press:SAVE']"))
+        assert rig.wait_for_command(1) == f"press:RUN_STOP id={run_id}.1"
+        if run_id != "answer":
+            rig.reach(f"{run_id}.1")
+            ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
+        rig.node._steady_s = lambda: time.monotonic() + 4.0
+        wake(rig.node)
+        ended = rig.final(run_id)
+        assert ended.outcome is Outcome.ABORTED
+        assert re.search(r"step 1 of 2, press:RUN_STOP: the sequencer was held up for [45]\.\d s$", ended.reason)
+        assert not [command.data for command in rig.commands if "SAVE" in command.data]
+    ros.spin_until(lambda: rig.commands, 10.0)
+    assert rig.commands[-1].data == "press:MENU id=next.1"
 
 
 @pytest.mark.parametrize("state", ["waiting: not calibrated", "ready", "stopped: stop requested"])

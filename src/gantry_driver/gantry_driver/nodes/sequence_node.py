@@ -3,11 +3,13 @@
 ``sequence`` takes the text of a sequence file (see icu_common.core.sequence), with ``id: TEXT`` as its first line if
 its answers are to be told apart. It gives the controller one command at a time, so whatever stops a gesture stops the
 sequence; between two gestures a stop ends it too, and so does an operator or a driver that is lost: none goes on when
-they are back.
+they are back. So does a time in which this process did nothing: whoever gave the sequence has been told since that no
+answer came.
 """
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -32,6 +34,8 @@ from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
 
 TICK_S = 0.1
+HELD_UP_S = 3.0
+"""After so long without a tick nobody counts on the next step any more: the page gives up who is silent for 5 s."""
 
 
 class SequenceNode(Node):
@@ -41,6 +45,8 @@ class SequenceNode(Node):
         super().__init__("sequencer", **options)
         self._live = LiveParameters(self, SequenceConfig)
         self._run: SequenceRun | None = None
+        self._steady_s = time.monotonic
+        self._awake_s = self._steady_s()
         self._controller = ""
         self._count = 0
         self._command = self.create_publisher(String, "command", qos.COMMAND)
@@ -68,6 +74,14 @@ class SequenceNode(Node):
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
+    def _at_work(self) -> SequenceRun | None:
+        """Return the sequence at work; one in which this process has been held up is ended first."""
+        before_s, self._awake_s = self._awake_s, self._steady_s()
+        held_up_s = self._awake_s - before_s
+        if self._run is not None and held_up_s > HELD_UP_S:
+            self._act(self._run.abort(f"the sequencer was held up for {held_up_s:.1f} s", self._now_ns()))
+        return self._run
+
     def _on_sequence(self, message: String) -> None:
         first, _, rest = message.data.partition("\n")
         self._count += 1
@@ -77,8 +91,8 @@ class SequenceNode(Node):
             # The line stays, emptied, so that errors name the lines that the sender has.
             run_id, text = first[3:].strip()[:48], "\n" + rest
         try:
-            if self._run is not None:
-                raise SequenceError(f"busy with {self._run.run_id!r}, {self._run.state}")
+            if (run := self._at_work()) is not None:
+                raise SequenceError(f"busy with {run.run_id!r}, {run.state}")
             if hindrance := self.hindrance():
                 raise SequenceError(hindrance)
             sequence = parse_file(text)
@@ -90,17 +104,17 @@ class SequenceNode(Node):
         self._act(self._run.start(self._now_ns()))
 
     def _on_result(self, message: DiagnosticArray) -> None:
-        if self._run is None:
+        if (run := self._at_work()) is None:
             return
         try:
             answer = result_of_message(message)
         except ValueError as error:
             self.get_logger().error(f"result: {error}")
             return
-        self._act(self._run.result(answer, self._now_ns()))
+        self._act(run.result(answer, self._now_ns()))
 
     def _on_panel(self, message: DiagnosticArray) -> None:
-        if self._run is None:
+        if (run := self._at_work()) is None:
             return
         try:
             check_not_ahead(message.header, self.get_clock())
@@ -108,17 +122,17 @@ class SequenceNode(Node):
         except ValueError as error:
             self.get_logger().error(f"panel/state: {error}", throttle_duration_sec=5.0)
             return
-        self._act(self._run.panel(seen, self._now_ns()))
+        self._act(run.panel(seen, self._now_ns()))
 
     def _on_controller(self, message: String) -> None:
         self._controller = message.data.partition(":")[0]
-        if self._run is not None and message.data.startswith(AT_AN_END):
-            self._act(self._run.stopped(message.data, self._now_ns()))
+        if (run := self._at_work()) is not None and message.data.startswith(AT_AN_END):
+            self._act(run.stopped(message.data, self._now_ns()))
 
     def _on_tick(self) -> None:
-        if self._run is not None:
+        if (run := self._at_work()) is not None:
             at_rest = self._controller not in WORKING or bool(self.hindrance())
-            self._act(self._run.tick(self._now_ns(), at_rest=at_rest))
+            self._act(run.tick(self._now_ns(), at_rest=at_rest))
 
     def _report(self) -> None:
         hindrance = self.hindrance()

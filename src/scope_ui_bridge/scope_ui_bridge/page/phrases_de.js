@@ -351,6 +351,7 @@ export const PHRASES_DE = [
   ["no answer within {} s", "keine Antwort innerhalb von {} s"],
   ["the controller has neither taken nor refused it within {} s", "die Steuerung hat ihn innerhalb von {} s weder angenommen noch abgelehnt"],
   ["the controller has been at rest for {} s without an answer to it", "die Steuerung ruht seit {} s, ohne ihn beantwortet zu haben"],
+  ["the sequencer was held up for {} s", "der Ablaufgeber stand {} s lang still"],
   ["no change", "keine Änderung"],
   ["no mark {}", "keine Marke {}"],
   ["{} steps", "{} Schritte"],
