@@ -102,6 +102,16 @@ def test_a_wrong_text_is_refused_with_its_line_and_a_missing_check_ends_it(ros: 
     assert len(rig.commands) == 1
 
 
+def test_a_step_that_this_panel_cannot_fulfil_is_refused_before_the_first_one_moves(ros: Any) -> None:
+    rig = Rig(ros)
+    ros.spin_until(lambda: (rig.see("green"), rig.node._panel)[1], 10.0)
+    for run_id, step, what in (("a", "press:SAVE", "no SAVE"), ("b", "press:RUN_STOP => screen", "no screen")):
+        rig.sequence.publish(String(data=f"id: {run_id}\nsteps: ['press:RUN_STOP', '{step}']"))
+        refused = rig.final(run_id)
+        assert refused.outcome is Outcome.REJECTED and f"step 2: this panel has {what}" in refused.reason
+    assert rig.commands == []
+
+
 def test_what_a_camera_with_a_clock_ahead_has_seen_does_not_count(ros: Any) -> None:
     rig = Rig(ros)
     rig.sequence.publish(String(data="id: mine\nsteps: ['press:RUN_STOP => lamp:RUN_STOP=red']\n"))
@@ -202,13 +212,13 @@ def test_a_sequencer_that_was_held_up_gives_no_step_that_nobody_expects_any_more
         "picture": lambda node: node._on_panel(panel_state_message(red, header(rig.now_ns(), "camera"))),
         "state": lambda node: node._on_controller(String(data="ready")),
         "clock": lambda node: node._on_tick(),
-        "other": lambda node: node._on_sequence(String(data="id: next\nsteps: ['press:MENU']")),
+        "other": lambda node: node._on_sequence(String(data="id: next\nsteps: ['double:RUN_STOP']")),
     }
     for run_id, wake in waking.items():
         rig.node._steady_s = time.monotonic
         check = "" if run_id == "answer" else " => lamp:RUN_STOP=red"
         rig.commands.clear()
-        rig.sequence.publish(String(data=f"id: {run_id}\nsteps: ['press:RUN_STOP{check}', 'press:SAVE']"))
+        rig.sequence.publish(String(data=f"id: {run_id}\nsteps: ['press:RUN_STOP{check}', 'long:RUN_STOP']"))
         assert rig.wait_for_command(1) == f"press:RUN_STOP id={run_id}.1"
         if run_id != "answer":
             rig.reach(f"{run_id}.1")
@@ -218,9 +228,9 @@ def test_a_sequencer_that_was_held_up_gives_no_step_that_nobody_expects_any_more
         ended = rig.final(run_id)
         assert ended.outcome is Outcome.ABORTED
         assert re.search(r"step 1 of 2, press:RUN_STOP: the sequencer was held up for [45]\.\d s$", ended.reason)
-        assert not [command.data for command in rig.commands if "SAVE" in command.data]
+        assert not [command.data for command in rig.commands if "long" in command.data]
     ros.spin_until(lambda: rig.commands, 10.0)
-    assert rig.commands[-1].data == "press:MENU id=next.1"
+    assert rig.commands[-1].data == "double:RUN_STOP id=next.1"
 
 
 @pytest.mark.parametrize("state", ["waiting: not calibrated", "ready", "stopped: stop requested"])

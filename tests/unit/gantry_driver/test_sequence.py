@@ -9,7 +9,7 @@ import pytest
 from gantry_driver.core.sequence import Report, SendCommand, SequenceConfig, SequenceRun
 from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
-from icu_common.core.sequence import SequenceError, parse_file, parse_steps
+from icu_common.core.sequence import SequenceError, parse_file, parse_steps, unfit
 
 S = 1_000_000_000
 FILE = """\
@@ -45,6 +45,7 @@ def test_a_sequence_survives_its_text() -> None:
     [
         ("press:AUTO_SET", "poke:AUTO_SET", r"f\.yaml:3: gesture 'poke' is none of"),
         ("=> screen", "=> smoke", r"f\.yaml:3: check 'smoke' is none of effect, screen, lamp"),
+        ("RUN_STOP=red", "RUN_STOP=rde", r"f\.yaml:7: lamp 'rde' is none of off, white, red, amber"),
         ("within_s: 2", "within_s: 0", r"f\.yaml:4: within_s = 0: seconds above 0"),
         ("within_s: 2", "within: 2", r"f\.yaml:4: unknown key within; do"),
         ("do: click", "dont: click", r"f\.yaml:4: unknown key dont"),
@@ -71,6 +72,46 @@ def test_a_step_of_the_command_line_is_named_by_its_number() -> None:
         parse_steps(["press:A", "poke:B"])
     with pytest.raises(SequenceError, match="0 steps; 1 to 100 are needed"):
         parse_steps([])
+
+
+PANEL = PanelSeen(
+    stamp_ns=0,
+    controls=(
+        ControlSeen(name="RUN_STOP", kind="button", lamp="green"),
+        ControlSeen(name="ALARM", kind="button", hidden_by="stylus"),
+        ControlSeen(name="SAVE", kind="button"),
+        ControlSeen(name="MODE", kind="knob", marks=(("AUTO", 30.0), ("OFF", -30.0))),
+        ControlSeen(name="SCALE", kind="knob", angle_deg=0.0, detent_deg=18.0),
+        ControlSeen(name="INPUT", kind="connector"),
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    ("step", "what"),
+    [
+        ("press:SAVED", "this panel has no SAVED; nearest: SAVE, SCALE"),
+        ("press:SAVE => lamp:RUNSTOP=red", "this panel has no RUNSTOP; nearest: RUN_STOP"),
+        ("press:INPUT", "INPUT is a connector; connectors are never pressed"),
+        ("turn:SAVE:30", "SAVE is a button; only a knob can be turned"),
+        ("click:MODE:1", "MODE has no clicks (detent_deg in its layout)"),
+        ("set:MODE:MAN", "MODE has no mark 'MAN'; it has AUTO, OFF"),
+        ("set:SCALE:AUTO", "SCALE has no mark 'AUTO'; it has none"),
+        ("press:SAVE => effect, lamp:SAVE=red", "no lamp is seen on SAVE; lamps are seen on RUN_STOP"),
+        ("press:SAVE => angle:SAVE=30", "SAVE is a button; only a knob has an angle"),
+        ("set:MODE:AUTO => angle:MODE=MAN", "MODE has no mark 'MAN'; it has AUTO, OFF"),
+        ("press:SAVE => screen", "this panel has no screen"),
+    ],
+)
+def test_what_this_panel_can_never_fulfil_is_known_before_anything_moves(step: str, what: str) -> None:
+    assert unfit(parse_steps(["press:RUN_STOP", step]), PANEL) == f"step 2: {what}"
+
+
+def test_what_this_panel_may_fulfil_is_not_refused() -> None:
+    """A lamp that is hidden now may be seen later; points are the controller's business."""
+    steps = ["press:ALARM => lamp:ALARM=red, effect", "set:MODE:AUTO => angle:MODE=AUTO", "set:MODE:-20.5"]
+    steps += ["click:SCALE:2 => angle:SCALE=-36, lamp:RUN_STOP=off", "turn:MODE:30", "press:0.1,0.1@panel_link"]
+    assert unfit(parse_steps(steps), PANEL) == ""
 
 
 def answer(goal_id: str, outcome: Outcome = Outcome.REACHED, effect: str = "none seen", reason: str = "") -> GoalResult:

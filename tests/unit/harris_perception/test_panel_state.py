@@ -13,12 +13,12 @@ import pytest
 from harris_perception.core.face_patches import Patches
 from harris_perception.core.gray import gray_of
 from harris_perception.core.harris import HarrisDetector
-from harris_perception.core.panel_state import PanelReader
+from harris_perception.core.panel_state import HUES, PanelReader
 from harris_perception.core.recognition import PanelRecogniser
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import PanelLayout, load_layout
-from icu_common.core.panel_state import PanelSeen
+from icu_common.core.panel_state import LAMPS, PanelSeen
 from scope_bench.core.configuration import BenchConfig, LightConfig
 from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel
@@ -80,6 +80,10 @@ def test_knob_markers_to_a_degree(level: float, limit: float) -> None:
             errors.append(abs((control.angle_deg - angle + 180) % 360 - 180))
     print(f"light {level}: mean {np.mean(errors):.2f}, greatest {max(errors):.2f} degrees")
     assert max(errors) < limit
+
+
+def test_a_sequence_may_wait_for_every_colour_that_is_told() -> None:
+    assert {name for _, name in HUES} | {"off", "white"} == set(LAMPS)
 
 
 def test_a_running_trace_is_no_change_of_the_screen_but_its_stop_is() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from unit.scope_ui_bridge.desk_rig import Rig, answer, logged, of_type, refusal
 
+from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import parse_file, parse_steps
 from scope_ui_bridge.core.effects import Broadcast, Effect, SendCommand, SendSequence, StopNow
@@ -92,10 +93,15 @@ def test_a_stored_sequence_is_started_by_its_name() -> None:
         (["press:RUN_STOP", "press:MENU"], "sequence_control", "MENU"),
         (["press:RUN_STOP => lamp:MENU=red"], "sequence_control", "MENU"),
         (["press:RUN_STOP\npress:X"], "malformed", "steps"),
+        (["press:RUN_STOP => lamp:RUN_STOP=rde"], "sequence_wrong", "lamp 'rde' is none of off, white, red"),
+        (["press:RUN_STOP", "turn:RUN_STOP:30"], "sequence_wrong", "step 2: RUN_STOP is a button; only a knob"),
+        (["press:RUN_STOP => lamp:CH1_SCALE=red"], "sequence_wrong", "lamps are seen on RUN_STOP"),
     ],
 )
 def test_wrong_sequences_are_refused_and_nothing_goes_out(steps: Any, code: str, words: str) -> None:
     rig = Rig()
+    lit, knob = (ControlSeen(name="RUN_STOP", kind="button", lamp="red"), ControlSeen(name="CH1_SCALE", kind="knob"))
+    rig.desk.panel.show(PanelSeen(stamp_ns=rig.now.ros_ns, controls=(lit, knob)), rig.now)
     effects = start(rig, steps=steps)
     assert refusal(effects) == code
     assert words in str(answer(effects)["values"])

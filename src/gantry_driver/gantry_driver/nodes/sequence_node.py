@@ -20,7 +20,7 @@ from gantry_driver.core.goal_job import WORKING
 from gantry_driver.core.sequence import Action, SendCommand, SequenceConfig, SequenceRun
 from gantry_driver.core.world import AT_AN_END
 from icu_common.core.results import GoalResult, Outcome
-from icu_common.core.sequence import SequenceError, parse_file
+from icu_common.core.sequence import Sequence, SequenceError, parse_file, unfit
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     check_not_ahead,
@@ -47,6 +47,7 @@ class SequenceNode(Node):
         self._run: SequenceRun | None = None
         self._steady_s = time.monotonic
         self._awake_s = self._steady_s()
+        self._panel: DiagnosticArray | None = None
         self._controller = ""
         self._count = 0
         self._command = self.create_publisher(String, "command", qos.COMMAND)
@@ -96,12 +97,25 @@ class SequenceNode(Node):
             if hindrance := self.hindrance():
                 raise SequenceError(hindrance)
             sequence = parse_file(text)
+            self._check(sequence)
         except SequenceError as error:
             refused = GoalResult(goal_id=run_id, goal="sequence", outcome=Outcome.REJECTED, reason=str(error))
             self._answers.publish(result_message(refused, self._now_ns()))
             return
         self._run = SequenceRun(sequence, run_id, self._live.config)
         self._act(self._run.start(self._now_ns()))
+
+    def _check(self, sequence: Sequence) -> None:
+        """Raise SequenceError for a step that the panel, as far as it has been seen, can never fulfil."""
+        if self._panel is None:
+            return
+        try:
+            wrong = unfit(sequence, panel_state_of_message(self._panel))
+        except ValueError as error:
+            self.get_logger().error(f"panel/state: {error}")
+            return
+        if wrong:
+            raise SequenceError(wrong)
 
     def _on_result(self, message: DiagnosticArray) -> None:
         if (run := self._at_work()) is None:
@@ -114,6 +128,7 @@ class SequenceNode(Node):
         self._act(run.result(answer, self._now_ns()))
 
     def _on_panel(self, message: DiagnosticArray) -> None:
+        self._panel = message
         if (run := self._at_work()) is None:
             return
         try:

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 HIDDEN_BY = ("", "stylus", "something")
 """By what a control is hidden: nothing, the robot's own stylus or arm, or something else, such as a hand."""
 
+LAMPS = ("off", "white", "red", "amber", "yellow", "green", "cyan", "blue", "violet")
+"""What a lamp can be seen to be."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlSeen:
@@ -20,7 +23,7 @@ class ControlSeen:
     hidden_by
         One of HIDDEN_BY; what is hidden is not read.
     lamp
-        Name of the colour in which its lamp shines, ``off``, or empty where there is no lamp or it cannot be read.
+        One of LAMPS, or empty where there is no lamp or it cannot be read.
     angle_deg
         Where a knob's marker points, counter-clockwise from up, -180 to 180; NaN where it cannot be read.
     changed_ns

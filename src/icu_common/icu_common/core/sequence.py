@@ -7,6 +7,7 @@ mappings with ``do``, ``check`` and ``within_s``) and maybe ``name``.
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Sequence as Sequence_
@@ -15,7 +16,8 @@ from typing import Any
 
 import yaml
 
-from icu_common.core.gesture import GestureError, parse_gesture
+from icu_common.core.gesture import TURNING, Gesture, GestureError, is_mark, parse_gesture
+from icu_common.core.panel_state import LAMPS, ControlSeen, PanelSeen
 from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
 MAX_STEPS = 100
@@ -94,6 +96,63 @@ def parse_file(text: str, file_name: str = "sequence") -> Sequence:
         raise SequenceError(f"{file_name}:{mistake(error)}") from error
 
 
+def unfit(sequence: Sequence, seen: PanelSeen) -> str:
+    """Return which step the panel that is seen can never fulfil, and why; empty when it may fulfil all.
+
+    For before the first step: else those before it would be done, or a touch whose check must fail.
+    """
+    for number, step in enumerate(sequence.steps, 1):
+        gesture = parse_gesture(step.gesture)
+        found = [_unfit_gesture(gesture, seen), *(_unfit_check(check, seen) for check in step.checks)]
+        if what := next(filter(None, found), ""):
+            return f"step {number}: {what}"
+    return ""
+
+
+def _unfit_gesture(gesture: Gesture, seen: PanelSeen) -> str:
+    if not isinstance(gesture.target, str):
+        return ""  # where that is, the controller finds out
+    control = seen.control(gesture.target)
+    if control is None:
+        return _missing(gesture.target, seen)
+    if control.kind == "connector":
+        return f"{control.name} is a {control.kind}; connectors are never pressed"
+    if gesture.kind in TURNING and control.kind != "knob":
+        return f"{control.name} is a {control.kind}; only a knob can be turned"
+    if gesture.kind == "click" and not control.detent_deg:
+        return f"{control.name} has no clicks (detent_deg in its layout)"
+    return _unfit_mark(control, gesture.mark) if gesture.mark else ""
+
+
+def _unfit_check(check: Check, seen: PanelSeen) -> str:
+    if check.kind == "screen":
+        return "" if any(c.kind == "touch_area" for c in seen.controls) else "this panel has no screen"
+    if not check.control:
+        return ""
+    control = seen.control(check.control)
+    if control is None:
+        return _missing(check.control, seen)
+    if check.kind == "lamp":
+        if control.lamp or control.hidden_by:
+            return ""
+        lit = ", ".join(c.name for c in seen.controls if c.lamp) or "none"
+        return f"no lamp is seen on {control.name}; lamps are seen on {lit}"
+    if control.kind != "knob":
+        return f"{control.name} is a {control.kind}; only a knob has an angle"
+    return _unfit_mark(control, check.value) if is_mark(check.value) else ""
+
+
+def _unfit_mark(control: ControlSeen, mark: str) -> str:
+    marks = dict(control.marks)
+    return "" if mark in marks else f"{control.name} has no mark {mark!r}; it has {', '.join(marks) or 'none'}"
+
+
+def _missing(name: str, seen: PanelSeen) -> str:
+    names = [control.name for control in seen.controls]
+    near = difflib.get_close_matches(name.upper(), names, n=3, cutoff=0.4) or names[:5]
+    return f"this panel has no {name}; nearest: {', '.join(near)}"
+
+
 def _sequence_of(root: yaml.Node | None, file_name: str) -> Sequence:
     if not isinstance(root, yaml.MappingNode):
         raise SequenceError(f"{file_name}:1: a mapping with steps is needed")
@@ -153,4 +212,6 @@ def _check(place: str, text: str) -> Check:
     if found is None:
         known = "effect, screen, lamp:NAME=COLOUR (or off), angle:NAME=DEGREES (or MARK)"
         raise SequenceError(f"{place}: check {text!r} is none of {known}")
+    if found[2] == "lamp" and found[4] not in LAMPS:
+        raise SequenceError(f"{place}: lamp {found[4]!r} is none of {', '.join(LAMPS)}")
     return Check(kind=found[1] or found[2], control=found[3] or "", value=found[4] or "")

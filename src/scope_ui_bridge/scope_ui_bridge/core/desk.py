@@ -382,7 +382,7 @@ class Desk:
             raise Refusal("busy_pending")
 
     def _run_sequence(self, viewer: str, message: wire.RunSequence, now: Now) -> list[Effect]:
-        name, sequence = self.sequence.chosen(message, [face.name for face in self.scene.faces])
+        name, sequence = self.sequence.chosen(message, [face.name for face in self.scene.faces], self.panel.seen)
         self.machine.check_frame(message.camera, message.stamp_ns, self.config, now)
         self.machine.check_recognition(self.scene.camera_from_panel, self.config, now)
         self._check_ready()

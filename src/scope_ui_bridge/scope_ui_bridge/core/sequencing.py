@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from typing import Any
 
 from icu_common.core.gesture import parse_gesture
+from icu_common.core.panel_state import PanelSeen
 from icu_common.core.results import GoalResult, Outcome
-from icu_common.core.sequence import Sequence, SequenceError, parse_steps
+from icu_common.core.sequence import Sequence, SequenceError, parse_steps, unfit
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.refusal import Refusal
 
@@ -29,7 +30,9 @@ class SequenceView:
         self._status = ""
         self._reason = ""
 
-    def chosen(self, message: wire.RunSequence, controls: Iterable[str]) -> tuple[str, Sequence]:
+    def chosen(
+        self, message: wire.RunSequence, controls: Iterable[str], seen: PanelSeen | None
+    ) -> tuple[str, Sequence]:
         """Return the name and the steps that a page wants to start; ``controls`` are those of the panel.
 
         Raises
@@ -53,6 +56,8 @@ class SequenceView:
             missing = (missing | {check.control for check in step.checks if check.control}) - known
             if missing:
                 raise Refusal("sequence_control", step=number, control=", ".join(sorted(missing)))
+        if seen is not None and (wrong := unfit(sequence, seen)):
+            raise Refusal("sequence_wrong", what=wrong)
         return message.stored or sequence.name, sequence
 
     def started(self, run_id: str, who: str, name: str, sequence: Sequence) -> None:
