@@ -191,9 +191,12 @@ def test_a_sequence_is_collected_followed_and_stopped(
     person.selects("MENU", "Menu")
     person.sees("#collecting", "move nothing")
     page.click("[data-act=double]")
+    page.click("#tab-machine")  # to see the lamps; what was chosen holds there, too
     person.selects("CH1_SCALE", "Channel 1 scale")
+    person.sees("#collecting", "move nothing")
     page.fill("#set-degrees", "60")
     page.click("[data-act=set]")
+    page.click("#tab-sequence")
     assert page.input_value("#sequence-text") == "double:MENU\nset:CH1_SCALE:60\n"
     assert page.locator("#log tr").count() == rows, "nothing was sent"
     steps = lambda state: page.locator(f"#sequence-steps [data-state={state}]").count()  # noqa: E731

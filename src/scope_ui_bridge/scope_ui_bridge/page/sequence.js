@@ -48,9 +48,9 @@ function verdict() {
 
 // --- collecting ----------------------------------------------------------------------------------------------------
 
-/** Whether gesture buttons add a step instead of moving anything. */
+/** Whether gesture buttons add a step instead of moving anything; also while another tab is looked at. */
 export function collecting() {
-  return find("sequence-collect").checked && !find("panel-sequence").hidden;
+  return find("sequence-collect").checked;
 }
 
 /** Add what a gesture button would do, as a step with the check that is chosen. */

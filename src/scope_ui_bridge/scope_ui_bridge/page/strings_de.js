@@ -360,7 +360,7 @@ export const DE = {
   check_screen: "Bildschirm ändert sich",
   sequence_clear: "Leeren",
   sequence_added: "Angefügt: {step}",
-  collecting: "Schritte werden gesammelt: diese Tasten bewegen nichts.",
+  collecting: "Schritte werden gesammelt (Reiter Ablauf): diese Tasten bewegen nichts.",
   sequence_start: "{count} Schritte beginnen",
   sequence_confirm: "Bestätigen: {count} Schritte",
   sequence_steps: "Schritte",

@@ -360,7 +360,7 @@ export const EN = {
   check_screen: "screen changes",
   sequence_clear: "Empty",
   sequence_added: "Added: {step}",
-  collecting: "Steps are being collected: these buttons move nothing.",
+  collecting: "Steps are being collected (tab Sequence): these buttons move nothing.",
   sequence_start: "Start {count} steps",
   sequence_confirm: "Confirm: start {count} steps",
   sequence_steps: "Steps",
