@@ -434,6 +434,14 @@ def test_stop_goes_out_as_message_and_as_service(ros: Any, bridge: Any) -> None:
     ros.spin_until(lambda: node._stop_request.get_subscription_count(), WITHIN_S)
     assert browser.ask(type="stop")["ok"], "without the lease"
     ros.spin_until(lambda: graph.stops and "gantry/stop" in graph.called, WITHIN_S)
+    ros.spin_until(lambda: browser.latest("log")["entry"]["status"] == "done", WITHIN_S)
+
+
+def test_a_stop_without_a_driver_is_told_to_be_heard_by_nobody(ros: Any) -> None:
+    node = ros.node(BridgeNode, {"port": 0, "token_file": ""})
+    answers: list[tuple[bool, str]] = []
+    node.stop(lambda done, text: answers.append((done, text)))
+    assert answers == [(False, "no driver listens")]
 
 
 def test_heartbeats_are_published_only_with_the_operators_keep_alives(ros: Any, bridge: Any) -> None:

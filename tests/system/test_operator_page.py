@@ -219,6 +219,10 @@ def test_the_stop_button_of_a_viewer_and_of_a_page_without_script(browser: Any, 
     viewer.page.click("#stop")
     viewer.sees("#banner", "STOP has not got through. Use the wired emergency stop")
     assert "Moving" in viewer.page.inner_text("#chip-driver"), "the bridge has heard it, but the driver has not"
+    tell = "import('/page/desk.js').then(({ desk }) => desk.link.dispatchEvent(new CustomEvent('log', { detail })))"
+    stop = {"entry": 99, "wall_ms": 0, "who": "Operator 2", "action": "stop", "target": "", "status": "no_answer"}
+    operator.page.evaluate(f"detail => {tell}", {"entry": {**stop, "reason": "", "error_mm": None, "duration_s": None}})
+    operator.sees("#banner", "STOP has not got through. Use the wired emergency stop")
     instrument.tell("driver unhomed")  # it was started anew, at rest
     viewer.sees("#banner", "Moving")
     instrument.tell("deaf 0")

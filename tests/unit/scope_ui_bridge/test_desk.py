@@ -666,6 +666,41 @@ def test_stops_that_follow_each_other_quickly_are_one_stop() -> None:
     assert of_type(rig.desk.stop("Operator 2", rig.now), StopNow), "something was ordered in between"
 
 
+def test_a_stop_is_done_when_the_driver_has_answered_and_not_before() -> None:
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    effects = rig.ask(rig.a, type="stop")
+    (stop,) = of_type(effects, StopNow)
+    (entry,) = logged(effects)
+    assert (entry["action"], entry["status"], entry["entry"]) == ("stop", "sent", stop.entry)
+    assert not rig.desk.moving, "it is no motion that is waited for"
+    assert of_type(rig.act(), SendCommand), "and it holds nobody up"
+    effects = rig.desk.service_answered(stop.entry, True, "", rig.now)
+    assert (logged(effects)[0]["status"], logged(effects)[0]["reason"]) == ("done", "")
+    (line,) = of_type(effects, Record)
+    assert (line.record["command"], line.record["result"]) == ("stop", "done")
+
+
+def test_a_stop_whose_answer_was_lost_is_done_when_the_driver_says_that_it_has_stopped() -> None:
+    rig = Rig()
+    rig.ask(rig.a, type="stop")
+    rig.desk.set_state("driver", "stopped: stop requested")
+    assert [entry["status"] for entry in logged(rig.wait(4.0, alive=True))] == ["done"]
+
+
+def test_a_stop_that_nobody_heard_is_not_told_to_be_done() -> None:
+    rig = Rig()
+    (alone,) = of_type(rig.ask(rig.a, type="stop"), StopNow)
+    (failed,) = logged(rig.desk.service_answered(alone.entry, False, "no driver listens", rig.now))
+    assert (failed["status"], failed["reason"]) == ("failed", "no driver listens")
+    for press in ("again", "and again"):
+        rig.seconds += 1.0
+        rig.ask(rig.a, type="stop", press=press)
+    effects = rig.wait(3.2, alive=True)
+    assert [entry["status"] for entry in logged(effects)] == ["no_answer", "no_answer"]
+    assert {e.record["result"] for e in of_type(effects, Record)} == {"no_answer"}, "in the audit file, too"
+
+
 # --- services and state ---
 
 

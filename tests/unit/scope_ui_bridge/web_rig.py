@@ -34,8 +34,9 @@ class RecordingGraph:
     def ros_ns(self) -> int:
         return time.time_ns()
 
-    def stop(self) -> None:
+    def stop(self, answered: Callable[[bool, str], None]) -> None:
         self.calls.append(("stop",))
+        answered(True, "")
 
     def heartbeat(self) -> None:
         self.calls.append(("heartbeat",))

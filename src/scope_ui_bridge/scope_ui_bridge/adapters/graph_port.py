@@ -19,8 +19,12 @@ class GraphPort(Protocol):
         """Return ROS time in ns."""
         ...
 
-    def stop(self) -> None:
-        """Stop by every way there is; never raises."""
+    def stop(self, answered: Callable[[bool, str], None]) -> None:
+        """Stop by every way there is; never raises.
+
+        ``answered`` is called once, in any thread, when the driver has answered or when there is none; not at all by
+        one that hangs.
+        """
         ...
 
     def heartbeat(self) -> None:

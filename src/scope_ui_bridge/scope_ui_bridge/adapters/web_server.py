@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import logging
 import ssl
 import threading
@@ -349,7 +350,7 @@ class WebServer:
     def _carry_out(self, effects: list[Effect]) -> None:
         for effect in effects:
             if isinstance(effect, StopNow):
-                self._graph.stop()
+                self._graph.stop(functools.partial(self._service_answered, effect.entry))
                 self._write_later(effect.record)
             elif isinstance(effect, Heartbeat):
                 self._graph.heartbeat()

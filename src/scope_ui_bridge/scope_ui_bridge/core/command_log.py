@@ -12,8 +12,8 @@ from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Record
 
 _OPEN = ("sent", "accepted")
 # A recorder starts as a program, and writes up to 256 MB of pictures at its end; it answers in any case. Teaching
-# searches a new face for print. Neither moves anything.
-_PATIENCE_S = {"record": 60.0, "end_record": 60.0, "teach": 30.0}
+# searches a new face for print. Neither moves anything, nor does a stop.
+_PATIENCE_S = {"record": 60.0, "end_record": 60.0, "teach": 30.0, "stop": 0.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,12 +63,16 @@ class CommandLog:
 
     @property
     def waiting(self) -> bool:
-        """Whether any command of the machine has no end yet; a recording or a lesson holds nobody up."""
+        """Whether any command of the machine has no end yet; a recording, a lesson or a stop holds nobody up."""
         return any(entry.action not in _PATIENCE_S for entry in self._pending.values())
 
     def at_work(self, action: str) -> bool:
         """Tell whether a command of this kind has no end yet."""
-        return any(entry.action == action for entry in self._pending.values())
+        return bool(self.open_entries(action))
+
+    def open_entries(self, action: str) -> list[int]:
+        """Return the numbers of the commands of this kind that have no end yet."""
+        return [entry.entry for entry in self._pending.values() if entry.action == action]
 
     @property
     def motion_waiting(self) -> bool:

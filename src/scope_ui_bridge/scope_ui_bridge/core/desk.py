@@ -223,9 +223,10 @@ class Desk:
             return []
         self._presses.append(press)
         self._causes.stopped(code, who, silence_s, now.mono_s)
-        entry = self._log.add(who, "stop", code, now, status="done")
+        goal_id = f"service-stop-{self._log.count + 1}"
+        entry = self._log.add(who, "stop", code, now, status="sent", goal_id=goal_id)
         self._last_stop = (now.mono_s, who, entry.entry)
-        return [StopNow(record=record(who, "stop", code, now)), shown(entry)]
+        return [StopNow(entry=entry.entry, record=record(who, "stop", code, now)), shown(entry)]
 
     def tick(self, now: Now) -> list[Effect]:
         """Call every 50 ms: heartbeat, watchdogs, answers that did not come, state for the pages."""
@@ -242,6 +243,9 @@ class Desk:
         if self._causes.wants_ping(silence):
             effects.append(Ping(viewer=self.lease.holder))
         effects += self._watch(silence, now)
+        if self.machine.state("driver")[0] == "stopped":  # its answer may be lost on an overloaded computer
+            for number in self._log.open_entries("stop"):
+                effects += self.service_answered(number, True, "", now)
         effects += self._log.expire(self.machine.active, self.config.answer_timeout_s, now)
         if self._log.goal(self.sequence.run_id) is None:
             self.sequence.ended(self.sequence.run_id, "no_answer", "")
@@ -517,11 +521,12 @@ class Desk:
         return [shown(changed), command_log.result_record(changed, now)]
 
     def service_answered(self, number: int, success: bool, text: str, now: Now) -> list[Effect]:
-        """Note the answer of a service that log entry ``number`` asked."""
+        """Note the answer of a service that log entry ``number`` asked, or of the driver to a stop."""
         entry = self._log.open_entry(number)
         if entry is None:
             return []
-        changed = self._log.update(entry, status="done" if success else "rejected", reason=text)
+        refused = "failed" if entry.action == "stop" else "rejected"  # nobody refuses a stop
+        changed = self._log.update(entry, status="done" if success else refused, reason=text)
         return [shown(changed), command_log.result_record(changed, now)]
 
     def recording_ended(self, success: bool, text: str, now: Now) -> list[Effect]:

@@ -44,8 +44,9 @@ class Ping:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StopNow:
-    """Stop, before anything else; ``record`` is written afterwards."""
+    """Stop, before anything else; ``record`` is written afterwards. Log entry ``entry`` is told what is answered."""
 
+    entry: int
     record: dict[str, Any] = field(default_factory=dict)
 
 

@@ -379,10 +379,13 @@ class BridgeNode(Node):
     def ros_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
-    def stop(self) -> None:
+    def stop(self, answered: Callable[[bool, str], None]) -> None:
         self._stop_request.publish(Empty())
         if self._stop_service.service_is_ready():
-            self._stop_service.call_async(Trigger.Request())
+            asked = self._stop_service.call_async(Trigger.Request())
+            asked.add_done_callback(lambda future: answered(True, ""))
+        elif self._stop_request.get_subscription_count() == 0:
+            answered(False, "no driver listens")
         self.get_logger().warning("stop")
 
     def heartbeat(self) -> None:

@@ -86,6 +86,7 @@ link.addEventListener("log", ({ detail: { entry } }) => {
   if (entry.action !== "stop") showLast(entry);
   if (entry.action === "teach" && ["failed", "no_answer"].includes(entry.status)) taught({ ok: false, reason: spoken(entry) });
   if (["sent", "accepted"].includes(entry.status)) return;
+  if (entry.action === "stop" && entry.status !== "done" && !desk.replay) desk.unstopped = true;
   // What was refused while it was at work is over with it, once there was time to read it.
   if (performance.now() - desk.problemAt > READ_MS) desk.refused = null;
   addError(entry);

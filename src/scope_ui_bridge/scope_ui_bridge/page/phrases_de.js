@@ -548,6 +548,7 @@ export const PHRASES_DE = [
   ["stopped before it went out", "gestoppt, bevor es hinausging"],
   ["drawn, or camera and layers (true or false), are needed", "nötig ist drawn, oder camera und Ebenen (true oder false)"],
   ["the record could not be written: {}", "der Eintrag konnte nicht geschrieben werden: {}"],
+  ["no driver listens", "kein Treiber hört zu"],
   ["no gantry controller listens", "keine Steuerung hört zu"],
   ["no sequencer listens", "kein Ablaufgeber hört zu"],
   ["no recognition listens that could be taught a panel", "keine Erkennung hört zu, die eine Front lernen könnte"],
