@@ -701,6 +701,21 @@ def test_a_stop_that_nobody_heard_is_not_told_to_be_done() -> None:
     assert {e.record["result"] for e in of_type(effects, Record)} == {"no_answer"}, "in the audit file, too"
 
 
+def test_an_end_that_comes_after_a_command_was_given_up_is_still_told() -> None:
+    """Else the log and the audit file would say for ever that it is not known whether the button was pressed."""
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    (command,) = of_type(rig.act(), SendCommand)
+    assert [entry["status"] for entry in logged(rig.wait(3.2, alive=True))] == ["no_answer"]
+    late = GoalResult(goal_id=command.record["goal_id"], goal="", outcome=Outcome.REACHED, error_m=0.0002)
+    effects = rig.desk.result(late, rig.now)
+    (entry,) = logged(effects)
+    assert (entry["entry"], entry["status"], entry["error_mm"]) == (command.entry, "reached", 0.2)
+    (line,) = of_type(effects, Record)
+    assert (line.record["result"], line.record["goal_id"]) == ("reached", command.record["goal_id"])
+    assert rig.desk.result(late, rig.now) == [], "once"
+
+
 # --- services and state ---
 
 
