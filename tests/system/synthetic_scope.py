@@ -4,7 +4,8 @@ Run as a program. It draws the panel from its layout, answers gestures as the co
 with a measured error after a motion of 1.5 s), and obeys stop, reset, home and enable. Lines on standard input
 change the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``heartbeat_timeout 9`` and
 ``motion 6`` (s), ``stall`` and ``resume`` (pictures), ``deaf 1`` (no stop is heard),
-``mute 1`` (nothing is said of the panel), ``driver homing`` (what the driver says).
+``mute 1`` (nothing is said of the panel), ``unread 1`` (no knob's marker can be read),
+``driver homing`` (what the driver says).
 """
 
 from __future__ import annotations
@@ -115,7 +116,7 @@ class SyntheticScope(Node):
         self.heartbeat_ns = 0
         self.heartbeat_timeout = 0.6
         self.motion = 1.5
-        self.deaf = self.mute = 0.0
+        self.deaf = self.mute = self.unread = 0.0
         self.controller, self.driver = "ready", "idle"
         self.knobs = {c.name: c.marks[0][1] if c.marks else 10.0 for c in self.layout.controls if c.kind == "knob"}
         self.changed_ns = 0
@@ -213,7 +214,7 @@ class SyntheticScope(Node):
 
         def one(control: Control) -> ControlSeen:
             lamp = ("green" if self.running else "off") if control.name == "RUN_STOP" else ""
-            angle = self.knobs.get(control.name, math.nan)
+            angle = math.nan if self.unread else self.knobs.get(control.name, math.nan)
             changed = self.changed_ns if control.kind == "touch_area" else 0
             more = {"detent_deg": control.detent_deg, "marks": control.marks, "changed_ns": changed}
             return ControlSeen(name=control.name, kind=control.kind, lamp=lamp, angle_deg=angle, **more)

@@ -60,8 +60,15 @@ def test_a_button_is_pressed_twice_and_long(person: Operator) -> None:
     assert "lamp off" in str(person.page.get_attribute("[data-control=RUN_STOP]", "aria-label"))
 
 
-def test_a_knob_is_set_by_number_dial_and_clicks(person: Operator) -> None:
+def test_a_knob_is_set_by_number_dial_and_clicks(person: Operator, instrument: Instrument) -> None:
     page = person.page
+    instrument.tell("unread 1")
+    marker = lambda: page.locator("[data-seen=TIME_SCALE]").count()  # noqa: E731
+    person.until(lambda: not marker(), 10.0, lambda: page.inner_text("#seen"))
+    person.selects("TIME_SCALE", "Time scale")
+    assert page.input_value("#set-degrees") == "", "nobody knows where it stands, so nothing is proposed"
+    instrument.tell("unread 0")
+    person.until(marker, 10.0, lambda: page.inner_text("#seen"))
     person.selects("CH1_SCALE", "Channel 1 scale")
     person.sees("#selection-detail", r"at \+10°")
     assert page.input_value("#set-degrees") == "10"

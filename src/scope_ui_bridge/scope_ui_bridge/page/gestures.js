@@ -74,7 +74,7 @@ function newKnob(seen) {
   const marks = Object.keys(seen?.marks ?? {});
   find("set-mark").replaceChildren(new Option("–", ""), ...marks.map((name) => new Option(name, name)));
   find("set-mark").closest("label").hidden = marks.length === 0;
-  find("set-degrees").value = String(seen?.angle_deg ?? 0);
+  find("set-degrees").value = String(seen?.angle_deg ?? ""); // where it stands is not known: nobody has said where to
   const ticks = Object.values(seen?.marks ?? {}).map((degrees) =>
     svg("path", { d: "M0 -46V-38", transform: `rotate(${-degrees})` }),
   );
