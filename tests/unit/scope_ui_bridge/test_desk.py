@@ -714,6 +714,9 @@ def test_an_end_that_comes_after_a_command_was_given_up_is_still_told() -> None:
     (line,) = of_type(effects, Record)
     assert (line.record["result"], line.record["goal_id"]) == ("reached", command.record["goal_id"])
     assert rig.desk.result(late, rig.now) == [], "once"
+    (stop,) = of_type(rig.ask(rig.a, type="stop"), StopNow)
+    assert [entry["status"] for entry in logged(rig.wait(3.2, alive=True))] == ["no_answer"]
+    assert logged(rig.desk.service_answered(stop.entry, True, "", rig.now))[0]["status"] == "done"
 
 
 # --- services and state ---

@@ -116,9 +116,10 @@ class CommandLog:
         """Return the entry that waits for the end of this goal."""
         return self._pending.get(goal_id)
 
-    def given_up(self, goal_id: str) -> LogEntry | None:
-        """Return the entry of this goal that was given up as unanswered: its end may still come."""
-        return next((e for e in self._entries if e.goal_id == goal_id and e.status == "no_answer"), None)
+    def given_up(self, *, goal_id: str = "", number: int = 0) -> LogEntry | None:
+        """Return the entry of this goal or number that was given up as unanswered: its end may still come."""
+        unanswered = (entry for entry in self._entries if entry.status == "no_answer")
+        return next((entry for entry in unanswered if goal_id == entry.goal_id or number == entry.entry), None)
 
     def expire(self, active: bool, timeout_s: float, now: Now) -> list[Effect]:
         """Give up what has had no answer for ``timeout_s``; ``active`` says whether the machine is at work."""

@@ -522,7 +522,7 @@ class Desk:
 
     def service_answered(self, number: int, success: bool, text: str, now: Now) -> list[Effect]:
         """Note the answer of a service that log entry ``number`` asked, or of the driver to a stop."""
-        entry = self._log.open_entry(number)
+        entry = self._log.open_entry(number) or self._log.given_up(number=number)
         if entry is None:
             return []
         refused = "failed" if entry.action == "stop" else "rejected"  # nobody refuses a stop
@@ -539,7 +539,7 @@ class Desk:
         """Note an answer of the controller, to this page's commands or anybody's."""
         if result.outcome is Outcome.ABORTED:
             self._causes.aborted(result.reason, now.mono_s)
-        known = self._log.goal(result.goal_id) or self._log.given_up(result.goal_id)
+        known = self._log.goal(result.goal_id) or self._log.given_up(goal_id=result.goal_id)
         if known is None:
             if result.outcome.final and result.outcome is not Outcome.REJECTED:
                 return []  # the end of something whose beginning was long ago
