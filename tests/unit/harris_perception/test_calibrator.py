@@ -144,6 +144,8 @@ def test_one_burst_of_sightings_is_one_look_at_drift() -> None:
         look(calibrator, reading, now)
         calibrator.look_around(now + 10 * MS)
         assert calibrator.drifted.startswith("the panel's corner is seen")
+    assert "the tip is seen" not in calibrator.state, "what the state says is what is still off"
+    assert "drift: the panel's corner is seen 3.0 mm" in calibrator.state and "the panel has moved" in calibrator.state
 
 
 def test_homing_begins_the_readings_anew() -> None:

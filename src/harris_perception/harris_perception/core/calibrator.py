@@ -464,10 +464,10 @@ class Calibrator:
         return self.drift.text if self.drift is not None and looked else ""
 
     def look_around(self, now_ns: int) -> list[Action]:
-        """Look at tip and panel while nothing moves, and tell when something has drifted, or no longer is."""
+        """Look at tip and panel while nothing moves, and tell when something has drifted, or no longer has."""
         if self.drift is None or self.stored is None or self._run is not None or self.reading is None:
             return []
-        before = self.drift.text
+        before = self.drift.off
         # What was looked at already is no other look. A stamp ahead of now is of before the clock was set back.
         tips_ns, panels_ns = (stamp if stamp <= now_ns else 0 for stamp in self._looked_ns)
         sample, panel = self.watch.sample(now_ns, tips_ns), self.watch.panel_sample(now_ns, panels_ns)
@@ -479,7 +479,7 @@ class Calibrator:
             base_from_camera = self.stored.camera_from_base_at(panel.reading).inverse()
             self.drift.panel(base_from_camera @ panel.camera_from_panel, self._controls)
         text = self.drift.text
-        if bool(text) == bool(before):
+        if self.drift.off == before:
             return []
         note = Note("warn", text) if text else Note("info", "everything is seen in its place again")
         return [note, *self._set_state(f"calibrated: {self.stored.summary()}" + (f"; drift: {text}" if text else ""))]

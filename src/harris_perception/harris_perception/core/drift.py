@@ -66,9 +66,14 @@ class DriftWatch:
         self._panels_off = self._panels_off + 1 if self.control_m > self.config.max_control_m else 0
 
     @property
+    def off(self) -> tuple[bool, bool]:
+        """Whether the tip, and whether the panel, is not where it should be."""
+        return self._tips_off >= self.config.times, self._panels_off >= self.config.times
+
+    @property
     def text(self) -> str:
         """What has drifted and what it means, for people; empty when nothing has."""
-        tip, panel = self._tips_off >= self.config.times, self._panels_off >= self.config.times
+        tip, panel = self.off
         parts = []
         if tip:
             parts.append(f"the tip is seen {self.tip_m * 1e3:.1f} mm from its calibrated place")
