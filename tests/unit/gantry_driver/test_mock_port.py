@@ -284,6 +284,34 @@ def test_a_board_whose_port_nobody_reads_is_at_its_link(program: tuple[subproces
     assert not (folder / "port").is_symlink()
 
 
+ENDED_UNSEEN = """
+import signal, sys, threading, time
+from gantry_driver.mock.main import main
+threading.Thread(target=time.sleep, args=(60.0,), daemon=True).start()  # gets the signal
+signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+sys.exit(main(["--link", sys.argv[1]]))
+"""
+
+
+def test_a_signal_that_interrupts_no_wait_ends_the_board(tmp_path: Path) -> None:
+    """One that comes between the last instruction and the wait does not: here none does."""
+    command = [sys.executable, "-c", ENDED_UNSEEN, str(tmp_path / "port")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            link = Path(process.stdout.readline().strip())
+            with serial.Serial(str(link), 115200, timeout=DEADLINE_S) as port:
+                expect(port, BANNER)
+                port.timeout = 0.2
+                while port.read(100):
+                    pass  # until the board waits
+                process.send_signal(signal.SIGTERM)
+                assert process.wait(DEADLINE_S) == 0
+        finally:
+            process.kill()
+    assert not link.is_symlink()
+
+
 def cpu_s(pid: int) -> float:
     return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) / 1e9
 

@@ -128,6 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
+        stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(service.wakeup_fd, warn_on_full_buffer=False))
         try:
             print(options.link or service.port.path, flush=True)
         except OSError:  # nobody wants to know: whoever reads has gone, as head does

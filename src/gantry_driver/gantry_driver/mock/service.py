@@ -79,6 +79,11 @@ class Service:
         stack.callback(server.close)
         return server
 
+    @property
+    def wakeup_fd(self) -> int:
+        """For ``signal.set_wakeup_fd``: a signal that comes just before the wait does not interrupt it."""
+        return self._wake_write.fileno()
+
     def stop(self) -> None:
         """Let :meth:`run` return; may be called from a signal handler or another thread."""
         self._stopping = True
