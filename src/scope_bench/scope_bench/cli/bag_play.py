@@ -89,6 +89,12 @@ def _installed(kind: str) -> bool:
     return True
 
 
+_STAMP_ENDS = 12
+"""A message with a header begins with four bytes of CDR and its stamp."""
+_LOOKED_AT = 30
+"""So many messages from the first: a recorder hears one of two topics a little later."""
+
+
 def recorded_twice(bag: BagReader, names: Collection[str]) -> set[str]:
     """Return the topics of which the same pictures, by their stamps, are in the bag compressed as well.
 
@@ -102,10 +108,6 @@ def recorded_twice(bag: BagReader, names: Collection[str]) -> set[str]:
     return {name for name in pairs if stamps(name) & stamps(name + SUFFIX)}
 
 
-_STAMP_ENDS = 12
-"""A message with a header begins with four bytes of CDR and its stamp."""
-_LOOKED_AT = 30
-"""So many messages from the first: a recorder hears one of two topics a little later."""
 _DRIVER = "gantry/driver_state"
 _DRIVER_FOUND_S, _LOOK_S = 1.0, 0.5
 """So long is looked for a driver at work before anything is played, and so often later: programs find each other only
