@@ -8,9 +8,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from scope_bench.adapters import processes
 from scope_bench.adapters.processes import ProcessGroup
 
 PYTHON = [sys.executable, "-u", "-S", "-c"]
@@ -99,7 +101,78 @@ def test_a_restarted_program_that_does_not_get_ready_is_killed_and_started_again
         "is not ready 2 s after its restart: killed",
         "ended with signal SIGKILL, restarted in 1 s",
     ]
-    watch.until(lambda: watch.group._programs[0].ready_pipe is None, 1.0)  # heard, and not waited for any more
+    watch.until(lambda: watch.group._programs[0].ready, 1.0)  # heard, and not waited for any more
+    watch.group.stop()
+
+
+# Gives signs of life, and none any more once it is told to; the second process goes on.
+FALLS_SILENT = """
+import os, pathlib, signal, sys, time
+first = not pathlib.Path(sys.argv[1]).exists()
+pathlib.Path(sys.argv[1]).touch()
+fd = int(os.environ["ICU_READY_FD"])
+silent = []
+signal.signal(signal.SIGUSR1, lambda *_: silent.append(1))
+print("up", flush=True)
+while not (first and silent):
+    os.write(fd, b"1")
+    time.sleep(0.1)
+print("silent", flush=True)
+while True:
+    signal.pause()
+"""
+
+
+def test_a_program_that_gives_no_sign_of_life_any_more_is_killed_and_started_again(tmp_path: Path) -> None:
+    watch = Watch(silent_s=1.0)
+    watch.group.start("a", [*PYTHON, FALLS_SILENT, str(tmp_path / "been")], tells_ready=True)
+    watch.until(lambda: watch.group._programs[0].ready)
+    assert not watch.events
+    first = watch.group.running()["a"]
+    os.kill(first, signal.SIGUSR1)
+    watch.until(lambda: watch.output.count(("a", "up")) == 2)
+    assert [text for _, text in watch.events] == [
+        "hangs: no sign of life for 1 s: killed",
+        "ended with signal SIGKILL, restarted in 0.5 s",
+    ]
+    assert not alive(first)
+    until = time.monotonic() + 2.0
+    watch.until(lambda: time.monotonic() > until)
+    assert len(watch.events) == 2, "one that gives signs is left alone"
+    watch.group.stop()
+
+
+def test_a_program_that_a_person_has_stopped_is_not_taken_for_one_that_hangs(tmp_path: Path) -> None:
+    watch = Watch(silent_s=1.0)
+    watch.group.start("a", [*PYTHON, FALLS_SILENT, str(tmp_path / "been")], tells_ready=True)
+    watch.until(lambda: watch.group._programs[0].ready)
+    pid = watch.group.running()["a"]
+    os.kill(pid, signal.SIGSTOP)
+    until = time.monotonic() + 2.5
+    watch.until(lambda: time.monotonic() > until)
+    os.kill(pid, signal.SIGCONT)
+    until += 1.5
+    watch.until(lambda: time.monotonic() > until)
+    assert not watch.events
+    watch.group.stop()
+
+
+def test_silence_while_bring_up_itself_stood_still_does_not_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    later = [0.0]
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + later[0])
+    monkeypatch.setattr(processes, "time", clock)
+    watch = Watch(silent_s=2.5)
+    watch.group.start("a", [*PYTHON, FALLS_SILENT, str(tmp_path / "been")], tells_ready=True)
+    watch.until(lambda: watch.group._programs[0].ready)
+    os.kill(watch.group.running()["a"], signal.SIGUSR1)
+    watch.until(lambda: ("a", "silent") in watch.output)
+    watch.group.watch(0.0)
+    for events in (0, 0, 1):  # of each pause one second counts
+        later[0] += 60.0
+        watch.group.watch(0.0)
+        assert len(watch.events) == events
     watch.group.stop()
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 READY_VARIABLE = "ICU_READY_FD"
-"""Names the file descriptor to which a program writes a byte when it is ready."""
+"""Names the file descriptor to which a program writes a byte when it is ready, and then as a sign of life."""
+
+SIGN_OF_LIFE_S = 1.0
+"""So long after the last one comes the next sign of life."""
 
 AFTER_CRASH_VARIABLE = "ICU_AFTER_CRASH"
 """Set in the environment of a program whose predecessor was ended by a signal."""

@@ -28,8 +28,9 @@ from rclpy.utilities import remove_ros_args
 
 from icu_common.adapters.memory import keep_large_blocks
 from icu_common.adapters.program_end import end_signals, ends_quietly
+from icu_common.adapters.sign_of_life import give_signs_of_life
 from icu_common.core.config import ConfigError
-from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
+from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF
 from icu_common.nodes import in_step
 from icu_common.nodes.hearing import Hearing
 
@@ -206,14 +207,6 @@ def run_together(programs: Sequence[tuple[Callable[[], int], Sequence[str]]]) ->
     return _run(makers, [])
 
 
-def _tell_ready() -> None:
-    """Say so to bring-up, which kills a restarted program that never gets here."""
-    with contextlib.suppress(OSError, ValueError):
-        pipe = int(os.environ.pop(READY_VARIABLE, ""))
-        os.write(pipe, b"1")
-        os.close(pipe)
-
-
 def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None, shared_memory: bool = True) -> int:
     try:
         with ros_session(arguments, shared_memory) as session:
@@ -233,7 +226,7 @@ def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
             with _readable():
                 nodes.append(make())
             session.executor.add_node(nodes[-1])
-        _tell_ready()
+        give_signs_of_life()
         while session.goes_on:
             session.spin()
             if hearing is not None and (topic := hearing.deaf(time.monotonic())):

@@ -11,10 +11,13 @@ import subprocess
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
 
 _PR_SET_PDEATHSIG = 1
+_LONGEST_TURN_S = 1.0
+"""No more silence is counted between two looks: bring-up may have stood still itself."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -32,12 +35,26 @@ class Watched:
     ends_last: bool = False
     tells_ready: bool = False
     crashed: bool = False
-    ready_pipe: int | None = None
+    life_pipe: int | None = None
+    ready: bool = False
+    silence_s: float = 0.0
+
+    @property
+    def starting(self) -> bool:
+        """Whether it could say that it is ready and has not done so."""
+        return self.life_pipe is not None and not self.ready
 
 
 def _die_with_parent() -> None:
     # prctl(2): without it a killed bring-up would leave the gantry's processes behind.
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _is_stopped(pid: int) -> bool:
+    """Whether a signal, or a debugger, has stopped a process (proc(5))."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0] in "tT"
+    return False
 
 
 class ProcessGroup:
@@ -56,6 +73,8 @@ class ProcessGroup:
     ready_s
         A restarted program that could say that it is ready, and does not within this time, is killed: shared memory
         that its predecessor held when it was killed can hang it. A first start may take as long as it needs.
+    silent_s
+        A program that was ready and gives no sign of life for this time is killed, unless it was stopped by a signal.
     """
 
     def __init__(
@@ -67,6 +86,7 @@ class ProcessGroup:
         restarts: int = 4,
         window_s: float = 60.0,
         ready_s: float = 90.0,
+        silent_s: float = 8.0,
     ) -> None:
         self._environment = dict(environment)
         self._on_output = on_output
@@ -74,6 +94,8 @@ class ProcessGroup:
         self._restarts = restarts
         self._window_s = window_s
         self._ready_s = ready_s
+        self._silent_s = silent_s
+        self._looked_at = time.monotonic()
         self._programs: list[Watched] = []
         self._selector = selectors.DefaultSelector()
         self._partial: dict[int, bytes] = {}
@@ -81,7 +103,7 @@ class ProcessGroup:
     def start(self, name: str, command: list[str], *, ends_last: bool = False, tells_ready: bool = False) -> None:
         """Start a program; one that ``ends_last`` is ended when all others are gone.
 
-        One that ``tells_ready`` writes a byte to the file descriptor ``ICU_READY_FD`` when it is.
+        One that ``tells_ready`` writes a byte to the file descriptor ``ICU_READY_FD`` when it is, and then each second.
 
         Raises
         ------
@@ -115,7 +137,8 @@ class ProcessGroup:
         if ready:
             os.close(ready[1])
             os.set_blocking(ready[0], False)
-            watched.ready_pipe = ready[0]
+            watched.life_pipe = ready[0]
+        watched.ready, watched.silence_s = False, 0.0
         watched.starts.append(time.monotonic())
         watched.restart_at = None
         assert watched.process.stdout is not None
@@ -127,12 +150,13 @@ class ProcessGroup:
         for key, _ in self._selector.select(timeout_s):
             self._read(key)
         now = time.monotonic()
+        turn_s, self._looked_at = min(now - self._looked_at, _LONGEST_TURN_S), now
         for watched in self._programs:
             process = watched.process
             if process is not None and process.poll() is not None:
                 self._ended(watched, process.returncode, now)
-            elif process is not None and watched.ready_pipe is not None:
-                self._look_whether_ready(watched, process, now)
+            elif process is not None and watched.life_pipe is not None:
+                self._look_for_life(watched, watched.life_pipe, process, now, turn_s)
             if watched.restart_at is not None and now >= watched.restart_at:
                 self._launch(watched)
 
@@ -150,22 +174,33 @@ class ProcessGroup:
         """Names of programs that are not restarted any more."""
         return [w.name for w in self._programs if w.gave_up]
 
-    def _look_whether_ready(self, watched: Watched, process: subprocess.Popen[bytes], now: float) -> None:
-        assert watched.ready_pipe is not None
+    def _look_for_life(
+        self, watched: Watched, pipe: int, process: subprocess.Popen[bytes], now: float, turn_s: float
+    ) -> None:
         with contextlib.suppress(BlockingIOError):
-            os.read(watched.ready_pipe, 1)  # nothing: it has closed the pipe, or ended
-            self._close_pipe(watched)
+            if not os.read(pipe, 4096):  # it has closed the pipe, or ended
+                self._close_pipe(watched)
+            watched.ready, watched.silence_s = True, 0.0
             return
-        if len(watched.starts) > 1 and now - watched.starts[-1] > self._ready_s:
-            self._on_event(watched.name, f"is not ready {self._ready_s:g} s after its restart: killed")
-            self._close_pipe(watched)
-            process.kill()
+        watched.silence_s += turn_s
+        if watched.ready and watched.silence_s > self._silent_s:
+            if _is_stopped(process.pid):
+                watched.silence_s = 0.0
+                return
+            why = f"hangs: no sign of life for {self._silent_s:g} s"
+        elif not watched.ready and len(watched.starts) > 1 and now - watched.starts[-1] > self._ready_s:
+            why = f"is not ready {self._ready_s:g} s after its restart"
+        else:
+            return
+        self._on_event(watched.name, f"{why}: killed")
+        self._close_pipe(watched)
+        process.kill()
 
     @staticmethod
     def _close_pipe(watched: Watched) -> None:
-        if watched.ready_pipe is not None:
-            os.close(watched.ready_pipe)
-            watched.ready_pipe = None
+        if watched.life_pipe is not None:
+            os.close(watched.life_pipe)
+            watched.life_pipe = None
 
     def _ended(self, watched: Watched, code: int, now: float) -> None:
         watched.process = None
@@ -233,7 +268,7 @@ class ProcessGroup:
                 assert watched.process is not None
                 if number == signal.SIGKILL:
                     killed.append(watched.name)
-                starting = number == signal.SIGINT and watched.ready_pipe is not None
+                starting = number == signal.SIGINT and watched.starting
                 with contextlib.suppress(ProcessLookupError):
                     watched.process.send_signal(signal.SIGTERM if starting else number)
             deadline = time.monotonic() + within_s * share
