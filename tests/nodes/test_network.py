@@ -15,6 +15,7 @@ from ros_rig import Ros, domain_of_worker
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from icu_common.adapters import transport_profile
 from icu_common.nodes import qos, runtime
 from icu_common.nodes.runtime import prepare_transport
 
@@ -63,7 +64,7 @@ def test_dds_hears_on_loopback_alone(ros: Ros) -> None:
 @pytest.fixture
 def small_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
     """A system that grants sockets 208 kB, as Ubuntu does by default; asked for before ``ros``."""
-    monkeypatch.setattr(runtime, "_sockets_hold_pictures", lambda: False)
+    monkeypatch.setattr(runtime, "sockets_hold_pictures", lambda: False)
     for variable in ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         monkeypatch.delenv(variable, raising=False)
 
@@ -102,7 +103,7 @@ def test_only_a_wish_opens_the_network(
 ) -> None:
     for variable in ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         monkeypatch.delenv(variable, raising=False)
-    monkeypatch.setattr(runtime, "_sockets_hold_pictures", lambda: large)
+    monkeypatch.setattr(runtime, "sockets_hold_pictures", lambda: large)
     monkeypatch.setenv(name, value)
     for _ in ("bring-up", "a program that it starts", "a program of that one"):
         prepare_transport()
@@ -124,7 +125,21 @@ def test_shared_memory_is_used_where_the_buffers_are_small(
             return 2 * self.limit
 
     monkeypatch.setattr(socket, "socket", Limited)
-    assert runtime._sockets_hold_pictures() is enough
+    assert transport_profile.sockets_hold_pictures() is enough
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_pictures_are_asked_for_again_where_the_buffers_may_not_hold_them(own: bool, tmp_path: Path) -> None:
+    """A reliable reader that is started anew after a kill may hang in Fast DDS."""
+    environment = {name: value for name, value in os.environ.items() if name != "FASTRTPS_DEFAULT_PROFILES_FILE"}
+    if own:
+        environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(tmp_path / "own.xml")
+    code = "from icu_common.nodes import qos; print(qos.PICTURES.reliability.name, qos.NEWEST.reliability.name)"
+    said = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True, timeout=60.0
+    ).stdout.split()
+    best_effort = transport_profile.sockets_hold_pictures() and not own
+    assert said == ["BEST_EFFORT" if best_effort else "RELIABLE"] * 2
 
 
 @pytest.mark.parametrize(("wanted", "kept"), [("LOCALHOST", "SYSTEM_DEFAULT"), ("SUBNET", "SUBNET")])

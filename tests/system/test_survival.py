@@ -249,6 +249,26 @@ class Scene:
         )
 
 
+def test_whoever_reads_pictures_asks_for_none_again(running_graph: Any, operator: Operator) -> None:
+    """A reliable reader of a fast topic that was started anew after a kill may hang for ever, in Fast DDS."""
+    kinds = ("image_raw", "camera_info", "corners")
+    topics = [f"/stereo/{side}/{kind}" for side in ("left", "right") for kind in kinds]
+    readers = {t: operator.node.get_subscriptions_info_by_topic(t) for t in topics}
+    expected = {
+        "/stereo/left/image_raw": {"corners_left", "stereo", "stylus_tracker", "recognition"},
+        "/stereo/right/image_raw": {"corners_right", "stereo", "stylus_tracker"},
+    }
+    for topic, names in expected.items():
+        assert names <= {info.node_name for info in readers[topic]}
+    asking = [
+        f"{info.node_name}: {topic}"
+        for topic, infos in readers.items()
+        for info in infos
+        if info.qos_profile.reliability is not qos.PICTURES.reliability
+    ]
+    assert not asking
+
+
 def test_any_program_may_be_killed_at_any_time(running_graph: Any, operator: Operator) -> None:
     scene = Scene(running_graph, operator)
     every = set(scene.pids())

@@ -39,7 +39,7 @@ class StereoCalibration:
         self.complaint = "no camera_info yet"
         for side in SIDES:
             node.create_subscription(
-                CameraInfo, f"{side}/camera_info", lambda info, side=side: self._on_info(side, info), qos.IMAGES
+                CameraInfo, f"{side}/camera_info", lambda info, side=side: self._on_info(side, info), qos.PICTURES
             )
 
     def _on_info(self, side: str, info: CameraInfo) -> None:

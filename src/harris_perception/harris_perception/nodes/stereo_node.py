@@ -100,12 +100,12 @@ class StereoNode(Node):
         self._estimate = self.create_publisher(PoseWithCovarianceStamped, "panel_plane_estimate", qos.RESULTS)
         self._diagnostics = Diagnostics(self, "stereo")
         for i, side in enumerate(SIDES):
-            self._listen(i, Image, f"{side}/image_raw", qos.IMAGES)
-            self._listen(i + 2, PointCloud2, f"{side}/corners", qos.RESULTS)
+            self._listen(i, Image, f"{side}/image_raw")
+            self._listen(i + 2, PointCloud2, f"{side}/corners")
         every(self, 1.0, self._report)
 
-    def _listen(self, stream: int, kind: Any, topic: str, profile: Any) -> None:
-        self.create_subscription(kind, topic, lambda message: self._on_message(stream, message), profile)
+    def _listen(self, stream: int, kind: Any, topic: str) -> None:
+        self.create_subscription(kind, topic, lambda message: self._on_message(stream, message), qos.PICTURES)
 
     def _configure(self) -> None:
         config, stereo = self._live.config, self._calibration.stereo

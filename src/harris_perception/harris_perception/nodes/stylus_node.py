@@ -39,7 +39,7 @@ class StylusNode(Node):
         self._diagnostics = Diagnostics(self, "stylus_tracker")
         for stream, side in enumerate(("left", "right")):
             self.create_subscription(
-                Image, f"{side}/image_raw", lambda message, stream=stream: self._on_image(stream, message), qos.IMAGES
+                Image, f"{side}/image_raw", lambda message, stream=stream: self._on_image(stream, message), qos.PICTURES
             )
         every(self, 1.0, self._report)
 

@@ -5,6 +5,14 @@ from __future__ import annotations
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from icu_common.adapters.transport_profile import is_users_own, sockets_hold_pictures
+
+_AS_SENT = (
+    ReliabilityPolicy.BEST_EFFORT if sockets_hold_pictures() and not is_users_own() else ReliabilityPolicy.RELIABLE
+)
+"""Of readers of pictures: what fits into the buffers need not be asked for again, and readers that do hang after a
+kill (docs/decisions/transport.md)."""
+
 IMAGES = QoSProfile(
     depth=5,
     history=HistoryPolicy.KEEP_LAST,
@@ -16,8 +24,11 @@ IMAGES = QoSProfile(
 SENSOR = QoSProfile(depth=5, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Small periodic values of which only the newest counts."""
 
-NEWEST = QoSProfile(depth=2, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+NEWEST = QoSProfile(depth=2, history=HistoryPolicy.KEEP_LAST, reliability=_AS_SENT)
 """Reader that works on the newest picture only, see icu_common.nodes.newest: two, so that an overrun is noticed."""
+
+PICTURES = QoSProfile(depth=5, history=HistoryPolicy.KEEP_LAST, reliability=_AS_SENT)
+"""Reader of all pictures, and of what belongs to each of them."""
 
 RESULTS = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 """Results and streams of which none should be lost."""

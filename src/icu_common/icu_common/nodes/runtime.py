@@ -11,11 +11,9 @@ import functools
 import inspect
 import os
 import signal
-import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from importlib import resources
 from pathlib import Path
 from types import FrameType
 
@@ -29,13 +27,16 @@ from rclpy.utilities import remove_ros_args
 from icu_common.adapters.memory import keep_large_blocks
 from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.sign_of_life import give_signs_of_life
+from icu_common.adapters.transport_profile import (
+    PROFILE_VARIABLE,
+    is_users_own,
+    profiles_folder,
+    sockets_hold_pictures,
+)
 from icu_common.core.config import ConfigError
 from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF
 from icu_common.nodes import in_step
 from icu_common.nodes.hearing import Hearing
-
-_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-_SOCKET_BUFFER_BYTES = 4 << 20
 
 
 def prepare_transport(shared_memory: bool = True) -> None:
@@ -52,26 +53,15 @@ def prepare_transport(shared_memory: bool = True) -> None:
     """
     opened = [name for name in ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER") if os.environ.get(name)]
     wanted = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    of_parent = Path(os.environ.get(_PROFILE_VARIABLE, "")).name.startswith("fastdds_local_sockets")
+    of_parent = Path(os.environ.get(PROFILE_VARIABLE, "")).name.startswith("fastdds_local_sockets")
     local = (wanted == "LOCALHOST" or (wanted == "SYSTEM_DEFAULT" and of_parent)) and not opened
-    shared_memory = shared_memory and not _sockets_hold_pictures()
-    folder = Path(str(resources.files("icu_common"))).resolve()
+    shared_memory = shared_memory and not sockets_hold_pictures()
     name = "fastdds_" + "local_" * local + "sockets_" * (not shared_memory) + "profile.xml"
-    if Path(os.environ.get(_PROFILE_VARIABLE, folder / name)).resolve().parent == folder:  # else it is the user's own
-        os.environ[_PROFILE_VARIABLE] = str(folder / name)
+    if not is_users_own():
+        os.environ[PROFILE_VARIABLE] = str(profiles_folder() / name)
         if local and not shared_memory:  # for LOCALHOST rmw adds shared memory; the profile keeps to the loopback
             os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     keep_large_blocks()
-
-
-def _sockets_hold_pictures() -> bool:
-    """Whether this system grants the buffers that the profiles ask for (Linux: net.core.rmem_max, wmem_max)."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
-            probe.setsockopt(socket.SOL_SOCKET, option, _SOCKET_BUFFER_BYTES)
-            if probe.getsockopt(socket.SOL_SOCKET, option) < 2 * _SOCKET_BUFFER_BYTES:  # socket(7): it tells twice
-                return False
-    return True
 
 
 class Session:

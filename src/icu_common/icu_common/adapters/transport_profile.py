@@ -1,0 +1,32 @@
+"""Which transport profile Fast DDS is to read, and whether whole pictures fit into the buffers of its sockets."""
+
+from __future__ import annotations
+
+import os
+import socket
+from importlib import resources
+from pathlib import Path
+
+PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+_SOCKET_BUFFER_BYTES = 4 << 20
+
+
+def profiles_folder() -> Path:
+    """Return where the graph's own profiles are."""
+    return Path(str(resources.files("icu_common"))).resolve()
+
+
+def is_users_own() -> bool:
+    """Whether the environment names a profile that is not the graph's."""
+    named = os.environ.get(PROFILE_VARIABLE, "")
+    return named != "" and Path(named).resolve().parent != profiles_folder()
+
+
+def sockets_hold_pictures() -> bool:
+    """Whether this system grants the buffers that the profiles ask for (Linux: net.core.rmem_max, wmem_max)."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+            probe.setsockopt(socket.SOL_SOCKET, option, _SOCKET_BUFFER_BYTES)
+            if probe.getsockopt(socket.SOL_SOCKET, option) < 2 * _SOCKET_BUFFER_BYTES:  # socket(7): it tells twice
+                return False
+    return True
