@@ -128,17 +128,25 @@ def test_shared_memory_is_used_where_the_buffers_are_small(
     assert transport_profile.sockets_hold_pictures() is enough
 
 
-@pytest.mark.parametrize("own", [False, True])
-def test_pictures_are_asked_for_again_where_the_buffers_may_not_hold_them(own: bool, tmp_path: Path) -> None:
-    """A reliable reader that is started anew after a kill may hang in Fast DDS."""
-    environment = {name: value for name, value in os.environ.items() if name != "FASTRTPS_DEFAULT_PROFILES_FILE"}
-    if own:
-        environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(tmp_path / "own.xml")
+@pytest.mark.parametrize(
+    ("setting", "whole"),
+    [
+        ({}, True),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, True),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, False),
+        ({"ROS_STATIC_PEERS": "192.0.2.7"}, False),
+        ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/own.xml"}, False),
+    ],
+)
+def test_pictures_are_asked_for_again_where_they_may_not_arrive_whole(setting: dict[str, str], whole: bool) -> None:
+    """Over a network, or with buffers that may hold no picture; else a reader that asks may hang after a kill."""
+    inherited = ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS")
+    environment = {name: value for name, value in os.environ.items() if name not in inherited} | setting
     code = "from icu_common.nodes import qos; print(qos.PICTURES.reliability.name, qos.NEWEST.reliability.name)"
     said = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True, timeout=60.0
     ).stdout.split()
-    best_effort = transport_profile.sockets_hold_pictures() and not own
+    best_effort = whole and transport_profile.sockets_hold_pictures()
     assert said == ["BEST_EFFORT" if best_effort else "RELIABLE"] * 2
 
 

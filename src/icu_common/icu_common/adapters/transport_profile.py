@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _SOCKET_BUFFER_BYTES = 4 << 20
 
 
@@ -20,6 +21,14 @@ def is_users_own() -> bool:
     """Whether the environment names a profile that is not the graph's."""
     named = os.environ.get(PROFILE_VARIABLE, "")
     return named != "" and Path(named).resolve().parent != profiles_folder()
+
+
+def keeps_to_this_host() -> bool:
+    """Whether nothing in the environment asks for others than this host's programs: a range, a peer or a server."""
+    opened = any(os.environ.get(name) for name in ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"))
+    wanted = os.environ.get(RANGE_VARIABLE, "LOCALHOST")
+    of_parent = Path(os.environ.get(PROFILE_VARIABLE, "")).name.startswith("fastdds_local_sockets")
+    return (wanted == "LOCALHOST" or (wanted == "SYSTEM_DEFAULT" and of_parent)) and not opened
 
 
 def sockets_hold_pictures() -> bool:

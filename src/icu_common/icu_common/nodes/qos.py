@@ -5,13 +5,12 @@ from __future__ import annotations
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from icu_common.adapters.transport_profile import is_users_own, sockets_hold_pictures
+from icu_common.adapters.transport_profile import is_users_own, keeps_to_this_host, sockets_hold_pictures
 
-_AS_SENT = (
-    ReliabilityPolicy.BEST_EFFORT if sockets_hold_pictures() and not is_users_own() else ReliabilityPolicy.RELIABLE
-)
-"""Of readers of pictures: what fits into the buffers need not be asked for again, and readers that do hang after a
-kill (docs/decisions/transport.md)."""
+_ARRIVES_WHOLE = keeps_to_this_host() and sockets_hold_pictures() and not is_users_own()
+_AS_SENT = ReliabilityPolicy.BEST_EFFORT if _ARRIVES_WHOLE else ReliabilityPolicy.RELIABLE
+"""Of readers of pictures: what arrives whole need not be asked for again, and readers that do hang after a kill
+(docs/decisions/transport.md)."""
 
 IMAGES = QoSProfile(
     depth=5,

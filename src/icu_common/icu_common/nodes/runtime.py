@@ -29,7 +29,9 @@ from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.sign_of_life import give_signs_of_life
 from icu_common.adapters.transport_profile import (
     PROFILE_VARIABLE,
+    RANGE_VARIABLE,
     is_users_own,
+    keeps_to_this_host,
     profiles_folder,
     sockets_hold_pictures,
 )
@@ -51,16 +53,14 @@ def prepare_transport(shared_memory: bool = True) -> None:
         False for a program that must not wait for another one: see docs/decisions/transport.md. Else it is used where
         the buffers of sockets are too small for pictures.
     """
-    opened = [name for name in ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER") if os.environ.get(name)]
-    wanted = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    of_parent = Path(os.environ.get(PROFILE_VARIABLE, "")).name.startswith("fastdds_local_sockets")
-    local = (wanted == "LOCALHOST" or (wanted == "SYSTEM_DEFAULT" and of_parent)) and not opened
+    local = keeps_to_this_host()
+    os.environ.setdefault(RANGE_VARIABLE, "LOCALHOST")
     shared_memory = shared_memory and not sockets_hold_pictures()
     name = "fastdds_" + "local_" * local + "sockets_" * (not shared_memory) + "profile.xml"
     if not is_users_own():
         os.environ[PROFILE_VARIABLE] = str(profiles_folder() / name)
         if local and not shared_memory:  # for LOCALHOST rmw adds shared memory; the profile keeps to the loopback
-            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+            os.environ[RANGE_VARIABLE] = "SYSTEM_DEFAULT"
     keep_large_blocks()
 
 
