@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from typing import Any
 
@@ -17,6 +18,14 @@ from icu_common.nodes.runtime import prepare_transport
 def domain() -> int:
     """The ROS domain of a test; a file may have one of its own."""
     return domain_of_worker()
+
+
+@pytest.fixture
+def hang_up() -> Iterator[None]:
+    """Let SIGHUP end what a test starts; under ``nohup`` tests ignore it, and what they start would, too."""
+    before = signal.signal(signal.SIGHUP, lambda *_: None)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.fixture

@@ -311,6 +311,7 @@ def test_a_dead_port_thread_is_said_and_ends_the_node_within_a_second(
     op.state("disconnected: the thread of the port has ended", 2.0)
 
 
+@pytest.mark.usefixtures("hang_up")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_to_end_holds_lifts_and_ends(number: signal.Signals, ros: Any, tmp_path: Path) -> None:
     """SIGHUP is what a terminal leaves behind that is closed, or whose connection is cut."""

@@ -302,6 +302,7 @@ def test_space_pauses_and_resumes_and_ctrl_c_ends_safely(board: GrblBoard, progr
     assert not [entry for entry in board.log() if entry["kind"] == "alarm"], "the position is kept"
 
 
+@pytest.mark.usefixtures("hang_up")
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTSTP])
 def test_a_terminal_that_is_closed_and_ctrl_z_leave_no_stylus_down(
     number: signal.Signals, board: GrblBoard, program: Callable[..., Path]

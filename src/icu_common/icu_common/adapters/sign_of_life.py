@@ -21,7 +21,7 @@ def give_signs_of_life() -> None:
         os.set_inheritable(pipe, False)
         os.set_blocking(pipe, False)
         os.write(pipe, b"1")
-        threading.Thread(target=_go_on, args=(pipe,), name="sign of life", daemon=True).start()
+        threading.Thread(target=_go_on, args=(pipe,), name="life", daemon=True).start()
 
 
 def _go_on(pipe: int) -> None:
