@@ -19,12 +19,11 @@ from icu_common.nodes.runtime import prepare_transport
 
 
 def main() -> int:
-    """Receive ``count`` pictures as a reader of the graph does, but deeper, and print number, stamp and age of each."""
+    """Receive ``count`` pictures on ``topic``, at most ``within_s``, and print number, stamp and age of each."""
     topic, count, within_s, depth = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4])
-    like: QoSProfile = getattr(qos, sys.argv[5])
     prepare_transport()
     rclpy.init(args=sys.argv)
-    node = Node(f"reader_{sys.argv[5].lower()}")
+    node = Node(f"reader_{sys.argv[5]}")
     rows: list[dict[str, Any]] = []
 
     def take(message: Image) -> None:
@@ -34,7 +33,7 @@ def main() -> int:
         shape = [message.encoding, *picture.shape]
         rows.append({"marks": sorted(marks), "stamp_ns": stamp_ns(message.header.stamp), "age_ms": age_ms, "is": shape})
 
-    profile = QoSProfile(depth=depth, reliability=like.reliability, durability=like.durability)
+    profile = QoSProfile(depth=depth, reliability=qos.IMAGES.reliability, durability=qos.IMAGES.durability)
     node.create_subscription(Image, topic, take, profile)
     executor = EventsExecutor()
     executor.add_node(node)
