@@ -144,6 +144,32 @@ def test_ctrl_c_stops_the_machine(ros: Any, bench: GantryBench) -> None:
     assert "accepted" not in output.partition("interrupted")[2], "told again, it reads as if the stop had been too late"
 
 
+def test_a_controller_that_dies_with_the_goal_is_not_waited_for(ros: Any, bench: GantryBench) -> None:
+    bench.obey = False
+    program = Program(ros, "gantry_goal", "0.3", "0.2", "--timeout", "600")
+    ros.spin_until(lambda: bench.trajectories, 30.0)
+    ros.executor.remove_node(bench.controller)
+    ros.nodes.remove(bench.controller)
+    bench.controller.destroy_node()
+    code, output = program.end()
+    assert code == 3 and "error: who answers on /gantry/result has gone; no final answer" in output, output
+    ros.spin_until(lambda: bench.stops, 10.0)
+
+
+def test_a_sequencer_that_was_started_anew_is_not_waited_for(ros: Any, bench: GantryBench) -> None:
+    probe = ros.plain()
+    sequences = ros.collect(probe, String, "/gantry/sequence", qos.COMMAND)
+    probe.create_publisher(DiagnosticArray, "/gantry/sequence_result", qos.RESULTS)
+    state = probe.create_publisher(String, "/gantry/sequence_state", qos.LATCHED)
+    program = Program(ros, "gantry_sequence", "press:RUN_STOP")
+    ros.spin_until(lambda: sequences and state.get_subscription_count(), 30.0)
+    state.publish(String(data="step 1/1: press:RUN_STOP"))
+    state.publish(String(data="idle"))
+    code, output = program.end()
+    assert code == 3 and "error: the sequencer has been idle for 5 s without an answer" in output, output
+    ros.spin_until(lambda: bench.stops, 10.0)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

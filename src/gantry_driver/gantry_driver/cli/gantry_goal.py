@@ -29,6 +29,7 @@ from gantry_driver.cli.operator_session import (
     say,
     with_negatives,
 )
+from gantry_driver.core.goal_job import WORKING
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.frames import BASE, CAMERA_LEFT, PANEL
 from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
@@ -164,8 +165,16 @@ def _follow(session: OperatorSession, goal_id: str, until: float, shown: int = 0
         shown = len(mine)
         return mine[-1] if mine and mine[-1].outcome.final else None
 
-    result = session.wait_for(
-        final, until, lambda: f"no final answer in time; the controller is {session.latest('gantry/state')!r}"
+    def resting() -> str:
+        state = session.latest("gantry/state")
+        return "" if state in WORKING else f"the controller has been {state!r}"
+
+    result = session.wait_for_answer(
+        final,
+        "gantry/result",
+        resting,
+        until,
+        lambda: f"no final answer; the controller was last {session.latest('gantry/state')!r}",
     )
     return REACHED if result.outcome is Outcome.REACHED else FAILED
 

@@ -72,6 +72,7 @@ def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
     until = time.monotonic() + timeout_s
     run_id = f"cli-{os.getpid()}-{time.time_ns() % 10**9}"
     answers = session.hear("gantry/sequence_result")
+    session.watch("gantry/sequence_state")
     publisher = session.node.create_publisher(String, "gantry/sequence", qos.COMMAND)
     sent = False
     heard = done = 0
@@ -94,11 +95,16 @@ def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
         missing = told.isdecimal() and done < int(told)
         return None if missing and time.monotonic() < told_by else answer
 
+    def resting() -> str:
+        return "the sequencer has been idle" if session.latest("gantry/sequence_state") == "idle" else ""
+
     try:
         session.wait_until_taken(publisher, "gantry/sequence_result", until)
         publisher.publish(String(data=f"id: {run_id}\n{text}"))
         sent = True
-        result = session.wait_for(final, until, lambda: "the sequence has not ended in time")
+        result = session.wait_for_answer(
+            final, "gantry/sequence_result", resting, until, lambda: "the sequence has not ended"
+        )
     except TimedOut as error:
         complain(str(error))
         if sent:

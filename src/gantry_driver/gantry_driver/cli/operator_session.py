@@ -38,6 +38,9 @@ HEARTBEAT_S = 0.2
 _TOLD_BY = ("gantry/driver_state", "gantry/result")
 BEATS_HEARD = 6
 """Heartbeats before the first goal: three with driver and controller listening, six with one of them known."""
+GONE_S, AT_REST_S = 2.0, 5.0
+"""Who was to answer is given up after so long out of the graph, or at rest (as long as the sequencer waits)."""
+_TURN_S = 0.05
 _NEGATIVE = re.compile(r"-\.?[0-9]")
 
 
@@ -125,8 +128,59 @@ class OperatorSession:
                 raise Interrupted
             if time.monotonic() > until:
                 raise TimedOut(missing())
-            self._executor.spin_once(timeout_sec=0.05)
+            self._executor.spin_once(timeout_sec=_TURN_S)
         return value
+
+    def wait_for_answer(
+        self,
+        answer: Callable[[], Any],
+        topic: str,
+        resting: Callable[[], str],
+        until: float,
+        missing: Callable[[], str],
+    ) -> Any:
+        """Wait for the answer to what was just sent, as :meth:`wait_for`, but only while somebody can give it.
+
+        One that has died is gone; one that was started anew after it is at rest and knows nothing of what was sent.
+
+        Parameters
+        ----------
+        answer
+            Asked after every callback.
+        topic
+            Where the answer comes.
+        resting
+            Says who is at rest, empty while there is work.
+        until, missing
+            As of :meth:`wait_for`.
+
+        Raises
+        ------
+        TimedOut, Interrupted
+        """
+        takers = self._publishers(topic)
+        gone_s = rest_s = 0.0
+        last = time.monotonic()
+
+        def answered() -> Any:
+            nonlocal gone_s, rest_s, last
+            if value := answer():
+                return value
+            # A time in which this process did nothing does not count: what came in it has not been heard.
+            turn_s = min(-last + (last := time.monotonic()), 2 * _TURN_S)
+            gone_s = 0.0 if takers & self._publishers(topic) else gone_s + turn_s
+            rest_s = rest_s + turn_s if resting() else 0.0
+            if gone_s > GONE_S:
+                raise TimedOut(f"who answers on {self.node.resolve_topic_name(topic)} has gone; {missing()}")
+            if rest_s > AT_REST_S:
+                raise TimedOut(f"{resting()} for {AT_REST_S:g} s without an answer")
+            return None
+
+        return self.wait_for(answered, until, missing)
+
+    def _publishers(self, topic: str) -> set[tuple[int, ...]]:
+        name = self.node.resolve_topic_name(topic)
+        return {tuple(end.endpoint_gid) for end in self.node.get_publishers_info_by_topic(name)}
 
     def wait_until_taken(self, publisher: Publisher, answers: str, until: float) -> None:
         """Wait until somebody takes what is published and answers it, and the heartbeat is heard."""
