@@ -116,6 +116,15 @@ def test_wrong_input_gets_one_line_of_advice(
     assert not list(tmp_path.iterdir())
 
 
+def test_residuals_of_the_last_time_beside_the_pictures_do_not_mix_the_pairs_up(tmp_path: Path, capsys: Any) -> None:
+    for name in ("left1", "left2", "left_residuals", "right2", "right3", "right_residuals"):
+        assert cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((72, 96), 90, np.uint8))
+    assert main(["stereo", f"{tmp_path}/left*.png", f"{tmp_path}/right*.png", *SMALL, "-o", str(tmp_path)]) == 2
+    said = capsys.readouterr()
+    assert "without a partner: left1.png, left_residuals.png, right3.png, right_residuals.png\n" in said.out
+    assert "in any of 1 pictures" in said.err, "left2.png with right2.png"
+
+
 def test_pictures_without_the_board_are_named(folder: Path, tmp_path: Path, capsys: Any) -> None:
     for file in folder.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())

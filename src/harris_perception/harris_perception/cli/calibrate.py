@@ -102,17 +102,20 @@ def _number(file: Path) -> int | None:
 
 
 def _paired(left: Sequence[Path], right: Sequence[Path]) -> list[tuple[Path, Path]]:
-    """Pair files by the last number in their names; by order where there are no numbers."""
-    numbers = [[_number(file) for file in side] for side in (left, right)]
-    if any(None in side or len(set(side)) < len(side) for side in numbers):
+    """Pair files by the last number in their names; by order where there are no numbers.
+
+    One without a number among others, as the residuals of an earlier calibration, has no partner.
+    """
+    numbered = [[(n, file) for file in side if (n := _number(file)) is not None] for side in (left, right)]
+    by_number = [dict(side) for side in numbered]
+    if any(not side or len(numbers) < len(side) for side, numbers in zip(numbered, by_number)):
         if len(left) != len(right):
             raise CalibrationError(
                 f"{len(left)} left and {len(right)} right pictures without numbers to pair them by: "
                 "name them left01.png, right01.png and so on"
             )
         return list(zip(left, right))
-    by_number = dict(zip(numbers[1], right))
-    pairs = [(file, by_number[n]) for n, file in zip(numbers[0], left) if n in by_number]
+    pairs = [(file, by_number[1][n]) for n, file in numbered[0] if n in by_number[1]]
     alone = [f.name for f in (*left, *right) if not any(f in pair for pair in pairs)]
     if not pairs:
         raise CalibrationError("no left picture has a right one with the same number")
