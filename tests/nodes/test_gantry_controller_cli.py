@@ -237,10 +237,12 @@ class Machine:
         homed: bool = False,
         disabled: bool = False,
         calibration_fails: bool = False,
+        calibration_states: tuple[str, ...] = (),
     ) -> None:
         self.bench = bench
         self.calls: list[str] = []
-        self.calibration_fails = calibration_fails
+        last = "failed: 3 of 12 samples" if calibration_fails else "calibrated: sigma 0.1 mm"
+        self.calibration_states = calibration_states or ("calibrating 1/12", last)
         self.refusals = 0
         self.disabled = disabled
         node = bench.node
@@ -272,8 +274,7 @@ class Machine:
             self.refusals -= 1
             response.success, response.message = False, "no camera_info yet"
             return response
-        last = "failed: 3 of 12 samples" if self.calibration_fails else "calibrated: sigma 0.1 mm"
-        for text in ("calibrating 1/12", last):
+        for text in self.calibration_states:
             self.calibration.publish(String(data=text))
         response.success = True
         return response
@@ -329,6 +330,27 @@ def test_prepare_reports_a_failed_calibration(ros: Any, bench: GantryBench) -> N
     Machine(bench, calibrated=False, homed=True, calibration_fails=True)
     code, output = Program(ros, "gantry_prepare", "--timeout", "30").end()
     assert code == 1 and "error: calibration: failed: 3 of 12 samples" in output, output
+
+
+def test_prepare_does_not_take_the_kept_calibration_for_a_new_one(ros: Any, bench: GantryBench) -> None:
+    machine = Machine(bench, calibrated=True, homed=True, calibration_states=("calibrating 1/12",))
+    program = Program(ros, "gantry_prepare", "--calibrate", "--timeout", "30")
+    ros.spin_until(lambda: machine.calls == ["enable True", "calibrate"], 30.0)
+    anew = bench.node.create_publisher(String, "/calibration/state", qos.LATCHED)
+    anew.publish(String(data="calibrated: from file"))
+    code, output = program.end()
+    assert code == 1 and "error: calibration was cut short: the node that was asked has been" in output, output
+
+
+def test_prepare_does_not_wait_for_a_calibration_that_has_died(ros: Any, bench: GantryBench) -> None:
+    machine = Machine(bench, calibrated=False, homed=True, calibration_states=("calibrating 1/12",))
+    program = Program(ros, "gantry_prepare")
+    ros.spin_until(lambda: machine.calls == ["enable True", "calibrate"], 30.0)
+    bench.node.destroy_publisher(machine.calibration)
+    code, output = program.end()
+    assert code == 3 and "error: who answers on /calibration/state has gone; calibration has not ended" in output, (
+        output
+    )
 
 
 def test_prepare_does_not_clear_an_alarm(ros: Any, bench: GantryBench) -> None:

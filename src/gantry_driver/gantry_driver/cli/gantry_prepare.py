@@ -17,6 +17,7 @@ from gantry_driver.cli.operator_session import (
     FAILED,
     REACHED,
     TIMED_OUT,
+    Ends,
     Interrupted,
     OperatorSession,
     TimedOut,
@@ -74,6 +75,7 @@ class _Steps:
         self._session = session
         self._until = until
         self._seen_before_call: dict[str, int] = {}
+        self._publishers_before_call: dict[str, Ends] = {}
 
     def connect(self) -> None:
         """Wait for the driver, and longer for a board that is still connecting."""
@@ -108,6 +110,7 @@ class _Steps:
         refusal = ""
         while True:
             self._seen_before_call = {topic: len(texts) for topic, texts in session.states.items()}
+            self._publishers_before_call = {topic: session.publishers(topic) for topic in session.states}
             future = client.call_async(request)
             self.wait(future.done, f"service {name} does not answer")
             answer = future.result()
@@ -130,9 +133,12 @@ class _Steps:
         """Print what a state topic says after the last call until it is done or has failed."""
         texts = self._session.states[topic]
         shown = self._seen_before_call.get(topic, 0)
+        asked = self._publishers_before_call.get(topic) or self._session.publishers(topic)
 
         def ended() -> bool:
             nonlocal shown
+            if self._session.publishers(topic) - asked:  # its state is none of what was begun
+                raise Failed(f"{what} was cut short: the node that was asked has been started anew")
             for text in texts[shown:]:
                 shown += 1
                 say(f"{what}: {text}")
@@ -142,7 +148,9 @@ class _Steps:
                     return True
             return False
 
-        self._session.wait_for(ended, self._until, lambda: f"{what} has not ended: {self._session.latest(topic)!r}")
+        self._session.wait_for_answer(
+            ended, topic, lambda: "", self._until, lambda: f"{what} has not ended: {self._session.latest(topic)!r}"
+        )
 
     def wait_ready(self) -> None:
         """Wait for the controller, printing each of its states."""

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, TypeAlias
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -41,6 +41,7 @@ BEATS_HEARD = 6
 GONE_S, AT_REST_S = 2.0, 5.0
 """Who was to answer is given up after so long out of the graph, or at rest (as long as the sequencer waits)."""
 _TURN_S = 0.05
+Ends: TypeAlias = set[tuple[int, ...]]
 _NEGATIVE = re.compile(r"-\.?[0-9]")
 
 
@@ -158,7 +159,7 @@ class OperatorSession:
         ------
         TimedOut, Interrupted
         """
-        takers = self._publishers(topic)
+        takers = self.publishers(topic)
         gone_s = rest_s = 0.0
         last = time.monotonic()
 
@@ -168,7 +169,7 @@ class OperatorSession:
                 return value
             # A time in which this process did nothing does not count: what came in it has not been heard.
             turn_s = min(-last + (last := time.monotonic()), 2 * _TURN_S)
-            gone_s = 0.0 if takers & self._publishers(topic) else gone_s + turn_s
+            gone_s = 0.0 if takers & self.publishers(topic) else gone_s + turn_s
             rest_s = rest_s + turn_s if resting() else 0.0
             if gone_s > GONE_S:
                 raise TimedOut(f"who answers on {self.node.resolve_topic_name(topic)} has gone; {missing()}")
@@ -178,7 +179,8 @@ class OperatorSession:
 
         return self.wait_for(answered, until, missing)
 
-    def _publishers(self, topic: str) -> set[tuple[int, ...]]:
+    def publishers(self, topic: str) -> Ends:
+        """Return who publishes on a topic, each by what no other, and no later one, has."""
         name = self.node.resolve_topic_name(topic)
         return {tuple(end.endpoint_gid) for end in self.node.get_publishers_info_by_topic(name)}
 
