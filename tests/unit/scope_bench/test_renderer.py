@@ -172,14 +172,18 @@ def test_the_command_writes_picture_and_truth(tmp_path: Path) -> None:
         (["--out", "nowhere/picture.png"], "nowhere/picture.png"),
         (["--truth", "nowhere/truth.json"], "nowhere/truth.json"),
         (["--truth", "picture.png"], "--truth picture.png: the picture is written there"),
+        (["--layout", "own.yaml", "--truth", "own.yaml"], "--truth own.yaml: the layout is read from there"),
+        (["--layout", "own.yaml", "--out", "own.yaml"], "--out own.yaml: the layout is read from there"),
     ],
 )
 def test_mistakes_on_the_command_line_end_with_one_sentence(
     given: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    layout = ["--layout", str(ROOT / "config/scopes/dso_bench_4.yaml"), "--out", "picture.png"]
+    shipped = ROOT / "config/scopes/dso_bench_4.yaml"
+    Path("own.yaml").write_bytes(shipped.read_bytes())
     with pytest.raises(SystemExit) as ended:
-        render.main([*layout, *given])
+        render.main(["--layout", str(shipped), "--out", "picture.png", *given])
+    assert Path("own.yaml").read_bytes() == shipped.read_bytes()
     error = capsys.readouterr().err.splitlines()[-1]
     assert ended.value.code == 2 and error.startswith("bench_render: error: ") and said in error

@@ -77,6 +77,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if truth_file.resolve() == options.out.resolve():
             raise ValueError(f"--truth {truth_file}: the picture is written there")
+        for name, file in (("--truth", truth_file), ("--out", options.out)):
+            if file.resolve() == options.layout.resolve():
+                raise ValueError(f"{name} {file}: the layout is read from there")
         if options.hide and min(options.hide[2:]) <= 0:
             raise ValueError(f"--hide {' '.join(f'{v:g}' for v in options.hide)}: W and H above 0 are needed")
         config = from_mapping(BenchConfig, values_of_pairs(options.set))
