@@ -234,10 +234,20 @@ def test_a_sequence_is_collected_followed_and_stopped(
     person.sees("#chip-controller", "Ready")
     page.wait_for_timeout(500)
     assert "press:SAVE" not in page.inner_text("#log"), "nothing resumes by itself"
+    assert "2 steps is sent" in page.evaluate(_SENT)
     page.reload()
     person.sees_controls()
     page.click("#tab-sequence")
     person.sees("#sequence-steps [data-state=failed]", "press:MENU")
+
+
+# What is said of a sequence of which the sequencer has not spoken yet.
+_SENT = """async () => {
+  const { renderSequence, setSequence } = await import('/page/sequence.js');
+  setSequence({ name: '', status: 'sent', number: 0, steps: ['press:MENU', 'press:SAVE'], reason: '', state: 'idle' });
+  renderSequence();
+  return document.getElementById('sequence-said').textContent;
+}"""
 
 
 def test_a_confirmation_starts_only_the_sequence_that_it_was_asked_for(person: Operator, sequencer: None) -> None:

@@ -124,7 +124,8 @@ export function renderSequence() {
   if (!armed()) disarm();
   put(button, t(armed() ? "sequence_confirm" : "sequence_start", { count: mine.length }));
   find("sequence-typed").hidden = find("sequence-choice").value !== "";
-  const text = running() ? t("sequence_step", { number: run.number, all: run.steps.length }) : run.status ? verdict() : "";
+  const work = run.number ? "sequence_step" : "sequence_sent"; // the sequencer tells the number when it begins
+  const text = running() ? t(work, { number: run.number, all: run.steps.length }) : run.status ? verdict() : "";
   if (text) put(find("sequence-said"), text);
   else putSteady(find("sequence-said"), why);
   find("sequence-said").dataset.status = run.status;

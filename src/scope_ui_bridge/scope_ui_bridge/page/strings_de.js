@@ -366,6 +366,7 @@ export const DE = {
   sequence_steps: "Schritte",
   sequence_nobody: "Es läuft kein Programm für Abläufe.",
   sequence_empty: "Es gibt noch keinen Schritt.",
+  sequence_sent: "Der Ablauf ({all} Schritte) ist gesendet, noch hat kein Schritt begonnen. STOP beendet ihn.",
   sequence_step: "Schritt {number} von {all} in Arbeit. STOP beendet den Ablauf.",
   sequence_reached: "{name}: alle {all} Schritte sind erledigt.",
   sequence_aborted: "{name}: beendet. {reason}",

@@ -366,6 +366,7 @@ export const EN = {
   sequence_steps: "Steps",
   sequence_nobody: "No sequencer is running.",
   sequence_empty: "There is no step yet.",
+  sequence_sent: "The sequence of {all} steps is sent; no step has begun. STOP ends it.",
   sequence_step: "Step {number} of {all} is at work. STOP ends the sequence.",
   sequence_reached: "{name}: all {all} steps are done.",
   sequence_aborted: "{name}: ended. {reason}",
