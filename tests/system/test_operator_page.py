@@ -180,6 +180,10 @@ def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrume
             break
     assert focused(), "Tab reaches the controls"
     page.focus("[data-control=SINGLE]")
+    page.keyboard.press("?")
+    operator.until(lambda: page.is_visible("#help"), 5.0, lambda: "the help")
+    page.keyboard.press("Enter")
+    operator.until(lambda: focused() == "SINGLE", 5.0, lambda: "the help gives the focus back to where it was")
     page.keyboard.press("ArrowLeft")
     assert focused() == "RUN_STOP"
     page.keyboard.press("ArrowDown")

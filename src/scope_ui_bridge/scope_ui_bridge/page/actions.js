@@ -100,8 +100,8 @@ function wireKeys() {
     (event) => {
       if (event.key === "Escape") {
         event.preventDefault();
-        find("help").close();
         if (!event.repeat) stop();
+        closeHelp();
         return;
       }
       // A key that is held down is one press: its repeats must not confirm what it has just selected.
@@ -111,7 +111,7 @@ function wireKeys() {
     true,
   );
   find("help-open").addEventListener("click", openHelp);
-  find("help-close").addEventListener("click", () => find("help").close());
+  find("help-close").addEventListener("click", closeHelp);
   find("help").addEventListener("close", () => shut(false));
   find("help").addEventListener("focusout", ({ relatedTarget: next }) => {
     if (next && !find("help").contains(next)) find("help").close();
@@ -124,11 +124,17 @@ function shut(on) {
 
 /** Not modal, and below the head: STOP can be hit while it is open, and nothing else. */
 function openHelp() {
-  shut(true);
   const help = find("help");
   const bottoms = [document.querySelector(".top"), find("banner")].map((part) => part.getBoundingClientRect().bottom);
   help.style.setProperty("--top", `${Math.max(...bottoms)}px`);
   help.show();
+  shut(true);
+}
+
+/** What is shut takes no focus, so that it is opened before the browser gives the focus back to where it was. */
+function closeHelp() {
+  shut(false);
+  find("help").close();
 }
 
 export function wireActions() {
