@@ -62,7 +62,7 @@ export function wireMove() {
   }
   document.addEventListener("keydown", (event) => {
     const way = event.shiftKey && WAYS[event.key];
-    if (!way || event.target.closest("input, select, textarea")) return;
+    if (!way || find("help").open || event.target.closest("input, select, textarea")) return;
     event.preventDefault();
     if (!event.repeat) hold(...way);
   });
