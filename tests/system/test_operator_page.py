@@ -401,6 +401,7 @@ def test_words_can_be_read_and_buttons_can_be_hit(browser: Any, instrument: Inst
         log = "e => { e.querySelector('.number').textContent = '0.42 mm'; return e.scrollWidth - e.clientWidth; }"
         assert operator.page.eval_on_selector(".log-rows", log) <= 0, "0.42 mm that is cut reads 0.42 m"
         assert operator.page.evaluate(_CUT_NAMES) == []
+        assert operator.page.evaluate(_WIDE_NAME) <= 0, "a long name breaks, and STOP stays in sight"
         operator.leaves()
 
 
@@ -424,6 +425,15 @@ _CUT_NAMES = """async () => {
   if (names.length !== 2) return [`${names.length} names`];
   return names.filter((e) => !e.textContent.startsWith('Channel') || e.scrollWidth > e.clientWidth)
     .map((e) => `${e.textContent}: ${e.scrollWidth} in ${e.clientWidth} px`);
+}"""
+
+# How much wider than the window the page is with a long German word as a control's name.
+_WIDE_NAME = """() => {
+  for (const id of ['selection-name', 'last']) {
+    document.getElementById(id).hidden = false;
+    document.getElementById(id).textContent = 'Beatmungsdruckbegrenzungsventileinstellknopf';
+  }
+  return document.documentElement.scrollWidth - document.documentElement.clientWidth;
 }"""
 
 _CONTRAST = """() => {
