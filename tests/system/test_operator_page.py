@@ -401,6 +401,7 @@ def test_words_can_be_read_and_buttons_can_be_hit(browser: Any, instrument: Inst
         log = "e => { e.querySelector('.number').textContent = '0.42 mm'; return e.scrollWidth - e.clientWidth; }"
         assert operator.page.eval_on_selector(".log-rows", log) <= 0, "0.42 mm that is cut reads 0.42 m"
         assert operator.page.evaluate(_CUT_NAMES) == []
+        assert operator.page.evaluate(_BROKEN_RESULT) == [1, 0], "one line for its word, nothing cut"
         assert operator.page.evaluate(_WIDE_NAME) <= 0, "a long name breaks, and STOP stays in sight"
         operator.leaves()
 
@@ -425,6 +426,16 @@ _CUT_NAMES = """async () => {
   if (names.length !== 2) return [`${names.length} names`];
   return names.filter((e) => !e.textContent.startsWith('Channel') || e.scrollWidth > e.clientWidth)
     .map((e) => `${e.textContent}: ${e.scrollWidth} in ${e.clientWidth} px`);
+}"""
+
+# In how many lines a result's word stands beside a long name, and how much wider than its place the log is.
+_BROKEN_RESULT = """() => {
+  const row = document.querySelector('#log tr'), log = document.querySelector('.log-rows');
+  if (innerWidth < 620) log.style.width = '298px'; // as on a telephone of 360 px
+  row.querySelector('.number').textContent = '0.42 mm';
+  row.cells[1].textContent = 'Drücken Beatmungsdruckbegrenzungsventileinstellknopf';
+  row.querySelector('strong').textContent = 'erledigt';
+  return [row.querySelector('strong').getClientRects().length, Math.max(0, log.scrollWidth - log.clientWidth)];
 }"""
 
 # How much wider than the window the page is with a long German word as a control's name.
