@@ -71,13 +71,13 @@ def life(domain: int) -> Iterator[Life]:
 def test_signs_of_life_come_while_a_callback_waits_and_stop_when_the_interpreter_is_held(life: Life) -> None:
     assert life.sign_within(30.0), "it is ready"
     assert life.says() == "waits"
-    for _ in range(3):
+    for _ in range(2):
         assert life.sign_within(10.0), "a callback that takes long is no hang"
     assert life.program.stdin is not None
     life.program.stdin.write("go on\n")
     life.program.stdin.flush()
     assert life.says() == "hangs"
     deadline = time.monotonic() + 10.0
-    while life.sign_within(3.0):  # what was on its way
+    while life.sign_within(2.0):  # what was on its way
         assert time.monotonic() < deadline, "signs still come"
     assert life.program.poll() is None
