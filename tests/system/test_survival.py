@@ -253,17 +253,17 @@ def test_whoever_reads_pictures_asks_for_none_again(running_graph: Any, operator
     """A reliable reader of a fast topic that was started anew after a kill may hang for ever, in Fast DDS."""
     kinds = ("image_raw", "camera_info", "corners")
     topics = [f"/stereo/{side}/{kind}" for side in ("left", "right") for kind in kinds]
-    readers = {t: operator.node.get_subscriptions_info_by_topic(t) for t in topics}
     expected = {
         "/stereo/left/image_raw": {"corners_left", "stereo", "stylus_tracker", "recognition"},
         "/stereo/right/image_raw": {"corners_right", "stereo", "stylus_tracker"},
     }
+    found = operator.node.get_subscriptions_info_by_topic
     for topic, names in expected.items():
-        assert names <= {info.node_name for info in readers[topic]}
+        operator.ros.spin_until(lambda t=topic, n=names: n <= {info.node_name for info in found(t)}, 20.0)
     asking = [
         f"{info.node_name}: {topic}"
-        for topic, infos in readers.items()
-        for info in infos
+        for topic in topics
+        for info in found(topic)
         if info.qos_profile.reliability is not qos.PICTURES.reliability
     ]
     assert not asking

@@ -124,7 +124,7 @@ while True:
 
 
 def test_a_program_that_gives_no_sign_of_life_any_more_is_killed_and_started_again(tmp_path: Path) -> None:
-    watch = Watch(silent_s=0.6)
+    watch = Watch(silent_s=2.0)
     watch.group.start("a", [*PYTHON, FALLS_SILENT, str(tmp_path / "been")], tells_ready=True)
     watch.until(lambda: watch.group._programs[0].ready)
     assert not watch.events
@@ -132,23 +132,23 @@ def test_a_program_that_gives_no_sign_of_life_any_more_is_killed_and_started_aga
     os.kill(first, signal.SIGUSR1)
     watch.until(lambda: watch.output.count(("a", "up")) == 2)
     assert [text for _, text in watch.events] == [
-        "hangs: no sign of life for 0.6 s: killed",
+        "hangs: no sign of life for 2 s: killed",
         "ended with signal SIGKILL, restarted in 0.5 s",
     ]
     assert not alive(first)
-    until = time.monotonic() + 1.5
+    until = time.monotonic() + 3.0
     watch.until(lambda: time.monotonic() > until)
     assert len(watch.events) == 2, "one that gives signs is left alone"
     watch.group.stop()
 
 
 def test_a_program_that_a_person_has_stopped_is_not_taken_for_one_that_hangs(tmp_path: Path) -> None:
-    watch = Watch(silent_s=0.6)
+    watch = Watch(silent_s=2.0)
     watch.group.start("a", [*PYTHON, FALLS_SILENT, str(tmp_path / "been")], tells_ready=True)
     watch.until(lambda: watch.group._programs[0].ready)
     pid = watch.group.running()["a"]
     os.kill(pid, signal.SIGSTOP)
-    until = time.monotonic() + 1.5
+    until = time.monotonic() + 3.0
     watch.until(lambda: time.monotonic() > until)
     os.kill(pid, signal.SIGCONT)
     until += 1.0

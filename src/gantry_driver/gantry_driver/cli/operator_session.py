@@ -168,7 +168,8 @@ class OperatorSession:
             if value := answer():
                 return value
             # A time in which this process did nothing does not count: what came in it has not been heard.
-            turn_s = min(-last + (last := time.monotonic()), 2 * _TURN_S)
+            now = time.monotonic()
+            turn_s, last = min(now - last, 2 * _TURN_S), now
             gone_s = 0.0 if takers & self.publishers(topic) else gone_s + turn_s
             rest_s = rest_s + turn_s if resting() else 0.0
             if gone_s > GONE_S:
