@@ -17,10 +17,11 @@ demo: ## set up and run the whole robot on the simulated bench; Ctrl-C ends it
 	@scripts/setup.sh
 	@exec $(INSTALL)/scope_bench/lib/scope_bench/bring_up --profile bench --prepare
 
+# Three at a time on two cores: the tests of nodes wait for much of their time.
 test: ## set up and run all checks and tests
 	@scripts/setup.sh dev
 	@$(MAKE) --no-print-directory check
-	@OPENBLAS_NUM_THREADS=1 $(VENV)/python -m pytest tests -m "not alone" -n 2 --dist loadfile --durations 12; small=$$?; \
+	@OPENBLAS_NUM_THREADS=1 $(VENV)/python -m pytest tests -m "not alone" -n 3 --dist loadfile --durations 12; small=$$?; \
 		$(VENV)/python -m pytest tests/system -m "alone and not story" --durations 12 && exit $$small
 
 check: ## lint, formatting, types and import contracts
