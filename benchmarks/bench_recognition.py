@@ -58,6 +58,7 @@ HARDSHIPS: dict[str, dict[str, float]] = {
     "blur 1.5 px": {"blur_px": 1.5},
     "blur 2.5 px": {"blur_px": 2.5},
     "noise 12": {"noise": 12.0},
+    "light 0.1 and a bright spot": {"gain": 0.1, "spot_px": 12},
 }
 Finder = Callable[[Any], Transform | None]
 

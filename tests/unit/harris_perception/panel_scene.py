@@ -66,6 +66,7 @@ class Look:
     arm_width_mm: float = 12.0
     hidden: float = 0.0
     lit: bool = True
+    spot_px: int = 0
 
 
 @cache
@@ -141,7 +142,11 @@ def picture(layout: PanelLayout, model: CameraModel, camera_from_panel: Transfor
         result = result + 255 * look.glare * np.exp(-away / (2 * 90.0**2))
     result = cv2.GaussianBlur(result.astype(np.float32), (0, 0), look.blur_px)
     noise = rng.standard_normal(result.shape, dtype=np.float32) * look.noise
-    return np.clip(np.rint(result + noise), 0, 255).astype(np.uint8)
+    seen = np.clip(np.rint(result + noise), 0, 255).astype(np.uint8)
+    if look.spot_px:  # a hot pixel, or a lamp
+        left, top = int(rng.integers(model.width - look.spot_px)), int(rng.integers(model.height - look.spot_px))
+        seen[top : top + look.spot_px, left : left + look.spot_px] = 255
+    return seen
 
 
 @cache

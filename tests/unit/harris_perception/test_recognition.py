@@ -81,6 +81,20 @@ def test_found_with_all_controls_in_place(view: dict[str, Any], look: dict[str, 
     assert sighting.agreement > (0.5 if "hidden" in look else 0.85)
 
 
+@pytest.mark.parametrize("spot_px", [1, 12])
+def test_found_in_the_dark_beside_a_bright_spot(spot_px: int) -> None:
+    """A hot pixel, or a lamp, is so much stronger than the print that the relative threshold leaves nothing else."""
+    truth = scene.pose(LAYOUT)
+    picture = scene.picture(LAYOUT, CAMERA, truth, scene.Look(gain=0.1, spot_px=spot_px), seed=5)
+    corners = DETECTOR.detect(picture).xy
+    assert len(corners) < 10
+    recogniser().forget()
+    sighting = recogniser().locate(picture, corners, CAMERA)
+    assert sighting is not None
+    error_mm, error_px = error_mm_px(sighting.camera_from_panel, truth)
+    assert error_mm < 0.35 and error_px < 0.4, (error_mm, error_px)
+
+
 @pytest.mark.parametrize("distance_m", [0.55, 0.65, 0.8])
 def test_a_picture_of_the_face_tells_its_place_as_well_as_a_drawing_does(distance_m: float) -> None:
     """At each distance another level is nearest, and each is a little off its scale, as it has whole pixels."""

@@ -135,9 +135,7 @@ class PanelRecogniser:
         search = self.config.search
         detector = HarrisDetector(harris)
         fine = HarrisConfig() if harris is None else harris
-        self._fine_detector = HarrisDetector(
-            dataclasses.replace(fine, relative_threshold=0.3 * fine.relative_threshold)
-        )
+        self._fine_detector = HarrisDetector(dataclasses.replace(fine, relative_threshold=0.0))
         scales = [search.px_per_mm / search.factor**k for k in range(search.levels)]
         templates = [
             panel_template(layout, scale, picture, picture_px_per_mm)
@@ -211,7 +209,11 @@ class PanelRecogniser:
         return self._best(rectified, self._suggested(matched, camera), camera)
 
     def _find_enlarged(self, rectified: Gray, camera: CameraModel) -> Sighting | None:
-        """Search the picture enlarged: its descriptors see less around a corner, and that is more often unhidden."""
+        """Search the picture enlarged: its descriptors see less around a corner, and that is more often unhidden.
+
+        Its strongest corners count, without a threshold: in the dark no print has a hundredth of the response of a lamp
+        or a hot pixel.
+        """
         size = tuple(round(_ENLARGED * side) for side in rectified.shape[::-1])
         larger = np.asarray(cv2.resize(rectified, size, interpolation=cv2.INTER_CUBIC), np.uint8)
         corners = self._fine_detector.detect(larger).xy[: self.config.search.max_corners].astype(np.float32)
