@@ -68,7 +68,11 @@ class HarrisConfig(Config):
     k: float = setting(0.04, "Weight of trace^2 in the harris and geometric responses", minimum=0.001, maximum=0.24)
     absolute_threshold: float = setting(0.0, "Responses up to this one are no corners", minimum=0.0)
     relative_threshold: float = setting(
-        0.01, "Responses up to this fraction of the strongest corner's are no corners", minimum=0.0, maximum=1.0
+        0.01,
+        "Responses up to this fraction of the strongest corner's are no corners; "
+        "0 for the dark, where a lamp or a hot pixel leaves no others",
+        minimum=0.0,
+        maximum=1.0,
     )
     suppression_radius_px: float = setting(
         1.0,
