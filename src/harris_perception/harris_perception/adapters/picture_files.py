@@ -102,14 +102,16 @@ def write_picture(path: Path, picture: npt.NDArray[Any]) -> None:
     Raises
     ------
     ValueError
-        If the format is not known.
+        If the format is not known, or holds no such picture, as one for grey holds none in colour.
     OSError
         If the file cannot be written.
     """
     try:
-        _, encoded = cv2.imencode(path.suffix, picture)
+        done, encoded = cv2.imencode(path.suffix, picture)
     except cv2.error as error:
         raise ValueError(f"{path} cannot be written: {error.err}") from error
+    if not done:  # OpenCV 5 raises no error for what it finds on the way
+        raise ValueError(f"{path} cannot be written: {path.suffix} holds no {picture.dtype} of shape {picture.shape}")
     path.write_bytes(encoded.tobytes())
 
 
