@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
+from harris_perception.adapters.picture_files import sequences
 from harris_perception.cli import harris_evaluate
 from harris_perception.cli.harris import main
 from harris_perception.core.repeatability import (
@@ -268,6 +269,14 @@ def test_evaluate_reads_sequences_and_writes_tables_and_curves(
     rows = json.loads((out / "repeatability.json").read_text())
     assert 0 < max(r["points"] for r in rows) <= fewest
     assert "as many of each as the fewest" in capsys.readouterr().out
+
+
+def test_a_sequence_whose_pictures_are_there_in_two_formats_counts_once(tmp_path: Path) -> None:
+    for name in ("img1.png", "img1.ppm", "img2.png", "img2.ppm"):
+        cv2.imwrite(str(tmp_path / name), np.zeros((20, 20, 3), np.uint8))
+    np.savetxt(tmp_path / "H1to2p", np.eye(3))
+    (found,) = sequences(tmp_path)
+    assert list(found.others) == [2] and found.first.suffix == found.others[2].suffix
 
 
 def test_evaluate_keeps_no_more_than_one_pair_of_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

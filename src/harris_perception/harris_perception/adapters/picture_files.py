@@ -147,19 +147,20 @@ def sequences(folder: Path) -> Iterator[Sequence]:
         If of a picture and its homography one is missing, or a homography is none.
     """
     for prefix, form in _LAYOUTS:
-        for first in sorted(p for p in folder.rglob(f"{prefix}1.*") if p.suffix.lower() in SUFFIXES):
-            beside = sorted(first.parent.iterdir())
+        # A folder at a time: its pictures may be there in several formats.
+        for place in sorted({p.parent for p in folder.rglob(f"{prefix}1.*") if p.suffix.lower() in SUFFIXES}):
+            beside = sorted(place.iterdir())
             known = _numbered(form, {p.name: p for p in beside})
             pictures = _numbered(f"{prefix}{{}}", {p.stem: p for p in beside if p.suffix.lower() in SUFFIXES})
             if not known:
                 continue
-            for number in sorted(known.keys() ^ (pictures.keys() - {1})):
+            for number in sorted((known.keys() | {1}) ^ pictures.keys()):
                 missing = form.format(number) if number in pictures else f"{prefix}{number}.*"
-                raise ValueError(f"{first.parent / missing} is missing")
-            name = first.resolve().parent.name
+                raise ValueError(f"{place / missing} is missing")
+            name = place.resolve().name
             change = name if prefix else _HPATCHES.get(name[:2], name)
             homographies = {number: _homography(known[number]) for number in sorted(known)}
-            yield Sequence(change, first, {number: pictures[number] for number in homographies}, homographies)
+            yield Sequence(change, pictures[1], {number: pictures[number] for number in homographies}, homographies)
 
 
 def _numbered(form: str, files: dict[str, Path]) -> dict[int, Path]:
