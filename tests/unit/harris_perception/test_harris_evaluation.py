@@ -271,6 +271,22 @@ def test_evaluate_reads_sequences_and_writes_tables_and_curves(
     assert "as many of each as the fewest" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("picture", "homography", "text"),
+    [
+        ("img{}.PPM", "H1to{}p.txt", "{}"),
+        ("{}.ppm", "H_1_{}.txt", "{}"),
+        ("img{}.png", "H1to{}p.xml", '<?xml version="1.0"?><H13 type_id="opencv-matrix">\n<data>\n{}</data></H13>'),
+    ],
+)
+def test_files_of_homographies_may_have_an_ending(picture: str, homography: str, text: str, tmp_path: Path) -> None:
+    for number in (1, 2):
+        cv2.imwrite(str(tmp_path / picture.format(number)), np.zeros((20, 20, 3), np.uint8))
+    (tmp_path / homography.format(2)).write_text(text.format("1 0 7.5\n0 1 -2\n0 0 1\n"))
+    (found,) = sequences(tmp_path)
+    assert found.homographies[2].tolist() == [[1.0, 0.0, 7.5], [0.0, 1.0, -2.0], [0.0, 0.0, 1.0]]
+
+
 def test_a_sequence_whose_pictures_are_there_in_two_formats_counts_once(tmp_path: Path) -> None:
     for name in ("img1.png", "img1.ppm", "img2.png", "img2.ppm"):
         cv2.imwrite(str(tmp_path / name), np.zeros((20, 20, 3), np.uint8))

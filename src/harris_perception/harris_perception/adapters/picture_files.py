@@ -117,6 +117,8 @@ def write_picture(path: Path, picture: npt.NDArray[Any]) -> None:
 
 _LAYOUTS = (("img", "H1to{}p"), ("", "H_1_{}"))
 """Names of pictures and homographies: sequences of K. Mikolajczyk, and HPatches (V. Balntas et al., CVPR 2017)."""
+_ENDINGS = (".txt", ".xml")
+"""Which homographies may have; the second is OpenCV's, for the same sequences."""
 _HPATCHES = {"i_": "HPatches light", "v_": "HPatches viewpoint"}
 
 
@@ -137,7 +139,7 @@ class Sequence:
 
 
 def sequences(folder: Path) -> Iterator[Sequence]:
-    """Yield the sequences below a folder: img1.., H1to2p.., or as HPatches 1.., H_1_2...
+    """Yield the sequences below a folder: img1.., H1to2p.. (also .txt, .xml), or as HPatches 1.., H_1_2...
 
     What changes is a sequence's name; those of HPatches count together as light (i_...) and viewpoint (v_...).
 
@@ -150,7 +152,7 @@ def sequences(folder: Path) -> Iterator[Sequence]:
         # A folder at a time: its pictures may be there in several formats.
         for place in sorted({p.parent for p in folder.rglob(f"{prefix}1.*") if p.suffix.lower() in SUFFIXES}):
             beside = sorted(place.iterdir())
-            known = _numbered(form, {p.name: p for p in beside})
+            known = _numbered(form, {p.stem if p.suffix in _ENDINGS else p.name: p for p in beside})
             pictures = _numbered(f"{prefix}{{}}", {p.stem: p for p in beside if p.suffix.lower() in SUFFIXES})
             if not known:
                 continue
@@ -171,7 +173,9 @@ def _numbered(form: str, files: dict[str, Path]) -> dict[int, Path]:
 
 def _homography(path: Path) -> npt.NDArray[np.float64]:
     try:
-        values = np.array(path.read_text().split(), np.float64)
+        text = path.read_text()
+        data = re.search("<data>(.*)</data>", text, re.DOTALL) if path.suffix == ".xml" else None
+        values = np.array((data[1] if data else text).split(), np.float64)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     if values.shape != (9,) or not np.isfinite(values).all() or np.linalg.matrix_rank(values.reshape(3, 3)) < 3:
