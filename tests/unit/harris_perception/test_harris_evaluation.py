@@ -382,6 +382,7 @@ def test_best_on_average_weighs_every_change_alike() -> None:
         (["evaluate", "PICTURE", "-o", "OUT", "--count", "20000"], "--count 20000: 1 to 5000"),
         (["evaluate", "PICTURE", "-o", "OUT", "--seed", "-1"], "--seed -1: 0 to"),
         (["evaluate", "NARROW", "-o", "OUT"], "300 x 1 px, at least 64"),
+        (["evaluate", "PICTURE", "EMPTY/light.png", "-o", "EMPTY"], "light.png: curves would be written over it"),
         (["detect", "PICTURE", "--scales", "31"], "--scales 31: 1 to 30"),
         (["detect", "PICTURE", "--scales", "0"], "--scales 0: 1 to 30"),
         (["match", "PICTURE", "PICTURE", "--scales", "0"], "--scales 0: 1 to 30"),
@@ -411,8 +412,10 @@ def test_mistakes_end_with_one_line(
             (tmp_path / folder / f"img{number}.png").write_bytes((tmp_path / "p.png").read_bytes())
         if pictures:
             (tmp_path / folder / "H1to2p").write_text(homography)
+    if "EMPTY/light.png" in arguments:
+        (tmp_path / "EMPTY" / "light.png").write_bytes(whole)
     names = {"PICTURE": "p.png", "NARROW": "n.png", "OUT": "out", "EMPTY": "EMPTY", "CUT": "CUT", "FLAT": "FLAT"}
-    names["HUGE"] = "h.pgm"
+    names |= {"HUGE": "h.pgm", "EMPTY/light.png": "EMPTY/light.png"}
     assert main([str(tmp_path / names[a]) if a in names else a for a in arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and words in error and error.count("\n") == 1

@@ -57,7 +57,7 @@ def evaluate(options: argparse.Namespace) -> int:
             raise ValueError(f"--{name} {value}: {least} to {most} is needed")
     drawn = [source for source in options.sources if source.is_dir() and any(source.rglob("*.mat"))]
     others = [source for source in options.sources if source not in drawn]
-    groups = list(_groups(others, options.seed))
+    groups = list(_groups(others, options))
     pictures = [pair for folder in drawn for pair in drawn_pictures(folder)]
     options.output.mkdir(parents=True, exist_ok=True)
     if groups:
@@ -75,8 +75,9 @@ class _Group:
     pairs: Callable[[], Iterator[Pair]]
 
 
-def _groups(sources: Iterable[Path], seed: int) -> Iterator[_Group]:
+def _groups(sources: Iterable[Path], options: argparse.Namespace) -> Iterator[_Group]:
     """Yield a group for each sequence below the folders, and for the warps of each photograph."""
+    curves = {(options.output / f"{change}.png").resolve() for change in WARPS}
     for source in sources:
         if source.is_dir():
             known = list(sequences(source))
@@ -88,8 +89,10 @@ def _groups(sources: Iterable[Path], seed: int) -> Iterator[_Group]:
         else:
             photographs = [source]
         for photograph in photographs:
+            if photograph.resolve() in curves:
+                raise ValueError(f"{photograph}: curves would be written over it, another --output is needed")
             _to_be_warped(photograph)  # what is wrong with one shall be told before hours of work
-            yield _Group(sum(map(len, WARPS.values())), partial(_warps, photograph, seed))
+            yield _Group(sum(map(len, WARPS.values())), partial(_warps, photograph, options.seed))
 
 
 def _warps(photograph: Path, seed: int) -> Iterator[Pair]:
