@@ -135,6 +135,7 @@ def test_files_in_another_form_end_with_one_line(
         assert main(["evaluate", str(folder), "-o", str(tmp_path / "out")]) == 2, what
         error = capsys.readouterr().err
         assert error.startswith("error: ") and words in error and error.count("\n") == 1, (what, error)
+        assert not (tmp_path / "out").exists(), f"{what}: told after work had begun"
 
 
 def test_a_drawing_gets_the_picture_of_its_whole_name(tmp_path: Path) -> None:

@@ -396,6 +396,7 @@ def test_best_on_average_weighs_every_change_alike() -> None:
         (["detect", "PICTURE", "--edges", "--table", "x.csv", "--chains", "x.csv"], "is written by --table"),
         (["evaluate", "CUT", "-o", "OUT"], "H1to3p is missing"),
         (["evaluate", "FLAT", "-o", "OUT"], "H1to2p is no homography"),
+        (["evaluate", "TORN", "-o", "OUT"], "img2.png is no picture"),
     ],
 )
 def test_mistakes_end_with_one_line(
@@ -406,16 +407,18 @@ def test_mistakes_end_with_one_line(
     # Its header says 65535 x 65535; OpenCV looks at that before the rest.
     (tmp_path / "h.pgm").write_bytes(b"P5 65535 65535 255 ")
     cv2.imwrite(str(tmp_path / "n.png"), np.full((1, 300), 90, np.uint8))
-    for folder, pictures, homography in (("EMPTY", 0, ""), ("CUT", 3, "1 0 0 0 1 0 0 0 1"), ("FLAT", 2, "1 0 0 0 1 0")):
+    same = "1 0 0 0 1 0 0 0 1"
+    for folder, pictures, homography in (("EMPTY", 0, ""), ("CUT", 3, same), ("FLAT", 2, same[:-6]), ("TORN", 2, same)):
         (tmp_path / folder).mkdir()
         for number in range(1, pictures + 1):
             (tmp_path / folder / f"img{number}.png").write_bytes((tmp_path / "p.png").read_bytes())
         if pictures:
             (tmp_path / folder / "H1to2p").write_text(homography)
+    (tmp_path / "TORN" / "img2.png").write_bytes(whole[: len(whole) // 2])
     if "EMPTY/light.png" in arguments:
         (tmp_path / "EMPTY" / "light.png").write_bytes(whole)
     names = {"PICTURE": "p.png", "NARROW": "n.png", "OUT": "out", "EMPTY": "EMPTY", "CUT": "CUT", "FLAT": "FLAT"}
-    names |= {"HUGE": "h.pgm", "EMPTY/light.png": "EMPTY/light.png"}
+    names |= {"HUGE": "h.pgm", "TORN": "TORN", "EMPTY/light.png": "EMPTY/light.png"}
     assert main([str(tmp_path / names[a]) if a in names else a for a in arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and words in error and error.count("\n") == 1

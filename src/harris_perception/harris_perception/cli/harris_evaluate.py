@@ -51,7 +51,10 @@ _LEAST_PX = 64
 
 
 def evaluate(options: argparse.Namespace) -> int:
-    """Run the command for its sources: boundaries where there are .mat files, else interest points."""
+    """Run the command for its sources: boundaries where there are .mat files, else interest points.
+
+    All files are read once before: what is wrong with one shall be told before hours of work.
+    """
     for name, value, least, most in (("count", options.count, 1, 5000), ("seed", options.seed, 0, 2**32 - 1)):
         if not least <= value <= most:
             raise ValueError(f"--{name} {value}: {least} to {most} is needed")
@@ -59,6 +62,8 @@ def evaluate(options: argparse.Namespace) -> int:
     others = [source for source in options.sources if source not in drawn]
     groups = list(_groups(others, options))
     pictures = [pair for folder in drawn for pair in drawn_pictures(folder)]
+    for picture, truth in pictures:
+        read_drawn(picture, truth)
     options.output.mkdir(parents=True, exist_ok=True)
     if groups:
         _points(groups, options)
@@ -82,6 +87,8 @@ def _groups(sources: Iterable[Path], options: argparse.Namespace) -> Iterator[_G
         if source.is_dir():
             known = list(sequences(source))
             for sequence in known:
+                for _ in sequence.pairs():
+                    pass
                 yield _Group(len(sequence.others), sequence.pairs)
             photographs = [p for p in sorted(source.glob("*")) if p.suffix.lower() in SUFFIXES] if not known else []
             if not known and not photographs:
@@ -91,7 +98,7 @@ def _groups(sources: Iterable[Path], options: argparse.Namespace) -> Iterator[_G
         for photograph in photographs:
             if photograph.resolve() in curves:
                 raise ValueError(f"{photograph}: curves would be written over it, another --output is needed")
-            _to_be_warped(photograph)  # what is wrong with one shall be told before hours of work
+            _to_be_warped(photograph)
             yield _Group(sum(map(len, WARPS.values())), partial(_warps, photograph, options.seed))
 
 
