@@ -138,6 +138,15 @@ def test_files_in_another_form_end_with_one_line(
         assert not (tmp_path / "out").exists(), f"{what}: told after work had begun"
 
 
+@pytest.mark.parametrize(("inside", "source"), [(".", "."), ("groundTruth", "test"), ("groundTruth/test", ".")])
+def test_pictures_are_found_from_any_working_folder(
+    inside: str, source: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder / inside)
+    found = drawn_pictures(Path(source))
+    assert [picture.resolve() for picture, _ in found] == [folder / f"images/test/{name}.png" for name in "12"]
+
+
 def test_a_drawing_gets_the_picture_of_its_whole_name(tmp_path: Path) -> None:
     for name in ("a.mat", "a.1.jpg", "a.jpg", "b[1].mat", "b[1].png", "b1.png"):
         (tmp_path / name).touch()

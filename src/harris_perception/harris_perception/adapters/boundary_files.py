@@ -32,8 +32,9 @@ def drawn_pictures(folder: Path) -> list[tuple[Path, Path]]:
 
 
 def _candidates(path: Path) -> Iterator[Path]:
-    other = Path(*("images" if part == "groundTruth" else part for part in path.parent.parts))
-    for folder in (path.parent, other):
+    parts = path.parent.absolute().parts
+    others = [Path(*parts[:i], "images", *parts[i + 1 :]) for i, part in enumerate(parts) if part == "groundTruth"]
+    for folder in (path.parent, *others):
         # Compared whole: a name may hold dots, and what a pattern takes for one of its own.
         yield from (p for p in sorted(folder.glob("*")) if p.stem == path.stem and p.suffix.lower() in SUFFIXES)
 
