@@ -212,7 +212,10 @@ def _agreeing(a: F32, b: F32, config: MatchConfig) -> tuple[npt.NDArray[np.bool_
     if config.geometry == "homography":
         model, mask = cv2.findHomography(a, b, cv2.USAC_MAGSAC, config.tolerance_px, maxIters=5000, confidence=0.999)
     else:
-        model, mask = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, config.tolerance_px, 0.999, 5000)
+        try:
+            model, mask = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, config.tolerance_px, 0.999, 5000)
+        except cv2.error:  # of some points that determine none, instead of returning none
+            model, mask = None, None
     if model is None or mask is None or model.shape != (3, 3):
         return np.zeros(len(a), bool), None
     return mask.ravel().astype(bool), np.asarray(model, np.float64)
