@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from harris_perception.adapters.boundary_files import drawn_pictures
+from harris_perception.cli import harris_evaluate
 from harris_perception.cli.harris import main
 from harris_perception.core import boundary_evaluation as boundaries
 
@@ -110,6 +111,20 @@ def test_a_missing_library_is_named_with_the_python_that_lacks_it(
     monkeypatch.setitem(sys.modules, module, None)
     assert main(["evaluate", str(folder), "-o", str(tmp_path / "out")]) == 2
     assert f"{sys.executable} -m pip install {package}" in capsys.readouterr().err
+
+
+def test_a_folder_with_drawings_and_sequences_is_evaluated_for_both(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "seq").mkdir()
+    for number in (1, 2):
+        cv2.imwrite(str(folder / "seq" / f"img{number}.png"), np.zeros((20, 20), np.uint8))
+    np.savetxt(folder / "seq" / "H1to2p", np.eye(3))
+    done = {}
+    monkeypatch.setattr(harris_evaluate, "_points", lambda groups, _: done.update(pairs=[g.count for g in groups]))
+    monkeypatch.setattr(harris_evaluate, "_boundaries", lambda pictures, _: done.update(drawn=len(pictures)))
+    assert main(["evaluate", str(folder), "-o", str(tmp_path / "out")]) == 0
+    assert done == {"pairs": [1], "drawn": 2}
 
 
 def broken(folder: Path) -> Iterator[tuple[str, str]]:

@@ -51,7 +51,7 @@ _LEAST_PX = 64
 
 
 def evaluate(options: argparse.Namespace) -> int:
-    """Run the command for its sources: boundaries where there are .mat files, else interest points.
+    """Run the command for its sources: boundaries where there are .mat files, interest points on the rest.
 
     All files are read once before: what is wrong with one shall be told before hours of work.
     """
@@ -59,7 +59,7 @@ def evaluate(options: argparse.Namespace) -> int:
         if not least <= value <= most:
             raise ValueError(f"--{name} {value}: {least} to {most} is needed")
     drawn = [source for source in options.sources if source.is_dir() and any(source.rglob("*.mat"))]
-    others = [source for source in options.sources if source not in drawn]
+    others = [source for source in options.sources if source not in drawn or any(sequences(source))]
     groups = list(_groups(others, options))
     pictures = [pair for folder in drawn for pair in drawn_pictures(folder)]
     for picture, truth in pictures:
