@@ -21,6 +21,7 @@ import pytest
 from harris_perception.adapters.picture_files import sequences
 from harris_perception.cli import harris_evaluate
 from harris_perception.cli.harris import main
+from harris_perception.cli.tables import write_table
 from harris_perception.core.repeatability import (
     Pair,
     best_on_average,
@@ -269,6 +270,19 @@ def test_evaluate_reads_sequences_and_writes_tables_and_curves(
     rows = json.loads((out / "repeatability.json").read_text())
     assert 0 < max(r["points"] for r in rows) <= fewest
     assert "as many of each as the fewest" in capsys.readouterr().out
+
+
+def test_names_that_are_not_utf8_are_escaped_in_tables_and_curves(tmp_path: Path) -> None:
+    """No curve can be drawn under such a name, nor a table be written, after all work is done."""
+    place = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
+    place.mkdir()
+    for number in (1, 2):
+        (place / f"img{number}.png").touch()
+    np.savetxt(place / "H1to2p", np.eye(3))
+    (found,) = sequences(tmp_path)
+    assert found.change == r"caf\udce9"
+    write_table(tmp_path / "names.csv", ("picture",), [(place.name,)])
+    assert (tmp_path / "names.csv").read_text().split() == ["picture", r"caf\udce9"]
 
 
 @pytest.mark.parametrize(

@@ -159,7 +159,7 @@ def sequences(folder: Path) -> Iterator[Sequence]:
             for number in sorted((known.keys() | {1}) ^ pictures.keys()):
                 missing = form.format(number) if number in pictures else f"{prefix}{number}.*"
                 raise ValueError(f"{place / missing} is missing")
-            name = place.resolve().name
+            name = place.resolve().name.encode(errors="backslashreplace").decode()  # it need not be UTF-8
             change = name if prefix else _HPATCHES.get(name[:2], name)
             homographies = {number: _homography(known[number]) for number in sorted(known)}
             yield Sequence(change, pictures[1], {number: pictures[number] for number in homographies}, homographies)

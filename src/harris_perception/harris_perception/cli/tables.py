@@ -36,5 +36,5 @@ def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]
     if path.suffix == ".json":
         path.write_text(json.dumps([dict(zip(columns, row)) for row in rows], indent=1) + "\n")
     else:
-        with path.open("w", newline="") as stream:
+        with path.open("w", newline="", errors="backslashreplace") as stream:  # names of files may be no UTF-8
             csv.writer(stream).writerows([columns, *rows])
