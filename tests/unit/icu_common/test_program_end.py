@@ -1,30 +1,31 @@
-"""Ctrl-C, and a reader that has gone, end the command line programs without a traceback."""
+"""Ctrl-C, a reader that has gone, and a full disk, end the command line programs without a traceback."""
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import subprocess
 import sys
 from importlib import import_module
+from operator import itemgetter
 from pathlib import Path
 
 import pytest
 
-from icu_common.adapters.program_end import INTERRUPTED, UNREAD, ends_quietly
+from icu_common.adapters.program_end import INTERRUPTED, UNREAD, UNWRITTEN, ends_quietly
 
 ROOT = Path(__file__).resolve().parents[3]
-OTHERWISE = {"bring_up", "composed", "foxglove_sidecar"}
-"""They run nodes, which end by the runtime's own handlers."""
+BAG = str(ROOT / "tests" / "golden" / "bag")
 
 
 def programs() -> list[str]:
     """Return the modules of all command line programs that packages install."""
-    lines = [line for path in ROOT.glob("src/*/setup.py") for line in path.read_text().splitlines() if ".cli." in line]
-    return sorted({line.split("=")[1].split(":")[0].strip() for line in lines})
+    lines = [line for path in ROOT.glob("src/*/setup.py") for line in path.read_text().splitlines() if " = " in line]
+    return sorted({line.split("=")[1].split(":")[0].strip() for line in lines if ".cli." in line or "foxglove" in line})
 
 
-@pytest.mark.parametrize("module", [m for m in programs() if m.rpartition(".")[2] not in OTHERWISE])
+@pytest.mark.parametrize("module", programs())
 def test_every_program_ends_quietly(module: str) -> None:
     assert hasattr(import_module(module).main, "__wrapped__")
 
@@ -62,30 +63,63 @@ def test_a_name_that_is_no_utf8_is_printed_as_on_standard_error(monkeypatch: pyt
     assert printed.getvalue() == b"caf\\udce9.png\n"
 
 
-@pytest.mark.parametrize("buffered", ["", "1"])
-@pytest.mark.parametrize(
-    "program",
-    [
-        ["harris_perception.cli.panel_teach", "--help"],
-        ["gantry_driver.nodes.sequence_node", "--help"],
-        ["scope_ui_bridge.cli.page_admin", "audit", os.devnull],
-    ],
-    ids=lambda program: program[0],
-)
-def test_nobody_reads_what_is_printed(program: list[str], buffered: str) -> None:
-    reading, writing = os.pipe()
-    os.close(reading)
+HELP, AUDIT = ["gantry_driver.nodes.sequence_node", "--help"], ["scope_ui_bridge.cli.page_admin", "audit", os.devnull]
+UNBUFFERED = pytest.mark.parametrize("unbuffered", ["", "1"])
+
+
+def printed_into(output: int, program: list[str], unbuffered: str) -> subprocess.CompletedProcess[str]:
+    """Run a program whose standard output is that descriptor, which is closed here afterwards."""
     try:
-        done = subprocess.run(
+        return subprocess.run(
             [sys.executable, "-m", *program],
-            env={**os.environ, "PYTHONUNBUFFERED": buffered},
-            stdout=writing,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+            stdout=output,
             stderr=subprocess.PIPE,
             text=True,
             timeout=120,
             check=False,
         )
     finally:
-        os.close(writing)
+        os.close(output)
+
+
+@UNBUFFERED
+@pytest.mark.parametrize("program", [["harris_perception.cli.panel_teach", "--help"], HELP, AUDIT], ids=itemgetter(0))
+def test_nobody_reads_what_is_printed(program: list[str], unbuffered: str) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = printed_into(writing, program, unbuffered)
     assert "Traceback" not in done.stderr and "Exception ignored" not in done.stderr, done.stderr
     assert done.returncode in (0, 1, UNREAD)
+
+
+@UNBUFFERED
+@pytest.mark.parametrize("program", [["scope_bench.cli.bag_info", BAG], HELP, AUDIT], ids=itemgetter(0))
+def test_a_full_disk_is_told_in_one_line(program: list[str], unbuffered: str) -> None:
+    done = printed_into(os.open("/dev/full", os.O_WRONLY), program, unbuffered)
+    assert done.stderr.count("\n") == 1 and "No space left on device" in done.stderr
+    assert done.returncode in (1, UNWRITTEN)
+
+
+@pytest.mark.parametrize(("code", "end"), [(0, UNWRITTEN), (3, 3)])
+def test_a_full_disk_makes_no_success(
+    code: int, end: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    @ends_quietly
+    def main() -> int:
+        print("not written")
+        return code
+
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert main() == end
+    assert capsys.readouterr().err == "error: standard output: No space left on device\n"
+
+
+def test_what_fails_elsewhere_is_raised() -> None:
+    @ends_quietly
+    def main() -> int:
+        raise PermissionError(errno.EACCES, "not allowed")
+
+    with pytest.raises(PermissionError, match="not allowed"):
+        main()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import io
 import os
@@ -10,8 +11,9 @@ import sys
 from collections.abc import Callable
 from typing import ParamSpec
 
-INTERRUPTED, UNREAD = 130, 141
-"""Exit codes as shells have them: 128 and the number of SIGINT or SIGPIPE."""
+INTERRUPTED, UNREAD, UNWRITTEN = 130, 141, os.EX_IOERR
+"""Exit codes: as shells have them, 128 and the number of SIGINT or SIGPIPE; standard output could not be written."""
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 
 P = ParamSpec("P")
 
@@ -23,26 +25,40 @@ def end_signals() -> list[signal.Signals]:
 
 
 def ends_quietly(main: Callable[P, int]) -> Callable[P, int]:
-    """Let Ctrl-C, and a reader that has gone (as ``head`` does), end a program without a traceback.
+    """Let Ctrl-C, a reader that has gone (as ``head`` does), and a full disk, end a program without a traceback.
 
-    Its ``main`` then returns ``INTERRUPTED`` or ``UNREAD``; what it must tidy up belongs in its ``finally``.
+    Its ``main`` then returns ``INTERRUPTED``, ``UNREAD`` or ``UNWRITTEN``; what it must tidy up belongs in its
+    ``finally``.
     """
 
     @functools.wraps(main)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> int:
         if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
             sys.stdout.reconfigure(errors="backslashreplace")  # as on standard error: names of files may be no UTF-8
-        code = UNREAD
+        code: int | None = None
         try:
             try:
                 code = main(*args, **kwargs)
             finally:
-                print(end="", flush=True)
+                if sys.stdout is not None:
+                    sys.stdout.flush()
+            return code
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             return INTERRUPTED
-        except BrokenPipeError:  # the interpreter's end must not flush to it again
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return code
+        except BrokenPipeError:
+            _print_no_more()
+            return UNREAD if code is None else code
+        except OSError as error:
+            if error.errno not in _FULL:
+                raise
+            _print_no_more()
+            print(f"error: standard output: {error.strerror}", file=sys.stderr)
+            return code or UNWRITTEN
 
     return wrapped
+
+
+def _print_no_more() -> None:
+    """Let the interpreter's end not flush again to what takes nothing."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -18,7 +18,7 @@ from queue import SimpleQueue
 from types import FrameType
 
 from icu_common.adapters.executables import find_executable
-from icu_common.adapters.program_end import end_signals
+from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
 from icu_common.core.yaml_text import values_of_pairs
 from icu_common.nodes import in_step
@@ -251,6 +251,7 @@ class BringUp:
             self.say(f"\nReady. Open {self.page or 'the operator page'}\nCtrl-C ends every program.\n")
 
 
+@ends_quietly
 def main() -> int:
     """Run the command."""
     bring_up = BringUp(parser().parse_args())

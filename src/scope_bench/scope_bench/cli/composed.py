@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.nodes.runtime import run_together
 
 
@@ -25,6 +26,7 @@ def program(name: str) -> Callable[[], int]:
     raise LookupError(f"no package installs {name}; run: scripts/setup.sh")
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="composed", description=__doc__)

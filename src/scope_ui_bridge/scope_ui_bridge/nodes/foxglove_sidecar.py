@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
+from icu_common.adapters.program_end import ends_quietly
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import own_arguments, run
 from icu_common.nodes.timers import every
@@ -80,6 +81,7 @@ class FoxgloveSidecar(Node):
         self._channels[topic].log(bytes(data), log_time=int(self.get_clock().now().nanoseconds))
 
 
+@ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--port", type=int, default=PORT, help="TCP port on loopback (%(default)s)")
