@@ -100,9 +100,9 @@ def two(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
     started: list[subprocess.Popen[str]] = []
 
-    def start(*arguments: str) -> subprocess.Popen[str]:
-        pipe = subprocess.PIPE
-        started.append(subprocess.Popen([*command, *arguments], env=environment, stdout=pipe, stderr=pipe, text=True))
+    def start(*arguments: str, stdout: int = subprocess.PIPE) -> subprocess.Popen[str]:
+        given, pipe = [*command, *arguments], subprocess.PIPE
+        started.append(subprocess.Popen(given, env=environment, stdout=stdout, stderr=pipe, text=True))
         return started[-1]
 
     yield start
@@ -132,6 +132,13 @@ def test_bring_up_ends_every_program_in_order_when(
     ended = (tmp_path / "log").read_text().splitlines()
     assert ended == [f"{tmp_path}/lib/p/{name} ends" for name in ("driver", "board")]
     assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_bring_up_says_why_it_ends_on_a_full_disk(two: Callable[..., subprocess.Popen[str]]) -> None:
+    with Path("/dev/full").open("w") as full, two(stdout=full.fileno()) as process:
+        assert process.stderr is not None
+        assert process.stderr.read() == "error: standard output: No space left on device; ending every program\n"
+        assert process.wait(20.0) == 1
 
 
 TALKATIVE = """\

@@ -108,7 +108,7 @@ class BringUp:
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
-        self.stopping = False
+        self.stopping = self.unprinted = False
         self.complete = False
         self.page = ""
         self._lines: SimpleQueue[str | None] = SimpleQueue()
@@ -197,7 +197,7 @@ class BringUp:
                 self.say(f"had to be killed: {', '.join(killed)}")
             self._lines.put(None)
             printer.join(LAST_WORDS_S)
-        return 1 if group.gave_up or killed else 0
+        return 1 if group.gave_up or killed or self.unprinted else 0
 
     def _arguments(self, program: Program, temporary: Path) -> list[str]:
         values = temporary / f"{program.name}.yaml"
@@ -235,8 +235,12 @@ class BringUp:
             try:
                 while data:
                     data = data[os.write(sys.stdout.fileno(), data) :]
-            except OSError:  # the terminal is closed, or the reader of a pipe has gone
+            except BrokenPipeError:
                 self.stopping = True
+                return
+            except OSError as error:  # a full disk, or the terminal is closed
+                self.stopping = self.unprinted = True
+                print(f"error: standard output: {error.strerror}; ending every program", file=sys.stderr)
                 return
 
     def _output(self, name: str, line: str) -> None:
