@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import threading
 from pathlib import Path
@@ -123,6 +124,30 @@ def test_residuals_of_the_last_time_beside_the_pictures_do_not_mix_the_pairs_up(
     said = capsys.readouterr()
     assert "without a partner: left1.png, left_residuals.png, right3.png, right_residuals.png\n" in said.out
     assert "in any of 1 pictures" in said.err, "left2.png with right2.png"
+
+
+def test_results_are_written_though_nobody_reads_what_is_told(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As behind ``| head -n 1``: it has gone before the calibration is done."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w", buffering=1) as unread:
+        monkeypatch.setattr("sys.stdout", unread)
+        main(["mono", str(folder), *SMALL, "-o", str(tmp_path)])
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["calibration.json", "camera.yaml", "camera_residuals.png"]
+
+
+def test_what_the_views_cover_is_told_before_the_error_in_a_log(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "log"
+    with log.open("a") as output, log.open("a", buffering=1) as errors:
+        monkeypatch.setattr("sys.stdout", output)
+        monkeypatch.setattr("sys.stderr", errors)
+        assert main(["mono", f"{folder}/left[0-2].png", *SMALL, "-o", str(tmp_path)]) == 2
+    first, *_, skew, error = log.read_text().splitlines()
+    assert first.startswith("coverage") and skew.startswith("  skew") and error.startswith("error: the board was found")
 
 
 def test_pictures_without_the_board_are_named(folder: Path, tmp_path: Path, capsys: Any) -> None:

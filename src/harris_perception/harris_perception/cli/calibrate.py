@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import yaml
 
@@ -29,6 +30,8 @@ from harris_perception.core.view_coverage import CalibrationError, coverage
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import settings_of
+
+Say: TypeAlias = Callable[[str], None]
 
 
 def _columns_by_rows(text: str) -> tuple[int, int]:
@@ -63,6 +66,19 @@ def _config(options: argparse.Namespace) -> CalibrationConfig:
     return CalibrationConfig(**{item.name: getattr(options, item.name) for item in settings_of(CalibrationConfig)})
 
 
+@contextlib.contextmanager
+def _telling() -> Iterator[Say]:
+    """Collect lines and print them at the end, also before an error.
+
+    Results are written by then: whoever reads may go, as ``head`` does.
+    """
+    lines: list[str] = []
+    try:
+        yield lines.append
+    finally:
+        print("".join(f"{line}\n" for line in lines), end="")
+
+
 def _detect_all(board: Board, files: Sequence[Path], what: str) -> list[BoardView | None]:
     """Look for the board in every file, with a bar on standard error where somebody sees it."""
     shown, detector = sys.stderr.isatty(), BoardDetector(board)
@@ -77,12 +93,12 @@ def _detect_all(board: Board, files: Sequence[Path], what: str) -> list[BoardVie
     return views
 
 
-def _require_some(board: Board, files: Sequence[Path], views: Sequence[BoardView | None]) -> None:
+def _require_some(board: Board, files: Sequence[Path], views: Sequence[BoardView | None], say: Say) -> None:
     """Tell which files do not show the board; refuse when none does, with the size that would fit if there is one."""
     lost = [file.name for file, view in zip(files, views) if view is None]
     if len(lost) < len(files):
         if lost:
-            print(f"board not found in {len(lost)} of {len(files)}: {', '.join(lost)}")
+            say(f"board not found in {len(lost)} of {len(files)}: {', '.join(lost)}")
         return
     advice = "check the size (inner corners, one less than squares), and that the whole board is sharp and evenly lit"
     if board.kind == "charuco":
@@ -101,7 +117,7 @@ def _number(file: Path) -> int | None:
     return int(digits[-1]) if digits else None
 
 
-def _paired(left: Sequence[Path], right: Sequence[Path]) -> list[tuple[Path, Path]]:
+def _paired(left: Sequence[Path], right: Sequence[Path], say: Say) -> list[tuple[Path, Path]]:
     """Pair files by the last number in their names; by order where there are no numbers.
 
     One without a number among others, as the residuals of an earlier calibration, has no partner.
@@ -120,33 +136,31 @@ def _paired(left: Sequence[Path], right: Sequence[Path]) -> list[tuple[Path, Pat
     if not pairs:
         raise CalibrationError("no left picture has a right one with the same number")
     if alone:
-        print(f"without a partner: {', '.join(alone)}")
+        say(f"without a partner: {', '.join(alone)}")
     return pairs
 
 
-def _say_coverage(board: Board, views: Sequence[BoardView]) -> None:
-    print("coverage   from    to")
+def _say_coverage(board: Board, views: Sequence[BoardView], say: Say) -> None:
+    say("coverage   from    to")
     for reach in coverage(board, views):
-        print(f"  {reach.name:<6} {reach.low:6.2f} {reach.high:6.2f}  {reach.missing or 'enough'}")
+        say(f"  {reach.name:<6} {reach.low:6.2f} {reach.high:6.2f}  {reach.missing or 'enough'}")
 
 
-def _say_views(views: Sequence[ViewError], left_out: Sequence[ViewError]) -> None:
-    print("view                             corners  rms [px]")
+def _say_views(views: Sequence[ViewError], left_out: Sequence[ViewError], say: Say) -> None:
+    say("view                             corners  rms [px]")
     for view in (*views, *left_out):
         note = "left out" if view in left_out else "OUTLIER: look at it, or --drop-outliers" if view.outlier else ""
-        print(f"  {view.name:<30} {view.corners:8d} {view.rms_px:9.3f}  {note}".rstrip())
+        say(f"  {view.name:<30} {view.corners:8d} {view.rms_px:9.3f}  {note}".rstrip())
 
 
-def _say_camera(model: CameraModel, sigma: dict[str, float], prefix: str = "") -> None:
+def _say_camera(model: CameraModel, sigma: dict[str, float], say: Say, prefix: str = "") -> None:
     values = (*model.k[[0, 1, 0, 1], [0, 1, 2, 2]], *model.d)
     for name, value in zip(("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3"), values):
         known = f"+- {sigma[prefix + name]:.5f}" if prefix + name in sigma else "(not estimated)"
-        print(f"  {name:<6} {value:12.5f} {known}")
+        say(f"  {name:<6} {value:12.5f} {known}")
     loose = sigma[prefix + "fx_px"] / model.k[0, 0]
     if loose > 0.01:
-        print(
-            f"  focal length is known to {100 * loose:.1f} % only: add views with the board tilted by 20 to 45 degrees"
-        )
+        say(f"  focal length is known to {100 * loose:.1f} % only: add views with the board tilted by 20 to 45 degrees")
 
 
 def _write_model(model: CameraModel, folder: Path) -> Path:
@@ -188,11 +202,10 @@ def _report(board: Board, result: CameraCalibration | StereoCalibration, views: 
     }
 
 
-def _finish(folder: Path, report: dict[str, Any], written: Sequence[Path]) -> int:
+def _finish(folder: Path, report: dict[str, Any], written: Sequence[Path], say: Say) -> None:
     path = folder / "calibration.json"
     path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-    print("written: " + ", ".join(str(p) for p in (*written, path)))
-    return 0
+    say("written: " + ", ".join(str(p) for p in (*written, path)))
 
 
 def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], places: Sequence[str]) -> None:
@@ -235,16 +248,18 @@ def mono(options: argparse.Namespace) -> int:
         _capture(options, board, [options.topic], [options.pictures])
     files = picture_files(options.pictures)
     found = _detect_all(board, files, "looking for the board")
-    _require_some(board, files, found)
-    views = [view for view in found if view is not None]
-    _say_coverage(board, views)
-    result = calibrate_camera(board, views, config, options.name)
-    _say_views(result.views, result.left_out)
-    print(f"{options.name}: rms {result.rms_px:.3f} px, {len(result.views)} views")
-    _say_camera(result.model, result.sigma)
-    options.output.mkdir(parents=True, exist_ok=True)
-    written = [_write_model(result.model, options.output), _write_residuals(result, options.output)]
-    return _finish(options.output, _report(board, result, views), written)
+    with _telling() as say:
+        _require_some(board, files, found, say)
+        views = [view for view in found if view is not None]
+        _say_coverage(board, views, say)
+        result = calibrate_camera(board, views, config, options.name)
+        _say_views(result.views, result.left_out, say)
+        say(f"{options.name}: rms {result.rms_px:.3f} px, {len(result.views)} views")
+        _say_camera(result.model, result.sigma, say)
+        options.output.mkdir(parents=True, exist_ok=True)
+        written = [_write_model(result.model, options.output), _write_residuals(result, options.output)]
+        _finish(options.output, _report(board, result, views), written, say)
+    return 0
 
 
 def stereo(options: argparse.Namespace) -> int:
@@ -254,26 +269,29 @@ def stereo(options: argparse.Namespace) -> int:
     places = (options.left, options.right)
     if options.live:
         _capture(options, board, [f"{options.namespace}/{side}/image_raw" for side in ("left", "right")], places)
-    files = _paired(*(picture_files(place) for place in places))
-    found = []
-    for side, name in enumerate(("left", "right")):
-        found.append(_detect_all(board, [pair[side] for pair in files], f"looking for the board, {name}"))
-        _require_some(board, [pair[side] for pair in files], found[side])
-    pairs = [(a, b) for a, b in zip(*found) if a is not None and b is not None]
-    _say_coverage(board, [pair[0] for pair in pairs])
-    result = calibrate_stereo(board, pairs, config, tuple(options.names))
-    _say_views(result.views, result.left_out)
-    for name, alone, model in (("left", result.left, result.stereo.left), ("right", result.right, result.stereo.right)):
-        print(f"{model.name}: rms alone {alone.rms_px:.3f} px")
-        _say_camera(model, result.sigma, f"{name}_")
-    print(
-        f"pair: rms {result.rms_px:.3f} px, rectified rows {result.rows_rms_px:.3f} px, {len(result.views)} pairs, "
-        f"baseline {result.stereo.baseline * 1e3:.2f} +- {result.sigma['baseline_m'] * 1e3:.2f} mm"
-    )
-    options.output.mkdir(parents=True, exist_ok=True)
-    written = [_write_model(model, options.output) for model in (result.stereo.left, result.stereo.right)]
-    written += [_write_residuals(alone, options.output) for alone in (result.left, result.right)]
-    return _finish(options.output, _report(board, result, [pair[0] for pair in pairs]), written)
+    with _telling() as say:
+        files = _paired(picture_files(options.left), picture_files(options.right), say)
+        found = []
+        for side, name in enumerate(("left", "right")):
+            found.append(_detect_all(board, [pair[side] for pair in files], f"looking for the board, {name}"))
+            _require_some(board, [pair[side] for pair in files], found[side], say)
+        pairs = [(a, b) for a, b in zip(*found) if a is not None and b is not None]
+        _say_coverage(board, [pair[0] for pair in pairs], say)
+        result = calibrate_stereo(board, pairs, config, tuple(options.names))
+        _say_views(result.views, result.left_out, say)
+        models = (("left", result.left, result.stereo.left), ("right", result.right, result.stereo.right))
+        for name, alone, model in models:
+            say(f"{model.name}: rms alone {alone.rms_px:.3f} px")
+            _say_camera(model, result.sigma, say, f"{name}_")
+        say(
+            f"pair: rms {result.rms_px:.3f} px, rectified rows {result.rows_rms_px:.3f} px, {len(result.views)} pairs, "
+            f"baseline {result.stereo.baseline * 1e3:.2f} +- {result.sigma['baseline_m'] * 1e3:.2f} mm"
+        )
+        options.output.mkdir(parents=True, exist_ok=True)
+        written = [_write_model(model, options.output) for _, _, model in models]
+        written += [_write_residuals(alone, options.output) for _, alone, _ in models]
+        _finish(options.output, _report(board, result, [pair[0] for pair in pairs]), written, say)
+    return 0
 
 
 def _add_board(parser: argparse.ArgumentParser) -> None:
@@ -335,6 +353,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return int(options.run(options))
     except (ValueError, OSError, SourceError) as error:
+        with contextlib.suppress(OSError):
+            sys.stdout.flush()  # what was told comes before it, also in a log
         print(f"error: {error}", file=sys.stderr)
         return 2
 
