@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import struct
 import threading
 from pathlib import Path
@@ -104,17 +105,32 @@ def test_board_files_are_written(tmp_path: Path) -> None:
         (["mono", "{folder}", "--alpha", "2"], "alpha = 2.0 is above its maximum 1"),
         (["board", "{folder}/board.txt"], "must end in .svg or .pdf"),
         (["mono", "--live", "{folder}"], "is not empty"),
+        (["mono", "--live", "{new}", "--within", "nan"], "--within nan: 0 or more is needed"),
+        (["mono", "--live", "{new}", "--within", "-1"], "--within -1: 0 or more is needed"),
+        (["mono", "--live", "{new}", "--views", "0"], "--views 0: 1 or more is needed"),
+        (["mono", "--live", "{new}", "--topic", "a b"], "topic 'a b': Invalid topic name: topic name must not contain"),
+        (["stereo", "--live", "{new}", "{new}_2", "--namespace", "/a/"], "topic '/a//left/image_raw': Invalid topic"),
     ],
 )
 def test_wrong_input_gets_one_line_of_advice(
     arguments: list[str], message: str, folder: Path, tmp_path: Path, capsys: Any
 ) -> None:
-    given = [argument.replace("{folder}", str(folder)) for argument in arguments]
+    places = {"{folder}": str(folder), "{new}": str(tmp_path / "new")}
+    given = [re.sub(r"{\w+}", lambda name: places[name[0]], argument) for argument in arguments]
     output = [] if given[0] == "board" else ["-o", str(tmp_path)]
     assert main([*given, *output]) == 2
     lines = capsys.readouterr().err.strip().split("\n")
     assert lines[-1].startswith("error: ") and message in lines[-1]
     assert not list(tmp_path.iterdir())
+
+
+def test_a_place_for_the_results_is_needed_before_a_board_is_shown(tmp_path: Path, capsys: Any) -> None:
+    (tmp_path / "file").touch()
+    given = ["mono", "--live", str(tmp_path / "new"), "--within", "0", "-o", str(tmp_path / "file")]
+    assert main(given) == 2
+    shown = capsys.readouterr()
+    assert "File exists" in shown.err and "listening" not in shown.out
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_residuals_of_the_last_time_beside_the_pictures_do_not_mix_the_pairs_up(tmp_path: Path, capsys: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -30,6 +31,7 @@ from harris_perception.core.view_coverage import CalibrationError, coverage
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import settings_of
+from icu_common.core.option_bounds import check_bounds
 
 Say: TypeAlias = Callable[[str], None]
 
@@ -212,11 +214,13 @@ def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], p
     """Fill the folders from live topics."""
     # Only here, so that everything else runs where ROS is not installed.
     from harris_perception.nodes.calibration_capture import capture
+    from icu_common.nodes.topic_names import check_names
 
+    check_names(topics)
     folders = [Path(place) for place in places]
-    for folder in folders:
+    for folder in (options.output, *folders):
         folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
+        if folder in folders and any(folder.iterdir()):
             raise CalibrationError(f"{folder} is not empty: give new folders for live pictures")
     print(f"listening to {', '.join(topics)}; Ctrl-C ends it and calibrates with what there is")
     collection = capture(
@@ -243,6 +247,7 @@ def draw_board(options: argparse.Namespace) -> int:
 
 
 def mono(options: argparse.Namespace) -> int:
+    check_bounds(options, views=(1, math.inf), within=(0, math.inf))
     board, config = _board(options), _config(options)
     if options.live:
         _capture(options, board, [options.topic], [options.pictures])
@@ -265,6 +270,7 @@ def mono(options: argparse.Namespace) -> int:
 def stereo(options: argparse.Namespace) -> int:
     if options.names[0] == options.names[1]:  # results are filed by them
         raise ValueError(f"--names {' '.join(options.names)}: two different names are needed")
+    check_bounds(options, views=(1, math.inf), within=(0, math.inf))
     board, config = _board(options), _config(options)
     places = (options.left, options.right)
     if options.live:

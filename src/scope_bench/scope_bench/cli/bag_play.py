@@ -17,11 +17,11 @@ from pathlib import Path
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.terminal_keys import terminal_keys
+from icu_common.core.option_bounds import check_bounds
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bag_pictures import SUFFIX
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic
-from scope_bench.cli.bounds import check_bounds
 from scope_bench.cli.progress import ProgressLine
 from scope_bench.core.play_clock import PlayClock, progress_bar
 from scope_bench.nodes.bag_player import ASIDE, MOVING, BagPlayer

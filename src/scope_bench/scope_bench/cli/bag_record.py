@@ -15,13 +15,14 @@ from pathlib import Path
 from rclpy.experimental import EventsExecutor
 
 from icu_common.adapters.program_end import ends_quietly
+from icu_common.core.option_bounds import check_bounds
 from icu_common.nodes.runtime import Session, ros_session
+from icu_common.nodes.topic_names import check_names
 from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import STORAGES, BagError, BagWriter
-from scope_bench.cli.bounds import check_bounds
 from scope_bench.cli.progress import ProgressLine
-from scope_bench.nodes.bag_recorder import BagRecorder, check_names
+from scope_bench.nodes.bag_recorder import BagRecorder
 
 _BEHIND_S = 5.0
 """So long the end waits at most for what has come before it."""

@@ -6,11 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.exceptions import InvalidTopicNameException
-from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
-from rclpy.validate_full_topic_name import validate_full_topic_name
-from rclpy.validate_topic_name import validate_topic_name
 
 from icu_common.nodes.timers import every
 from scope_bench.adapters.bag_sink import BagSink
@@ -18,16 +14,6 @@ from scope_bench.adapters.bags import BagTopic, is_known
 from scope_bench.nodes.bag_qos import listening_qos, message_class, recorded_qos
 
 _LOOK_S = 0.1
-
-
-def check_names(topics: Sequence[str]) -> None:
-    """Raise ``ValueError`` for the first that cannot be a topic's name."""
-    for name in topics:
-        try:
-            validate_topic_name(name)
-            validate_full_topic_name(expand_topic_name(name, "bag_recorder", "/"))
-        except InvalidTopicNameException as error:
-            raise ValueError(f"topic {name!r}: {str(error).splitlines()[0]}") from error
 
 
 class BagRecorder(Node):

@@ -1,0 +1,20 @@
+"""Names of topics on a command line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.validate_full_topic_name import validate_full_topic_name
+from rclpy.validate_topic_name import validate_topic_name
+
+
+def check_names(topics: Iterable[str]) -> None:
+    """Raise ``ValueError`` for the first that cannot be a topic's name."""
+    for name in topics:
+        try:
+            validate_topic_name(name)
+            validate_full_topic_name(expand_topic_name(name, "node", "/"))
+        except InvalidTopicNameException as error:
+            raise ValueError(f"topic {name!r}: {str(error).splitlines()[0]}") from error
