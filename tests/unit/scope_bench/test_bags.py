@@ -227,6 +227,28 @@ def test_a_reader_that_has_seen_enough_ends_the_description_without_complaint(tm
         assert (program.stderr.read(), program.wait(30)) == ("", 0)
 
 
+@pytest.mark.parametrize("name", ["notes.txt", "empty folder", "bag.yaml", "missing"])
+def test_what_is_no_bag_is_not_to_be_repaired(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / name
+    if name == "empty folder":
+        path.mkdir()
+    elif name != "missing":
+        path.write_text("rosbag2_bagfile_information: {}\n")
+    for more in ([], ["--repair", str(tmp_path / "new")]):
+        assert bag_info.main([str(path), *more]) == 1
+        shown = capsys.readouterr()
+        needed = "is no bag: a folder with one, or a .mcap or .db3 file, is needed"
+        why = "does not exist" if name == "missing" else needed
+        assert (shown.out, shown.err) == ("", f"error: {path} {why}\n")
+    assert not (tmp_path / "new").exists()
+
+
+def test_advice_can_be_typed_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "of today.mcap").write_bytes(b"torn")
+    assert bag_info.main([str(tmp_path / "of today.mcap")]) == 1
+    assert f"bag_info '{tmp_path}/of today.mcap' --repair NEW_BAG\n" in capsys.readouterr().err
+
+
 def test_every_cut_of_an_mcap_file_leaves_the_whole_records(tmp_path: Path) -> None:
     seed = 7
     chance = random.Random(seed)

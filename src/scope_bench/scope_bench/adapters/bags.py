@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import shlex
 import shutil
 import sqlite3
 import sys
@@ -223,8 +224,7 @@ class BagReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if not path.exists():
-            raise BagError(f"{path} does not exist")
+        _storage_files(path)
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise BagError(f"{path} has no metadata.yaml: its recording was cut off; {_advice(path)}")
         self._reader = self._explained(lambda: Reader(path))
@@ -320,9 +320,7 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
     """
     if out.exists():
         raise BagError(f"{out} exists already")
-    found = (
-        [path] if path.is_file() else sorted(p for p in path.glob("*") if _plain_name(p).endswith((".db3", ".mcap")))
-    )
+    found = _storage_files(path)
     # A writer that died while it compressed leaves both; the plain one is whole.
     files = [p for p in found if p.suffix != _ZIPPED or p.with_suffix("") not in found]
     if not files:
@@ -349,6 +347,17 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
                     ends.append(f"{name}: {error}")
             count = writer.messages
     return count, "; ".join(ends)
+
+
+def _storage_files(path: Path) -> list[Path]:
+    """Return the .db3 and .mcap files of a bag, compressed or not; there may be none where metadata.yaml is."""
+    if not path.exists():
+        raise BagError(f"{path} does not exist")
+    inside = path.is_dir()
+    found = [p for p in (sorted(path.iterdir()) if inside else [path]) if _plain_name(p).endswith((".db3", ".mcap"))]
+    if not found and not (inside and (path / "metadata.yaml").is_file()):
+        raise BagError(f"{path} is no bag: a folder with one, or a .mcap or .db3 file, is needed")
+    return found
 
 
 def _plain_name(file: Path) -> str:
@@ -456,4 +465,4 @@ def _qos_of(connection: Connection) -> tuple[Qos, ...]:
 
 
 def _advice(path: Path) -> str:
-    return f"save what can be read with: bag_info {path} --repair NEW_BAG"
+    return f"save what can be read with: bag_info {shlex.quote(str(path))} --repair NEW_BAG"
