@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import random
 import resource
 import signal
 import sqlite3
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -241,6 +243,17 @@ def test_what_is_no_bag_is_not_to_be_repaired(name: str, tmp_path: Path, capsys:
         why = "does not exist" if name == "missing" else needed
         assert (shown.out, shown.err) == ("", f"error: {path} {why}\n")
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("more", [[], ["--repair", "/proc/new"]])
+def test_what_may_not_be_opened_is_told_without_advice(
+    more: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.mknod(tmp_path / "x.mcap", stat.S_IFSOCK | 0o600)  # which not even root can open
+    for given in (tmp_path, tmp_path / "x.mcap"):
+        assert bag_info.main([str(given), *more]) == 1
+        reason = f"{tmp_path / 'x.mcap'} cannot be read: No such device or address"
+        assert capsys.readouterr().err == f"error: {reason}\n"
 
 
 def test_advice_can_be_typed_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

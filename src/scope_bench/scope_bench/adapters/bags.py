@@ -351,11 +351,18 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
 
 def _storage_files(path: Path) -> list[Path]:
     """Return the .db3 and .mcap files of a bag, compressed or not; there may be none where metadata.yaml is."""
-    if not path.exists():
-        raise BagError(f"{path} does not exist")
-    inside = path.is_dir()
-    found = [p for p in (sorted(path.iterdir()) if inside else [path]) if _plain_name(p).endswith((".db3", ".mcap"))]
-    if not found and not (inside and (path / "metadata.yaml").is_file()):
+    try:
+        if not path.exists():
+            raise BagError(f"{path} does not exist")
+        inside = sorted(path.iterdir()) if path.is_dir() else [path]
+        found = [p for p in inside if _plain_name(p).endswith((".db3", ".mcap"))]
+        described = [p for p in inside if p != path and p.name == "metadata.yaml"]
+        for file in (*found, *described):
+            with file.open("rb"):
+                pass
+    except OSError as error:
+        raise BagError(f"{error.filename} cannot be read: {error.strerror}") from error
+    if not found and not described:
         raise BagError(f"{path} is no bag: a folder with one, or a .mcap or .db3 file, is needed")
     return found
 
