@@ -101,6 +101,22 @@ def test_a_full_disk_is_told_in_one_line(program: list[str], unbuffered: str) ->
     assert done.returncode in (1, UNWRITTEN)
 
 
+@pytest.mark.parametrize("program", ["gantry_driver.cli.gantry_goal 0 0", "gantry_driver.nodes.sequence_node"])
+@pytest.mark.parametrize("folder", ["/proc/new", "/proc/self/attr"])
+def test_a_folder_for_logs_that_cannot_be_is_told_in_one_line(program: str, folder: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", *program.split()],
+        env={**os.environ, "ROS_LOG_DIR": folder},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    assert folder in done.stderr and "ROS_LOG_DIR names another folder for logs" in done.stderr
+    assert done.returncode == 2
+
+
 @pytest.mark.parametrize(("code", "end"), [(0, UNWRITTEN), (3, 3)])
 def test_a_full_disk_makes_no_success(
     code: int, end: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

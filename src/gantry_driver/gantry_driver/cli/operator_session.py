@@ -22,14 +22,13 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.signals import SignalHandlerOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Empty, Header, String
 
 from icu_common.core.results import GoalResult
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import result_of_message, time_message
-from icu_common.nodes.runtime import prepare_transport
+from icu_common.nodes.runtime import prepare_transport, start_rclpy
 from icu_common.nodes.timers import every
 
 REACHED, FAILED, USAGE, TIMED_OUT = 0, 1, 2, 3
@@ -230,7 +229,7 @@ def _nodes(ends: Sequence[TopicEndpointInfo]) -> set[tuple[str, str]]:
 def operator_session(name: str, arguments: Sequence[str]) -> Iterator[OperatorSession]:
     """Start rclpy with the ROS part of the arguments and end it cleanly whatever happens."""
     prepare_transport()
-    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    start_rclpy(list(arguments))
     session: OperatorSession | None = None
     old = {}
     try:

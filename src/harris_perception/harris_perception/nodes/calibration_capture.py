@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import rclpy
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
@@ -24,7 +25,7 @@ from harris_perception.core.view_collection import ViewCollection
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import image_array, stamp_ns
 from icu_common.nodes.diagnostics import Diagnostics
-from icu_common.nodes.runtime import prepare_transport
+from icu_common.nodes.runtime import prepare_transport, start_rclpy
 from icu_common.nodes.timers import every
 
 _MAX_APART_NS = 2_000_000
@@ -128,7 +129,7 @@ def capture(
 ) -> ViewCollection:
     """Collect views from topics until they suffice, Ctrl-C is pressed or the time is over; return what was kept."""
     prepare_transport()
-    rclpy.init(args=[])
+    start_rclpy([], SignalHandlerOptions.ALL)
     collection = ViewCollection(board, wanted)
     node = CalibrationCaptureNode(topics, folders, collection, say)
     deadline = time.monotonic() + within_s

@@ -128,6 +128,25 @@ def own_arguments(arguments: Sequence[str]) -> list[str]:
         raise SystemExit(2) from error
 
 
+def start_rclpy(
+    arguments: Sequence[str] | None, signal_handlers: SignalHandlerOptions = SignalHandlerOptions.NO
+) -> None:
+    """Start rclpy.
+
+    Raises
+    ------
+    SystemExit
+        With code 2 and one line, if there can be no file for the log.
+    """
+    try:
+        rclpy.init(args=arguments, signal_handler_options=signal_handlers)
+    except RuntimeError as error:
+        if not any(text in str(error) for text in ("Failed to create log directory", "Failed opening file")):
+            raise
+        print(f"error: {error}; ROS_LOG_DIR names another folder for logs", file=sys.stderr)
+        raise SystemExit(2) from error
+
+
 @contextlib.contextmanager
 def ros_session(arguments: Sequence[str] | None = None, shared_memory: bool = True) -> Iterator[Session]:
     """Start rclpy with the graph's transport, and shut it down at the end.
@@ -139,7 +158,7 @@ def ros_session(arguments: Sequence[str] | None = None, shared_memory: bool = Tr
     """
     prepare_transport(shared_memory)
     with _readable():
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        start_rclpy(arguments)
     try:
         yield Session()
     finally:
