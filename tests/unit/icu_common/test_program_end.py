@@ -132,10 +132,22 @@ def test_a_full_disk_makes_no_success(
     assert capsys.readouterr().err == "error: standard output: No space left on device\n"
 
 
-def test_what_fails_elsewhere_is_raised() -> None:
+@pytest.mark.parametrize(
+    "error", [PermissionError(errno.EACCES, "not allowed"), OSError(errno.EIO, "the port"), OSError(errno.ENOSPC, "")]
+)
+@pytest.mark.parametrize("unbuffered", [False, True])
+def test_what_fails_elsewhere_is_raised(
+    error: OSError, unbuffered: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     @ends_quietly
     def main() -> int:
-        raise PermissionError(errno.EACCES, "not allowed")
+        print("written")
+        raise error
 
-    with pytest.raises(PermissionError, match="not allowed"):
-        main()
+    with (tmp_path / "printed").open("w") as printed:
+        printed.reconfigure(write_through=unbuffered)
+        monkeypatch.setattr(sys, "stdout", printed)
+        with pytest.raises(OSError) as raised:
+            main()
+    assert raised.value is error
+    assert (tmp_path / "printed").read_text().rstrip() == "written"

@@ -50,13 +50,24 @@ def ends_quietly(main: Callable[P, int]) -> Callable[P, int]:
             _print_no_more()
             return UNREAD if code is None else code
         except OSError as error:
-            if error.errno not in _FULL:
+            if error.errno not in _FULL or not _was_of_output():
                 raise
             _print_no_more()
             print(f"error: standard output: {error.strerror}", file=sys.stderr)
             return code or UNWRITTEN
 
     return wrapped
+
+
+def _was_of_output() -> bool:
+    """Tell whether standard output takes nothing: what is left in it, or, where nothing is ever left, an empty line."""
+    try:
+        if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.write_through:
+            sys.stdout.write("\n")
+        sys.stdout.flush()
+    except OSError:
+        return True
+    return False
 
 
 def _print_no_more() -> None:
