@@ -87,6 +87,13 @@ def test_pattern_picks_one_camera_from_a_shared_folder(tmp_path: Path) -> None:
     assert [f.name for f in picture_files(str(tmp_path / "left*"))] == ["left9.png", "left10.png"]
 
 
+def test_every_format_that_is_read_is_seen_in_a_folder(tmp_path: Path) -> None:
+    names = [f"{number}{ending}" for number, ending in enumerate((".png", ".JPG", ".bmp", ".pgm", ".tif", ".webp"))]
+    for name in (*names, "notes.txt"):
+        (tmp_path / name).touch()
+    assert [f.name for f in picture_files(str(tmp_path))] == names
+
+
 def test_pictures_whose_names_are_not_utf8_are_read(tmp_path: Path) -> None:
     """OpenCV ends the process by such a name."""
     folder = write_folder(tmp_path / "left", [7, 9])

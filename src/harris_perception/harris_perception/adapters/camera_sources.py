@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.adapters.picture_files import decoded
+from harris_perception.adapters.picture_files import SUFFIXES, decoded
 from icu_common.adapters.frame_link import FrameClient
 from icu_common.core.config import Config, ConfigError, setting
 
@@ -26,7 +26,6 @@ Picture = npt.NDArray[np.uint8]
 Clock = Callable[[], int]
 
 SIDES = ("left", "right")
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff")
 _DRIVER_STAMP_MAX_AGE_NS = 1_000_000_000
 
 
@@ -272,9 +271,9 @@ def picture_files(place: str) -> list[Path]:
     """
     path = Path(place).expanduser()
     found = path.iterdir() if path.is_dir() else path.parent.glob(path.name) if path.parent.is_dir() else ()
-    files = [file for file in found if file.suffix.lower() in PICTURE_SUFFIXES]
+    files = [file for file in found if file.suffix.lower() in SUFFIXES]
     if not files:
-        raise SourceError(f"{place}: no pictures ({', '.join(PICTURE_SUFFIXES)})")
+        raise SourceError(f"{place}: no pictures ({', '.join(SUFFIXES)})")
     return sorted(files, key=lambda file: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", file.name)])
 
 

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from harris_perception.core.repeatability import Pair
 
-SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff"}
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
+"""Of the files in a folder that are taken for pictures, in small letters."""
 
 
 def read_gray(path: Path) -> npt.NDArray[np.uint8]:

@@ -188,8 +188,8 @@ def _parser() -> argparse.ArgumentParser:
         "sources",
         type=Path,
         nargs="+",
-        help="folders of sequences (img1.., H1to2p.., or as HPatches 1.., H_1_2..), or photographs; folders of "
-        "pictures with drawn boundaries (<name>.mat as in BSDS500) for edges",
+        help="folders of sequences (img1.., H1to2p.., or as HPatches 1.., H_1_2..; also .txt, .xml), or photographs; "
+        "folders of pictures with drawn boundaries (<name>.mat as in BSDS500) for edges",
     )
     many.add_argument("-o", "--output", type=Path, required=True, help="folder for tables and curves")
     many.add_argument("--count", type=int, default=1000, help="strongest so many points of each picture")
