@@ -128,6 +128,27 @@ def test_few_places_seen_several_times_may_have_no_model() -> None:
         assert found.tentative == 12 and (found.model is not None or len(found.pairs) == 0), seed
 
 
+@pytest.mark.parametrize("tolerance_px", [1.0, 3.0])
+def test_no_match_is_farther_from_the_epipolar_geometry_than_allowed(tolerance_px: float) -> None:
+    """By the distance of P. Sampson, CGIP 18(1), 1982."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1.0, 1.0, (200, 3)) + (0.0, 0.0, 4.0)
+    k = np.array([[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]])
+    moved = points @ np.asarray(cv2.Rodrigues(np.array([0.05, -0.1, 0.02]))[0]).T + (0.3, -0.1, 0.05)
+    a, b = (((p / p[:, 2:]) @ k.T)[:, :2] + rng.normal(0.0, 0.5 * tolerance_px, (200, 2)) for p in (points, moved))
+    b[:60] = rng.uniform(0.0, 480.0, (60, 2))
+    vectors, index = np.eye(200, dtype=np.float32), np.arange(200)
+    config = MatchConfig(geometry="epipolar", tolerance_px=tolerance_px)
+    first, second = (Described(xy.astype(np.float32), index, vectors) for xy in (a, b))
+    found = match(first, second, config)
+    assert found.model is not None and 120 < len(found.pairs) < 160
+    ones = np.ones((len(found.pairs), 1))
+    left, right = np.hstack((first.xy[found.pairs[:, 0]], ones)), np.hstack((second.xy[found.pairs[:, 1]], ones))
+    lines, back = left @ found.model.T, right @ found.model
+    squares = (right * lines).sum(axis=1) ** 2 / ((lines[:, :2] ** 2).sum(axis=1) + (back[:, :2] ** 2).sum(axis=1))
+    assert np.sqrt(squares.max()) <= tolerance_px * 1.001
+
+
 def test_pictures_without_anything_in_common_do_not_match() -> None:
     config = MatchConfig(descriptor="sift")
     a, b = scene(3), scene(4)

@@ -43,7 +43,9 @@ class MatchConfig(Config):
     )
     elsewhere_px: float = setting(8.0, "Nearer than this is the same place for the ratio", minimum=0.0, unit="px")
     geometry: str = setting("homography", "What all matches must agree on", choices=("none", "epipolar", "homography"))
-    tolerance_px: float = setting(3.0, "Largest deviation from it", minimum=0.1, maximum=50.0, unit="px")
+    tolerance_px: float = setting(
+        3.0, "Largest deviation from it, of epipolar geometry Sampson's", minimum=0.1, maximum=50.0, unit="px"
+    )
 
     def __post_init__(self) -> None:
         Config.__post_init__(self)
