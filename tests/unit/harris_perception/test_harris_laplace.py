@@ -77,6 +77,21 @@ def test_all_scales_together_give_as_many_as_asked_for() -> None:
     assert len(corners) == 50 and counts[0] > counts[1] > counts[2] > 0, counts
 
 
+@pytest.mark.parametrize("select", [True, False])
+def test_an_even_spread_covers_the_picture_at_all_scales_together(select: bool) -> None:
+    """A quarter has strong texture, the others a weak one: the strongest are all there."""
+    picture = scene(3).astype(np.float32)
+    picture[:250, :250] *= 5.0
+
+    def quarters(even_spread: bool) -> list[int]:
+        detector = HarrisConfig(relative_threshold=0.0, max_corners=200, even_spread=even_spread)
+        xy = HarrisLaplaceDetector(HarrisLaplaceConfig(select=select, detector=detector)).detect(picture).xy
+        return [int(n) for n in np.bincount((xy[:, 0] >= 250) * 1 + (xy[:, 1] >= 250) * 2, minlength=4)]
+
+    assert quarters(False)[0] > 0.8 * sum(quarters(False))
+    assert sum(quarters(True)) == 200 and min(quarters(True)) >= 40, quarters(True)
+
+
 def test_corners_may_be_more_than_opencv_takes_at_once() -> None:
     picture = np.random.default_rng(6).integers(0, 256, (700, 800), np.uint8)
     everything = HarrisLaplaceConfig(levels=2, detector=HarrisConfig(max_corners=0, relative_threshold=0.0))

@@ -362,7 +362,7 @@ class HarrisDetector:
         xy, response = kernels.ranked(peaks, max(band[1] for band in bands), len(peaks) if spaced else limit)
         if spaced and len(xy) > 0:
             even = config.even_spread and len(xy) > limit
-            find = _spread if even else kernels.apart
+            find = spread if even else kernels.apart
             kept = find(xy, config.suppression_radius_px, limit)
             xy, response = xy[kept], response[kept]
         return Corners(xy, response)
@@ -426,8 +426,11 @@ def _window_taps(config: HarrisConfig) -> F32:
     return np.ones(config.window_px, np.float32)
 
 
-def _spread(xy: F32, least: float, limit: int) -> npt.NDArray[np.int64]:
-    """Return ``limit`` indices at the largest distance that leaves so many, by bisection (Bailo, PRL 106, 2018)."""
+def spread(xy: F32, least: float, limit: int) -> npt.NDArray[np.int64]:
+    """Return which ``limit`` of corners (N, 2) px, the strongest first, are farthest apart, at least ``least`` px.
+
+    The distance that leaves so many is found by bisection (Bailo, PRL 106, 2018).
+    """
     low, high = least, float(np.hypot(*np.ptp(xy, axis=0))) + least
     best = kernels.apart(xy, low, limit)
     while high - low > 0.25 and len(best) == limit:

@@ -6,14 +6,15 @@ levels of a pyramid instead of wider kernels: derivatives in px of a level are t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.harris import HarrisConfig, HarrisDetector, checked, from_lowest
+from harris_perception.core.harris import HarrisConfig, HarrisDetector, checked, from_lowest, spread
 from harris_perception.core.sampling import sampled
 from icu_common.core.config import Config, nested, setting
 
@@ -74,7 +75,10 @@ class HarrisLaplaceDetector:
 
     def __init__(self, config: HarrisLaplaceConfig | None = None) -> None:
         self.config = config if config is not None else HarrisLaplaceConfig()
-        self._detector = HarrisDetector(self.config.detector)
+        detector = self.config.detector
+        # Which corners are far apart is told among those that are kept, of each level.
+        every = replace(detector, even_spread=False, max_corners=0) if detector.even_spread else detector
+        self._detector = HarrisDetector(every)
 
     def warm(self) -> None:
         """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
@@ -93,7 +97,7 @@ class HarrisLaplaceDetector:
             For another shape or dtype.
         """
         gray = checked(gray) if gray.dtype == np.uint8 else from_lowest(checked(gray))
-        pictures = self._pyramid(gray)
+        pictures, detector = self._pyramid(gray), self.config.detector
         found = [self._detector.detect(picture) for picture in pictures]
         laplacians = [self._laplacian(picture) for picture in pictures] if self.config.select else []
         xys: list[F32] = []
@@ -105,13 +109,16 @@ class HarrisLaplaceDetector:
             for beside in (level - 1, level + 1):
                 if 0 <= beside < len(laplacians):
                     kept &= _values(laplacians[level], xy, gray) > _values(laplacians[beside], xy, gray)
-            kept &= np.cumsum(kept) <= self._quota(level)
-            xys.append(xy[kept])
-            scales.append(np.full(int(kept.sum()), self.config.factor**level))
-            responses.append(corners.response[kept])
+            places, scale, quota = np.flatnonzero(kept), self.config.factor**level, self._quota(level)
+            if detector.even_spread and len(places) > quota:
+                places = places[spread(xy[places], detector.suppression_radius_px * scale, quota)]
+            places = places[:quota]
+            xys.append(xy[places])
+            scales.append(np.full(len(places), scale))
+            responses.append(corners.response[places])
         response = np.concatenate(responses)
         # The levels' shares are rounded up, so together they may be a few too many.
-        order = np.argsort(-response, kind="stable")[: self.config.detector.max_corners or None]
+        order = np.argsort(-response, kind="stable")[: detector.max_corners or None]
         parts = (np.concatenate(xys)[order], np.concatenate(scales)[order], response[order])
         return ScaledCorners(*(np.asarray(p, np.float32) for p in parts))
 
@@ -131,11 +138,11 @@ class HarrisLaplaceDetector:
         soft = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), self.config.laplacian_px)
         return np.abs(cv2.Laplacian(soft, cv2.CV_32F, ksize=1))
 
-    def _quota(self, level: int) -> float:
+    def _quota(self, level: int) -> int:
         """Return how many corners a level may give: their number falls as the number of places."""
         count = self.config.detector.max_corners
         shares = self.config.factor ** (-2.0 * np.arange(self.config.levels))
-        return float(np.ceil(count * shares[level] / shares.sum())) if count else np.inf
+        return int(np.ceil(count * shares[level] / shares.sum())) if count else sys.maxsize
 
 
 def _ratio(gray: npt.NDArray[Any], picture: npt.NDArray[Any]) -> F32:
