@@ -48,6 +48,8 @@ class Rig:
         self.desk = Desk(config or BridgeConfig(), BOOT, "DSO")
         self.desk.scene = scene()
         self.seconds = 100.0
+        self.set_s = 0.0
+        """By how much the computer's clock has been set, the monotonic one not."""
         self.seq = 0
         self.desk.machine.set_state("driver", "idle")
         self.desk.machine.set_state("controller", "ready")
@@ -59,7 +61,8 @@ class Rig:
 
     @property
     def now(self) -> Now:
-        return Now(mono_s=self.seconds, ros_ns=START_NS + round(self.seconds * 1e9), wall_s=1.7e9 + self.seconds)
+        clock_s = self.seconds + self.set_s
+        return Now(mono_s=self.seconds, ros_ns=START_NS + round(clock_s * 1e9), wall_s=1.7e9 + clock_s)
 
     def see(self, confidence: float = 0.97) -> None:
         """Let the recognition speak and a picture be shown; ``stamp`` names it."""

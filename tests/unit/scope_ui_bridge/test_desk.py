@@ -332,6 +332,20 @@ def test_a_move_goes_to_base_link_with_the_stylus_up() -> None:
     assert of_type(rig.move(1.0, 2.0), SendGoal), "a move needs no calibration"
 
 
+def test_goals_are_not_of_the_future_after_the_clock_was_set_back() -> None:
+    rig = Rig()
+    rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
+    (goal,) = of_type(rig.move(1.0, 2.0), SendGoal)
+    rig.end(goal.stamp_ns)
+    rig.set_s = -600.0
+    rig.see()
+    (goal,) = of_type(rig.jog(1, 0), SendGoal)
+    assert goal.stamp_ns == rig.now.ros_ns, "the controller would refuse it for ten minutes"
+    rig.set_s -= 600.0
+    (step,) = of_type(rig.end(goal.stamp_ns), SendGoal)
+    assert step.stamp_ns == rig.now.ros_ns
+
+
 @pytest.mark.parametrize("state", ["", "unhomed", "disabled", "moving", "stopped: operator", "alarm: limit"])
 def test_a_move_needs_a_machine_at_rest(state: str) -> None:
     rig = Rig()

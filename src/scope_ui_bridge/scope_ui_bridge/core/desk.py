@@ -52,6 +52,7 @@ STATE_PERIOD_S = (0.1, 1.0)
 _SAME_STOP_S = 0.5
 _WATCHDOG, _RECORDER = "Watchdog", "bag_record"
 _TIP_SEEN_NS = 1_000_000_000
+_CLOCK_JUMP_NS = 100_000_000
 _MAX_LINES = 40  # in one tick
 _KEPT_LINES = 100  # for engineers who come later
 _FOR_ENGINEERS = ("accept_settings",)
@@ -490,8 +491,14 @@ class Desk:
         return self._goal(entry, BASE, (x, y), f"jog ({x * 1e3:.1f}, {y * 1e3:.1f}) mm", {}, now)
 
     def _goal_entry(self, viewer: str, action: str, target: str, now: Now) -> LogEntry:
-        self._last_goal_ns = max(now.ros_ns, self._last_goal_ns + 1)
-        return self._log.add(self._name(viewer), action, target, now, status="sent", goal_id=str(self._last_goal_ns))
+        goal_id = str(self._new_stamp_ns(now))
+        return self._log.add(self._name(viewer), action, target, now, status="sent", goal_id=goal_id)
+
+    def _new_stamp_ns(self, now: Now) -> int:
+        """Return a stamp later than the last one, unless the clock was set back: stamps of the future are refused."""
+        later_ns = self._last_goal_ns + 1
+        self._last_goal_ns = later_ns if 0 < later_ns - now.ros_ns < _CLOCK_JUMP_NS else now.ros_ns
+        return self._last_goal_ns
 
     def _goal(
         self, entry: LogEntry, frame: str, point: tuple[float, float], text: str, seen: dict[str, str], now: Now
@@ -549,8 +556,8 @@ class Desk:
         jog = self._jog
         if jog is not None and jog.entry == known.entry and result.outcome.final:
             if result.outcome is Outcome.REACHED and now.mono_s < jog.until_s and self.lease.holder == jog.viewer:
-                self._last_goal_ns = max(now.ros_ns, self._last_goal_ns + 1)
-                known = self._log.update(known, goal_id=str(self._last_goal_ns), sent_mono_s=now.mono_s, status="sent")
+                goal_id = str(self._new_stamp_ns(now))
+                known = self._log.update(known, goal_id=goal_id, sent_mono_s=now.mono_s, status="sent")
                 return [self._jog_step(known, now)]
             self._jog = None
         return self._log.ended(known, result, now)
