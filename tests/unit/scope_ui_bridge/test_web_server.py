@@ -122,6 +122,7 @@ def test_signing_out_ends_the_session_and_its_connections() -> None:
         async with page(rig, take=True) as client:
             async with client.session.post("/sign-out", headers=client.origin) as answer:
                 assert answer.status == 401
+                assert 'data-problem=""' in await answer.text(), "who has signed out knows it"
             await client.send(type="alive", client_ms=1.0)
             while True:
                 message = await client.control.receive(timeout=5.0)
@@ -371,7 +372,11 @@ def test_stop_by_plain_post_from_a_viewer() -> None:
     with_rig(scenario)
 
 
-def test_heartbeats_go_out_with_keep_alives_and_a_closed_page_stops_a_motion() -> None:
+@pytest.mark.parametrize(
+    ("gone", "cause"),
+    [("closed", "stopped_page_gone"), ("cut off", "stopped_link_lost"), ("signed out", "stopped_signed_out")],
+)
+def test_heartbeats_go_out_with_keep_alives_and_a_page_that_is_gone_stops_a_motion(gone: str, cause: str) -> None:
     async def scenario(rig: Rig) -> None:
         async with page(rig, take=True) as client:
             await client.send(type="alive", client_ms=7.25)
@@ -380,7 +385,15 @@ def test_heartbeats_go_out_with_keep_alives_and_a_closed_page_stops_a_motion() -
             rig.server.mailbox.each(rig.desk.machine.set_state, "driver", "moving")
             await client.until(lambda m: m["type"] == "state" and m["moving"])
             assert rig.graph.named("stop") == []
-        await until(lambda: rig.graph.named("stop"), "the stop")
+            if gone == "closed":
+                await client.control.close()
+            elif gone == "cut off":  # as by a tunnel that ends: nothing is said
+                client.control._response.connection.transport.abort()
+            else:
+                rig.sign_in._sessions.clear()
+                await client.send(type="alive", client_ms=7.5)
+            await until(lambda: rig.graph.named("stop"), "the stop")
+        assert rig.desk.join("Operator 2")[1]["log"][-1]["target"] == cause
 
     with_rig(scenario)
 

@@ -257,6 +257,7 @@ class WebServer:
         socket, session = await self._open(request, autoping=False)
         viewer = ""
         sender: asyncio.Task[None] | None = None
+        gone = "stopped_link_lost"  # without a word, as when a tunnel ends
         try:
             try:
                 viewer, hello = self._desk.join(session.name, session.role)
@@ -269,17 +270,21 @@ class WebServer:
             if request.transport is not None:
                 self._transports[viewer] = request.transport
             sender = asyncio.create_task(_send_all(socket, outbox))
-            async for message in socket:
+            while True:
+                message = await socket.receive()
                 if message.type is WSMsgType.PONG:
                     self._desk.pong(viewer)
                     continue
                 if message.type is WSMsgType.PING:
                     await socket.pong(message.data)
                     continue
+                if message.type is WSMsgType.CLOSE:
+                    gone = "stopped_page_gone"
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                     self._note_broken(session, message)
                     break
                 if self.door.session(request) is None:  # signed out, or the session's time is over
+                    gone = "stopped_signed_out"
                     break
                 effects = self._desk.message(viewer, message.data, self._now())
                 self._note_suspects(session.name, effects)
@@ -290,7 +295,7 @@ class WebServer:
             self._controls.pop(viewer, None)
             self._transports.pop(viewer, None)
             if viewer:
-                self._carry_out(self._desk.leave(viewer, self._now()))
+                self._carry_out(self._desk.leave(viewer, self._now(), gone))
             if sender is not None:
                 sender.cancel()
         return await self._ended(socket)

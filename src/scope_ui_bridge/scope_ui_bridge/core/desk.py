@@ -139,10 +139,10 @@ class Desk:
             "jog_step_mm": self.config.jog_step_max_m * 1e3,
         }
 
-    def leave(self, viewer: str, now: Now) -> list[Effect]:
-        """Remove a page; when it was the operator's and something moves, stop."""
+    def leave(self, viewer: str, now: Now, code: str = "stopped_page_gone") -> list[Effect]:
+        """Remove a page; when it was the operator's and something moves, stop: ``code`` says why it is gone."""
         self._viewers.pop(viewer, None)
-        return self._lose_lease(viewer, "stopped_page_gone", now)
+        return self._lose_lease(viewer, code, now)
 
     def message(self, viewer: str, text: str | bytes, now: Now) -> list[Effect]:
         """Take one text of a page and return what is to be done; anything bad is answered, nothing moves."""
