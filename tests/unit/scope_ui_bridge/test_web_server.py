@@ -392,6 +392,8 @@ def test_heartbeats_go_out_with_keep_alives_and_a_page_that_is_gone_stops_a_moti
             else:
                 rig.sign_in._sessions.clear()
                 await client.send(type="alive", client_ms=7.5)
+                async with client.session.get("/") as answer:
+                    assert 'data-problem="ended"' in await answer.text(), "why the page that was looked at is gone"
             await until(lambda: rig.graph.named("stop"), "the stop")
         assert rig.desk.join("Operator 2")[1]["log"][-1]["target"] == cause
 

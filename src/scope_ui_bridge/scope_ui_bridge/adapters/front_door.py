@@ -165,7 +165,7 @@ class FrontDoor:
         # A picture or a frame of another site's page needs no Origin: its wrong tokens would make people wait.
         part_of_a_page = request.headers.get("Sec-Fetch-Dest", "document") != "document"
         if not token or part_of_a_page:
-            return self._sign_in_page(401, "")
+            return self._sign_in_page(401, "ended" if _cookie(request) in request.cookies else "")
         # The page itself is the answer, not a redirect: after a link from elsewhere a browser would not send a
         # SameSite=Strict cookie with the redirected request.
         return await self._try(request, token, "", "", web.FileResponse(PAGE / "index.html"))

@@ -289,6 +289,7 @@ export const DE = {
   wrong_token: "Dieses Kennwort gilt nicht. Vielleicht wurde es schon benutzt.",
   wait: "Zu viele Fehlversuche. Einige Sekunden warten und noch einmal versuchen.",
   sign_in: "Anmelden",
+  sign_in_ended: "Ihre Anmeldung ist beendet: ihre Zeit war um, Ihr Zugang wurde geändert, oder die Brücke wurde neu gestartet. Bitte neu anmelden.",
   sign_in_title: "Anmelden – Ferninstrument",
   sign_in_token: "Mit dem Einmalkennwort anmelden, das die Brücke beim Start ausgegeben hat.",
   sign_in_name: "Name",

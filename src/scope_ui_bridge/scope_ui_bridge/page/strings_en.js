@@ -289,6 +289,7 @@ export const EN = {
   wrong_token: "This token is not valid. It may have been used already.",
   wait: "Too many failed attempts. Wait a few seconds and try again.",
   sign_in: "Sign in",
+  sign_in_ended: "Your sign-in has ended: its time was over, your account was changed, or the bridge was restarted. Sign in again.",
   sign_in_title: "Sign in – remote instrument",
   sign_in_token: "Sign in with the one-time token that the bridge printed when it started.",
   sign_in_name: "Name",
