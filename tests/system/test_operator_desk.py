@@ -440,6 +440,39 @@ def test_two_tabs_of_one_person_are_told_apart(operator: Operator) -> None:
     page.bring_to_front()
 
 
+def test_a_screen_reader_hears_of_requests_and_results_and_not_of_each_millimetre(
+    browser: Any, operator: Operator, instrument: Instrument
+) -> None:
+    page = operator.page
+    instrument.tell("motion 0.3")
+    page.evaluate(_HEAR)
+    for control, label in (("MENU", "Menu"), ("SINGLE", "Single")):
+        operator.selects(control, label)
+        operator.confirms()
+        operator.sees("#last", f"Press {label}: done")
+    other = Operator(browser, instrument.new_address())
+    other.page.click("#lease-request")
+    name = re.search(r"Operator \d+", operator.sees("#lease-text", "asks for control"))[0]
+    heard = page.evaluate("heard")
+    assert f"{name} asks for control." in heard
+    assert "Press Single: done, measured error 0.42 mm." in heard
+    assert [text for text in heard if re.fullmatch(r"[\d.]+ mm", text)] == [], "it would be at them all the way"
+    other.leaves()
+
+
+# What stands in live regions whenever they change, into `heard`.
+_HEAR = """() => {
+  window.heard = [];
+  const live = '[aria-live=polite], [aria-live=assertive], [role=status], [role=alert], output:not([aria-live=off])';
+  new MutationObserver((changes) => {
+    for (const { target } of changes) {
+      const region = (target.nodeType === 1 ? target : target.parentElement)?.closest(live);
+      if (region) heard.push(region.textContent.trim());
+    }
+  }).observe(document.body, { subtree: true, childList: true, characterData: true });
+}"""
+
+
 def test_the_chosen_sequence_stays_chosen_when_the_link_comes_back(operator: Operator) -> None:
     page = operator.page
     again = """async (names) => {
