@@ -473,6 +473,49 @@ _HEAR = """() => {
 }"""
 
 
+def test_the_focus_stays_where_a_second_enter_does_nothing(operator: Operator, instrument: Instrument) -> None:
+    page, keyboard = operator.page, operator.page.keyboard
+    instrument.tell("motion 0.3")
+    focus = lambda: page.evaluate("(({ id, dataset }) => id || dataset.act || dataset.jog)(document.activeElement)")  # noqa: E731
+    lands_on = lambda place: operator.until(lambda: focus() == place, 5.0, lambda: f"{focus()} has the focus")  # noqa: E731
+    page.focus("#lease-release")
+    keyboard.press("Enter")
+    lands_on("lease-card")
+    keyboard.press("Tab")
+    lands_on("lease-take")
+    keyboard.press("Enter")
+    lands_on("lease-card")
+    keyboard.press("Enter")
+    operator.sees("#lease-text", "You are in control")
+    page.focus("[data-control=MENU]")
+    keyboard.press("Enter")
+    lands_on("press")
+    rows = page.locator("#log tr:not(.nothing)")
+    before = rows.count()
+    keyboard.press("Enter")
+    lands_on("selection-card")
+    operator.sees("#last", "Press Menu: done")
+    keyboard.press("Enter")
+    keyboard.press("Escape")
+    operator.until(lambda: page.is_visible("#reset"), 5.0, lambda: page.inner_text("#banner"))
+    assert rows.count() == before + 2, "one press and the stop"
+    page.focus("#reset")
+    keyboard.press("Enter")
+    lands_on("desk")
+    operator.sees("#banner", "Ready")
+    page.click("#tab-move")
+    page.focus("[data-jog='0,1']")
+    keyboard.press("Enter")
+    operator.logs(r"Move \+y.*done", 5.0)
+    lands_on("0,1")
+    page.fill("#go-x", "90")
+    page.fill("#go-y", "40")
+    page.focus("#go")
+    keyboard.press("Enter")
+    lands_on("panel-move")
+    operator.logs(r"Go to \(90.0, 40.0\) mm.*done", 5.0)
+
+
 def test_the_chosen_sequence_stays_chosen_when_the_link_comes_back(operator: Operator) -> None:
     page = operator.page
     again = """async (names) => {

@@ -308,6 +308,8 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     assert len(spoken) <= 2, f"a screen reader would speak of each: {spoken}"
     instrument.tell("resume")
     operator.until(lambda: page.is_hidden("#stale"), 5.0, lambda: "the picture is live again")
+    focused = lambda: page.evaluate("document.activeElement.dataset.control")  # noqa: E731
+    operator.until(lambda: focused() == "MENU", 5.0, lambda: "the focus comes back to the control that was clicked")
     operator.sees("#chip-recognition", "97 %")
     instrument.tell("mute 1")
     operator.sees("#chip-recognition", "unknown")

@@ -198,6 +198,7 @@ function showLast(entry) {
 function render() {
   const { state, me } = desk;
   if (!state) return;
+  const focused = document.activeElement;
   for (const part of ["driver", "controller", "calibration"]) {
     stateChip(`chip-${part}`, link.silent ? { state: "", reason: "" } : state[part]);
   }
@@ -228,6 +229,26 @@ function render() {
   renderTeach();
   renderTools();
   renderAge();
+  keepFocus(focused);
+}
+
+/** What is switched off or hidden would leave the focus nowhere: its card takes it, where a second Enter does nothing. */
+function keepFocus(at) {
+  if (!at.matches(":disabled") && at.getClientRects().length) return;
+  const place = at.closest('[role="tabpanel"], .card') ?? find("desk");
+  place.tabIndex = -1;
+  place.focus({ preventScroll: true });
+}
+
+let beneath = null; // the control that had the focus when the picture became too old for it to be shown
+
+function keepFocusBeneath(stale) {
+  const at = document.activeElement;
+  if (stale) beneath = at.closest("#controls button") ?? beneath;
+  else if (beneath) {
+    if (at === document.body) beneath.focus({ preventScroll: true });
+    beneath = null;
+  }
 }
 
 function renderLease() {
@@ -297,6 +318,7 @@ function renderAge() {
   put(find("chip-video").querySelector("dt"), t(video.shown?.light ? "chip_video_light" : "chip_video"));
   put(find("age"), shown && !stale ? t("live", { age: Math.round(age) }) : "");
   find("stale").hidden = !stale;
+  keepFocusBeneath(stale);
   if (stale) put(find("stale"), shown ? t("stale", { age: (age / 1000).toFixed(1) }) : t("no_picture"));
   const silent = link.silent;
   const rtt = link.rttMs === null ? "–" : Math.round(link.rttMs);

@@ -51,7 +51,8 @@ export function wireMove() {
       button.setPointerCapture(event.pointerId);
       hold(dx, dy);
     });
-    for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) button.addEventListener(end, release);
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) button.addEventListener(end, release);
+    button.addEventListener("blur", () => held?.dx === dx && held?.dy === dy && release()); // keys may hold another way
     button.addEventListener("contextmenu", (event) => event.preventDefault()); // a long touch is no menu here
     button.addEventListener("keydown", (event) => {
       if (!["Enter", " "].includes(event.key)) return;
@@ -80,7 +81,9 @@ export function wireMove() {
 
 export function renderMove() {
   const why = desk.whyNoMotion || (desk.state.driver.state === "idle" || held ? "" : t("move_needs_idle"));
-  for (const button of document.querySelectorAll("[data-jog], #go")) button.disabled = why !== "";
+  // The one that is pressed again and again keeps the focus while its last step is done.
+  const again = desk.whyNoMotion ? null : document.activeElement.closest("[data-jog]");
+  for (const button of document.querySelectorAll("[data-jog], #go")) button.disabled = why !== "" && button !== again;
   find("move-why").textContent = why || t("move_hint");
   for (const option of find("jog-step").options) option.disabled = Number(option.value) > desk.limits.jog_step_mm;
 }
