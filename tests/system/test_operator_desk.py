@@ -638,6 +638,45 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
     instrument.tell("motion 1.5")
 
 
+# A computer whose clock is a day and an hour ahead.
+_AHEAD = """{ const True = Date, ahead = 90_000_000; globalThis.Date = class extends True {
+  constructor(...given) { super(...(given.length ? given : [True.now() + ahead])); }
+  static now() { return True.now() + ahead; }
+}; }"""
+
+
+def test_times_are_the_bridges_and_those_of_another_day_have_their_date(browser: Any, instrument: Instrument) -> None:
+    operator = Operator(browser, instrument.new_address())
+    page = operator.page
+    operator.context.add_init_script(_AHEAD)
+    page.reload()
+    operator.sees_controls()
+    operator.sees("#chip-link", r"\d ms")
+    begun = time.time()
+    page.click("#freeze")
+    shown = operator.sees("#before-time", "before").removeprefix("before · ")
+    with page.expect_download() as saved:
+        page.click("#snapshot")
+    moments = [datetime.fromtimestamp(begun + seconds) for seconds in range(-1, 20)]
+    assert shown in [f"{at:%H:%M:%S}" for at in moments]
+    assert saved.value.suggested_filename in [f"picture_{at:%Y-%m-%d_%H-%M-%S}.png" for at in moments]
+    entry = {"entry": 999, "who": "Operator 1", "action": "home", "target": "", "status": "done", "reason": ""}
+    tell = """async ([entry, days]) => {
+        const [{ desk }, { setClock }] = [await import('/page/desk.js'), await import('/page/clock.js')];
+        desk.link.dispatchEvent(new CustomEvent('log', { detail: { entry } }));
+        desk.link.alive = () => {}; // the bridge tells the time no more
+        setClock(entry.wall_ms + days * 86_400_000);
+    }"""
+    at = datetime(2026, 3, 29, 23, 50, 7)
+    time_of = lambda: page.inner_text("#log tr >> nth=0 >> td >> nth=0").replace("\xa0", " ")  # noqa: E731
+    for days, expected in ((0, "23:50:07"), (1, "Mar 29 23:50:07")):
+        page.evaluate(tell, [{**entry, "error_mm": None, "wall_ms": at.timestamp() * 1e3}, days])
+        operator.until(lambda text=expected: time_of() == text, 5.0, time_of)
+    page.click("#language")
+    operator.until(lambda: time_of() == "29. März 23:50:07", 5.0, time_of)
+    operator.leaves()
+
+
 def test_the_log_is_searched_and_exported(operator: Operator) -> None:
     page = operator.page
     operator.selects("MENU", "Menu")

@@ -174,8 +174,8 @@ class Desk:
             self.lease.alive(viewer, now.mono_s)
             if viewer == self.lease.holder:
                 self._causes.alive()
-            clocks = {"client_ms": message.client_ms, "bridge_ms": now.mono_s * 1e3}
-            return [Send(viewer=viewer, message={"type": "alive", **clocks})]
+            clocks = {"bridge_ms": now.mono_s * 1e3, "wall_ms": now.wall_s * 1e3}
+            return [Send(viewer=viewer, message={"type": "alive", "client_ms": message.client_ms, **clocks})]
         if isinstance(message, wire.Hidden):
             mine = viewer == self.lease.holder
             return self._lose_lease(viewer, "stopped_page_hidden", now) if mine and self.moving else []

@@ -1,5 +1,6 @@
 // The command log: newest first, each command one row that is updated until its result is known.
 
+import { timeText, wallNow } from "./clock.js";
 import { fileTime, put, save } from "./dom.js";
 import { said } from "./said.js";
 import { has, t } from "./strings.js";
@@ -14,6 +15,7 @@ export class CommandLog {
   #rows = new Map();
   #entries = new Map();
   #search = "";
+  #day = "";
   #tell = () => {};
 
   constructor(body) {
@@ -38,6 +40,14 @@ export class CommandLog {
   /** Write all rows anew, in another language. */
   relabel() {
     this.reset([...this.#entries.values()]);
+  }
+
+  /** Call often: at midnight the times of today become those of yesterday. */
+  watch() {
+    const day = wallNow().toDateString();
+    if (day === this.#day) return;
+    this.#day = day;
+    this.relabel();
   }
 
   wireSearch(field, found, button) {
@@ -80,7 +90,7 @@ export class CommandLog {
     row.dataset.status = entry.status;
     row.dataset.action = entry.action.split(" ")[0];
     const [time, what, result, error, who] = row.cells;
-    time.textContent = new Date(entry.wall_ms).toLocaleTimeString([], { hour12: false });
+    time.textContent = timeText(entry.wall_ms);
     what.textContent = `${actionText(entry)} ${targetText(entry)}`.trim();
     const icon = document.createElement("span");
     icon.className = "icon";

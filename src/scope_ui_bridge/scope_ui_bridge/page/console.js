@@ -1,5 +1,6 @@
 // What the machine's programs say, for engineers: read only.
 
+import { timeText } from "./clock.js";
 import { find } from "./dom.js";
 import { t } from "./strings.js";
 
@@ -30,8 +31,7 @@ export class Console {
     for (const { wall_ms, level, name, text } of lines) {
       const line = document.createElement("p");
       line.dataset.level = level;
-      const time = new Date(wall_ms).toLocaleTimeString([], { hour12: false });
-      line.textContent = `${time} ${level} ${name}: ${text}`;
+      line.textContent = `${timeText(wall_ms)} ${level} ${name}: ${text}`;
       element.append(line);
     }
     while (element.children.length > MAX_LINES) element.firstElementChild.remove();

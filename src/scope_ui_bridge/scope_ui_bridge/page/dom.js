@@ -1,5 +1,7 @@
 // Small things for the document that several parts of the page need.
 
+import { wallNow } from "./clock.js";
+
 export const find = (id) => document.getElementById(id);
 
 /** Change a text only when it differs: screen readers speak of every change. */
@@ -50,7 +52,7 @@ export function save(name, blob) {
 }
 
 /** Local time as part of a file's name. */
-export function fileTime(date = new Date()) {
+export function fileTime(date = wallNow()) {
   const two = (value) => String(value).padStart(2, "0");
   const day = `${date.getFullYear()}-${two(date.getMonth() + 1)}-${two(date.getDate())}`;
   return `${day}_${two(date.getHours())}-${two(date.getMinutes())}-${two(date.getSeconds())}`;

@@ -1,5 +1,7 @@
 // The control connection: numbered messages, answers, round trip, and noticing a dead server (no close event comes then).
 
+import { setClock } from "./clock.js";
+
 const SILENT_MS = 1500;
 const ANSWER_MS = 3000;
 const CLOCKS = 25; // answers of the last 5 s: the quickest tells best what the bridge's clock shows
@@ -90,6 +92,7 @@ export class Link extends EventTarget {
       const now = performance.now();
       const rtt = now - message.client_ms;
       this.#clocks = [...this.#clocks, { rtt, ahead: message.bridge_ms + rtt / 2 - now }].slice(-CLOCKS);
+      setClock(message.wall_ms + rtt / 2);
       this.rttMs = this.rttMs === null ? rtt : 0.8 * this.rttMs + 0.2 * rtt;
       return;
     }

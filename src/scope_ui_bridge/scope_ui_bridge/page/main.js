@@ -228,6 +228,7 @@ function render() {
   renderSequence();
   renderTeach();
   renderTools();
+  log.watch();
   renderAge();
   keepFocus(focused);
 }

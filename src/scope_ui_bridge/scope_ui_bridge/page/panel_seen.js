@@ -1,5 +1,6 @@
 // What recognition sees of the panel: lit lamps, knobs' angles, screens that changed, and what hides a control.
 
+import { timeText } from "./clock.js";
 import { find, put } from "./dom.js";
 import { has, t } from "./strings.js";
 
@@ -22,7 +23,7 @@ export function seenText(name) {
   if (seen.lamp) return t("lamp", { colour: has(`lamp_${seen.lamp}`) ? t(`lamp_${seen.lamp}`) : seen.lamp });
   if (seen.angle_deg !== null) return markText(seen) ?? t("at_degrees", { degrees: degrees(seen.angle_deg) });
   if (!seen.changed_ms) return "";
-  return t("changed_at", { time: new Date(seen.changed_ms).toLocaleTimeString([], { hour12: false }) });
+  return t("changed_at", { time: timeText(seen.changed_ms) });
 }
 
 /** The marked position that a knob stands at, with its angle. */

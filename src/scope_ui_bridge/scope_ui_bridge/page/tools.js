@@ -1,5 +1,6 @@
 // The picture's tools: zoom and pan, hold the picture of before over the live one, save what is seen.
 
+import { timeText, wallNow } from "./clock.js";
 import { desk } from "./desk.js";
 import { fileTime, find, press, put, save } from "./dom.js";
 import { singleKey } from "./keys.js";
@@ -93,7 +94,7 @@ function keep() {
   canvas.width = live.width;
   canvas.height = live.height;
   canvas.getContext("2d").drawImage(live, 0, 0);
-  before = { canvas, at: new Date(), camera: desk.video.shown.camera };
+  before = { canvas, at: wallNow(), camera: desk.video.shown.camera };
 }
 
 function hold(on) {
@@ -129,7 +130,7 @@ function wireBefore() {
 }
 
 export function renderTools() {
-  if (desk.frozen) put(find("before-time"), t("before_time", { time: before.at.toLocaleTimeString([], { hour12: false }) }));
+  if (desk.frozen) put(find("before-time"), t("before_time", { time: timeText(before.at) }));
   find("compare").disabled = !before || (before.camera !== desk.video.camera && !desk.frozen);
   find("freeze").disabled = find("snapshot").disabled = !desk.video.shown;
 }
@@ -149,7 +150,7 @@ function snapshot() {
   context.drawImage(source, 0, 0);
   context.fillStyle = "#fff";
   context.font = "16px sans-serif";
-  const at = desk.frozen ? before.at : new Date();
+  const at = desk.frozen ? before.at : wallNow();
   const age = desk.frozen ? "" : ` · ${Math.round(desk.video.ageMs)} ms`;
   const about = `${document.title} · ${desk.seen.camera} · ${at.toISOString()}${age} · ${desk.me.name}`;
   context.fillText(about, 8, source.height + line - 9);
