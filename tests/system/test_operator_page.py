@@ -405,6 +405,7 @@ def test_words_can_be_read_and_buttons_can_be_hit(browser: Any, instrument: Inst
         assert operator.page.evaluate(_CUT_NAMES) == []
         assert operator.page.evaluate(_BROKEN_RESULT) == [1, 0], "one line for its word, nothing cut"
         assert operator.page.evaluate(_WIDE_NAME) <= 0, "a long name breaks, and STOP stays in sight"
+        assert operator.page.evaluate(_LONG_USER) == [0], "nor does a person's name take the room of the states"
         operator.leaves()
 
 
@@ -447,6 +448,17 @@ _WIDE_NAME = """() => {
     document.getElementById(id).textContent = 'Beatmungsdruckbegrenzungsventileinstellknopf';
   }
   return document.documentElement.scrollWidth - document.documentElement.clientWidth;
+}"""
+
+# How much wider than the window the page is with the longest name of a person, and which states are cut.
+_LONG_USER = """() => {
+  const name = 'Maximiliane.Hohenstauffen-Weber1';
+  document.querySelector('#banner p').textContent = `GESTOPPT – ${name.toUpperCase()} hat STOP gedrückt`;
+  document.getElementById('you').textContent = `${name} · 3 dabei`;
+  const states = ['driver', 'controller'].map((part) => document.querySelector(`#chip-${part} dd`));
+  for (const state of states) state.textContent = 'Gestoppt';
+  const cut = states.filter((state) => state.scrollWidth > state.clientWidth).map((state) => state.parentElement.id);
+  return [Math.max(0, document.documentElement.scrollWidth - document.documentElement.clientWidth), ...cut];
 }"""
 
 _CONTRAST = """() => {

@@ -216,6 +216,7 @@ function render() {
   find("stage").classList.toggle("unsure", unsure || !seen);
   find("stage").classList.toggle("moving", state.moving);
   put(find("you"), t("you", { name: me.name, count: state.viewers }));
+  find("you").title = me.name;
   ["x", "y", "stylus"].forEach((axis, index) => {
     const value = link.silent ? NaN : state.position_mm?.[index];
     put(find(`position-${axis}`), Number.isFinite(value) ? t("mm", { value: value.toFixed(1) }) : "–");
