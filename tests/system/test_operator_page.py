@@ -274,6 +274,14 @@ def test_control_is_handed_over(browser: Any, instrument: Instrument) -> None:
     assert second.page.inner_text("[data-call=home]") == "Confirm: home"
     second.page.click("[data-call=home]")
     second.logs("Home.*done homing", 5.0)
+    first.sees("#banner", "Viewing. Ask for control to operate")
+    second.selects("MENU", "Menu")
+    second.confirms()
+    first.sees("#banner", "Moving. STOP or Esc stops it")
+    second.logs("Press Menu.*done", 10.0)
+    second.page.click("#lease-release")
+    second.sees("#banner", "You are no longer in control: it was released, or this page was hidden")
+    first.sees("#banner", "Viewing. Take control to operate")
     first.leaves()
     second.leaves()
 

@@ -124,9 +124,9 @@ function setState(next) {
   desk.state = next;
   if (AT_REST.includes(next.driver.state)) desk.stopping = false;
   const mine = next.lease.holder === desk.me.id;
-  if (mine) restarted = lostControl = false;
-  if (wasMine && !mine) lostControl = true;
   const { holder, requester } = next.lease;
+  if (holder) restarted = lostControl = false;
+  else if (wasMine) lostControl = true;
   if (before === desk.me.id && requester === "" && holder !== desk.me.id) declinedBy = holder;
   if (requester === desk.me.id || holder !== declinedBy) declinedBy = "";
   if (before === desk.me.id && requester !== before && holder !== before) overtakenBy = requester;
@@ -326,6 +326,7 @@ function renderAge() {
   const rtt = link.rttMs === null ? "–" : Math.round(link.rttMs);
   chip("chip-link", silent ? "bad" : "good", silent ? t("link_lost") : t("link_ok", { rtt }));
   const { state: driver, reason } = state?.driver ?? {};
+  const viewing = state?.lease.holder ? "banner_viewing_other" : "banner_viewing";
   if (AT_REST.includes(driver) && !silent) desk.unstopped = false;
   banner(find("banner"), [
     { when: desk.unstopped, look: "bad", text: t("banner_stop_failed") },
@@ -335,11 +336,11 @@ function renderAge() {
     { when: driver === "alarm", look: "bad", text: t("banner_alarm", { reason: said(reason) }) },
     { when: driver === "stopped", look: "bad", text: state && stopBanner(state) },
     { when: age > limits.max_age_ms, look: "waiting", text: t(state?.moving ? "banner_moving_stale" : "banner_stale") },
+    { when: state?.moving, look: "busy", text: t("banner_moving") },
     { when: restarted, look: "waiting", text: t("banner_restarted") },
     { when: lostControl, look: "waiting", text: t("banner_lost_control") },
     { when: !state, look: "none", text: t("banner_connecting") },
-    { when: state?.moving, look: "busy", text: t("banner_moving") },
-    { when: !desk.mine, look: "none", text: t(desk.me.role === "viewer" ? "role_viewer" : "banner_viewing") },
+    { when: !desk.mine, look: "none", text: t(desk.me.role === "viewer" ? "role_viewer" : viewing) },
     { when: state?.refusal || desk.frozen || desk.teaching, look: "waiting", text: t("banner_waiting", { reason: desk.whyNot }) },
     { when: true, look: "good", text: t("banner_ready") },
   ]);

@@ -136,6 +136,7 @@ export const DE = {
   banner_connecting: "Verbindet …",
   banner_ready: "Bereit. Ein Element im Bild wählen, dann bestätigen.",
   banner_viewing: "Sie sehen zu. Zum Bedienen die Bedienung übernehmen.",
+  banner_viewing_other: "Sie sehen zu. Zum Bedienen die Bedienung erbitten.",
   banner_moving: "Bewegt sich. STOP oder Esc hält an.",
   banner_moving_stale: "Bewegt sich, und das Livebild ist alt. STOP oder Esc hält an.",
   banner_waiting: "Nicht bereit: {reason}",
@@ -147,7 +148,7 @@ export const DE = {
   banner_stopped_bare: "GESTOPPT. Nichts bewegt sich, bis der Bediener „Nach Stop zurücksetzen“ drückt.",
   banner_alarm: "ALARM – {reason}",
   banner_restarted: "Die Brücke wurde neu gestartet. Zum Weitermachen die Bedienung wieder übernehmen.",
-  banner_lost_control: "Sie bedienen nicht mehr.",
+  banner_lost_control: "Sie bedienen nicht mehr: die Bedienung wurde abgegeben, oder diese Seite war zu lange verdeckt oder still.",
 
   stopped_page_frozen: "die Seite des Bedieners antwortete nicht mehr (eingefroren oder überlastet)",
   stopped_link_lost: "die Verbindung zur Seite des Bedieners ist abgerissen",

@@ -136,6 +136,7 @@ export const EN = {
   banner_connecting: "Connecting …",
   banner_ready: "Ready. Select a control in the picture, then confirm.",
   banner_viewing: "Viewing. Take control to operate.",
+  banner_viewing_other: "Viewing. Ask for control to operate.",
   banner_moving: "Moving. STOP or Esc stops it.",
   banner_moving_stale: "Moving, and the live picture is old. STOP or Esc stops it.",
   banner_waiting: "Not ready: {reason}",
@@ -147,7 +148,7 @@ export const EN = {
   banner_stopped_bare: "STOPPED. Nothing moves until the operator presses “Reset after stop”.",
   banner_alarm: "ALARM – {reason}",
   banner_restarted: "The bridge was restarted. Take control again before you go on.",
-  banner_lost_control: "You are no longer in control.",
+  banner_lost_control: "You are no longer in control: it was released, or this page was hidden or silent for too long.",
 
   stopped_page_frozen: "the operator’s page did not respond any more (frozen or overloaded)",
   stopped_link_lost: "the link to the operator’s page was lost",
