@@ -81,6 +81,18 @@ def test_a_hidden_page_stops_at_once_what_it_moves_and_only_that() -> None:
     assert rig.desk.lease.holder == rig.a, "at rest a glance elsewhere costs nothing"
 
 
+@pytest.mark.parametrize(("back", "code"), [(False, "stopped_page_hidden"), (True, "stopped_link_lost")])
+def test_a_page_that_was_hidden_before_the_motion_began_is_not_called_lost(back: bool, code: str) -> None:
+    rig = Rig()
+    rig.ask(rig.a, type="hidden")
+    if back:
+        rig.alive()
+    rig.wait(0.4)
+    rig.desk.machine.set_state("driver", "homing")
+    (stop,) = of_type(rig.wait(0.5), StopNow)
+    assert stop.record["target"] == code
+
+
 def test_a_page_that_sees_no_new_picture_stops_what_it_moves_once_and_keeps_control() -> None:
     rig = moving()
     viewer, _ = rig.desk.join("Operator 2")

@@ -177,8 +177,10 @@ class Desk:
             clocks = {"bridge_ms": now.mono_s * 1e3, "wall_ms": now.wall_s * 1e3}
             return [Send(viewer=viewer, message={"type": "alive", "client_ms": message.client_ms, **clocks})]
         if isinstance(message, wire.Hidden):
-            mine = viewer == self.lease.holder
-            return self._lose_lease(viewer, "stopped_page_hidden", now) if mine and self.moving else []
+            if viewer != self.lease.holder:
+                return []
+            self._causes.hidden()
+            return self._lose_lease(viewer, "stopped_page_hidden", now) if self.moving else []
         if isinstance(message, wire.Blind):
             if viewer != self.lease.holder or not self.moving:
                 return []

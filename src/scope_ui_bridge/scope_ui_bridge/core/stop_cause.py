@@ -33,6 +33,7 @@ class StopCauses:
         self._held_up_until_s = -math.inf
         self._pinged = False
         self._answered = False
+        self._hidden = False
 
     # --- what happens ----------------------------------------------------------------------------------------------
 
@@ -50,7 +51,11 @@ class StopCauses:
 
     def alive(self) -> None:
         """Note that the operator's page has spoken."""
-        self._pinged = self._answered = False
+        self._pinged = self._answered = self._hidden = False
+
+    def hidden(self) -> None:
+        """Note that the operator's page has said that it is hidden."""
+        self._hidden = True
 
     def answered(self) -> None:
         """Note that the browser of the operator's page has answered the ping."""
@@ -80,10 +85,12 @@ class StopCauses:
     def of_silence(self, now_s: float) -> str:
         """Return why the page is silent: the bridge was held up, the browser answers though the page does not, or not.
 
-        A hidden page says so itself.
+        A hidden page has said so itself.
         """
         if now_s < self._held_up_until_s:
             return "stopped_bridge_held_up"
+        if self._hidden:
+            return "stopped_page_hidden"
         return "stopped_page_frozen" if self._answered else "stopped_link_lost"
 
     def of_blindness(self, now_s: float) -> str:
