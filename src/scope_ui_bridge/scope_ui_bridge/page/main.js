@@ -32,8 +32,7 @@ const overlay = new Overlay(find("stage"), find("overlay"), find("controls"), se
 const log = new CommandLog(find("log"));
 const lines = new Console(find("console-lines"));
 let instrument = ""; // its name
-let lastBoot = "";
-let restarted = false;
+let known = false; // what the bridge tells at the beginning has come before
 let lostControl = false;
 let wasMine = false;
 let turnedAway = "";
@@ -45,10 +44,9 @@ desk.changed = render;
 // --- what comes from the bridge ------------------------------------------------------------------------------------
 
 link.addEventListener("hello", ({ detail }) => {
-  if (lastBoot) video.renew(); // where this connection hung, that of the picture hangs as well
+  if (known) video.renew(); // where this connection hung, that of the picture hangs as well
   turnedAway = "";
-  restarted = lastBoot !== "" && lastBoot !== detail.boot;
-  lastBoot = detail.boot;
+  known = true;
   desk.me = detail.you;
   desk.replay = detail.replay;
   showFacts(detail);
@@ -125,7 +123,7 @@ function setState(next) {
   if (AT_REST.includes(next.driver.state)) desk.stopping = false;
   const mine = next.lease.holder === desk.me.id;
   const { holder, requester } = next.lease;
-  if (holder) restarted = lostControl = false;
+  if (holder) lostControl = false;
   else if (wasMine) lostControl = true;
   if (before === desk.me.id && requester === "" && holder !== desk.me.id) declinedBy = holder;
   if (requester === desk.me.id || holder !== declinedBy) declinedBy = "";
@@ -337,7 +335,6 @@ function renderAge() {
     { when: driver === "stopped", look: "bad", text: state && stopBanner(state) },
     { when: age > limits.max_age_ms, look: "waiting", text: t(state?.moving ? "banner_moving_stale" : "banner_stale") },
     { when: state?.moving, look: "busy", text: t("banner_moving") },
-    { when: restarted, look: "waiting", text: t("banner_restarted") },
     { when: lostControl, look: "waiting", text: t("banner_lost_control") },
     { when: !state, look: "none", text: t("banner_connecting") },
     { when: !desk.mine, look: "none", text: t(desk.me.role === "viewer" ? "role_viewer" : viewing) },

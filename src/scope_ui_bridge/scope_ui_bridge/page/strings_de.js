@@ -147,7 +147,6 @@ export const DE = {
   banner_stopped: "GESTOPPT – {reason}. Nichts bewegt sich, bis der Bediener „Nach Stop zurücksetzen“ drückt.",
   banner_stopped_bare: "GESTOPPT. Nichts bewegt sich, bis der Bediener „Nach Stop zurücksetzen“ drückt.",
   banner_alarm: "ALARM – {reason}",
-  banner_restarted: "Die Brücke wurde neu gestartet. Zum Weitermachen die Bedienung wieder übernehmen.",
   banner_lost_control: "Sie bedienen nicht mehr: die Bedienung wurde abgegeben, oder diese Seite war zu lange verdeckt oder still.",
 
   stopped_page_frozen: "die Seite des Bedieners antwortete nicht mehr (eingefroren oder überlastet)",

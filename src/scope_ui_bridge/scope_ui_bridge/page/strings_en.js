@@ -147,7 +147,6 @@ export const EN = {
   banner_stopped: "STOPPED – {reason}. Nothing moves until the operator presses “Reset after stop”.",
   banner_stopped_bare: "STOPPED. Nothing moves until the operator presses “Reset after stop”.",
   banner_alarm: "ALARM – {reason}",
-  banner_restarted: "The bridge was restarted. Take control again before you go on.",
   banner_lost_control: "You are no longer in control: it was released, or this page was hidden or silent for too long.",
 
   stopped_page_frozen: "the operator’s page did not respond any more (frozen or overloaded)",
