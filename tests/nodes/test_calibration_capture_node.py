@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
@@ -80,3 +85,27 @@ def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Pa
         deep = shown[0].astype(np.uint16) * 16
         publisher.publish(image_message(deep, "mono16", header(stamp + 2_000_000_000, "camera")))
     ros.spin_until(lambda: len(lines) > before and "hold the board still" in lines[-1], 20, lambda: lines)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_live_calibration_ends_with_one_line_in_the_background_too(
+    ros: Any, tmp_path: Path, number: signal.Signals
+) -> None:
+    """A shell lets what it starts with ``&`` ignore SIGINT; rclpy hears it nevertheless."""
+    program = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+    program += "from harris_perception.cli.calibrate import main; raise SystemExit(main())"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, "mono", str(tmp_path / "views"), "--live"],
+        env={**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id()), "ROS_LOG_DIR": str(tmp_path / "log")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        assert process.stdout is not None
+        while "0/20 views" not in process.stdout.readline():
+            assert process.poll() is None
+        process.send_signal(number)
+        _, errors = process.communicate(timeout=20.0)
+    assert errors.startswith("error: no view of the chessboard") and errors.count("\n") == 1
+    assert process.returncode == 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import signal
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -11,9 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import rclpy
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
@@ -22,10 +20,11 @@ from harris_perception.core.board import Board
 from harris_perception.core.board_detection import BoardDetector
 from harris_perception.core.gray import eight_bits, gray_of
 from harris_perception.core.view_collection import ViewCollection
+from icu_common.adapters.program_end import end_signals
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import image_array, stamp_ns
 from icu_common.nodes.diagnostics import Diagnostics
-from icu_common.nodes.runtime import prepare_transport, start_rclpy
+from icu_common.nodes.runtime import ros_session
 from icu_common.nodes.timers import every
 
 _MAX_APART_NS = 2_000_000
@@ -127,17 +126,20 @@ def capture(
     within_s: float,
     say: Callable[[str], None],
 ) -> ViewCollection:
-    """Collect views from topics until they suffice, Ctrl-C is pressed or the time is over; return what was kept."""
-    prepare_transport()
-    start_rclpy([], SignalHandlerOptions.ALL)
+    """Collect views from topics until they suffice, a signal to end comes or the time is over; return what was kept."""
     collection = ViewCollection(board, wanted)
-    node = CalibrationCaptureNode(topics, folders, collection, say)
-    deadline = time.monotonic() + within_s
+    before = {number: signal.getsignal(number) for number in end_signals()}
     try:
-        with contextlib.suppress(KeyboardInterrupt):
-            while not collection.complete and time.monotonic() < deadline and rclpy.ok():
-                rclpy.spin_once(node, timeout_sec=0.1)
+        with ros_session([]) as session:
+            node = CalibrationCaptureNode(topics, folders, collection, say)
+            session.executor.add_node(node)
+            deadline = time.monotonic() + within_s
+            try:
+                while session.goes_on and not collection.complete and time.monotonic() < deadline:
+                    session.spin()
+            finally:
+                session.end(node)
     finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+        for number, handler in before.items():  # the calibration has no turns in which it could see a flag
+            signal.signal(number, handler)
     return collection

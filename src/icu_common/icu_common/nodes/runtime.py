@@ -128,10 +128,8 @@ def own_arguments(arguments: Sequence[str]) -> list[str]:
         raise SystemExit(2) from error
 
 
-def start_rclpy(
-    arguments: Sequence[str] | None, signal_handlers: SignalHandlerOptions = SignalHandlerOptions.NO
-) -> None:
-    """Start rclpy.
+def start_rclpy(arguments: Sequence[str] | None) -> None:
+    """Start rclpy without its signal handlers.
 
     Raises
     ------
@@ -139,7 +137,7 @@ def start_rclpy(
         With code 2 and one line, if there can be no file for the log.
     """
     try:
-        rclpy.init(args=arguments, signal_handler_options=signal_handlers)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         if not any(text in str(error) for text in ("Failed to create log directory", "Failed opening file")):
             raise
