@@ -19,6 +19,7 @@ from unit.harris_perception.drawn_board import camera, picture, poses
 from harris_perception.adapters.camera_sources import CameraConfig, open_source
 from harris_perception.cli.calibrate import main
 from harris_perception.core.board import Board
+from harris_perception.core.view_collection import ViewCollection
 from icu_common.core.camera_model import CameraModel
 
 BOARD = Board(columns=9, rows=6, square_m=0.025)
@@ -152,6 +153,23 @@ def test_results_are_written_though_nobody_reads_what_is_told(
         monkeypatch.setattr("sys.stdout", unread)
         main(["mono", str(folder), *SMALL, "-o", str(tmp_path)])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["calibration.json", "camera.yaml", "camera_residuals.png"]
+
+
+def test_views_are_collected_though_nobody_reads_what_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    def collected(board: Board, *_: Any, say: Any, **__: Any) -> ViewCollection:
+        for line in ("0/20 views; show the board", "1/20 views"):
+            say(line)
+        return ViewCollection(board, 20)
+
+    monkeypatch.setattr("harris_perception.nodes.calibration_capture.capture", collected)
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as unread:
+        monkeypatch.setattr("sys.stdout", unread)
+        assert main(["mono", "--live", str(tmp_path / "views")]) == 2
+    assert capsys.readouterr().err.startswith("error: no view of the chessboard")
 
 
 def test_what_the_views_cover_is_told_before_the_error_in_a_log(

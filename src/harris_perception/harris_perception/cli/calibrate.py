@@ -222,10 +222,13 @@ def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], p
         folder.mkdir(parents=True, exist_ok=True)
         if folder in folders and any(folder.iterdir()):
             raise CalibrationError(f"{folder} is not empty: give new folders for live pictures")
-    print(f"listening to {', '.join(topics)}; Ctrl-C ends it and calibrates with what there is")
-    collection = capture(
-        board, topics, folders, wanted=options.views, within_s=options.within, say=lambda line: print(line, flush=True)
-    )
+
+    def say(line: str) -> None:
+        with contextlib.suppress(OSError):  # whoever reads may have gone: the views count
+            print(line, flush=True)
+
+    say(f"listening to {', '.join(topics)}; Ctrl-C ends it and calibrates with what there is")
+    collection = capture(board, topics, folders, wanted=options.views, within_s=options.within, say=say)
     if not collection.kept:
         raise CalibrationError(
             f"no view of the {board.title} was kept: is the camera running, is this the board, was it held still? "
