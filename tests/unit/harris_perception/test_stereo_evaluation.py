@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -156,6 +157,15 @@ def test_the_command_prints_and_writes_what_it_found(tmp_path: Path, capsys: Any
     assert picture[2 * 28 + 120 + 50, 240 + 200].max() < 100
 
 
+def test_a_pair_without_any_corner_is_evaluated_and_its_table_is_json(tmp_path: Path) -> None:
+    dark = np.zeros_like(scene().left)
+    write_scene(tmp_path / "one", "npz", replace(scene(), left=dark, right=dark))
+    assert main([str(tmp_path / "one"), "-o", str(tmp_path / "out")]) == 0
+    text = (tmp_path / "out" / "stereo.json").read_text()
+    rows = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert {(row["points"], row["precision"]) for row in rows if row["kind"] == "sparse"} == {(0, None)}
+
+
 def test_what_cannot_be_evaluated_is_said(tmp_path: Path, capsys: Any) -> None:
     assert main([str(tmp_path)]) == 2
     assert "no pair with known disparity" in capsys.readouterr().err
@@ -168,7 +178,7 @@ def test_what_cannot_be_evaluated_is_said(tmp_path: Path, capsys: Any) -> None:
         StereoScene(name="made", left=known.left, right=known.right, truth=known.truth * NAN)
     write_scene(tmp_path / "one", "npz", known)
     given = [str(tmp_path), "-o", str(tmp_path / "out"), "--truth-scale"]
-    for scale in ("0", "-1", "nan"):
+    for scale in ("0", "-1", "nan", "inf"):
         assert main([*given, scale]) == 2
         assert f"truth scale {scale}: more than 0 is needed" in capsys.readouterr().err
     for scale, reached in (("7.5", "225"), ("256", "7680")):

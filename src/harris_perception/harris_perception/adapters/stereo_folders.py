@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -41,8 +42,8 @@ def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterat
     """
     if not 0.05 <= scale <= 1.0:
         raise ValueError(f"scale {scale:g}: from 0.05 to 1 is possible")
-    if not truth_scale > 0.0:
-        raise ValueError(f"truth scale {truth_scale:g}: more than 0 is needed")
+    if not 0.0 < truth_scale < math.inf:
+        raise ValueError(f"truth scale {truth_scale:g}: more than 0 is needed, and finite")
     found: list[tuple[str, Path, Path, Path]] = []
     for left in sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES):
         for first, second, known in FORMS:

@@ -61,7 +61,9 @@ def _evaluate(options: argparse.Namespace) -> int:
         result = evaluate(scene, time.perf_counter)
         rows += result.rows()
         write_picture(options.output / f"{scene.name}.png", error_picture(result))
-    (options.output / "stereo.json").write_text(json.dumps(rows, indent=1) + "\n")
+    # What nothing was found of has no precision; JSON has no NaN.
+    written = [{key: None if value != value else value for key, value in row.items()} for row in rows]
+    (options.output / "stereo.json").write_text(json.dumps(written, indent=1) + "\n")
     _table(rows, "dense", DENSE)
     _table(rows, "sparse", SPARSE)
     print("\n" + NOTES.format(points=MAX_POINTS))

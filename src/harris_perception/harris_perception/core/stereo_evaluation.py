@@ -251,7 +251,7 @@ def _mutual_corners(left: U8, right: U8, a: npt.ArrayLike, b: npt.ArrayLike, dis
         inside = ((whole >= _HALF) & (whole < (width - _HALF, height - _HALF))).all(axis=1)
         px, whole = px[inside], whole[inside]
         windows = np.lib.stride_tricks.sliding_window_view(picture, (2 * _HALF + 1, 2 * _HALF + 1))
-        flat = windows[whole[:, 1] - _HALF, whole[:, 0] - _HALF].reshape(len(px), -1).astype(np.float32)
+        flat = windows[whole[:, 1] - _HALF, whole[:, 0] - _HALF].reshape(-1, (2 * _HALF + 1) ** 2).astype(np.float32)
         flat -= flat.mean(axis=1, keepdims=True)
         sides.append((px, flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-6)))
     (first, windows_a), (second, windows_b) = sides
