@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -57,6 +58,18 @@ def test_the_file_numbers_poses_as_the_terminal_does(tmp_path: Path, capsys: pyt
     assert main([str(poses), "-o", str(out)]) == 0
     assert "9 poses used, left out: 4\n" in capsys.readouterr().out
     assert yaml.safe_load(out.read_text())["poses_used"] == [1, 2, 3, 5, 6, 7, 8, 9, 10]
+
+
+def test_the_result_is_written_though_nobody_reads_what_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "poses.csv").write_text("\n".join(rows()))
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w", buffering=1) as unread:
+        monkeypatch.setattr("sys.stdout", unread)
+        main([str(tmp_path / "poses.csv"), "-o", str(tmp_path / "out.yaml")])
+    assert "covariance" in yaml.safe_load((tmp_path / "out.yaml").read_text())
 
 
 def test_the_result_is_not_written_over_the_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import re
 import shlex
 from pathlib import Path
@@ -222,6 +223,15 @@ def test_a_request_whose_id_cannot_be_read_is_refused(text: str) -> None:
     with pytest.raises(TeachingError, match="not understood") as refused:
         parse_request(text)
     assert refused.value.goal_id == ""
+
+
+def test_a_drawing_is_written_though_nobody_reads_what_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w", buffering=1) as unread:
+        monkeypatch.setattr("sys.stdout", unread)
+        main(["check", str(scene.LAYOUT), "--drawing", str(tmp_path / "face.png")])
+    assert cv2.imread(str(tmp_path / "face.png")).shape[2] == 3
 
 
 def test_check_of_a_layout_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -139,7 +139,6 @@ def main(arguments: list[str] | None = None) -> int:
     except (DegenerateError, ConfigError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    print(report(result, names))
     if options.output is not None:
         document = {
             name: {"translation_m": t.translation.tolist(), "quaternion_xyzw": t.quaternion().tolist()}
@@ -154,8 +153,10 @@ def main(arguments: list[str] | None = None) -> int:
         try:
             options.output.write_text(yaml.safe_dump({**document, **figures}, sort_keys=False), encoding="utf-8")
         except OSError as error:
+            print(report(result, names), flush=True)
             print(f"error: {error}", file=sys.stderr)
             return 1
+    print(report(result, names))
     return 0
 
 

@@ -52,9 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _check(given: argparse.Namespace) -> int:
     layout = load_layout(given.layout)
     PanelRecogniser(layout)  # a ValueError says what is missing
-    _say_that_it_is_recognisable(layout)
     if given.drawing is not None:
         write_picture(given.drawing, draw_panel(layout, 4.0))
+    _say_that_it_is_recognisable(layout)
     return 0
 
 
@@ -73,8 +73,8 @@ def _picture(given: argparse.Namespace) -> int:
         px_per_mm=given.px_per_mm,
     )
     taught = teach(photo, lesson)
-    _say_that_it_is_recognisable(taught.layout)
     layout, template = write_panel(taught, given.out, given.picture.name)
+    _say_that_it_is_recognisable(taught.layout)
     print(f"wrote {layout} and {template}; start with:\n  {how_to_start(taught, template)}")
     return 0
 
