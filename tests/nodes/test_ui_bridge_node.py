@@ -6,9 +6,11 @@ import asyncio
 import json
 import re
 import struct
+import sys
 import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import aiohttp
@@ -48,6 +50,7 @@ from icu_common.nodes.conversions import (
     trajectory_message,
     transform_message,
 )
+from scope_ui_bridge.nodes import foxglove_sidecar
 from scope_ui_bridge.nodes.bridge_node import BridgeNode
 
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
@@ -533,3 +536,18 @@ def test_a_wrong_configuration_is_refused_by_name(ros: Any, parameters: dict[str
             context=ros.context,
             parameter_overrides=[Parameter(k, value=v) for k, v in {"port": 0, "token_file": "", **parameters}.items()],
         )
+
+
+@pytest.mark.parametrize("port", ["-1", "65536", "99999999999"])
+def test_foxglove_sidecar_refuses_what_is_no_port(port: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert foxglove_sidecar.main(["foxglove_sidecar", "--port", port]) == 2
+    assert capsys.readouterr().err == f"error: --port {float(port):g}: 0 to 65535 is needed\n"
+
+
+def test_a_port_that_foxglove_cannot_have_is_named(ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def start_server(**_: Any) -> None:
+        raise RuntimeError("FoxgloveError: Failed to bind port: Address already in use (os error 98)")
+
+    monkeypatch.setitem(sys.modules, "foxglove", SimpleNamespace(start_server=start_server))
+    with pytest.raises(ConfigError, match=r"--port 8765: FoxgloveError: .* Address already in use"):
+        ros.node(lambda **options: foxglove_sidecar.FoxgloveSidecar(8765, **options))

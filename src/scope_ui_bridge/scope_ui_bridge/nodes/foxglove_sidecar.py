@@ -19,6 +19,8 @@ from rclpy.qos import DurabilityPolicy
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from icu_common.adapters.program_end import ends_quietly
+from icu_common.core.config import ConfigError
+from icu_common.core.option_bounds import check_bounds
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import own_arguments, run
 from icu_common.nodes.timers import every
@@ -37,7 +39,10 @@ class FoxgloveSidecar(Node):
         self._types = get_typestore(Stores.ROS2_JAZZY)
         self._channels: dict[str, Any] = {}
         self._kept: dict[str, bytes] = {}
-        self._server = foxglove.start_server(name="icu_gantry", host="127.0.0.1", port=port, capabilities=[])
+        try:
+            self._server = foxglove.start_server(name="icu_gantry", host="127.0.0.1", port=port, capabilities=[])
+        except RuntimeError as error:
+            raise ConfigError(f"--port {port}: {error}") from error
         self.port = int(self._server.port)
         print(f"Foxglove: open ws://127.0.0.1:{self.port} with config/foxglove_layout.json", flush=True)
         every(self, 1.0, self._look_for_topics)
@@ -87,7 +92,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--port", type=int, default=PORT, help="TCP port on loopback (%(default)s)")
     options = parser.parse_args(own_arguments(sys.argv if arguments is None else arguments))
     try:
+        check_bounds(options, port=(0, 65535))
         import foxglove  # noqa: F401
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
     except ImportError:
         advice = f"{sys.executable} -m pip install foxglove-sdk==0.30.3"
         print(f"foxglove_sidecar: foxglove-sdk is missing; {advice}", file=sys.stderr)
