@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from gantry_driver.cli import gantry_goal, gantry_sequence
+from gantry_driver.cli.operator_session import Interrupted
 from icu_common.core.sequence import parse_file
 
 
@@ -81,3 +84,19 @@ def test_wrong_sequences(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         with pytest.raises(SystemExit) as ended:
             gantry_sequence.parse(arguments)
         assert ended.value.code == 2 and words in capsys.readouterr().err
+
+
+def test_ctrl_c_before_the_sequence_was_sent_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    class Session:
+        node = SimpleNamespace(create_publisher=lambda *_: None)
+
+        def hear(self, topic: str) -> list[Any]:
+            return []
+
+        def watch(self, topic: str) -> None: ...
+
+        def wait_until_taken(self, *_: Any) -> None:
+            raise Interrupted
+
+    assert gantry_sequence.carry_out(cast("Any", Session()), "steps: [press:A]", 5.0) == 1
+    assert capsys.readouterr().out == "interrupted before the sequence was sent\n"

@@ -111,8 +111,8 @@ def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
             session.stop()
         return TIMED_OUT
     except Interrupted:
+        say("interrupted: stopping" if sent else "interrupted before the sequence was sent")
         if sent:
-            say("interrupted: stopping")
             session.stop()
         return FAILED
     if result.outcome is Outcome.REACHED:
