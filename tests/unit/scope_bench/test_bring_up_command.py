@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from scope_bench.cli import bring_up
+from scope_bench.cli import bring_up, composed
 
 CONFIG = Path(__file__).parents[3] / "config"
 
@@ -211,3 +211,14 @@ def test_a_folder_for_the_state_that_is_there_keeps_its_rights(tmp_path: Path) -
     shared.mkdir(mode=0o755)
     assert bring_up.state_folder(shared) == shared and shared.stat().st_mode & 0o777 == 0o755
     assert bring_up.state_folder(fresh) == fresh and fresh.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize("text", [None, "hello", '{"corners": 1}', '["corners"]', "[5]"])
+def test_composed_refuses_what_is_no_table(
+    text: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if text is not None:
+        (tmp_path / "table.json").write_text(text)
+    assert composed.main([str(tmp_path / "table.json")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {tmp_path / 'table.json'}: ") and error.count("\n") == 1

@@ -31,12 +31,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="composed", description=__doc__)
     parser.add_argument("table", type=Path, help="JSON: pairs of an executable's name and its ROS arguments")
-    table = json.loads(parser.parse_args(arguments).table.read_text(encoding="utf-8"))
+    path = parser.parse_args(arguments).table
     try:
-        return run_together([(program(name), own) for name, own in table])
-    except LookupError as error:
-        print(f"error: {error}", file=sys.stderr)
+        programs = [(program(name), own) for name, own in json.loads(path.read_text(encoding="utf-8"))]
+    except (LookupError, OSError, TypeError, ValueError) as error:
+        print(f"error: {path}: {error}", file=sys.stderr)
         return 2
+    return run_together(programs)
 
 
 if __name__ == "__main__":
