@@ -117,6 +117,21 @@ def test_a_folder_for_logs_that_cannot_be_is_told_in_one_line(program: str, fold
     assert done.returncode == 2
 
 
+@pytest.mark.parametrize(
+    ("program", "strange"),
+    [
+        (["gantry_driver.nodes.serial_driver_node", "--params-file", "driver.yaml"], "--params-file"),
+        (["gantry_driver.nodes.sequence_node", "--ros-args", "-r", "__ns:=/a", "--", "bed_1"], "bed_1"),
+    ],
+    ids=["before --ros-args", "behind --"],
+)
+def test_what_a_node_would_not_hear_is_refused(program: list[str], strange: str) -> None:
+    """A driver that is given its parameters without ``--ros-args`` would open another port, without a word."""
+    done = subprocess.run([sys.executable, "-m", *program], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stderr == f"error: {strange!r}: a node takes only what follows --ros-args; see --help\n"
+    assert (done.returncode, done.stdout) == (2, "")
+
+
 @pytest.mark.parametrize(("code", "end"), [(0, UNWRITTEN), (3, 3)])
 def test_a_full_disk_makes_no_success(
     code: int, end: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -177,6 +177,9 @@ def run(make_node: Callable[..., Node], arguments: Sequence[str] | None = None, 
         return 0
     if arguments is None and {"-h", "--help"} & set(sys.argv[1:]):
         return _help(make_node)
+    if arguments is None and (strange := own_arguments(sys.argv)):
+        print(f"error: {strange[0]!r}: a node takes only what follows --ros-args; see --help", file=sys.stderr)
+        return 2
     return _run([make_node], arguments, shared_memory)
 
 

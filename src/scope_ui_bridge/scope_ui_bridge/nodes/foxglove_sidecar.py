@@ -90,7 +90,8 @@ class FoxgloveSidecar(Node):
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--port", type=int, default=PORT, help="TCP port on loopback (%(default)s)")
-    options = parser.parse_args(own_arguments(sys.argv if arguments is None else arguments))
+    given = list(sys.argv if arguments is None else arguments)
+    options = parser.parse_args(own_arguments(given))
     try:
         check_bounds(options, port=(0, 65535))
         import foxglove  # noqa: F401
@@ -101,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         advice = f"{sys.executable} -m pip install foxglove-sdk==0.30.3"
         print(f"foxglove_sidecar: foxglove-sdk is missing; {advice}", file=sys.stderr)
         return 1
-    return run(lambda: FoxgloveSidecar(options.port))
+    return run(lambda: FoxgloveSidecar(options.port), given)
 
 
 if __name__ == "__main__":
