@@ -105,6 +105,7 @@ def test_board_files_are_written(tmp_path: Path) -> None:
         ),
         (["mono", "{folder}", "--alpha", "2"], "alpha = 2.0 is above its maximum 1"),
         (["board", "{folder}/board.txt"], "must end in .svg or .pdf"),
+        (["board", "{new}.svg", "{new}.txt"], "new.txt: the name must end in .svg or .pdf"),
         (["mono", "--live", "{folder}"], "is not empty"),
         (["mono", "--live", "{new}", "--within", "nan"], "--within nan: 0 or more is needed"),
         (["mono", "--live", "{new}", "--within", "-1"], "--within -1: 0 or more is needed"),

@@ -239,12 +239,13 @@ def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], p
 def draw_board(options: argparse.Namespace) -> int:
     board = _board(options)
     for path in options.files:
+        if path.suffix not in (".svg", ".pdf"):
+            raise ValueError(f"{path}: the name must end in .svg or .pdf")
+    for path in options.files:
         if path.suffix == ".svg":
             path.write_text(board_svg(board, options.paper), encoding="utf-8")
-        elif path.suffix == ".pdf":
-            path.write_bytes(board_pdf(board, options.paper))
         else:
-            raise ValueError(f"{path}: the name must end in .svg or .pdf")
+            path.write_bytes(board_pdf(board, options.paper))
         print(f"{path}: {board.title}; print at 100 % and measure the line of 100 mm")
     return 0
 
