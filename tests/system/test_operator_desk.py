@@ -478,6 +478,11 @@ def test_the_focus_stays_where_a_second_enter_does_nothing(operator: Operator, i
     instrument.tell("motion 0.3")
     focus = lambda: page.evaluate("(({ id, dataset }) => id || dataset.act || dataset.jog)(document.activeElement)")  # noqa: E731
     lands_on = lambda place: operator.until(lambda: focus() == place, 5.0, lambda: f"{focus()} has the focus")  # noqa: E731
+
+    def goes_to(selector: str, place: str) -> None:
+        """Focus what is switched off only for a moment."""
+        operator.until(lambda: page.focus(selector) or focus() == place, 5.0, lambda: f"{focus()} has the focus")
+
     page.focus("#lease-release")
     keyboard.press("Enter")
     lands_on("lease-card")
@@ -487,6 +492,7 @@ def test_the_focus_stays_where_a_second_enter_does_nothing(operator: Operator, i
     lands_on("lease-card")
     keyboard.press("Enter")
     operator.sees("#lease-text", "You are in control")
+    operator.sees("#banner", "Ready")
     page.focus("[data-control=MENU]")
     keyboard.press("Enter")
     lands_on("press")
@@ -499,21 +505,23 @@ def test_the_focus_stays_where_a_second_enter_does_nothing(operator: Operator, i
     keyboard.press("Escape")
     operator.until(lambda: page.is_visible("#reset"), 5.0, lambda: page.inner_text("#banner"))
     assert rows.count() == before + 2, "one press and the stop"
-    page.focus("#reset")
+    operator.logs("STOP.*done", 5.0)
+    goes_to("#reset", "reset")
     keyboard.press("Enter")
     lands_on("desk")
     operator.sees("#banner", "Ready")
     page.click("#tab-move")
-    page.focus("[data-jog='0,1']")
+    goes_to("[data-jog='0,1']", "0,1")
     keyboard.press("Enter")
     operator.logs(r"Move \+y.*done", 5.0)
     lands_on("0,1")
     page.fill("#go-x", "90")
     page.fill("#go-y", "40")
-    page.focus("#go")
+    goes_to("#go", "go")
     keyboard.press("Enter")
     lands_on("panel-move")
     operator.logs(r"Go to \(90.0, 40.0\) mm.*done", 5.0)
+    operator.sees("#banner", "Ready")  # the page's end would stop what still moves
 
 
 def test_the_chosen_sequence_stays_chosen_when_the_link_comes_back(operator: Operator) -> None:
