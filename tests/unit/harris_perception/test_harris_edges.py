@@ -27,6 +27,12 @@ def halves(angle_deg: float, offset: float, size: int = 90) -> tuple[np.ndarray,
     return (100 + 80 * np.clip(distance, -0.5, 0.5)).astype(np.float32), distance
 
 
+def closed(mask: np.ndarray) -> np.ndarray:
+    """Return a mask (H, W) with its holes closed: pixels between four that are set."""
+    sides = np.pad(mask, 1)
+    return mask | (sides[:-2, 1:-1] & sides[2:, 1:-1] & sides[1:-1, :-2] & sides[1:-1, 2:])
+
+
 @settings(max_examples=25, deadline=None)
 @given(angle=st.floats(0, 180), offset=st.floats(-8, 8))
 def test_straight_edge_is_one_chain_within_a_pixel(angle: float, offset: float) -> None:
@@ -221,7 +227,8 @@ def test_pieces_are_kept_as_connected_components_tell(
 
     config = EdgeConfig(high=8.0, low_of_high=0.25, min_length_px=length, min_weight_px=weight_px, max_spur_px=0)
     labels = EdgeDetector(config).edges_of(thinned).labels
-    np.testing.assert_array_equal(np.unique(pieces[labels == EDGE]), np.flatnonzero(wanted))
+    np.testing.assert_array_equal(np.unique(pieces[(labels == EDGE) & (thinned > 0)]), np.flatnonzero(wanted))
+    assert (labels == EDGE)[~closed(wanted[pieces])].sum() == 0
 
 
 @settings(max_examples=60, deadline=None)
@@ -318,8 +325,47 @@ def test_skeleton_keeps_the_pieces_together(seed: int, density: float) -> None:
     before = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[0]
     config = EdgeConfig(high=0.1, min_length_px=1, min_weight_px=0.0, max_spur_px=0)
     thin = EdgeDetector(config).edges_of(mask.astype(np.float32)).labels == EDGE
-    assert (thin <= mask).all()
+    assert (thin <= closed(mask)).all()
     assert cv2.connectedComponents(thin.astype(np.uint8), connectivity=8)[0] == before
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 100_000), density=st.floats(0.1, 0.8))
+def test_no_pixel_is_left_without_which_its_neighbours_stay_together(seed: int, density: float) -> None:
+    thinned = np.where(np.random.default_rng(seed).random((20, 140)) < density, 9.0, 0.0).astype(np.float32)
+    config = EdgeConfig(high=2.0, min_length_px=1, min_weight_px=0.0, max_spur_px=0)
+    lines = {(int(x), int(y)) for y, x in np.argwhere(EdgeDetector(config).edges_of(thinned).labels == EDGE)}
+    for x, y in lines:
+        if {(x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)} <= lines:
+            continue  # it would leave a hole
+        around = lines & {(x + i, y + j) for i in (-1, 0, 1) for j in (-1, 0, 1)} - {(x, y)}
+        piece = set(sorted(around)[:1])
+        for _ in range(8):
+            piece |= {(a, b) for a, b in around for c, d in piece if max(abs(a - c), abs(b - d)) == 1}
+        assert len(around) < 2 or piece != around, (x, y)
+
+
+@pytest.mark.parametrize("turned_deg", [0, 3, 45, 80, 87, 90])
+@pytest.mark.parametrize("noise", [1.0, 3.0])
+def test_a_straight_edge_under_noise_is_one_chain(turned_deg: int, noise: float) -> None:
+    y, x = np.indices((200, 200))
+    away = (x - 99.5) * np.cos(np.deg2rad(turned_deg)) + (y - 99.5) * np.sin(np.deg2rad(turned_deg))
+    for seed in range(10):
+        level = 80 + 100 * np.clip(away, -0.5, 0.5) + np.random.default_rng(seed).normal(0.0, noise, away.shape)
+        edges = CombinedDetector().detect(np.rint(np.clip(level, 0, 255)).astype(np.uint8))[1]
+        at_edge = [len(chain) for chain in edges.chains if np.abs(away[chain[:, 1], chain[:, 0]]).max() < 4]
+        assert len(at_edge) == 1 and at_edge[0] > 180, f"seed {seed}: {at_edge}"
+
+
+@pytest.mark.parametrize("turned_deg", [0, 20, 45, 90, 135])
+@pytest.mark.parametrize("shift", [0.0, 0.2, 0.5])
+def test_a_line_of_two_pixels_width_is_one_chain_or_its_two_sides(turned_deg: int, shift: float) -> None:
+    y, x = np.indices((100, 100))
+    away = (x - 50.3 - shift) * np.cos(np.deg2rad(turned_deg)) + (y - 50.2) * np.sin(np.deg2rad(turned_deg))
+    line = (60 + 120 * np.clip(1.5 - np.abs(away), 0.0, 1.0)).astype(np.uint8)
+    edges = CombinedDetector().detect(line)[1]
+    assert len(edges.chains) <= 2 and min(len(chain) for chain in edges.chains) > 85
+    assert np.abs(away[edges.points[:, 1], edges.points[:, 0]]).max() < 1.5
 
 
 @pytest.mark.parametrize("kind", ["stairs", "ribbon of 2 px", "ribbon of 3 px", "slanting ribbon"])

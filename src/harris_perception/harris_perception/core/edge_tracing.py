@@ -150,7 +150,7 @@ def _connected(bits: Array, strong: Array, strength: Array, row: int, least: int
     return left
 
 
-_CROWDED, _ENDS, _NODES = range(3)
+_HOLES, _CROWDED, _ENDS, _NODES = range(4)
 
 
 @inlined
@@ -166,6 +166,9 @@ def _classified_words(above: Any, here: Any, below: Any, kind: int, result: Any,
     for i in range(1, n - 1):
         north, middle, south = above[i], here[i], below[i]
         west, east = (middle << first) | (here[i - 1] >> last), (middle >> first) | (here[i + 1] << last)
+        if kind == _HOLES:
+            result[i] = north & south & west & east & ~middle
+            continue
         nw, ne = (north << first) | (above[i - 1] >> last), (north >> first) | (above[i + 1] << last)
         sw, se = (south << first) | (below[i - 1] >> last), (south >> first) | (below[i + 1] << last)
         if kind == _NODES:
@@ -177,7 +180,8 @@ def _classified_words(above: Any, here: Any, below: Any, kind: int, result: Any,
         if kind == _ENDS:
             result[i] = middle & ~both
         elif kind == _CROWDED:
-            result[i] = middle & (many | ((west | east) & (north | south)))
+            beside = ((west | east) & (north | south)) | (north & (nw | ne)) | (south & (sw | se))
+            result[i] = middle & (many | beside | (west & (nw | sw)) | (east & (ne | se)))
         else:
             result[i] = middle & (~both | many)
 
@@ -186,19 +190,36 @@ def _classified_words(above: Any, here: Any, below: Any, kind: int, result: Any,
 def _classified(bits: Array, row: int, kind: int, result: Array) -> None:
     """Set ``result`` to the pixels of a kind, 64 of them at a time; ``row`` is the words of one, the first is margin.
 
-    Crowded ones have three neighbours or more, or are needless; ends have at most one. Nodes are where a line does not
-    just go through: of steps to other pixels, without the needless diagonal ones, they have other than two.
+    Holes are empty ones between four; crowded ones have three neighbours or more, or are needless; ends have at most
+    one. Nodes are where a line does not just go through: of steps to other pixels, without the needless diagonal ones,
+    they have other than two.
 
     All rows are one loop, as the rows of small pictures are too short to be vectorised each by itself.
     """
     n = len(bits) - 2 * row
     above, here, below, out = bits[:n], bits[row : row + n], bits[2 * row :], result[row : row + n]
-    if kind == _CROWDED:
+    if kind == _HOLES:
+        _classified_words(above, here, below, _HOLES, out, n)
+    elif kind == _CROWDED:
         _classified_words(above, here, below, _CROWDED, out, n)
     elif kind == _ENDS:
         _classified_words(above, here, below, _ENDS, out, n)
     else:
         _classified_words(above, here, below, _NODES, out, n)
+
+
+@called
+def _close_holes(bits: Array, row: int, spare: Array) -> int:
+    """Set empty pixels between four that are set, so that a line does not part for a pixel; return how many.
+
+    Of a step between two columns noise makes the one stronger or the other, or both beside it.
+    """
+    _classified(bits, row, _HOLES, spare)
+    count = 0
+    for i in range(len(bits)):
+        bits[i] |= spare[i]
+        count += ones(spare[i])
+    return count
 
 
 @called
@@ -585,6 +606,7 @@ def trace(
     stride = 64 * bits.shape[2]
     steps = (_DY * stride + _DX).astype(np.int32)
     most = _connected(flat, strong, strength, stride >> 6, least, weight)
+    most += _close_holes(flat, stride >> 6, strong)
     _classified(flat, stride >> 6, _CROWDED, strong)
     crowded = _places(strong, most)
     _thin_out(flat, octets, crowded, stride >> 3)
