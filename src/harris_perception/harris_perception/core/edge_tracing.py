@@ -15,15 +15,13 @@ import numpy.typing as npt
 
 from harris_perception.core.bitmap import MARGIN, clear, has, lowest, ones, pack, put, window
 from harris_perception.core.compiled import called, compiled, inlined
+from harris_perception.core.edge_junctions import Lead, bridge, cut, leads, way_to_corner
 
 Array = npt.NDArray[Any]
 
 # Neighbours in circular order; even ones share a side.
 _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1], np.int32)
 _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1], np.int32)
-
-# Px from a corner within which an edge may pass by it, rounding it off.
-_ROUNDED_OFF = 6.0
 
 # What is told of every pixel; 0 is neither.
 EDGE, CORNER = 128, 255
@@ -334,111 +332,6 @@ def _prune(bits: Array, octets: Array, crowded: Array, most: int, steps: Array, 
                     count += 1
 
 
-# Columns of which a word that begins at a byte holds every one.
-_BLOCK = 57
-
-
-@called
-def _disc(radius: float) -> Array:
-    """Return the rows of a disc, (2 R + 1, N): bit i of block j is the column 57 j + i - R."""
-    reach = int(radius)
-    side = 2 * reach + 1
-    rows = np.zeros((side, (side + _BLOCK - 1) // _BLOCK), np.uint64)
-    for y in range(side):
-        for x in range(side):
-            if (x - reach) ** 2 + (y - reach) ** 2 <= radius * radius:
-                rows[y, x // _BLOCK] |= _ONE << np.uint64(x % _BLOCK)
-    return rows
-
-
-@called
-def _cut(words: Array, corners: Array, row: int, radius: float) -> None:
-    """Clear what lies within a radius of a corner (N, 2) px."""
-    height = len(words) // row - 2
-    disc = _disc(radius)
-    reach = len(disc) // 2
-    for i in range(len(corners)):
-        x, y = corners[i, 0] - reach + MARGIN, corners[i, 1] - reach
-        for block in range(disc.shape[1]):
-            left = x + block * _BLOCK
-            for j in range(max(-y, 0), min(height - y, len(disc))):
-                words[np.uint64((y + j + 1) * row + (left >> 3))] &= ~(disc[j, block] << np.uint64(left & 7))
-
-
-@called
-def _near(words: Array, corners: Array, row: int, radius: float) -> Array:
-    """Return pairs (N, 2) of a place that is set within a radius of a corner, and that corner; the nearest first."""
-    height = len(words) // row - 2
-    disc = _disc(radius)
-    reach = len(disc) // 2
-    most = len(corners) * disc.size  # what is not written costs nothing, a list that grows much
-    remains, begins = np.empty(most, np.uint64), np.empty((most, 3), np.int32)
-    count = filled = 0
-    for i in range(len(corners)):
-        x, y = corners[i, 0] - reach, corners[i, 1] - reach
-        for block in range(disc.shape[1]):
-            left = x + block * _BLOCK
-            shift, first = np.uint64((left + MARGIN) & 7), (y + 1) * row + ((left + MARGIN) >> 3)
-            for j in range(max(-y, 0), min(height - y, len(disc))):
-                word = (words[np.uint64(first + j * row)] >> shift) & disc[j, block]
-                if word:
-                    remains[filled] = word
-                    begins[filled, 0], begins[filled, 1], begins[filled, 2] = i, left, y + j
-                    filled += 1
-                    count += ones(word)
-    found, squares = np.empty((count, 2), np.int32), np.empty(count, np.int32)
-    starts = np.zeros(int(radius * radius) + 2, np.int32)
-    count = 0
-    for number in range(filled):
-        i, left, y = begins[number]
-        word = remains[number]
-        while word:
-            x = left + lowest(word)
-            word &= word - _ONE
-            found[count, 0], found[count, 1] = (y + 1) * 8 * row + x + MARGIN, i
-            squares[count] = (x - corners[i, 0]) ** 2 + (y - corners[i, 1]) ** 2
-            starts[squares[count] + 1] += 1
-            count += 1
-    for square in range(1, len(starts)):
-        starts[square] += starts[square - 1]
-    pairs = np.empty((count, 2), np.int32)
-    for i in range(count):
-        at = starts[squares[i]]
-        pairs[at, 0], pairs[at, 1] = found[i, 0], found[i, 1]
-        starts[squares[i]] += 1
-    return pairs
-
-
-@called
-def _lead(
-    bits: Array, words: Array, spare: Array, spare_words: Array, corners: Array, row: int, farthest: float
-) -> int:
-    """Draw lines from free ends to the nearest corner (N, 2) px within reach; return how many pixels, at most.
-
-    Edges round corners off on the outside, so what passes within three quarters of the reach is cut first, but no more
-    than a corner rounds off. All pairs are seen from the corners, which are fewer than pixels. ``spare`` is a bitmap
-    that is written over, ``spare_words`` its memory.
-    """
-    stride = 8 * row
-    _cut(words, corners, row, min(0.75 * farthest, _ROUNDED_OFF))
-    _classified(bits, row >> 3, _ENDS, spare)
-    pairs = _near(spare_words, corners, row, farthest)
-    drawn = 0
-    for i in range(len(pairs)):
-        start, corner = pairs[i, 0], corners[pairs[i, 1]]
-        if not has(spare, start):  # led to a nearer one
-            continue
-        clear(spare, start)
-        x0, y0 = start % stride - MARGIN, start // stride - 1
-        dx, dy = corner[0] - x0, corner[1] - y0
-        length = max(abs(dx), abs(dy))
-        drawn += length
-        for j in range(1, length + 1):
-            x, y = x0 + int(np.rint(dx * j / length)), y0 + int(np.rint(dy * j / length))
-            put(bits, (y + 1) * stride + x + MARGIN)
-    return drawn
-
-
 @called
 def _sums(steps: Array) -> Array:
     """Return by the window (512,) the sum of a pixel's two steps, or a stop where a line does not go on by itself.
@@ -473,11 +366,22 @@ def _follow(octets: Array, linked: Array, chain: Array, filled: int, row: int, s
 
 @called
 def _link(
-    bits: Array, octets: Array, most: int, spare: Array, labels: Array, corners: Array, steps: Array
+    bits: Array,
+    octets: Array,
+    most: int,
+    room: int,
+    spare: Array,
+    labels: Array,
+    corners: Array,
+    steps: Array,
+    lead: Lead,
+    rest: int,
 ) -> tuple[Array, Array]:
     """Return chains of neighbouring pixels between ends, branches and corners: points (N, 2) x, y, starts (M + 1,).
 
-    Each pixel, of which there may be ``most``, is told in ``labels``. ``spare`` is a bitmap that is written over.
+    Each pixel, of which there may be ``most``, ``room`` with those on the way from an end to its corner, is told in
+    ``labels``. ``spare`` is a bitmap that is written over, ``lead`` of ``leads``. What both starts and ends at the same
+    corner with up to ``rest`` pixels, or is but one near to it, is the rest of a line that passed by, and left out.
     """
     stride = steps[2]
     row = stride >> 3
@@ -505,16 +409,19 @@ def _link(
     for i in range(parted):  # here lines end, too, but what lies between two of them is not linked already
         put(spare, node_places[i])
     # At most; what is not written costs nothing.
-    chain, starts = np.empty(2 * most + 2 * links + 2, np.int32), np.empty(most + links + 2, np.int64)
+    chain, starts = np.empty(most + room + 2 * links + 2, np.int32), np.empty(most + links + 2, np.int64)
     filled = chains = starts[0] = 0
     sums = _sums(steps)
     for i in range(nodes):
         node, pattern = node_places[i], patterns[i]
         clear(spare, node)
         if pattern == 0:
-            chain[filled] = node
-            filled += 1
-            chains += 1
+            if has(lead[0], node):
+                filled = bridge(bits, chain, filled, node, lead, stride)
+            else:
+                chain[filled] = node
+                filled += 1
+            chains += filled > starts[chains]
             starts[chains] = filled
         while pattern:
             way = _FIRST[pattern]
@@ -522,8 +429,17 @@ def _link(
             beside = node + steps[way]
             if has(linked, beside) and not has(spare, beside):  # already, from its other end
                 continue
+            first = filled
+            if has(lead[0], node):
+                filled = way_to_corner(bits, chain, filled, node, lead, stride, True)
             chain[filled] = node
-            filled = _follow(octets, linked, chain, filled + 1, row, sums, steps[way])
+            length = _follow(octets, linked, chain, filled + 1, row, sums, steps[way]) - filled
+            filled += length
+            if has(lead[0], chain[filled - 1]):
+                filled = way_to_corner(bits, chain, filled, chain[filled - 1], lead, stride, False)
+            if has(lead[0], node) and chain[first] == chain[filled - 1] and length <= rest:
+                filled = first
+                continue
             chains += 1
             starts[chains] = filled
         put(linked, node)
@@ -612,9 +528,13 @@ def trace(
     _thin_out(flat, octets, crowded, stride >> 3)
     if longest > 0:
         _prune(flat, octets, crowded, most, steps, longest)
+    lead = np.zeros(len(flat), np.uint64), np.empty(0, np.int32), np.empty((2, 0), np.int32), corners
     if farthest > 0.0 and len(corners) > 0:
-        most += _lead(flat, words, strong, strong_words, corners, stride >> 3, farthest)
-    points, starts = _link(flat, octets, most, strong, labels, corners, steps)
+        cut(words, corners, stride >> 3, farthest)
+        _classified(flat, stride >> 6, _ENDS, strong)
+        lead = leads(strong_words, corners, stride >> 3, farthest, lead[0])
+    room = most + lead[2].size * int(farthest)
+    points, starts = _link(flat, octets, most, room, strong, labels, corners, steps, lead, min(int(farthest), 4))
     for i in range(len(places)):
         labels[places[i, 1], places[i, 0]] = CORNER
     return True, points, starts
