@@ -19,14 +19,20 @@ from system.conftest import PATIENT
 from system.operator_browser import Operator
 from system.test_operator_page import Instrument
 
+from scope_ui_bridge.adapters.secret_files import write_secret
+from scope_ui_bridge.core.passwords import new_user
+
 AXE = Path(axe_playwright_python.__file__).parent / "axe.min.js"
 WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+PERSON = ("Ada L.", "operator", "correct horse")
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")
 def instrument(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instrument]:
-    made = Instrument(tmp_path_factory.mktemp("instrument"), PATIENT | {"token_role": "engineer"})
+    folder = tmp_path_factory.mktemp("instrument")
+    write_secret(folder / "passwords", new_user(*PERSON, b"a" * 16).line())
+    made = Instrument(folder, PATIENT | {"token_role": "engineer", "passwords_file": folder / "passwords"})
     made.tell("heartbeat_timeout 9")
     try:
         yield made
@@ -418,6 +424,72 @@ def test_a_picture_that_was_long_on_its_way_is_shown_as_old_as_it_is(browser: An
         page.wait_for_timeout(20)  # lets the browser's events through
     assert min(ages) >= 1450, ages
     person.leaves()
+
+
+def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: Any, instrument: Instrument) -> None:
+    person = Operator(browser, instrument.address().partition("?")[0])
+    page = person.page
+    name, _, password = PERSON
+    page.fill("#name", name)
+    page.fill("#password", password)
+    ends: dict[str, float] = {}
+
+    def control(route: Any) -> None:
+        """Tell the page that the end is near; the bridge itself has hours left."""
+        server = route.connect_to_server()
+
+        def passed_on(text: str) -> None:
+            message = json.loads(text)
+            route.send(json.dumps(message | ends) if message["type"] == "alive" else text)
+
+        route.on_message(server.send)
+        server.on_message(passed_on)
+
+    page.route_web_socket(re.compile("/control$"), control)
+    page.click(".by-password button")
+    person.takes_control()
+    assert page.is_hidden("#stay")
+    ends["sign_in_ends_s"] = 250.0
+    try:
+        person.sees("#stay-text", "Your sign-in ends within 5 min. Then what moves is stopped, stylus up")
+        assert (page.inner_text("#stay-label"), page.get_attribute("#stay-secret", "type")) == ("Password", "password")
+        assert "ends within 5 min" in page.inner_text("#say")
+        assert axe(person) == []
+        person.shoots("sign_in_ends")
+        page.set_viewport_size({"width": 390, "height": 844})
+        wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        assert wide <= 0
+        person.shoots("sign_in_ends_telephone")
+        page.set_viewport_size({"width": 1280, "height": 800})
+        page.click("#tab-sequence")
+        page.fill("#sequence-text", "press:MENU")
+        instrument.tell("motion 6")
+        person.selects("MENU", "Menu")
+        person.confirms()
+        person.sees("#chip-driver", "Moving")
+        page.fill("#stay-secret", "wrong horse")
+        page.press("#stay-secret", "Enter")
+        person.sees("#stay-problem", "Name or password is wrong")
+        assert page.input_value("#stay-secret") == ""
+        while True:  # after a wrong one the next is looked at half a second later
+            page.fill("#stay-secret", password)
+            with page.expect_response("**/renew") as renewed:
+                page.press("#stay-secret", "Enter")
+            if renewed.value.status != 429:
+                break
+            person.sees("#stay-problem", "Too many failed attempts")
+        assert renewed.value.status == 200
+        ends.clear()
+        person.until(lambda: page.is_hidden("#stay"), 5.0, lambda: page.inner_text("#stay"))
+        person.sees("#lease-text", "You are in control")
+        focus = page.evaluate("document.activeElement.id")
+        assert focus == "desk", "where a second Enter does nothing"
+        assert page.input_value("#sequence-text") == "press:MENU", "the page is as it was"
+        person.logs("Press Menu.*done", 15.0)
+        assert person.complaints == []
+    finally:
+        instrument.tell("motion 1.5")
+        person.context.close()
 
 
 def test_two_tabs_of_one_person_are_told_apart(operator: Operator) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,7 +13,7 @@ from typing import Any
 
 import aiohttp
 import pytest
-from unit.scope_ui_bridge.web_rig import Rig, page, until, with_rig
+from unit.scope_ui_bridge.web_rig import Page, Rig, page, until, with_rig
 
 from scope_ui_bridge.adapters import front_door
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users, write_secret
@@ -167,6 +168,81 @@ def test_who_is_changed_in_the_file_must_sign_in_anew(passwords: Path, change: s
             assert not await signed_in()
             await client.send(type="alive", client_ms=1.0)
             await until(lambda: rig.desk.lease.holder == "", "the page is sent away")
+
+    with_rig(scenario, passwords_file=str(passwords))
+
+
+async def signed_in_s(client: Page) -> float:
+    """Return how long this page's sign-in still lives, as the bridge tells it; infinite while there is no hurry."""
+    await client.send(type="alive", client_ms=1.0)
+    return float((await client.until(lambda m: m["type"] == "alive")).get("sign_in_ends_s", "inf"))
+
+
+@pytest.mark.parametrize("by", ["password", "token"])
+def test_who_signs_in_again_in_time_keeps_control_page_and_motion(passwords: Path, tmp_path: Path, by: str) -> None:
+    """The lifetime is 100 s; the end of the session is set to the last seconds before the next one."""
+    path = tmp_path / "audit.jsonl"
+
+    def again() -> list[tuple[str, str]]:
+        return [(e["who"], e["result"]) for e in records(path) if e["command"] == "sign-in again"]
+
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, sign_in=by == "token", take=by == "token") as client:
+            if by == "password":
+                form = {"name": "ada", "password": "correct horse"}
+                async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+                    assert answer.status == 200
+                await client.open()
+                assert (await client.ask(type="lease", step="take"))["ok"]
+            assert client.hello["you"]["by_password"] == (by == "password")
+            assert await signed_in_s(client) == math.inf
+            (cookie,) = rig.sign_in._sessions
+            session = rig.sign_in._sessions[cookie]
+            rig.sign_in._sessions[cookie] = replace(session, ends_s=time.monotonic() + 30.0)
+            assert 20.0 < await signed_in_s(client) <= 30.0
+            rig.server.mailbox.each(rig.desk.machine.set_state, "driver", "moving")
+            holder, epoch = rig.desk.lease.holder, rig.desk.lease.epoch
+            async with client.session.post("/renew", data={"secret": "wrong"}, headers=client.origin) as answer:
+                assert (answer.status, (await answer.json())["code"]) == (401, f"wrong_{by}")
+            secret = rig.sign_in.issue_token() if by == "token" else "correct horse"
+            async with client.session.post("/renew", data={"secret": secret}, headers=client.origin) as answer:
+                assert (answer.status, (await answer.json())["code"]) == (429, "wait"), "guesses are slowed down"
+            rig.sign_in._failures.clear()
+            async with client.session.post("/renew", data={"secret": secret}, headers=client.origin) as answer:
+                assert (answer.status, await answer.json()) == (200, {"ok": True})
+                assert "Set-Cookie" not in answer.headers, "open connections go on with the one they have"
+            assert await signed_in_s(client) == math.inf
+            assert (rig.desk.lease.holder, rig.desk.lease.epoch) == (holder, epoch)
+            assert rig.graph.named("stop") == []
+            if by == "token":
+                async with client.session.post("/renew", data={"secret": secret}, headers=client.origin) as answer:
+                    assert answer.status == 401, "a token signs in once"
+            async with client.session.post("/sign-out", headers=client.origin):
+                pass
+            rig.sign_in._failures.clear()
+            async with client.session.post("/renew", data={"secret": secret}, headers=client.origin) as answer:
+                assert (answer.status, (await answer.json())["code"]) == (401, "signed_out"), "too late"
+            await until(lambda: ("127.0.0.1", "refused: signed_out") in again(), "the records")
+            who = client.hello["you"]["name"]
+            assert again()[:2] == [(who, f"refused: wrong_{by}"), (who, "done")]
+            assert again().count((who, "done")) == 1
+
+    with_rig(scenario, passwords_file=str(passwords), sign_in_warning_s=50.0, audit=AuditFile(path))
+
+
+def test_nobody_is_kept_signed_in_by_another_ones_secret(passwords: Path) -> None:
+    async def scenario(rig: Rig) -> None:
+        async with page(rig) as client:  # by a token
+            (before,) = rig.sign_in._sessions.values()
+            for form in ({"secret": "correct horse"}, {"name": "ada", "secret": "correct horse"}, {}):
+                rig.sign_in._failures.clear()
+                async with client.session.post("/renew", data=form, headers=client.origin) as answer:
+                    assert (answer.status, (await answer.json())["code"]) == (401, "wrong_token")
+            foreign = {"Origin": "https://elsewhere.example"}
+            form = {"secret": rig.sign_in.issue_token()}
+            async with client.session.post("/renew", data=form, headers=foreign) as answer:
+                assert answer.status == 403
+            assert list(rig.sign_in._sessions.values()) == [before]
 
     with_rig(scenario, passwords_file=str(passwords))
 

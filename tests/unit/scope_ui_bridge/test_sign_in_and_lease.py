@@ -53,6 +53,29 @@ def test_sessions_end_with_time_and_by_leaving() -> None:
     assert door.session("", 1.0) is None
 
 
+def test_a_session_that_is_renewed_in_time_lives_as_long_as_a_new_one() -> None:
+    door = sign_in()
+    cookie, other = (door.enter(door.issue_token(), "a", 0.0) for _ in range(2))
+    before = door.session(cookie, 99.0)
+    renewed = door.renew(cookie, 99.0)
+    assert before is not None and renewed is not None
+    assert (renewed.name, renewed.role, renewed.ends_s) == (before.name, before.role, 199.0)
+    assert door.session(cookie, 198.9) == renewed
+    assert door.session(other, 100.0) is None, "nobody else's"
+    assert door.renew(other, 100.0) is None and door.session(other, 100.0) is None, "what has ended stays ended"
+    assert door.renew("", 1.0) is None
+
+
+def test_the_longest_unused_sessions_go_when_there_are_too_many() -> None:
+    door = sign_in()
+    first, second = (door.enter(door.issue_token(), "a", 0.0) for _ in range(2))
+    door.renew(first, 1.0)
+    for _ in range(255):
+        door.enter(door.issue_token(), "a", 2.0)
+    assert door.session(first, 3.0) is not None, "it was renewed after the second had begun"
+    assert door.session(second, 3.0) is None
+
+
 def test_failures_are_answered_with_longer_and_longer_waits_for_that_address_only() -> None:
     door = sign_in()
     token = door.issue_token()

@@ -90,6 +90,7 @@ class FrontDoor:
         """Register the plain requests, but for the stop."""
         router.add_get("/", self._index, allow_head=False)  # a HEAD would use the token up
         router.add_post("/sign-in", self._enter)
+        router.add_post("/renew", self._renew)
         router.add_post("/sign-out", self._leave)
         router.add_get("/session", self._session_state)
         router.add_static("/page/", PAGE, follow_symlinks=False)
@@ -139,7 +140,7 @@ class FrontDoor:
 
     def session(self, request: web.Request) -> Session | None:
         """Return who sent a request; whose line in the file of passwords is another or gone must sign in anew."""
-        cookie, now_s = request.cookies.get(_cookie(request), ""), time.monotonic()
+        cookie, now_s = _secret(request), time.monotonic()
         session = self._sign_in.session(cookie, now_s)
         if session is not None and session.user is not None and not self._still_let_in(session.user, now_s):
             self._sign_in.leave(cookie)
@@ -171,13 +172,7 @@ class FrontDoor:
         return await self._try(request, token, "", "", web.FileResponse(PAGE / "index.html"))
 
     async def _enter(self, request: web.Request) -> web.StreamResponse:
-        try:
-            form = await asyncio.wait_for(request.post(), _BODY_TIMEOUT_S)
-        except asyncio.TimeoutError:
-            raise web.HTTPRequestTimeout from None
-        except (ValueError, LookupError, AssertionError, BadHttpMessage) as error:  # what aiohttp raises, 3.9 as well
-            raise web.HTTPBadRequest(reason="no form that can be read") from error
-        token, name, password = (str(form.get(field, "")) for field in ("token", "name", "password"))
+        token, name, password = await _form(request, "token", "name", "password")
         return await self._try(request, token, name, password, web.Response(status=303, headers={"Location": "/"}))
 
     async def _try(
@@ -186,7 +181,8 @@ class FrontDoor:
         remote = request.remote or ""
         try:
             if name:
-                secret = await self._by_password(name.strip(), password, remote)
+                user = await self._user(name.strip(), password, remote)
+                secret = self._sign_in.enter_by_password(user, remote, time.monotonic())
             else:
                 secret = self._sign_in.enter(token.strip(), remote, time.monotonic())
         except Refusal as refusal:
@@ -197,13 +193,40 @@ class FrontDoor:
             return response
         session = self._sign_in.session(secret, time.monotonic())
         assert session is not None
-        self._record({"wall_s": round(time.time(), 3), "who": session.name, "command": "sign-in", "result": "done"})
+        self._record_done(session, "sign-in")
         welcome.set_cookie(
             _cookie(request), secret, httponly=True, samesite="Strict", secure=self._config.tls, path="/"
         )
         return welcome
 
-    async def _by_password(self, name: str, password: str, remote: str) -> str:
+    async def _renew(self, request: web.Request) -> web.StreamResponse:
+        """Let who signs in again, in time and by the same way, stay: control, connections and page go on as they are.
+
+        The cookie stays, too: the open connections came with it, and are looked at by it.
+        """
+        (secret,) = await _form(request, "secret")
+        remote, session = request.remote or "", self.session(request)
+        try:
+            if session is not None and session.user is not None:
+                user = await self._user(session.name, secret, remote)
+                self._sign_in.check_user(user, remote, time.monotonic())
+                session = self.session(request)  # checking takes its time
+            elif session is not None:
+                self._sign_in.use_up(secret.strip(), remote, time.monotonic())
+            if session is None or self._sign_in.renew(_secret(request), time.monotonic()) is None:
+                raise Refusal("signed_out")
+        except Refusal as refusal:
+            self.turned_away.note(session.name if session else remote, "sign-in again", refusal.code)
+            status = 429 if refusal.code == "wait" else 401
+            return web.json_response({"ok": False, **refusal.message()}, status=status)
+        self._record_done(session, "sign-in again")
+        return web.json_response({"ok": True})
+
+    def _record_done(self, session: Session, command: str) -> None:
+        self._record({"wall_s": round(time.time(), 3), "who": session.name, "command": command, "result": "done"})
+
+    async def _user(self, name: str, password: str, remote: str) -> User | None:
+        """Return whose name and password these are, None for nobody's; ``wait`` while too many are looked at."""
         self._sign_in.check_wait(remote, time.monotonic())
         if remote in self._guesses or len(self._guesses) >= _MAX_GUESSES:
             raise Refusal("wait", seconds=1.0)
@@ -215,7 +238,7 @@ class FrontDoor:
             self._guesses.remove(remote)
         if problem:
             self.turned_away.note("the bridge", "passwords_file", problem)
-        return self._sign_in.enter_by_password(user, remote, time.monotonic())
+        return user
 
     def _check(self, name: str, password: str) -> tuple[User | None, str]:
         """Check a password, in the checker's thread; an unknown name takes as long as a known one.
@@ -241,7 +264,7 @@ class FrontDoor:
         return web.Response(status=status, text=text, content_type="text/html")
 
     async def _leave(self, request: web.Request) -> web.StreamResponse:
-        self._sign_in.leave(request.cookies.get(_cookie(request), ""))
+        self._sign_in.leave(_secret(request))
         response = web.Response(status=303, headers={"Location": "/"})
         response.del_cookie(_cookie(request), path="/")
         return response
@@ -251,6 +274,20 @@ class FrontDoor:
         if session is None:
             return web.json_response({"signed_in": False}, status=401)
         return web.json_response({"signed_in": True, "name": session.name, "role": session.role.value})
+
+
+async def _form(request: web.Request, *fields: str) -> tuple[str, ...]:
+    try:
+        form = await asyncio.wait_for(request.post(), _BODY_TIMEOUT_S)
+    except asyncio.TimeoutError:
+        raise web.HTTPRequestTimeout from None
+    except (ValueError, LookupError, AssertionError, BadHttpMessage) as error:  # what aiohttp raises, 3.9 as well
+        raise web.HTTPBadRequest(reason="no form that can be read") from error
+    return tuple(str(form.get(field, "")) for field in fields)
+
+
+def _secret(request: web.Request) -> str:
+    return request.cookies.get(_cookie(request), "")
 
 
 def _cookie(request: web.Request) -> str:

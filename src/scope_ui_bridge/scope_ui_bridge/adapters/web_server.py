@@ -260,7 +260,7 @@ class WebServer:
         gone = "stopped_link_lost"  # without a word, as when a tunnel ends
         try:
             try:
-                viewer, hello = self._desk.join(session.name, session.role)
+                viewer, hello = self._desk.join(session.name, session.role, session.user is not None)
             except Refusal as refusal:
                 await socket.send_str(encode({"type": "answer", "seq": None, "ok": False, **refusal.message()}))
                 return socket
@@ -283,9 +283,11 @@ class WebServer:
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                     self._note_broken(session, message)
                     break
-                if self.door.session(request) is None:  # signed out, or the session's time is over
+                now_in = self.door.session(request)
+                if now_in is None:  # signed out, or the session's time is over
                     gone = "stopped_signed_out"
                     break
+                self._desk.signed_in(viewer, now_in.ends_s)
                 effects = self._desk.message(viewer, message.data, self._now())
                 self._note_suspects(session.name, effects)
                 self._carry_out(effects)

@@ -31,6 +31,9 @@ class BridgeConfig(Config):
     session_lifetime_s: float = setting(
         43200.0, "A sign-in ends after this time", minimum=60.0, maximum=604800.0, unit="s", read_only=True
     )
+    sign_in_warning_s: float = setting(
+        600.0, "So long before its sign-in ends a page says so, and takes another one", minimum=0.0, unit="s"
+    )
     audit_file: str = setting("", "File of hash-chained command records, empty = none", read_only=True)
     layout: str = setting(
         "", "Layout file of the panel, for the controls' labels, empty = labels made from their names", read_only=True

@@ -101,8 +101,10 @@ class Desk:
 
     # --- pages -----------------------------------------------------------------------------------------------------
 
-    def join(self, name: str, role: Role = Role.OPERATOR) -> tuple[str, dict[str, Any]]:
+    def join(self, name: str, role: Role = Role.OPERATOR, by_password: bool = False) -> tuple[str, dict[str, Any]]:
         """Add a page of the user ``name``; return its id and the first message for it.
+
+        ``by_password`` tells the page what its user signs in with.
 
         Raises
         ------
@@ -117,7 +119,7 @@ class Desk:
         return viewer, {
             "type": "hello",
             "boot": self.boot_id,
-            "you": {"id": viewer, "name": name, "role": role.value},
+            "you": {"id": viewer, "name": name, "role": role.value, "by_password": by_password},
             "title": self.title,
             "replay": self.config.replay,
             "facts": self.machine.facts,
@@ -138,6 +140,10 @@ class Desk:
             "stale_ms": self.config.frame_stale_s * 1e3,
             "jog_step_mm": self.config.jog_step_max_m * 1e3,
         }
+
+    def signed_in(self, viewer: str, until_s: float) -> None:
+        """Note when the sign-in of a page ends, by the monotonic clock; who signs in again in time puts that off."""
+        self._viewers[viewer].signed_in_until_s = until_s
 
     def leave(self, viewer: str, now: Now, code: str = "stopped_page_gone") -> list[Effect]:
         """Remove a page; when it was the operator's and something moves, stop: ``code`` says why it is gone."""
@@ -175,7 +181,9 @@ class Desk:
             if viewer == self.lease.holder:
                 self._causes.alive()
             clocks = {"bridge_ms": now.mono_s * 1e3, "wall_ms": now.wall_s * 1e3}
-            return [Send(viewer=viewer, message={"type": "alive", "client_ms": message.client_ms, **clocks})]
+            left_s = self._viewers[viewer].signed_in_until_s - now.mono_s
+            ends = {"sign_in_ends_s": round(left_s, 1)} if left_s <= self.config.sign_in_warning_s else {}
+            return [Send(viewer=viewer, message={"type": "alive", "client_ms": message.client_ms, **clocks, **ends})]
         if isinstance(message, wire.Hidden):
             if viewer != self.lease.holder:
                 return []

@@ -6,7 +6,7 @@ import hashlib
 import hmac
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from scope_ui_bridge.core.passwords import Role, User
 from scope_ui_bridge.core.refusal import Refusal
@@ -73,13 +73,17 @@ class SignIn:
         Refusal
             ``wrong_token``, or ``wait`` with the seconds until the next try of this remote address is looked at.
         """
+        self.use_up(token, remote, now_s)
+        self._count += 1
+        return self._admit(f"Operator {self._count}", self._token_role, remote, now_s)
+
+    def use_up(self, token: str, remote: str, now_s: float) -> None:
+        """Use the token up, for somebody who is signed in already; refusals as of :meth:`enter`."""
         self.check_wait(remote, now_s)
         if not self._token or not hmac.compare_digest(_digest(token), self._token):
             self._failed(remote, now_s)
             raise Refusal("wrong_token")
         self._token = b""
-        self._count += 1
-        return self._admit(f"Operator {self._count}", self._token_role, remote, now_s)
 
     def check_wait(self, remote: str, now_s: float) -> None:
         """Refuse (``wait``) while a remote address has to wait after failures."""
@@ -89,10 +93,25 @@ class SignIn:
 
     def enter_by_password(self, user: User | None, remote: str, now_s: float) -> str:
         """Return the cookie's value for whose password was found good; ``wrong_password`` for None."""
+        known = self.check_user(user, remote, now_s)
+        return self._admit(known.name, known.role, remote, now_s, known)
+
+    def check_user(self, user: User | None, remote: str, now_s: float) -> User:
+        """Refuse (``wrong_password``) when the password was found good for nobody."""
         if user is None:
             self._failed(remote, now_s)
             raise Refusal("wrong_password")
-        return self._admit(user.name, user.role, remote, now_s, user)
+        return user
+
+    def renew(self, cookie: str, now_s: float) -> Session | None:
+        """Let a session that has not ended live as long as a new one; return it, or None."""
+        session = self.session(cookie, now_s)
+        if session is None:
+            return None
+        renewed = replace(session, ends_s=now_s + self._lifetime_s)
+        self._sessions[_digest(cookie)] = renewed
+        self._sessions.move_to_end(_digest(cookie))
+        return renewed
 
     def _admit(self, name: str, role: Role, remote: str, now_s: float, user: User | None = None) -> str:
         self._failures.pop(remote, None)

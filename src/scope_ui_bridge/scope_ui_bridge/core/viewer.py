@@ -15,10 +15,11 @@ _TELL_RATE_EVERY_S = 1.0
 
 @dataclass(slots=True)
 class Viewer:
-    """A page of the user ``name``."""
+    """A page of the user ``name``, whose sign-in ends at ``signed_in_until_s``."""
 
     name: str
     role: Role
+    signed_in_until_s: float = math.inf
     _last_seq: int = -1
     _tokens: float = BURST
     _refilled_s: float = 0.0

@@ -16,6 +16,12 @@ export class Link extends EventTarget {
   #clocks = []; // {rtt, ahead}: round trips, and by how much the bridge's clock is ahead of this page's
   epoch = 0;
   rttMs = null;
+  #signedInUntil = null; // by this page's clock; null while the end is far
+
+  /** In how many ms the sign-in ends, null while there is no hurry. */
+  get signInEndsMs() {
+    return this.#signedInUntil === null ? null : this.#signedInUntil - performance.now();
+  }
 
   get open() {
     return this.#socket !== null && this.#boot !== "" && this.#socket.readyState === WebSocket.OPEN;
@@ -93,6 +99,7 @@ export class Link extends EventTarget {
       const rtt = now - message.client_ms;
       this.#clocks = [...this.#clocks, { rtt, ahead: message.bridge_ms + rtt / 2 - now }].slice(-CLOCKS);
       setClock(message.wall_ms + rtt / 2);
+      this.#signedInUntil = "sign_in_ends_s" in message ? now + 1e3 * message.sign_in_ends_s : null;
       this.rttMs = this.rttMs === null ? rtt : 0.8 * this.rttMs + 0.2 * rtt;
       return;
     }
