@@ -7,6 +7,7 @@ import io
 import json
 import re
 import time
+import unicodedata
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
@@ -24,7 +25,7 @@ from scope_ui_bridge.core.passwords import new_user
 
 AXE = Path(axe_playwright_python.__file__).parent / "axe.min.js"
 WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
-PERSON = ("Ada L.", "operator", "correct horse")
+PERSON = ("Jürgen Groß", "operator", "correct horse")
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
 
 
@@ -430,7 +431,7 @@ def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: 
     person = Operator(browser, instrument.address().partition("?")[0])
     page = person.page
     name, _, password = PERSON
-    page.fill("#name", name)
+    page.fill("#name", unicodedata.normalize("NFD", name))  # as some keyboards write it
     page.fill("#password", password)
     ends: dict[str, float] = {}
 
@@ -448,7 +449,10 @@ def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: 
     page.route_web_socket(re.compile("/control$"), control)
     page.click(".by-password button")
     person.takes_control()
+    person.sees("#you", f"^{name} · 1 viewing")
     assert page.is_hidden("#stay")
+    beside = "async (name) => (await import('/page/strings.js')).t('you', { name, count: 2 })"
+    assert page.evaluate(beside, "דנה") == "\u2068דנה\u2069 · 2 viewing", "else 2 would stand to the left of it"
     ends["sign_in_ends_s"] = 250.0
     try:
         person.sees("#stay-text", "Your sign-in ends within 5 min. Then what moves is stopped, stylus up")

@@ -6,6 +6,7 @@ import asyncio
 import json
 import math
 import time
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from unit.scope_ui_bridge.web_rig import Page, Rig, page, until, with_rig
 
 from scope_ui_bridge.adapters import front_door
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users, write_secret
+from scope_ui_bridge.core.audit import verify
 from scope_ui_bridge.core.passwords import Role, hash_password, new_user
 
 
@@ -135,6 +137,26 @@ def test_passwords_open_the_door_with_the_role_of_the_file(passwords: Path) -> N
                     await client.ask(type="lease", step="release")
 
     with_rig(scenario, passwords_file=str(passwords))
+
+
+def test_a_name_with_umlauts_signs_in_and_is_in_the_records(tmp_path: Path) -> None:
+    name, path = "Jürgen Groß", tmp_path / "audit.jsonl"
+    file = tmp_path / "passwords"
+    write_secret(file, unicodedata.normalize("NFD", new_user(name, "operator", "grüne Wörter", b"j" * 16).line()))
+
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, sign_in=False) as client:
+            form = {"name": unicodedata.normalize("NFD", f" {name} "), "password": "grüne Wörter"}
+            async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+                assert answer.status == 200
+            assert (await client.open())["you"]["name"] == name
+            assert (await client.ask(type="lease", step="take"))["ok"]
+            state = await client.until(lambda m: m["type"] == "state" and m["lease"]["holder"])
+            assert state["lease"]["holder_name"] == name
+            await until(lambda: [e["who"] for e in records(path) if e["command"] == "sign-in"] == [name], "the record")
+
+    with_rig(scenario, passwords_file=str(file), audit=AuditFile(path))
+    assert verify(path.read_text().splitlines())[0] == len(records(path))
 
 
 @pytest.mark.parametrize("change", ["taken out", "another role", "another password"])

@@ -10,6 +10,7 @@ import shutil
 import ssl
 import stat
 import subprocess
+import unicodedata
 from pathlib import Path
 
 import aiohttp
@@ -58,6 +59,28 @@ def test_what_people_wrote_into_the_file_stays(tmp_path: Path, monkeypatch: pyte
     assert matches("second password", read_users(file)["ada"].hashed)
     assert page_admin.main(["password", "eve", "--remove", "--file", str(file)]) == 0
     assert list(read_users(file)) == ["ada"] and "# ward 3" in file.read_text()
+
+
+def test_a_name_is_set_changed_and_removed_however_its_letters_are_composed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "passwords"
+    composed, decomposed = (unicodedata.normalize(form, "Jürgen Groß") for form in ("NFC", "NFD"))
+    for number, name in enumerate((composed, decomposed)):
+        monkeypatch.setattr("sys.stdin", io.StringIO(f"password {number}\n"))
+        assert page_admin.main(["password", name, "--file", str(file)]) == 0
+        (user,) = read_users(file).values()
+        assert user.name == composed and matches(f"password {number}", user.hashed)
+    assert page_admin.main(["password", decomposed, "--remove", "--file", str(file)]) == 0
+    assert read_users(file) == {}
+    capsys.readouterr()
+    for name, why in (("Eva\u202e", r"'Eva\u202e': has U+202E RIGHT-TO-LEFT OVERRIDE"), ("Eva\udcff", "has U+DCFF")):
+        monkeypatch.setattr("sys.stdin", io.StringIO("password 3\n"))
+        assert page_admin.main(["password", name, "--file", str(file)]) == 1
+        assert page_admin.main(["password", name, "--remove", "--file", str(file)]) == 1
+        said = capsys.readouterr().err
+        assert why in said and said.replace("\n", "").isprintable()
+    assert read_users(file) == {}
 
 
 def test_its_files_are_those_that_bring_up_keeps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

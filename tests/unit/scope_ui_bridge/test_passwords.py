@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,60 @@ def test_the_file_is_read_back(tmp_path: Path) -> None:
 def test_a_bad_line_is_named(line: str, why: str) -> None:
     with pytest.raises(PasswordError, match=why):
         parse_users([f"eve:viewer:{GOOD}", line])
+
+
+NAMES = [
+    *("Jürgen Groß", "Ærøskøbing-Ødegård", "Żółć", "Ngọc Ánh", "Nuria d’Ací i Mª", "O'Brien"),
+    *("Ελένη", "Юлія", "דנה לוי", "نور الدين", "प्रियंका", "คำแพง", "김민준", "佐々木さくら", "Ada_2.b"),
+    "ÄÖÜẞ" * 8,
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_are_written_in_the_letters_of_any_language(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "passwords"
+    for written in (name, unicodedata.normalize("NFD", name)):  # as some keyboards and systems write it
+        user = new_user(written, "operator", "a long password", b"x" * 16)
+        assert user.name == unicodedata.normalize("NFC", name)
+        write_secret(path, unicodedata.normalize("NFD", user.line()))
+        assert read_users(path) == {user.name: user}
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("", "name '': 0 characters, 1 to 32 are allowed"),
+        ("ä" * 33, f"name {'ä' * 33!r}: 33 characters, 1 to 32 are allowed"),
+        ("x" * 5000, f"name {'x' * 40!r}...: 5000 characters, 1 to 32 are allowed"),
+        ("1a", "name '1a': begins with U+0031 DIGIT ONE; a letter is needed there"),
+        (" ä", "name ' ä': begins with U+0020 SPACE; a letter is needed there"),
+        ("\u0301a", "begins with U+0301 COMBINING ACUTE ACCENT"),
+        ("Ada ", "name 'Ada ': ends with U+0020 SPACE"),
+        ("Ada  L.", "has two spaces in a row"),
+        *(
+            (f"Ad{c}a", f"has U+{ord(c):04X}")
+            for c in (
+                *"\0\n\r\t\x1b\x7f\x85\xa0\xad",  # control characters, line ends, spaces that look like others
+                *"\u200b\u200c\u200d\u200e\u200f\u202a\u202e\u2028\u2029\u2060\u2066\u2069\u061c\ufeff",
+                *"\u034f\u115f\u1160\u17b4\u180b\u3164\ufe0f\uffa0\U000e0100\U000e0041",  # letters and marks of nothing
+                *"Ａ𝐀Ⓐﷲ",  # look like others
+                *':/\\"<>&;,=%#@*?|`$(){}[]',
+                *"\ud800\ue000\u0378",  # half a character, one of somebody's own, none
+            )
+        ),
+    ],
+)
+def test_a_name_that_hides_something_is_refused_with_value_and_bound(name: str, why: str) -> None:
+    with pytest.raises(PasswordError) as caught:
+        new_user(name, "viewer", "a long password", b"x" * 16)
+    assert why in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_one_name_written_in_two_ways_stands_twice() -> None:
+    lines = [f"{unicodedata.normalize(form, 'Jürgen')}:viewer:{GOOD}" for form in ("NFC", "NFD")]
+    with pytest.raises(PasswordError, match="line 2: name 'Jürgen' stands twice"):
+        parse_users(lines)
 
 
 @pytest.mark.parametrize("password", ["", "short", "x" * 257])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,9 @@ from unit.scope_ui_bridge.desk_rig import Rig, answer, logged, of_type, refusal
 
 from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
-from icu_common.core.sequence import parse_file, parse_steps
+from icu_common.core.sequence import SequenceError, parse_file, parse_steps
 from scope_ui_bridge.core.effects import Broadcast, Effect, SendCommand, SendSequence, StopNow
+from scope_ui_bridge.core.sequencing import stored_name
 
 STEPS = ["press:RUN_STOP => effect", "turn:CH1_SCALE:30", "press:RUN_STOP"]
 
@@ -112,6 +114,26 @@ def test_a_sequence_of_as_many_steps_as_are_allowed_and_as_long_ones_goes_out() 
     assert len(step) <= 300
     (order,) = of_type(start(Rig(), steps=[step] * 100), SendSequence)
     assert parse_file(order.text.partition("\n")[2]) == parse_steps([step] * 100)
+
+
+def test_a_stored_sequence_is_found_by_its_name_however_its_letters_are_composed() -> None:
+    for system in ("NFC", "NFD"):  # of the file system, and of what a page sends
+        for page in ("NFC", "NFD"):
+            rig = Rig()
+            name = stored_name(unicodedata.normalize(system, "Überdruck_prüfen"))
+            rig.desk.sequence.stored = {name: parse_steps(STEPS)}
+            (order,) = of_type(start(rig, stored=unicodedata.normalize(page, "Überdruck_prüfen")), SendSequence)
+            assert order.record["target"] == "Überdruck_prüfen"
+
+
+@pytest.mark.parametrize(
+    ("stem", "shown"),
+    [("ü" * 65, f"'{'ü' * 64}' of 65"), ("a\u202eb", r"'a\u202eb' of 3"), ("a\nb", r"'a\nb' of 3")],
+)
+def test_a_stored_sequence_that_no_page_could_name_is_refused(stem: str, shown: str) -> None:
+    with pytest.raises(SequenceError) as caught:
+        stored_name(stem)
+    assert str(caught.value) == f"file's name {shown} characters: 64 that are all seen are allowed"
 
 
 @pytest.mark.parametrize(

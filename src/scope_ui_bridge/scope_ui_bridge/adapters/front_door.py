@@ -17,7 +17,7 @@ from aiohttp.http_exceptions import BadHttpMessage
 from scope_ui_bridge.adapters.secret_files import read_users
 from scope_ui_bridge.adapters.turned_away import TurnedAway
 from scope_ui_bridge.core.config import BridgeConfig
-from scope_ui_bridge.core.passwords import PasswordError, User, hash_password, matches
+from scope_ui_bridge.core.passwords import PasswordError, User, composed, hash_password, matches
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.sign_in import Session, SignIn
 
@@ -181,7 +181,7 @@ class FrontDoor:
         remote = request.remote or ""
         try:
             if name:
-                user = await self._user(name.strip(), password, remote)
+                user = await self._user(composed(name.strip()), password, remote)
                 secret = self._sign_in.enter_by_password(user, remote, time.monotonic())
             else:
                 secret = self._sign_in.enter(token.strip(), remote, time.monotonic())

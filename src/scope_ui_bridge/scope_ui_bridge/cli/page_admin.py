@@ -21,7 +21,7 @@ from icu_common.adapters.state_folder import default_state_folder
 from scope_ui_bridge.adapters.secret_files import read_users, write_secret
 from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, verify
 from scope_ui_bridge.core.config import BridgeConfig
-from scope_ui_bridge.core.passwords import PasswordError, Role, new_user
+from scope_ui_bridge.core.passwords import PasswordError, Role, composed, new_user
 
 _DAYS = 825  # what browsers take at most
 _MAX_COMMON_NAME = 64  # of X.520; browsers read the names beside it
@@ -51,12 +51,13 @@ def parser() -> argparse.ArgumentParser:
 
 def change_password(name: str, role: str, path: Path, password: str | None) -> str:
     """Put a user into the file, or take it out (``password`` None); return what was done."""
+    name = composed(name)
     users = read_users(path) if path.exists() else {}
     before = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    lines = [line for line in before if line.strip().partition(":")[0] != name]  # comments of people stay
+    lines = [line for line in before if composed(line.strip().partition(":")[0]) != name]  # comments of people stay
     if password is None:
         if name not in users:
-            raise AdminError(f"{name} is not in {path}")
+            raise AdminError(f"{name!r} is not in {path}")
     else:
         lines.append(new_user(name, role, password, os.urandom(16)).line())
     write_secret(path, "\n".join(lines))

@@ -1,5 +1,7 @@
 """Names, roles and hashed passwords: one line each, ``name:role:scrypt$N$r$p$salt$hash`` (RFC 7914, hexadecimal).
 
+A name is written in the letters of any language, composed (NFC); nothing in it may be unseen or look like another.
+
 scrypt costs 32 MiB and about a tenth of a second for each guess; it comes with Python, so nothing has to be installed.
 """
 
@@ -9,13 +11,18 @@ import enum
 import hashlib
 import hmac
 import re
+import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 _COST, _BLOCK, _PARALLEL = 2**15, 8, 1
 _MAX_MEMORY = 64 * 2**20
 MIN_PASSWORD, MAX_PASSWORD = 10, 256
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9 ._-]{0,31}\Z")
+MAX_NAME = 32
+_BESIDE_LETTERS = " .-_'’"
+_SHOWN = 40
+# Letters and marks that show nothing (Default_Ignorable_Code_Point of Unicode).
+_UNSEEN = re.compile("[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u3164\ufe00-\ufe0f\uffa0\U000e0000-\U000e0fff]")
 
 
 class Role(enum.Enum):
@@ -70,9 +77,7 @@ def matches(password: str, hashed: str) -> bool:
 
 def new_user(name: str, role: str, password: str, salt: bytes) -> User:
     """Return a user with the password hashed, after checking all three."""
-    if not _NAME.match(name):
-        raise PasswordError(f"name {name!r}: a letter and up to 31 letters, digits, spaces, '.', '-' or '_' are needed")
-    return User(name=name, role=_role(role), hashed=hash_password(password, salt))
+    return User(name=checked_name(name), role=_role(role), hashed=hash_password(password, salt))
 
 
 def parse_users(lines: Iterable[str]) -> dict[str, User]:
@@ -90,12 +95,58 @@ def parse_users(lines: Iterable[str]) -> dict[str, User]:
             continue
         try:
             name, role, hashed = text.split(":")
-            if not _NAME.match(name) or name in users:
-                raise PasswordError(f"name {name!r} is not allowed or stands twice")
+            name = checked_name(name)
+            if name in users:
+                raise PasswordError(f"name {name!r} stands twice")
             users[name] = User(name=name, role=_role(role), hashed=_checked(hashed))
         except ValueError as error:
             raise PasswordError(f"line {number}: {error}") from error
     return users
+
+
+def composed(name: str) -> str:
+    """Return a name as it is kept and compared, however a keyboard or a system composes its letters."""
+    return unicodedata.normalize("NFC", name)
+
+
+def checked_name(name: str) -> str:
+    """Return a name, composed.
+
+    Raises
+    ------
+    PasswordError
+        With the name, what in it is not allowed, and what is.
+    """
+    name = composed(name)
+    wrong = _wrong_in(name)
+    if wrong:
+        raise PasswordError(f"name {name[:_SHOWN]!r}{'...' if len(name) > _SHOWN else ''}: {wrong}")
+    return name
+
+
+def _wrong_in(name: str) -> str:
+    if not 0 < len(name) <= MAX_NAME:
+        return f"{len(name)} characters, 1 to {MAX_NAME} are allowed"
+    if not unicodedata.category(name[0]).startswith("L"):
+        return f"begins with {_called(name[0])}; a letter is needed there"
+    if name.endswith(" "):
+        return f"ends with {_called(' ')}"
+    if "  " in name:
+        return "has two spaces in a row"
+    found = next((character for character in name if not _is_allowed(character)), "")
+    return found and f"has {_called(found)}; letters, digits, spaces and {' '.join(_BESIDE_LETTERS[1:])} are allowed"
+
+
+def _is_allowed(character: str) -> bool:
+    category, made_of = unicodedata.category(character), unicodedata.decomposition(character)
+    # What is only another form of a letter, as a wide or a bold one, looks like it.
+    looks_like_another = made_of.startswith("<") and not made_of.startswith(("<compat>", "<super>"))
+    written = category[0] in "LM" or category == "Nd"
+    return character in _BESIDE_LETTERS or (written and not looks_like_another and not _UNSEEN.match(character))
+
+
+def _called(character: str) -> str:
+    return f"U+{ord(character):04X} {unicodedata.name(character, '')}".strip()
 
 
 def _role(text: str) -> Role:

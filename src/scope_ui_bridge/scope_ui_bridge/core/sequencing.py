@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
@@ -14,6 +15,21 @@ from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.refusal import Refusal
 
 _STATE = re.compile(r"step (\d+)/(\d+): ")
+
+
+def stored_name(stem: str) -> str:
+    """Return the name under which pages see a stored sequence: its file's, with its letters composed.
+
+    Raises
+    ------
+    SequenceError
+        When no page could ask for it, as with what cannot be seen in it.
+    """
+    name = unicodedata.normalize("NFC", stem)
+    if len(name) > wire.MAX_TEXT or not name.isprintable():
+        shown, limit = name[: wire.MAX_TEXT], wire.MAX_TEXT
+        raise SequenceError(f"file's name {shown!r} of {len(name)} characters: {limit} that are all seen are allowed")
+    return name
 
 
 class SequenceView:

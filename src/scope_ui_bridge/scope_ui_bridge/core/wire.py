@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import unicodedata
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -18,6 +19,7 @@ from scope_ui_bridge.core.refusal import Refusal
 
 MAX_BYTES = 32 * 1024
 """Holds the longest messages that are allowed otherwise: as many steps of a sequence, as many controls of a panel."""
+MAX_TEXT = 64
 _MAX_INTEGER = 2**53
 _SEQ = re.compile(r'"seq": ?([0-9]{1,15})[,}]')
 
@@ -363,10 +365,12 @@ class _Reader:
         return {"camera": self.choice("camera", CAMERAS), "stamp_ns": self.stamp("stamp")}
 
     def text(self, name: str) -> str:
+        """Return a text with its letters composed, as names are kept."""
         value = self._raw.pop(name, None)
-        if not isinstance(value, str) or len(value) > 64 or not value.isprintable():
+        composed = unicodedata.normalize("NFC", value) if isinstance(value, str) else ""
+        if not isinstance(value, str) or len(composed) > MAX_TEXT or not composed.isprintable():
             self.wrong(name, value, "a text of up to 64 characters")
-        return value
+        return composed
 
     def texts(self, name: str) -> tuple[str, ...]:
         value = self._raw.pop(name, None)

@@ -68,6 +68,7 @@ from scope_ui_bridge.core.layers import CORNERS, EDGES
 from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.roll import Roll
 from scope_ui_bridge.core.scene import Face
+from scope_ui_bridge.core.sequencing import stored_name
 from scope_ui_bridge.core.sign_in import SignIn
 
 _SERVICES = {
@@ -355,7 +356,7 @@ class BridgeNode(Node):
         folder = Path(config.sequence_folder).expanduser()
         for path in sorted(folder.glob("*.yaml")) if config.sequence_folder else ():
             try:
-                found[path.stem] = parse_file(path.read_text(encoding="utf-8"), str(path))
+                found[stored_name(path.stem)] = parse_file(path.read_text(encoding="utf-8"), str(path))
             except (OSError, ValueError) as error:
                 self.get_logger().error(f"this sequence is left out: {error}")
         return found

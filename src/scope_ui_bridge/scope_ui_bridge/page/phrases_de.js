@@ -556,6 +556,7 @@ export const PHRASES_DE = [
   ["{} is not JSON", "{} ist kein JSON"],
   ["{} is too large", "{} ist zu groß"],
   ["an integer of {} digits is too large", "eine ganze Zahl mit {} Ziffern ist zu groß"],
+  ["file's name {} of {} characters: {} that are all seen are allowed", "Dateiname {} mit {} Zeichen: erlaubt sind {}, die man alle sieht"],
   ["a key stands twice", "ein Schlüssel steht zweimal da"],
   ["an object is needed, not {}", "nötig ist ein Objekt, nicht {}"],
   ["{} = {}: {} is needed", "{} = {}: nötig ist {}"],

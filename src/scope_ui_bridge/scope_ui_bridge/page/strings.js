@@ -10,9 +10,14 @@ let table = EN;
 /** Return the sentence of a key with its values put in; an unknown key comes back as it is (text from the graph). */
 export function t(key, values = {}) {
   const sentence = table[key] ?? String(key);
-  const filled = sentence.replace(/\{(\w+)\}/g, (whole, name) => values[name] ?? "");
+  const filled = sentence.replace(/\{(\w+)\}/g, (whole, name) => isolated(values[name] ?? ""));
   return filled.replace(/\s+(?=[:.](\s|$))/g, "").trim();
 }
+
+const FROM_RIGHT = /[\u0590-\u08ff\ufb1d-\ufdff\ufe70-\ufefc\u{10800}-\u{10fff}\u{1e800}-\u{1efff}]/u;
+
+/** A name that is written from right to left does not turn round the numbers and signs beside it. */
+const isolated = (value) => (FROM_RIGHT.test(value) ? `\u2068${value}\u2069` : value);
 
 export function has(key) {
   return key in EN;

@@ -419,7 +419,7 @@ export const DE = {
   teach_done: "Geschrieben: {layout} und {template}. Start mit diesem Befehl:",
   teach_refused: "Nichts wurde geschrieben: {reason}",
   teach_no_picture: "Dieses Bild ist nicht mehr festgehalten. Noch einmal festhalten.",
-  teach_name: "{field}: „{found}“ geht nicht; nötig sind Buchstaben, Ziffern und _, wie in {example}.",
+  teach_name: "{field}: „{found}“ geht nicht; nötig sind Buchstaben von a bis z, Ziffern und _, wie in {example}.",
   teach_kind: "„{found}“ ist keines von {known}.",
   teach_twice: "Das Element {control} gibt es zweimal.",
   teach_number: "{field} {control} = {found}: nötig sind {low} bis {high}.",

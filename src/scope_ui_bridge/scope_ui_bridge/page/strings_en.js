@@ -419,7 +419,7 @@ export const EN = {
   teach_done: "Written: {layout} and {template}. Start with this command:",
   teach_refused: "Nothing was written: {reason}",
   teach_no_picture: "That picture is no longer held. Hold one again.",
-  teach_name: "{field}: “{found}” cannot be used; letters, digits and _ are needed, as in {example}.",
+  teach_name: "{field}: “{found}” cannot be used; letters from a to z, digits and _ are needed, as in {example}.",
   teach_kind: "“{found}” is none of {known}.",
   teach_twice: "The control {control} stands there twice.",
   teach_number: "{field} {control} = {found}: {low} to {high} are needed.",
