@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import subprocess
@@ -264,6 +265,91 @@ def test_a_confirmation_starts_only_the_sequence_that_it_was_asked_for(person: O
     page.fill("#sequence-text", "press:RUN_STOP")
     person.sees("#sequence-start", "^Start 1 steps")
     assert page.locator("#log tr").count() == rows, "nothing was sent"
+
+
+def test_steps_that_were_written_are_back_after_a_reload_and_start_nothing(
+    person: Operator, instrument: Instrument, sequencer: None
+) -> None:
+    page = person.page
+    rows = page.locator("#log tr:not(.nothing)").count()
+    page.click("#tab-sequence")
+    page.fill("#sequence-text", "press:MENU => effect\n")
+    page.check("#sequence-collect")
+    person.selects("RUN_STOP", "Run / Stop")
+    person.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: page.inner_text("#refusal"))
+    page.click("[data-act=press]")
+    steps = "press:MENU => effect\npress:RUN_STOP\n"
+    assert page.input_value("#sequence-text") == steps
+    assert page.inner_text("#sequence-kept") == ""
+    page.click("#sequence-start")
+    person.sees("#sequence-start", "Confirm: start 2 steps")
+
+    def comes_back(kept: str, tab: Any = page) -> None:
+        tab.reload()
+        tab.click("#tab-sequence")
+        field = lambda: tab.input_value("#sequence-text")  # noqa: E731
+        person.until(lambda: "viewing" in tab.inner_text("#you"), 10.0, lambda: "the page is connected")
+        person.until(lambda: field() == kept, 5.0, lambda: f"{field()!r}, {kept!r} is awaited")
+        said = tab.inner_text("#sequence-kept")
+        note = r"written here by Operator \d+ \(\d\d:\d\d:\d\d\) and are back. Nothing starts by itself"
+        assert bool(re.search(note, said)) == bool(kept), said
+
+    comes_back(steps)
+    person.takes_control()
+    person.until(lambda: page.is_enabled("#sequence-start"), 10.0, lambda: page.inner_text("#sequence-said"))
+    assert page.inner_text("#sequence-start") == "Start 2 steps", "the first click was for what was there then"
+    assert not page.is_checked("#sequence-collect")
+    assert page.locator("#log tr:not(.nothing)").count() == rows, "nothing was sent"
+    clean(person, "sequence_back")
+    page.click("#language")
+    person.sees("#sequence-kept", "Von selbst startet nichts")
+    page.click("#language")
+    # Another tab has what was written last; each keeps its own.
+    other = page.context.new_page()
+    other.goto(page.url)
+    comes_back(steps, other)
+    other.fill("#sequence-text", "press:SAVE")
+    person.until(lambda: other.inner_text("#sequence-kept") == "", 5.0, lambda: "what is new is not back")
+    comes_back("press:SAVE", other)
+    other.click("#sequence-clear")
+    comes_back("", other)
+    comes_back(steps)
+    other.close()
+    # What was begun with them bears its marks after a reload, too.
+    person.takes_control()
+    page.fill("#sequence-text", "press:MENU\npress:RUN_STOP")
+    begins(person)
+    person.sees("#sequence-said", "all 2 steps are done", within_s=20.0)
+    comes_back("press:MENU\npress:RUN_STOP")
+    assert page.locator("#sequence-steps [data-state=done]").count() == 2
+    # At another robot behind the same address there are none, and what cannot be read holds nothing up.
+    told = {"robot": "elsewhere/"}
+
+    def control(route: Any) -> None:
+        server = route.connect_to_server()
+
+        def passed_on(text: str) -> None:
+            message = json.loads(text)
+            route.send(json.dumps(message | told) if message["type"] == "hello" else text)
+
+        route.on_message(server.send)
+        server.on_message(passed_on)
+
+    page.route_web_socket(re.compile("/control$"), control)
+    comes_back("")
+    told.clear()
+    comes_back("press:MENU\npress:RUN_STOP")
+    for spoilt in ('{"text": 7, "at": 7}', "{"):
+        page.evaluate(_SPOIL, spoilt)
+        comes_back("")
+
+
+# What is kept of the steps becomes something else.
+_SPOIL = """(change) => {
+  for (const store of [sessionStorage, localStorage]) {
+    store.setItem(Object.keys(store).find((key) => key.startsWith('steps')), change);
+  }
+}"""
 
 
 # --- teaching, with the real recognition node ---

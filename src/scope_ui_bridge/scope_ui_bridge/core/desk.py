@@ -69,12 +69,15 @@ class Desk:
         Names this run of the server; messages of pages that knew another run are refused.
     title
         The instrument's name for people.
+    robot
+        Tells this robot from others that a browser may reach under the same address, also after a restart.
     """
 
-    def __init__(self, config: BridgeConfig, boot_id: str, title: str = "") -> None:
+    def __init__(self, config: BridgeConfig, boot_id: str, title: str = "", robot: str = "") -> None:
         self.config = config
         self.boot_id = boot_id
         self.title = title
+        self.robot = robot
         self.scene = Scene()
         self.machine = MachineView()
         self.panel = PanelView()
@@ -121,6 +124,7 @@ class Desk:
             "boot": self.boot_id,
             "you": {"id": viewer, "name": name, "role": role.value, "by_password": by_password},
             "title": self.title,
+            "robot": self.robot,
             "replay": self.config.replay,
             "facts": self.machine.facts,
             "panel": self.panel.message,

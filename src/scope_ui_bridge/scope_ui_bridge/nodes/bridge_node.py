@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import secrets
 import signal
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -119,7 +120,8 @@ class BridgeNode(Node):
         self._camera_from_base: Transform | None = None
         self._layers: dict[tuple[str, str], Any] = {}
         self._roll = Roll(SILENT_S)
-        self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "")
+        robot = f"{socket.gethostname()}{self.get_namespace()}"
+        self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "", robot)
         self._scene = self._desk.scene
         self._desk.sequence.stored = self._read_sequences(config)
         self._token_file = Path(config.token_file).expanduser() if config.token_file else None

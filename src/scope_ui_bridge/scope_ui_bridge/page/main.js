@@ -52,7 +52,7 @@ link.addEventListener("hello", ({ detail }) => {
   desk.replay = detail.replay;
   showFacts(detail);
   setPanel(detail.panel);
-  setSequences(detail.sequences, detail.sequence);
+  setSequences(detail.sequences, detail.sequence, detail.robot);
   desk.limits = detail.limits;
   if (detail.title) {
     delete find("title").dataset.text; // its name is the instrument's, in any language

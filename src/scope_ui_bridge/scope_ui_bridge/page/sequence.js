@@ -1,5 +1,6 @@
 // Sequences: chosen, typed or collected from the gesture buttons; started with a second click; followed step by step.
 
+import { timeText, wallNow } from "./clock.js";
 import { desk } from "./desk.js";
 import { find, put, putSteady, say } from "./dom.js";
 import { said } from "./said.js";
@@ -13,7 +14,11 @@ let spokenOf = "";
 let timer = 0;
 let begun = ""; // the steps as they were written when the last run began
 
-export function setSequences(list, last) {
+export function setSequences(list, last, robot) {
+  if (place !== `steps ${robot}`) {
+    place = `steps ${robot}`;
+    bringBack();
+  }
   stored = list;
   const before = find("sequence-choice").value;
   const options = stored.map(({ name, title }) => new Option(title ? `${name} – ${title}` : name, name));
@@ -23,6 +28,46 @@ export function setSequences(list, last) {
   if (stored.some(({ name }) => name === before)) find("sequence-choice").value = before;
   setSequence(last);
 }
+
+// --- what was written, kept in this browser --------------------------------------------------------------------------
+
+let place = ""; // under which name it is kept: one address may lead to another robot tomorrow
+let note = null; // what is said of it: a key and its values
+
+/** In this tab, which has its own after a reload, and for the next one. */
+const stores = () => [sessionStorage, localStorage];
+
+function keep() {
+  const text = find("sequence-text").value;
+  const kept = JSON.stringify({ text, who: desk.me.name, at: wallNow().getTime() });
+  note = null;
+  try {
+    for (const store of stores()) text.trim() ? store.setItem(place, kept) : store.removeItem(place);
+  } catch {
+    note = ["steps_not_kept", {}]; // the browser lets nothing be kept, or no more
+  }
+}
+
+function kept() {
+  try {
+    const found = stores().map((store) => JSON.parse(store.getItem(place))).find((one) => one !== null);
+    return typeof found?.text === "string" && Number.isFinite(found.at) ? found : null;
+  } catch {
+    return null;
+  }
+}
+
+/** Put it back into its field; it is started as if it had been written now. */
+function bringBack() {
+  const field = find("sequence-text");
+  const found = kept();
+  if (!found || (field.value.trim() && field.value !== found.text)) return;
+  field.value = found.text;
+  note = ["steps_back", { who: String(found.who), time: timeText(found.at) }];
+  say(t(...note));
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
 
 export function setSequence(next) {
   run = next;
@@ -63,6 +108,7 @@ export function collect(gesture, { argument, mark }) {
   const text = find("sequence-text");
   text.value = `${text.value.trimEnd()}\n${line}\n`.trimStart();
   find("sequence-choice").value = "";
+  keep();
   say(t("sequence_added", { step: line }));
 }
 
@@ -95,8 +141,10 @@ async function start(event) {
 
 export function wireSequence() {
   find("sequence-start").addEventListener("click", start);
+  find("sequence-text").addEventListener("input", keep);
   find("sequence-clear").addEventListener("click", () => {
     find("sequence-text").value = "";
+    keep();
   });
 }
 
@@ -111,7 +159,7 @@ export function renderSequence() {
   const mine = wanted();
   const shown = running() ? run.steps : mine.length ? mine : run.steps;
   // The last run's steps keep their marks for as long as they are what is chosen.
-  const marked = running() || !mine.length || mine.join() === begun;
+  const marked = running() || !mine.length || [begun, run.steps.join()].includes(mine.join());
   const list = find("sequence-steps");
   const key = JSON.stringify([shown, marked && [run.status, run.number, run.reason], document.documentElement.lang]);
   if (list.dataset.key !== key) {
@@ -123,6 +171,7 @@ export function renderSequence() {
   button.disabled = why !== "";
   if (!armed()) disarm();
   put(button, t(armed() ? "sequence_confirm" : "sequence_start", { count: mine.length }));
+  put(find("sequence-kept"), note ? t(...note) : "");
   find("sequence-typed").hidden = find("sequence-choice").value !== "";
   const work = run.number ? "sequence_step" : "sequence_sent"; // the sequencer tells the number when it begins
   const text = running() ? t(work, { number: run.number, all: run.steps.length }) : run.status ? verdict() : "";

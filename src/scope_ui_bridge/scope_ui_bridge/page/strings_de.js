@@ -366,6 +366,8 @@ export const DE = {
   check_effect: "eine Wirkung",
   check_screen: "Bildschirm ändert sich",
   sequence_clear: "Leeren",
+  steps_back: "Diese Schritte hat {who} hier geschrieben ({time}); sie sind wieder da. Von selbst startet nichts.",
+  steps_not_kept: "Dieser Browser behält nichts: nach einem Neuladen sind diese Schritte weg.",
   sequence_added: "Angefügt: {step}",
   collecting: "Schritte werden gesammelt (Reiter Ablauf): diese Tasten bewegen nichts.",
   sequence_start: "{count} Schritte beginnen",

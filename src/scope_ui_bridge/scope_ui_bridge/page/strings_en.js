@@ -366,6 +366,8 @@ export const EN = {
   check_effect: "an effect",
   check_screen: "screen changes",
   sequence_clear: "Empty",
+  steps_back: "These steps were written here by {who} ({time}) and are back. Nothing starts by itself.",
+  steps_not_kept: "This browser keeps nothing: after a reload these steps are gone.",
   sequence_added: "Added: {step}",
   collecting: "Steps are being collected (tab Sequence): these buttons move nothing.",
   sequence_start: "Start {count} steps",
