@@ -259,6 +259,19 @@ def test_a_state_under_another_name_stays_while_somebody_tells_it(ros: Any) -> N
     assert node._desk.machine.state("controller")[0] == "ready"
 
 
+def test_recorders_that_somebody_else_has_started_are_told(ros: Any) -> None:
+    node = ros.node(BridgeNode, {"port": 0, "token_file": ""}, namespace="/bed_1")
+    told = lambda: [one["program"] for one in node._desk.recordings.message(1e9)]  # noqa: E731
+    others = {name: ros.plain(name) for name in ("bag_recorder", "rosbag2_recorder", "bag_player")}
+    ros.plain(node._server.recorder.node_name)  # its own is told by whom it was started
+    ros.spin_until(lambda: len(told()) == 2, WITHIN_S, told)
+    assert sorted(told()) == ["/bag_recorder", "/rosbag2_recorder"]
+    gone = others["bag_recorder"]
+    ros.executor.remove_node(gone)
+    gone.destroy_node()
+    ros.spin_until(lambda: told() == ["/rosbag2_recorder"], WITHIN_S, told)
+
+
 @pytest.fixture
 def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
     """The bridge in a graph that it is matched with, and a page that is signed in and hears of the state."""

@@ -6,6 +6,8 @@ import csv
 import io
 import json
 import re
+import signal
+import subprocess
 import time
 import unicodedata
 from collections.abc import Iterator
@@ -16,7 +18,7 @@ from typing import Any
 import axe_playwright_python
 import pytest
 from graph_texts import german_phrases
-from system.conftest import PATIENT
+from system.conftest import PATIENT, executable
 from system.operator_browser import Operator
 from system.test_operator_page import Instrument
 
@@ -489,11 +491,51 @@ def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: 
         focus = page.evaluate("document.activeElement.id")
         assert focus == "desk", "where a second Enter does nothing"
         assert page.input_value("#sequence-text") == "press:MENU", "the page is as it was"
-        person.logs("Press Menu.*done", 15.0)
+        newest = page.locator("#log tr").first.inner_text
+        person.until(lambda: re.search("Press Menu.*done", newest()), 15.0, newest)
         assert person.complaints == []
     finally:
         instrument.tell("motion 1.5")
         person.context.close()
+
+
+def test_who_only_watches_sees_that_a_recording_runs_whoever_started_it(
+    browser: Any, operator: Operator, instrument: Instrument, tmp_path: Path
+) -> None:
+    watcher = Operator(browser, instrument.new_address())
+    page = watcher.page
+    watcher.sees("#lease-text", "is in control")
+    assert page.is_hidden("#chip-recording") and page.is_hidden("#recordings")
+    operator.page.click("[data-call=record]")
+    name = operator.page.inner_text("#you").partition(" ·")[0]
+    for person in (watcher, operator):
+        person.until(lambda person=person: person.page.is_visible("#chip-recording"), 20.0, lambda: "a recording")
+        person.sees("#chip-recording", r"Recording\s*●\s*\d:\d\d$")
+        person.sees("#recordings", rf"^Recording for \d:\d\d, begun by {name}\.$")
+    said = watcher.page.inner_text("#recordings")
+    watcher.until(lambda: page.inner_text("#recordings") != said, 5.0, lambda: f"more than {said!r}")
+    page.click("#language")
+    watcher.sees("#recordings", rf"^Aufzeichnung seit \d:\d\d, begonnen von {name}\.$")
+    page.click("#language")
+    for size in ((390, 844), (820, 1180), (1280, 800)):
+        page.set_viewport_size(dict(zip(("width", "height"), size)))
+        watcher.shoots(f"recording_{size[0]}")
+        cut = "(dd) => dd.scrollWidth - dd.clientWidth"
+        assert page.eval_on_selector("#chip-recording dd", cut) <= 0
+    assert axe(watcher) == []
+    # One that was started in a terminal, too.
+    program = [executable("scope_bench", "bag_record"), "-o", str(tmp_path / "bag"), "/gantry/state"]
+    recorder = subprocess.Popen(program, env=instrument.environment, stdout=subprocess.DEVNULL)
+    try:
+        watcher.sees("#recordings", r"\nRecording for \d:\d\d, by the program /bag_recorder\.$", within_s=30.0)
+        operator.page.click("[data-call=end_record]")
+        watcher.sees("#recordings", r"^Recording for \d:\d\d, by the program /bag_recorder\.$", within_s=30.0)
+    finally:
+        recorder.send_signal(signal.SIGINT)
+        recorder.wait(30.0)
+    watcher.until(lambda: page.is_hidden("#chip-recording"), 20.0, lambda: page.inner_text("#recordings"))
+    assert page.is_hidden("#recordings")
+    watcher.leaves()
 
 
 def test_two_tabs_of_one_person_are_told_apart(operator: Operator) -> None:

@@ -136,6 +136,28 @@ def test_every_page_sees_that_a_recording_has_ended_by_itself(tmp_path: Path, mo
         asyncio.run(scenario(rig))
 
 
+def test_every_page_is_told_who_records_and_for_how_long(program: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def scenario(rig: web_rig.Rig) -> None:
+        monkeypatch.setattr(rig.server.recorder, "_program", program)
+        async with web_rig.page(rig, take=True) as operator, web_rig.page(rig) as watcher:
+            assert watcher.hello["recordings"] == []
+            await operator.send(type="call", service="record")
+            assert rig.server.recorder.recording is None
+            (program.parent / "gate").write_text("go")
+            for page in (operator, watcher):
+                told = await page.until(lambda m: m["type"] == "recordings")
+                assert told["recordings"] == [{"who": "Operator 1", "for_s": 0, "program": "", "at_least": False}]
+            await watcher.until(lambda m: m["type"] == "recordings" and m["recordings"][0]["for_s"] >= 1)
+            async with web_rig.page(rig) as late:
+                assert late.hello["recordings"][0]["who"] == "Operator 1"
+            await operator.send(type="call", service="end_record")
+            for page in (operator, watcher):
+                await page.until(lambda m: m["type"] == "recordings" and not m["recordings"])
+
+    with web_rig.Rig(record_folder=str(program.parent / "sessions")) as rig:
+        asyncio.run(scenario(rig))
+
+
 def test_a_recording_that_does_not_end_with_the_bridge_is_told(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import logging
 import os
+import secrets
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -55,8 +57,13 @@ class Recorder:
         self._output = Path()
         self._records = False
         self._ended: Answered | None = None
+        self._who = ""
+        self.node_name = f"bag_recorder_{secrets.token_hex(4)}"
+        """Of the program in the graph, where other recorders may be."""
+        self.recording: tuple[str, float] | None = None
+        """Who has started the recording that runs, and when it began (monotonic); None while there is none."""
 
-    def start(self, answered: Answered) -> None:
+    def start(self, answered: Answered, who: str = "") -> None:
         """Begin, and answer where once it records; GraphError when it cannot be."""
         if self._folder is None:
             raise GraphError("record_folder is empty: nothing is recorded here")
@@ -70,6 +77,7 @@ class Recorder:
             self._output = self._folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
             command = [str(program), "-o", str(self._output), "--compress", "jpeg"]
             command += ["--child-of", str(os.getpid())]  # whoever comes after a killed bridge does not know of it
+            command += ["--ros-args", "-r", f"__node:={self.node_name}"]
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 # In memory, as the disk may be full; no pipe, as who outlives a killed bridge must be able to write.
@@ -77,7 +85,7 @@ class Recorder:
                 self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
             except OSError as error:
                 raise GraphError(f"cannot record to {self._output}: {error}") from error
-            self._records, self._ended = False, None
+            self._records, self._ended, self._who = False, None, who
             follow = (self._process, self._output, errors, answered)
             threading.Thread(target=self._follow, args=follow, name="recorder", daemon=True).start()
 
@@ -112,12 +120,16 @@ class Recorder:
             records = bool(said.readline())
             with self._change:
                 self._records = records
+                self.recording = (self._who, time.monotonic()) if records else None
                 if records and self._ended is not None:
                     process.send_signal(signal.SIGINT)
             if records:
                 started(True, f"recording to {output}")
             summary = said.read().strip()
         whole = process.wait() == 0
+        with self._change:
+            if self._process is process:
+                self.recording = None
         why = "; ".join(filter(None, [f"bag_record ended with {process.returncode}", summary, *_told(errors)]))
         if not records:
             started(False, why)

@@ -183,6 +183,7 @@ class WebServer:
             self.door.opened(self.port)
             self._started.set()
             while not self._closing.is_set():
+                self._desk.recordings.own = self.recorder.recording
                 self._carry_out(self._desk.tick(self._now()))
                 self.door.sweep(runner.server)
                 with contextlib.suppress(asyncio.TimeoutError):
@@ -407,15 +408,16 @@ class WebServer:
             elif isinstance(order, SendGoal):
                 self._graph.send_goal(order.frame, order.point, order.stamp_ns)
             elif isinstance(order, CallService):
-                self._call(order.service, lambda ok, text: self._service_answered(order.entry, ok, text))
+                who = str(order.record["who"])
+                self._call(order.service, who, lambda ok, text: self._service_answered(order.entry, ok, text))
         except OSError as error:
             self._carry_out(self._desk.order_failed(order, f"the record could not be written: {error}", self._now()))
         except GraphError as error:
             self._carry_out(self._desk.order_failed(order, str(error), self._now()))
 
-    def _call(self, service: str, answered: Callable[[bool, str], None]) -> None:
+    def _call(self, service: str, who: str, answered: Callable[[bool, str], None]) -> None:
         if service == "record":
-            self.recorder.start(answered)
+            self.recorder.start(answered, who)
         elif service == "end_record":
             self.recorder.end(answered)
         else:

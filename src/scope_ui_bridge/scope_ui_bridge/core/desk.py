@@ -39,6 +39,7 @@ from scope_ui_bridge.core.lease import OperatorLease
 from scope_ui_bridge.core.machine_view import MachineView
 from scope_ui_bridge.core.panel_view import PanelView
 from scope_ui_bridge.core.passwords import Role
+from scope_ui_bridge.core.recordings import Recordings
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.scene import Scene
 from scope_ui_bridge.core.selection import Selection, action_text, make_gesture, make_selection
@@ -82,6 +83,7 @@ class Desk:
         self.machine = MachineView()
         self.panel = PanelView()
         self.sequence = SequenceView()
+        self.recordings = Recordings()
         self.held: HeldPicture | None = None
         self.lease = OperatorLease()
         self.stops = 0
@@ -98,6 +100,8 @@ class Desk:
         self._last_heartbeat_s = -math.inf
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
         self._told: dict[str, Any] = {"limits": self._limits(), "facts": {}, "panel": [], "sequence": {}}
+        self._told["recordings"] = []
+        self._now_s = 0.0
         self._ros_ns = 0
         self._said: list[dict[str, Any]] = []
         self._passed_on: deque[dict[str, Any]] = deque(maxlen=_KEPT_LINES)
@@ -130,6 +134,7 @@ class Desk:
             "panel": self.panel.message,
             "sequence": self.sequence.message(),
             "sequences": self.sequence.stored_message(),
+            "recordings": self.recordings.message(self._now_s),
             "limits": self._limits(),
             "log": self._log.messages(),
             "console": list(self._passed_on) if role is Role.ENGINEER else [],
@@ -246,7 +251,7 @@ class Desk:
     def tick(self, now: Now) -> list[Effect]:
         """Call every 50 ms: heartbeat, watchdogs, answers that did not come, state for the pages."""
         effects: list[Effect] = []
-        self._ros_ns = now.ros_ns
+        self._ros_ns, self._now_s = now.ros_ns, now.mono_s
         self._causes.tick(self.machine.state("driver")[0], now.mono_s)
         silence = self.lease.silence_s(now.mono_s)
         if (
@@ -297,6 +302,7 @@ class Desk:
             ("facts", "facts", dict(self.machine.facts)),
             ("panel", "controls", self.panel.message),
             ("sequence", "sequence", self.sequence.message()),
+            ("recordings", "recordings", self.recordings.message(self._now_s)),
         ):
             if value != self._told[kind]:
                 self._told[kind] = value

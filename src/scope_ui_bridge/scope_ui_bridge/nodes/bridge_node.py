@@ -102,6 +102,8 @@ _LAYERS_PERIOD_S = 0.2
 _MAX_PATH = 200
 SILENT_S = 5.0
 """A node reports every second; a busy machine may delay that."""
+_RECORDERS = ("bag_recorder", "rosbag2_recorder")
+"""Beginnings of the names of recorders: bag_record's, and that of `ros2 bag record`."""
 _LEVELS = {20: "info", 30: "warn", 40: "error", 50: "fatal"}
 
 
@@ -138,6 +140,7 @@ class BridgeNode(Node):
         every(self, 1.0, self._check_server)
         every(self, 0.5, self._call_the_roll)
         every(self, 1.0, self._check_states)
+        every(self, 1.0, self._look_for_recorders)
         self.issue_token()
 
     @property
@@ -352,6 +355,14 @@ class BridgeNode(Node):
         for part, topic in _STATES.items():
             if self.count_publishers(self.resolve_topic_name(topic)) == 0:
                 self._mail.newest(part, self._desk.set_state, part, "")
+
+    def _look_for_recorders(self) -> None:
+        found = [
+            f"{namespace.rstrip('/')}/{name}"
+            for name, namespace in self.get_node_names_and_namespaces()
+            if name.startswith(_RECORDERS) and name != self._server.recorder.node_name
+        ]
+        self._mail.newest("recorders", self._desk.recordings.seen, found, time.monotonic())
 
     def _read_sequences(self, config: BridgeConfig) -> dict[str, Sequence]:
         found: dict[str, Sequence] = {}

@@ -12,6 +12,7 @@ import { renderMove, wireMove } from "./move.js";
 import { Overlay } from "./overlay.js";
 import { renderPanel, seenText, setPanel } from "./panel_seen.js";
 import { addError, renderPlots, sample } from "./plots.js";
+import { renderRecordings, setRecordings } from "./recordings.js";
 import { renderSequence, setSequence, setSequences, wireSequence } from "./sequence.js";
 import { said } from "./said.js";
 import { renderStay, wireStay } from "./stay.js";
@@ -53,6 +54,7 @@ link.addEventListener("hello", ({ detail }) => {
   showFacts(detail);
   setPanel(detail.panel);
   setSequences(detail.sequences, detail.sequence, detail.robot);
+  setRecordings(detail.recordings);
   desk.limits = detail.limits;
   if (detail.title) {
     delete find("title").dataset.text; // its name is the instrument's, in any language
@@ -71,6 +73,7 @@ link.addEventListener("limits", ({ detail }) => {
 });
 link.addEventListener("facts", ({ detail }) => showFacts(detail));
 link.addEventListener("sequence", ({ detail }) => setSequence(detail.sequence));
+link.addEventListener("recordings", ({ detail }) => setRecordings(detail.recordings));
 link.addEventListener("held", ({ detail }) => setHeld(detail));
 link.addEventListener("taught", ({ detail }) => taught(detail));
 link.addEventListener("panel", ({ detail }) => {
@@ -229,6 +232,7 @@ function render() {
   renderTeach();
   renderTools();
   renderStay();
+  renderRecordings();
   log.watch();
   renderAge();
   keepFocus(focused);

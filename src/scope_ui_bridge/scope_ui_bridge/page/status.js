@@ -5,7 +5,7 @@ import { said } from "./said.js";
 import { t } from "./strings.js";
 
 const LOOKS = {
-  good: "✓", busy: "▶", waiting: "▲", bad: "■", none: "○",
+  good: "✓", busy: "▶", waiting: "▲", bad: "■", none: "○", recording: "●",
 };
 const LOOK_OF = {
   idle: "good", ready: "good", calibrated: "good",
