@@ -472,7 +472,8 @@ def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: 
         instrument.tell("motion 6")
         person.selects("MENU", "Menu")
         person.confirms()
-        person.sees("#chip-driver", "Moving")
+        newest = page.locator("#log tr").first.inner_text
+        person.until(lambda: re.search("Press Menu.*in work", newest()), 10.0, newest)
         page.fill("#stay-secret", "wrong horse")
         page.press("#stay-secret", "Enter")
         person.sees("#stay-problem", "Name or password is wrong")
@@ -491,7 +492,6 @@ def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: 
         focus = page.evaluate("document.activeElement.id")
         assert focus == "desk", "where a second Enter does nothing"
         assert page.input_value("#sequence-text") == "press:MENU", "the page is as it was"
-        newest = page.locator("#log tr").first.inner_text
         person.until(lambda: re.search("Press Menu.*done", newest()), 15.0, newest)
         assert person.complaints == []
     finally:

@@ -99,8 +99,8 @@ class Desk:
         self._presses: deque[str] = deque(maxlen=64)
         self._last_heartbeat_s = -math.inf
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
-        self._told: dict[str, Any] = {"limits": self._limits(), "facts": {}, "panel": [], "sequence": {}}
-        self._told["recordings"] = []
+        empty: dict[str, Any] = {"facts": {}, "panel": [], "sequence": {}, "recordings": []}
+        self._told = {"limits": self._limits(), **empty}
         self._now_s = 0.0
         self._ros_ns = 0
         self._said: list[dict[str, Any]] = []
