@@ -568,6 +568,28 @@ def test_corners_of_noise_cut_no_edges() -> None:
     assert (outlines.labels[y, x] == CORNER).all()
 
 
+@pytest.mark.parametrize("noise", [3.0, 5.0, 8.0])
+@pytest.mark.parametrize("color", [False, True])
+def test_strong_noise_cuts_no_edges_that_stand_out_from_it(noise: float, color: bool) -> None:
+    rng = np.random.default_rng(6)
+    disc = np.zeros((480, 480), np.uint8)
+    cv2.circle(disc, (240, 240), 160, 160, -1)
+    clean = cv2.resize(disc, (160, 160), interpolation=cv2.INTER_AREA)
+    picture = np.rint(clean + rng.normal(50, noise, (160, 160))).clip(0, 255).astype(np.uint8)
+    corners = HarrisDetector().detect(picture)
+    strengths = HarrisDetector().strengths_of(corners.response)
+    seen = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR) if color else picture
+    for found in (
+        CombinedDetector().detect(picture)[1],
+        CombinedDetector().detect(picture, corners.xy, strengths)[1],
+        EdgeDetector().detect(seen, corners.xy, strengths),
+    ):
+        near = np.abs(np.hypot(*(np.unique(found.points, axis=0) - 79.67).T) - 53.5) < 1.8
+        assert near.sum() > 280, "of 302"
+        assert near.mean() > 0.95
+        assert len(found.chains) < 4, "a corner of noise or two may be as strong"
+
+
 EVERY_LEVEL = HarrisLaplaceConfig(detector=HarrisConfig(relative_threshold=0.0), levels=3, select=False)
 
 

@@ -10,8 +10,9 @@ import pytest
 
 from harris_perception.core import repeatable
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.noise import noise_above, noise_of
 from harris_perception.core.repeatability import repeatability, warps
-from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector, noise_of
+from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
 from icu_common.core.config import ConfigError
 
 ABOVE_NOISE = RepeatableDetector(RepeatableConfig(max_corners=1000, least=0.0))
@@ -49,6 +50,17 @@ def test_noise_is_told_beside_texture(sigma: float) -> None:
     print(found)
     assert found == pytest.approx(sigma, rel=0.35, abs=1e-4)
     assert noise_of((noisy * 200.0).astype(np.uint16)) == pytest.approx(200.0 * found, rel=0.01, abs=1.0)
+    few = [
+        noise_above(part, 0.5) for part in (noisy.astype(np.float32), (noisy + 100.0).astype(np.uint16).astype(">u2"))
+    ]
+    assert few == pytest.approx(2 * [sigma], rel=0.35, abs=1e-4), "by 512 pixels"
+    assert noise_above(noisy.astype(np.float32), 1.5 * sigma) == 0.0
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (3, 3), (2, 9), (3, 200), (40, 3)])
+def test_noise_of_small_pictures_and_of_those_that_nothing_is_known_of(shape: tuple[int, int]) -> None:
+    for value in (np.nan, np.inf, 70.0):
+        assert noise_above(np.full(shape, value, np.float32), 0.0) == 0.0
 
 
 def test_noise_alone_and_a_noisy_straight_edge_have_no_corner() -> None:

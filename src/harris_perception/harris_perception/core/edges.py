@@ -20,6 +20,7 @@ from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edge_tracing as tracing
 from harris_perception.core.edge_sides import SHRUNK, Sides, structure
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked
+from harris_perception.core.noise import noise_above
 from harris_perception.core.sampling import mean_around
 from icu_common.core.config import Config, setting
 
@@ -31,8 +32,11 @@ _NO_STRENGTH = np.empty((0, 0), np.float32)
 _LOOKS = 2
 """Regions are told by edges, and then anew by the edges that these tell."""
 
-_ABOVE_NOISE = 1.5
-"""Corners end an outline that are so many times as strong as what starts one; those of a noise of 2 hardly are."""
+_ABOVE_START = 1.5
+"""Corners end an outline that are so many times as strong as what starts one; those of a noise of 1 hardly are."""
+
+_ABOVE_NOISE = 3.0
+"""And no edge ends at those that are not so many times as strong as the noise; its own seldom are."""
 
 
 _STARTS = "Strength that starts an edge, in grey levels of 8 bits also where a picture has more"
@@ -161,7 +165,7 @@ class EdgeDetector:
         """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
         checks = (np.indices((64, 64)) // 16).sum(axis=0) % 2 * 100
         for dtype in (np.uint8, np.float32):
-            self.detect(checks.astype(dtype), [(20.0, 20.0)])
+            self.detect(checks.astype(dtype), [(20.0, 20.0)], [100.0])
 
     def thinned(self, picture: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Return the strength of every pixel that is a maximum across an edge, (H, W) float32, zero elsewhere.
@@ -221,24 +225,36 @@ class EdgeDetector:
         corners_xy
             (N, 2) px of corners that edges shall end at, for example of ``HarrisDetector.detect``.
         strengths
-            (N,) of the corners, as of ``HarrisDetector.strengths_of``: those below 1.5 times ``high`` end no edge, for
-            they may be noise. Without these all do.
+            (N,) of the corners, as of ``HarrisDetector.strengths_of``: those below 1.5 times ``high``, or three times
+            the picture's noise, end no edge, for they may be noise. Without these all do.
 
         Raises
         ------
         ValueError
             For another shape or dtype, or a corner outside the picture.
         """
-        return self.edges_of(self.thinned(picture), corners_xy, strengths)
+        thinned, noise = self.thinned(picture), 0.0
+        if strengths is not None:
+            gray = picture if picture.ndim == 2 or picture.size == 0 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+            noise = noise_above(gray, _ABOVE_START * self.config.high / _ABOVE_NOISE)
+        return self.edges_of(thinned, corners_xy, strengths, noise)
 
     def edges_of(
-        self, thinned: npt.NDArray[Any], corners_xy: npt.ArrayLike = (), strengths: npt.ArrayLike | None = None
+        self,
+        thinned: npt.NDArray[Any],
+        corners_xy: npt.ArrayLike = (),
+        strengths: npt.ArrayLike | None = None,
+        noise: float = 0.0,
     ) -> Edges:
-        """Do the second half of ``detect``, from what ``thinned`` has returned."""
+        """Do the second half of ``detect``, from what ``thinned`` has returned, and the picture's noise."""
         config, values = self.config, np.ascontiguousarray(thinned, np.float32)
         bits = bitmap.blank(2, *values.shape)
         tracing.candidates(values, config.low_of_high * config.high, config.high, bits)
-        ends = None if strengths is None else np.asarray(strengths) >= _ABOVE_NOISE * config.high
+        ends = (
+            None
+            if strengths is None
+            else np.asarray(strengths) >= max(_ABOVE_START * config.high, _ABOVE_NOISE * noise)
+        )
         return traced(bits, values.shape, config, corners_xy, ends, values, config.min_weight_px * config.high)
 
 
@@ -278,8 +294,9 @@ class CombinedDetector:
     ) -> tuple[Corners, Edges]:
         """Return corners and edges of a picture; the corners are those of ``HarrisDetector``.
 
-        Edges end at those corners alone that are at least as strong as the weakest edge: where a picture has no
-        others, even the strongest are noise, and so many that of the edges between them nothing would be left.
+        Edges end at those corners alone that are at least as strong as the weakest edge and three times the noise:
+        where a picture has no others, even the strongest are noise, and so many that of the edges between them nothing
+        would be left.
 
         Parameters
         ----------
@@ -300,11 +317,12 @@ class CombinedDetector:
         config, high = self.edges, self.edges.high * grey_level
         low = config.low_of_high * high
         corners, bits = self._detector.detect_with_edges(gray, low, high)
+        least = max(low, _ABOVE_NOISE * noise_above(gray, low / _ABOVE_NOISE))
         ends: npt.NDArray[np.bool_] | None
         if corners_xy is None:
-            corners_xy, ends = corners.xy, corners.response >= np.float64(self._detector.response_of(low))
+            corners_xy, ends = corners.xy, corners.response >= np.float64(self._detector.response_of(least))
         else:
-            ends = None if strengths is None else np.asarray(strengths) >= low
+            ends = None if strengths is None else np.asarray(strengths) >= least
         return corners, traced(bits, gray.shape, config, corners_xy, ends)
 
 

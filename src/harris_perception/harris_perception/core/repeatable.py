@@ -4,8 +4,7 @@ It differs from the detector of 1988 in knowing the picture's noise and each cor
 the noise is flattened first, and corners that do not stand out from both are left out, for it is these that do not
 come again. docs/decisions/one-setting.md tells how it was chosen and what it gives.
 
-Sources: J. Immerkaer, "Fast Noise Variance Estimation", CVIU 64(2), 1996 (the mask); for the diffusion see
-diffusion.py.
+Sources: for the noise see noise.py, for the diffusion diffusion.py.
 """
 
 from __future__ import annotations
@@ -14,17 +13,14 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.diffusion import diffused
 from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked
+from harris_perception.core.noise import noise_of
 from harris_perception.core.sampling import mean_around
 from icu_common.core.config import Config, setting
-
-_MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-"""Zero on whatever is linear in x or y; of white noise it makes six times its standard deviation."""
 
 _EVEN = 0.2
 """Corners rank by response / mean response around to this power, so that one rough place does not take all of them."""
@@ -34,9 +30,6 @@ _EVEN_LIGHT = 1.0
 
 _LIGHT_PX = 400.0
 """Standard deviation of the Gaussian that tells how far around the light is averaged."""
-
-_LOWER_HALF = 0.3246
-"""Mean of the lower half of the absolute values of a standard normal distribution."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,17 +130,3 @@ def _best(among: npt.NDArray[np.bool_], rank: npt.NDArray[Any], limit: int) -> n
     """Return at most ``limit`` indices among those that are set, the highest rank first."""
     places = np.flatnonzero(among)
     return np.asarray(places[np.argsort(-rank[places], kind="stable")[:limit]], np.int64)
-
-
-def noise_of(gray: npt.NDArray[Any]) -> float:
-    """Return the standard deviation of the noise of a picture (H, W), in its grey levels.
-
-    Told by the weaker half of the pixels, so that texture here and there raises it little; a picture that is texture
-    everywhere cannot be told from noise. 0 for a picture without noise, or without finite pixels.
-    """
-    if gray.size == 0:
-        return 0.0
-    found = np.abs(cv2.filter2D(gray.astype(np.float32), cv2.CV_32F, _MASK)).ravel()
-    found = found[np.isfinite(found)]
-    half = len(found) // 2
-    return float(np.partition(found, half)[:half].mean()) / (6.0 * _LOWER_HALF) if half else 0.0
