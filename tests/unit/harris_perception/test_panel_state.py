@@ -41,12 +41,14 @@ class Scene:
         self.camera = CameraModel.from_mapping(rig.calibration("left"))
         self.reader = PanelReader(layout)
         self.count = 0
+        self.exposure = 1.0
 
     def look(
         self, state: InstrumentState, tip: Any = AWAY, patches: Patches | None = None, *, tip_seen: bool = True
     ) -> PanelSeen:
         self.count += 1
         left, _ = self.renderer.render(Moment(tip=tuple(float(v) for v in tip), state=state, now_s=0.2 * self.count))
+        left = np.clip(np.rint(left * self.exposure), 0, 255).astype(np.uint8)
         pose: Transform = self.camera_from_base @ self.panel_from
         seen_tip = self.in_camera(tip) if tip_seen else None
         return self.reader.read(left, pose, self.camera, self.count, patches=patches, tip=seen_tip)
@@ -82,6 +84,18 @@ def test_knob_markers_to_a_degree(level: float, limit: float) -> None:
     assert max(errors) < limit
 
 
+def test_no_angle_is_told_where_bright_light_takes_the_marker() -> None:
+    layout = load_layout(SCOPES / "mso_dark_6.yaml")
+    scene, rng = Scene(layout), np.random.default_rng(1)
+    truth = {c.name: float(rng.uniform(-180, 180)) for c in layout.controls if c.kind == "knob"}
+    for level, least in ((1.0, 7), (2.0, 0), (2.5, 0)):
+        scene.renderer.relight(dataclasses.replace(scene.config.light, level=level))
+        seen = scene.look(InstrumentState(knobs=tuple(sorted(truth.items()))))
+        told = {name: c.angle_deg for name in truth if (c := seen.control(name)) and not np.isnan(c.angle_deg)}
+        wrong = {name: angle for name, angle in told.items() if abs((angle - truth[name] + 180) % 360 - 180) > 3}
+        assert not wrong and len(told) >= least, (level, wrong, told)
+
+
 def test_a_sequence_may_wait_for_every_colour_that_is_told() -> None:
     assert {name for _, name in HUES} | {"off", "white"} == set(LAMPS)
 
@@ -94,6 +108,20 @@ def test_a_running_trace_is_no_change_of_the_screen_but_its_stop_is() -> None:
     assert seen[-1] == 15, "the first picture with the new look"
     menu = dataclasses.replace(stopped, menu="MENU")
     assert [scene.look(menu).changed_ns() for _ in range(2)][-1] == 18
+
+
+@pytest.mark.parametrize(("model", "exposure"), [("dso_bench_4", 0.85), ("dso_bench_4", 1.5), ("ventilator_v1", 0.6)])
+def test_an_exposure_or_a_lamp_in_the_room_is_no_change_of_the_screen(model: str, exposure: float) -> None:
+    scene, still = Scene(load_layout(SCOPES / f"{model}.yaml")), InstrumentState(running=False, phase_s=2.8)
+    for _ in range(6):
+        scene.look(still)
+    scene.renderer.relight(dataclasses.replace(scene.config.light, level=exposure))
+    assert [scene.look(still).changed_ns() for _ in range(3)][-1] == 0, "the room's light"
+    scene.exposure = exposure
+    assert [scene.look(still).changed_ns() for _ in range(3)][-1] == 0
+    scene.exposure = 1.0
+    menu = dataclasses.replace(still, menu="MENU")
+    assert [scene.look(menu).changed_ns() for _ in range(2)][-1] == 13, "what changes with the exposure is seen"
 
 
 def test_the_arm_over_the_screen_is_no_change_of_it() -> None:

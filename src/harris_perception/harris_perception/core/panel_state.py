@@ -32,6 +32,8 @@ _NEAREST_M, _FIELD = 0.05, 1.5
 not drawn."""
 _DARKEST_SHADE = 0.6
 """The arm's shadow leaves so much of a control's light, and its hue."""
+_LIGHT = 0.3, 3.0
+"""How bright it may be, as a part of what is usual; beyond, something lies over all that would tell."""
 HUES = ((20, "red"), (45, "amber"), (75, "yellow"), (165, "green"), (200, "cyan"), (265, "blue"), (345, "violet"))
 """Upper ends of the hues in degrees (HSV) and their names; above the last one is red again."""
 
@@ -50,7 +52,7 @@ class StateConfig(Config):
         12.0, "A knob's marker differs from its top by at least this", minimum=1.0, maximum=255.0, unit="grey levels"
     )
     marker_unity: float = setting(
-        0.8, "Length of the mean direction of the marker's pixels; 1 is a single line", minimum=0.1, maximum=1.0
+        0.95, "Length of the mean direction of the marker's pixels; 1 is a single line", minimum=0.1, maximum=1.0
     )
     cell_mm: float = setting(3.4, "Side of a screen's cells", minimum=0.5, maximum=50.0, unit="mm")
     cell_change: float = setting(
@@ -88,6 +90,7 @@ class PanelReader:
         self.config = config if config is not None else StateConfig()
         self._screens = {c.name: _Screen(c, self.config) for c in layout.controls if c.kind == "touch_area"}
         self._usual: dict[str, Array] = {}
+        self._light = 1.0
         # All places that are sampled, so that a picture needs one projection.
         self._parts: dict[tuple[str, str], slice] = {}
         points: list[Array] = []
@@ -166,7 +169,7 @@ class PanelReader:
         if control.kind == "touch_area":
             screen = self._screens[control.name]
             if hidden != "something":
-                screen.add(look(control, "screen"), look.hidden(control, "screen"), stamp_ns)
+                screen.add(look(control, "screen"), look.hidden(control, "screen"), stamp_ns, self._light)
             changed = screen.changed_ns
         elif not hidden and control.kind == "knob":
             angle = self._marker(look(control, "marker"))
@@ -253,9 +256,11 @@ class PanelReader:
         plain = [c for c in plain if not look.hidden(c, "top").any()]
         now = {c.name: np.median(look(c, "top"), axis=0) for c in plain}
         known = [name for name in now if name in self._usual]
-        light = np.median([now[n].mean() / max(self._usual[n].mean(), 1.0) for n in known]) if known else 1.0
+        ratios = [now[n].mean() / max(self._usual[n].mean(), 1.0) for n in known]
+        if known:
+            self._light = float(np.clip(np.median(ratios), *_LIGHT))
         for name in known:
-            usual = light * self._usual[name]
+            usual = self._light * self._usual[name]
             shade = np.clip(now[name].mean() / max(usual.mean(), 1.0), _DARKEST_SHADE, 1.0)
             if np.abs(now[name] - shade * usual).max() > self.config.odd_colour:
                 odd.add(name)
@@ -343,18 +348,19 @@ class _Screen:
         self._quiet = np.full((rows, columns), -1)
         self._pending = np.zeros((rows, columns), bool)
         self._last_ns = 0
+        self._light = 1.0
 
     def cells(self, samples: Array) -> Array:
         """Return the means of the cells, (rows, columns, channels)."""
         means: Array = samples.reshape(*self.shape, -1).mean(axis=(1, 3))
         return means
 
-    def add(self, samples: Array, hidden: npt.NDArray[np.bool_], stamp_ns: int) -> None:
-        """Take one picture's samples (N, 3), and which of them are hidden (N,)."""
+    def add(self, samples: Array, hidden: npt.NDArray[np.bool_], stamp_ns: int, light: float) -> None:
+        """Take one picture's samples (N, 3), which of them are hidden (N,), and how bright it is; 1 is as usual."""
         value, seen = self.cells(samples), self.cells(hidden.astype(np.float64))[..., 0] == 0
         reach = self._config.cell_change
-        jump = np.abs(value - self._last).max(axis=-1)
-        off = np.abs(value - self._usual).max(axis=-1) > reach
+        jump = _unlit(value, self._last, light / self._light)
+        off = _unlit(value, self._usual, light) > reach
         # Only cells that were at rest count, and only when they rest again: a trace never rests.
         settled = seen & self._pending & off & (jump < reach / 2)
         if int(settled.sum()) >= self._config.changed_cells:
@@ -369,7 +375,16 @@ class _Screen:
         self._quiet[first] = 0
         self._pending = pending
         self._last = np.where(seen[..., None], value, self._last)
-        self._last_ns = stamp_ns
+        self._last_ns, self._light = stamp_ns, light
+
+
+def _unlit(value: Array, before: Array, light: float) -> Array:
+    """Return by how much cells (rows, columns, channels) have changed more than the light tells, (rows, columns).
+
+    An exposure changes all that a screen shows, a lamp in the room only what it reflects.
+    """
+    low, high = before * min(light, 1.0), before * max(light, 1.0)
+    return np.asarray(np.abs(value - np.clip(value, low, high)).max(axis=-1))
 
 
 def _on_top(control: Control, grid: Array, height_mm: float | None = None) -> Array:
