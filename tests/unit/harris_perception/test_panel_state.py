@@ -84,6 +84,23 @@ def test_knob_markers_to_a_degree(level: float, limit: float) -> None:
     assert max(errors) < limit
 
 
+@pytest.mark.parametrize("level", [0.25, 1.0, 1.6])
+def test_coloured_paint_is_no_lamp(level: float) -> None:
+    scene = Scene(load_layout(SCOPES / "crt_classic_2.yaml"), level=level)
+    assert lamps(scene.look(InstrumentState()))["POWER"] == "off"
+    lit = scene.look(InstrumentState(lit=("POWER", "AUTO")))
+    assert lamps(lit) == {"POWER": "red", "AUTO": "green", "NORM": "off", "RUN_STOP": "green"}
+
+
+def test_light_paint_on_a_dark_face_is_no_white_lamp() -> None:
+    dark = load_layout(SCOPES / "mso_dark_6.yaml")
+    controls = tuple(dataclasses.replace(c, lit_colour="#f4f4f0") if c.name == "CH3" else c for c in dark.controls)
+    scene = Scene(dataclasses.replace(dark, controls=controls))
+    for level in (0.3, 1.0):
+        scene.renderer.relight(dataclasses.replace(scene.config.light, level=level))
+        assert [lamps(scene.look(InstrumentState(lit=lit)))["CH3"] for lit in ((), ("CH3",))] == ["off", "white"]
+
+
 def test_no_angle_is_told_where_bright_light_takes_the_marker() -> None:
     layout = load_layout(SCOPES / "mso_dark_6.yaml")
     scene, rng = Scene(layout), np.random.default_rng(1)

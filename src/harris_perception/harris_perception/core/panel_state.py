@@ -32,6 +32,8 @@ _NEAREST_M, _FIELD = 0.05, 1.5
 not drawn."""
 _DARKEST_SHADE = 0.6
 """The arm's shadow leaves so much of a control's light, and its hue."""
+_PAINTED = 0.5
+"""From this part of a shining lamp's colour on its dark paint might be taken for one."""
 _LIGHT = 0.3, 3.0
 """How bright it may be, as a part of what is usual; beyond, something lies over all that would tell."""
 HUES = ((20, "red"), (45, "amber"), (75, "yellow"), (165, "green"), (200, "cyan"), (265, "blue"), (345, "violet"))
@@ -46,7 +48,10 @@ class StateConfig(Config):
         80.0, "A lamp shines when its colour is at least this strong", minimum=5.0, maximum=255.0, unit="grey levels"
     )
     lit_gain: float = setting(
-        1.3, "A white lamp shines when it is so many times brighter than what surrounds it", minimum=1.0, maximum=20.0
+        1.3,
+        "A white lamp shines when it is so many times brighter than what surrounds it, one in coloured paint than that",
+        minimum=1.0,
+        maximum=20.0,
     )
     marker_contrast: float = setting(
         12.0, "A knob's marker differs from its top by at least this", minimum=1.0, maximum=255.0, unit="grey levels"
@@ -188,12 +193,20 @@ class PanelReader:
 
     def _lamp(self, control: Control, look: _Look) -> str:
         colour, around = look(control, "lamp").mean(axis=0), look(control, "around")
-        lit = rgb(control.lit_colour)
-        if max(lit) - min(lit) >= 60:
-            if not look.coloured:
-                return ""
-            return _hue(colour) if float(np.ptp(colour)) >= self.config.lit_chroma else "off"
-        return "white" if float(colour.mean()) > self.config.lit_gain * float(np.median(around)) else "off"
+        white = np.ptp(rgb(control.lit_colour)) < 60
+        # Paint may look like a lamp, too: coloured, or much lighter than the face around, which tells the light.
+        light = np.median(around) / max(float(np.median(rgb(self.layout.colour))), 1.0)
+        paint = light * np.array(rgb(control.colour))
+        gain, chroma = self.config.lit_gain, self.config.lit_chroma
+        if white:
+            of_paint, shines = (value.mean() > gain * np.median(around) for value in (paint, colour))
+        elif look.coloured:
+            of_paint, shines = np.ptp(paint) >= _PAINTED * chroma, np.ptp(colour) >= chroma
+        else:
+            return ""
+        if not shines or (of_paint and colour.mean() <= gain * paint.mean()):
+            return "off"
+        return "white" if white else _hue(colour)
 
     def _marker(self, samples: Array) -> float:
         """Return where the marker points: the mean direction of the pixels that differ from the rest of the top."""
