@@ -57,6 +57,23 @@ def test_noise_is_told_beside_texture(sigma: float) -> None:
     assert noise_above(noisy.astype(np.float32), 1.5 * sigma) == 0.0
 
 
+@pytest.mark.parametrize("rows", [0, 60, 140])
+def test_what_is_evenly_black_or_white_hides_no_noise(rows: int) -> None:
+    """As around a fisheye's image, or where the sensor was blinded."""
+    rng = np.random.default_rng(3)
+    squares = np.kron(np.indices((12, 16)).sum(axis=0) % 2, np.ones((20, 20)))
+    seen = np.rint(60.0 + 90.0 * squares + rng.normal(0.0, 4.0, squares.shape)).astype(np.uint8)
+    for value in (0, 255):
+        picture = seen.copy()
+        picture[:rows] = value
+        for told in (noise_of(picture), noise_above(picture, 1.0), noise_of(picture.astype(np.float32))):
+            assert told == pytest.approx(4.0, rel=0.25)
+        at = ABOVE_NOISE.detect(picture).xy
+        off = np.abs((at + 0.5) / 20.0 - np.rint((at + 0.5) / 20.0)).max(axis=1) * 20.0
+        assert len(at) > 50 and (off < 3.0).all(), "at the squares' corners alone"
+    assert noise_of(np.where(squares > 0, 200, 20).astype(np.uint8)) == 0.0, "a drawing has none"
+
+
 @pytest.mark.parametrize("shape", [(0, 0), (3, 3), (2, 9), (3, 200), (40, 3)])
 def test_noise_of_small_pictures_and_of_those_that_nothing_is_known_of(shape: tuple[int, int]) -> None:
     for value in (np.nan, np.inf, 70.0):

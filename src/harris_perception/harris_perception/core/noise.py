@@ -19,6 +19,9 @@ _MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 _LOWER_HALF, _MIDDLE = 0.3246, 0.6745
 """Of the absolute values of a standard normal distribution the mean of the lower half, and the median."""
 
+_LEAST = 0.25
+"""Less of a picture does not tell its noise: what is left of a drawing without noise are its corners."""
+
 _STRIPS, _STRIP_PX = 16, 32
 
 
@@ -26,14 +29,23 @@ def noise_of(gray: npt.NDArray[Any]) -> float:
     """Return the standard deviation of the noise of a picture (H, W), in its grey levels.
 
     Told by the weaker half of the pixels, so that texture here and there raises it little; a picture that is texture
-    everywhere cannot be told from noise. 0 for a picture without noise, or without finite pixels.
+    everywhere cannot be told from noise. What is evenly as dark or as light as the picture gets, as around the image
+    of a fisheye or where the sensor was blinded, has lost its noise and does not count. 0 for a picture without noise,
+    without finite pixels, or of which less than a quarter counts.
     """
-    if gray.size == 0:
+    values = gray.astype(np.float32).ravel()
+    if values.size == 0:
         return 0.0
-    found = np.abs(cv2.filter2D(gray.astype(np.float32), cv2.CV_32F, _MASK)).ravel()
-    found = found[np.isfinite(found)]
-    half = len(found) // 2
-    return float(np.partition(found, half)[:half].mean()) / (6.0 * _LOWER_HALF) if half else 0.0
+    found = np.abs(cv2.filter2D(values.reshape(gray.shape), cv2.CV_32F, _MASK)).ravel()
+    known = np.isfinite(found)
+    found, values = found[known], values[known]
+    if len(found) == 0:
+        return 0.0
+    counts = found[(found > 0.0) | ((values > values.min()) & (values < values.max()))]
+    half = len(counts) // 2
+    if half == 0 or len(counts) < _LEAST * len(found):
+        return 0.0
+    return float(np.partition(counts, half)[:half].mean()) / (6.0 * _LOWER_HALF)
 
 
 def noise_above(gray: npt.NDArray[Any], least: float) -> float:
@@ -48,6 +60,7 @@ def _noise_above(picture: npt.NDArray[Any], least: float) -> float:
     height, width = picture.shape
     length, two, count = min(_STRIP_PX, width - 2), np.float32(2.0), 0
     found = np.zeros(_STRIPS * _STRIP_PX, np.float32)
+    values = np.zeros(_STRIPS * _STRIP_PX, np.float32)
     for i in range(
         _STRIPS
     ):  # places that no pattern of the picture repeats: R2, the golden ratio's sequence in a plane
@@ -59,14 +72,20 @@ def _noise_above(picture: npt.NDArray[Any], least: float) -> float:
             middle = np.float32(up[j + 1]) - two * np.float32(at[j + 1]) + np.float32(down[j + 1])
             right = np.float32(up[j + 2]) - two * np.float32(at[j + 2]) + np.float32(down[j + 2])
             found[count + j] = abs(left - two * middle + right)
+            values[count + j] = at[j + 1]
         count += length
+    low, high, even = values[:count].min(), values[:count].max(), 0
+    for j in range(count):
+        even += (found[j] == 0.0) & ((values[j] == low) | (values[j] == high))
+    if count - even < _LEAST * count:
+        return 0.0
     # Comparing all with rising limits is quicker than sorting, which no processor foretells.
     limit = start = max(least, 1e-3)
     while limit < np.inf:
         above, bound = 0, np.float32(6.0 * _MIDDLE * limit)
         for j in range(_STRIPS * _STRIP_PX):
             above += found[j] >= bound
-        if 2 * above <= count:
+        if 2 * above <= count - even:
             break
         limit *= 1.1
     return limit if limit > start else 0.0
