@@ -318,8 +318,7 @@ def piece_of(place: Place, lines: set[Place]) -> set[Place]:
 def ways_to_corners(lines: set[Place], corners: np.ndarray, gap: float) -> dict[Place, list[np.ndarray]]:
     """Return the straight ways (N, 2) from each free end to the nearest corner, of a pixel alone to the two nearest.
 
-    What is the rest of a line that passed by a corner is taken from ``lines``: a pixel with one corner, and up to four
-    that both start and end at the same.
+    The rest of a line that passed by a corner is taken from ``lines``: two to four that both start and end there.
     """
     found: dict[Place, list[np.ndarray]] = {}
     for end in sorted(lines):
@@ -334,8 +333,8 @@ def ways_to_corners(lines: set[Place], corners: np.ndarray, gap: float) -> dict[
         piece = piece_of(end, lines)
         ends = [each for each in piece if each in found]
         targets = {tuple(way[-1].tolist()) for each in ends for way in found[each]}
-        one_way = [each for each in piece if ways_on(each, lines) != 2] == ends or len(piece) == 1
-        if len(targets) == 1 and ((len(piece) == 1) or (len(ends) == 2 and one_way and len(piece) <= min(int(gap), 4))):
+        one_way = [each for each in piece if ways_on(each, lines) != 2] == ends
+        if len(targets) == 1 and len(ends) == 2 and one_way and len(piece) <= min(int(gap), 4):
             lines -= piece
     return {end: ways for end, ways in found.items() if end in lines}
 

@@ -172,14 +172,12 @@ def way_to_corner(bits: Array, chain: Array, filled: int, end: int, lead: Lead, 
 
 @called
 def bridge(bits: Array, chain: Array, filled: int, here: int, lead: Lead, stride: int) -> int:
-    """Append to ``chain`` what leads from one corner by a single pixel to another; return the new number of pixels.
+    """Append to ``chain`` the way from a corner to a single pixel near to it, and on to the next corner within reach.
 
-    Without another corner it is the rest of a line that passed by, and nothing is appended.
+    Returns the new number of pixels.
     """
     led, before, nearest, corners = lead
     one, other = nearest[:, _rank(led, before, here)]
-    if other < 0:
-        return filled
     filled = _way(bits, chain, filled, here, corners[one], stride, True)
     chain[filled] = here
-    return _way(bits, chain, filled + 1, here, corners[other], stride, False)
+    return filled + 1 if other < 0 else _way(bits, chain, filled + 1, here, corners[other], stride, False)

@@ -381,7 +381,7 @@ def _link(
 
     Each pixel, of which there may be ``most``, ``room`` with those on the way from an end to its corner, is told in
     ``labels``. ``spare`` is a bitmap that is written over, ``lead`` of ``leads``. What both starts and ends at the same
-    corner with up to ``rest`` pixels, or is but one near to it, is the rest of a line that passed by, and left out.
+    corner, with up to ``rest`` pixels, is the rest of a line that passed by, and left out.
     """
     stride = steps[2]
     row = stride >> 3
@@ -421,7 +421,7 @@ def _link(
             else:
                 chain[filled] = node
                 filled += 1
-            chains += filled > starts[chains]
+            chains += 1
             starts[chains] = filled
         while pattern:
             way = _FIRST[pattern]
