@@ -220,10 +220,12 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     operator.until(lambda: not page.inner_text("#refusal"), 5.0, lambda: page.inner_text("#refusal"))
     # A page that is closed or loaded anew is not a hidden one; STOP, and nothing else, is hit while the help is open.
     operator.selects("MENU", "Menu")
+    instrument.tell("motion 6")
     operator.confirms()
     operator.sees("#chip-driver", "Moving")
     page.reload()
     operator.logs("STOP.*the operator’s page was closed", 10.0)
+    instrument.tell("motion 1.5")
     operator.takes_control()
     page.keyboard.press("?")
     assert page.is_visible("#help")
