@@ -102,7 +102,7 @@ def test_a_hold_that_shows_before_its_stop_has_the_lock_is_that_stop(
     monkeypatch.setattr(rig.link, "call", late)
     rig.link.stop("asked for")
     assert rig.machine.reason == "asked for"
-    rig.until(lambda: rig.results[-1].reason == "asked for")
+    rig.until(lambda: rig.results and rig.results[-1].reason == "asked for")
 
 
 def test_the_loss_of_a_silent_board_is_told_before_its_port_is_closed(

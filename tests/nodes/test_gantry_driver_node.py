@@ -155,7 +155,7 @@ def test_bad_goals_are_refused_with_the_reason_and_nothing_moves(operator: Calla
         op.until(lambda n=number: len(op.results) == n)
         assert op.results[-1].outcome.value == "rejected" and reason in op.results[-1].reason
     op.go((0.01, 0.0, 0.0), stamp=op.node.get_clock().now().to_msg())
-    op.until(lambda: op.results[-1].outcome.value == "reached")
+    op.until(lambda: op.results and op.results[-1].outcome.value == "reached")
     moves = [line["text"] for line in op.board.lines(since) if "G53" in line["text"]]
     assert moves == ["F9000X-349G53G1"], "the sentinel alone moved"
     assert op.results[-1].goal_id.isdigit() and len(op.results[-1].goal_id) > 15
@@ -198,14 +198,14 @@ def test_lost_heartbeat_stops_and_lifts(operator: Callable[..., Operator], ros: 
     op.beating = False
     assert driver.set_parameters([Parameter("heartbeat_timeout_s", value=0.6)])[0].successful
     op.state("stopped: operator's heartbeat lost", 2.0)
-    op.until(lambda: op.results[-1].outcome.value == "aborted")
+    op.until(lambda: op.results and op.results[-1].outcome.value == "aborted")
     op.until(lambda: op.board.mpos()[2] > HOMED[2] - 0.05, 5.0)
     x, y, _ = op.board.mpos()
     assert -359 + 20 < x < -359 + 345
     op.until(lambda: op.call("reset").success)
     op.state("idle")
     op.go((0.1, 0.1, 0.0))
-    op.until(lambda: op.results[-1].outcome.value == "rejected")
+    op.until(lambda: op.results and op.results[-1].outcome.value == "rejected")
     assert "heartbeat lost" in op.results[-1].reason
     assert op.board.mpos()[:2] == pytest.approx((x, y))
 
@@ -221,15 +221,15 @@ def test_stop_is_latched_until_reset(operator: Callable[..., Operator], way: str
     else:
         assert op.call("stop").success
     op.state("stopped: stop requested", 1.0)
-    op.until(lambda: op.results[-1].outcome.value == "aborted")
+    op.until(lambda: op.results and op.results[-1].outcome.value == "aborted")
     assert op.results[-1].reason == "stop requested"
     op.go((0.1, 0.0, 0.0))
-    op.until(lambda: op.results[-1].outcome.value == "rejected")
+    op.until(lambda: op.results and op.results[-1].outcome.value == "rejected")
     assert "stopped" in op.results[-1].reason
     op.until(lambda: op.call("reset").success)
     op.state("idle")
     op.go((0.1, 0.1, 0.0))
-    op.until(lambda: op.results[-1].outcome.value == "reached")
+    op.until(lambda: op.results and op.results[-1].outcome.value == "reached")
     assert op.board.mpos()[:2] == pytest.approx((HOMED[0] + 100, HOMED[1] + 100), abs=0.02)
 
 
@@ -250,7 +250,7 @@ def test_an_error_after_a_warning_is_told_too(operator: Callable[..., Operator])
     op.board.fault("error", number=33)
     op.go((0.1, 0.1, 0.0), frame_id="first")
     op.state("stopped: error:33")
-    op.until(lambda: op.results[-1].outcome.final)
+    op.until(lambda: op.results and op.results[-1].outcome.final)
     assert op.results[-1].reason.startswith("error:33")
 
 
@@ -387,7 +387,7 @@ def test_lifecycle_from_unconfigured_to_active_and_back(operator: Callable[..., 
     where = op.board.mpos()
     assert where[0] < HOMED[0] + 290 and where[2] == pytest.approx(HOMED[2], abs=0.02), "held, and the stylus lifted"
     op.go((0.0, 0.0, 0.0))
-    op.until(lambda: op.results[-1].outcome.value == "rejected")
+    op.until(lambda: op.results and op.results[-1].outcome.value == "rejected")
     assert change("activate")
     op.state("idle")
 
