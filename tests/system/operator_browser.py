@@ -6,6 +6,7 @@ folder named by ``PAGE_SCREENSHOTS``; those of the whole story always to a folde
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -66,6 +67,21 @@ class Operator:
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("console", lambda m: self.complaints.append(m.text) if "Security" in m.text else None)
         self.page.goto(address)
+
+    def hears(self, kind: str, told: dict[str, Any]) -> None:
+        """Put what is in ``told`` at the time into all messages of a kind that the page gets, from its next load on."""
+
+        def control(route: Any) -> None:
+            server = route.connect_to_server()
+
+            def passed_on(text: str) -> None:
+                message = json.loads(text)
+                route.send(json.dumps(message | told) if message["type"] == kind else text)
+
+            route.on_message(server.send)
+            server.on_message(passed_on)
+
+        self.page.route_web_socket(re.compile("/control$"), control)
 
     def sees(self, selector: str, text: str | re.Pattern[str], within_s: float = 10.0) -> str:
         """Wait until the element's text contains ``text``, and return it."""

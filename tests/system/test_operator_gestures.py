@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import signal
 import subprocess
@@ -323,18 +322,7 @@ def test_steps_that_were_written_are_back_after_a_reload_and_start_nothing(
     assert page.locator("#sequence-steps [data-state=done]").count() == 2
     # At another robot behind the same address there are none, and what cannot be read holds nothing up.
     told = {"robot": "elsewhere/"}
-
-    def control(route: Any) -> None:
-        server = route.connect_to_server()
-
-        def passed_on(text: str) -> None:
-            message = json.loads(text)
-            route.send(json.dumps(message | told) if message["type"] == "hello" else text)
-
-        route.on_message(server.send)
-        server.on_message(passed_on)
-
-    page.route_web_socket(re.compile("/control$"), control)
+    person.hears("hello", told)
     comes_back("")
     told.clear()
     comes_back("press:MENU\npress:RUN_STOP")
