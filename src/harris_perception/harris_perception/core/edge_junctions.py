@@ -16,6 +16,7 @@ from harris_perception.core.bitmap import MARGIN, has, lowest, ones, put
 from harris_perception.core.compiled import called
 
 Array = npt.NDArray[Any]
+# What ``leads`` returns.
 Lead = tuple[Array, Array, Array, Array]
 
 # Px from a corner within which an edge may pass by it, rounding it off.
@@ -147,6 +148,7 @@ def leads(end_words: Array, corners: Array, row: int, farthest: float, led: Arra
 
 @called
 def _way(bits: Array, chain: Array, filled: int, end: int, corner: Array, stride: int, back: bool) -> int:
+    """Append the straight way from an end to a corner, x and y, or ``back``; see ``way_to_corner``."""
     y = int((end + 0.5) / stride)
     dx, dy = corner[0] - (end - y * stride - MARGIN), corner[1] - (y - 1)
     length = max(abs(dx), abs(dy))

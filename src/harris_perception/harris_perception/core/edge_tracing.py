@@ -23,6 +23,9 @@ Array = npt.NDArray[Any]
 _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1], np.int32)
 _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1], np.int32)
 
+# Up to so many pixels that start and end at one corner are the rest of a line that passed by it.
+_REST_PX = 4
+
 # What is told of every pixel; 0 is neither.
 EDGE, CORNER = 128, 255
 
@@ -534,7 +537,7 @@ def trace(
         _classified(flat, stride >> 6, _ENDS, strong)
         lead = leads(strong_words, corners, stride >> 3, farthest, lead[0])
     room = most + lead[2].size * int(farthest)
-    points, starts = _link(flat, octets, most, room, strong, labels, corners, steps, lead, min(int(farthest), 4))
+    points, starts = _link(flat, octets, most, room, strong, labels, corners, steps, lead, min(int(farthest), _REST_PX))
     for i in range(len(places)):
         labels[places[i, 1], places[i, 0]] = CORNER
     return True, points, starts

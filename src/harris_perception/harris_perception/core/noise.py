@@ -61,9 +61,8 @@ def _noise_above(picture: npt.NDArray[Any], least: float) -> float:
     length, two, count = min(_STRIP_PX, width - 2), np.float32(2.0), 0
     found = np.zeros(_STRIPS * _STRIP_PX, np.float32)
     values = np.zeros(_STRIPS * _STRIP_PX, np.float32)
-    for i in range(
-        _STRIPS
-    ):  # places that no pattern of the picture repeats: R2, the golden ratio's sequence in a plane
+    # At places that no pattern of the picture repeats: R2, the golden ratio's sequence in a plane.
+    for i in range(_STRIPS):
         y = int(i * 0.7548776662466927 % 1.0 * (height - 2))
         x = int(i * 0.5698402909980532 % 1.0 * (width - 1 - length))
         up, at, down = picture[y, x:], picture[y + 1, x:], picture[y + 2, x:]
