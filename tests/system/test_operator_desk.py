@@ -362,6 +362,36 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     person.leaves()
 
 
+def test_a_page_that_was_held_up_itself_looks_at_what_came_before_it_judges(
+    browser: Any, instrument: Instrument
+) -> None:
+    """A frame begins 4 s late; whether messages or the frame come first then is else a matter of chance."""
+    person = Operator(browser, instrument.new_address())
+    page = person.page
+    page.add_init_script("""{
+        const draw = window.requestAnimationFrame.bind(window);
+        window.requestAnimationFrame = (drawn) => draw(() => {
+            const until = performance.now() + (window.heldUpMs ?? 0);
+            if (window.heldUpMs) window.heldUps = (window.heldUps ?? 0) + 1;
+            window.heldUpMs = 0;
+            while (performance.now() < until);
+            drawn(performance.now());
+        });
+    }""")
+    page.reload()
+    person.takes_control()
+    connections: list[Any] = []
+    page.on("websocket", lambda socket: connections.append(socket))
+    page.evaluate("document.querySelector('[data-control=MENU]').click(); window.heldUpMs = 4000;")
+    person.until(lambda: page.evaluate("window.heldUps"), 10.0, lambda: "a frame that takes long")
+    person.sees("#selection-name", "Menu")
+    person.sees("#banner", "Ready")
+    assert page.inner_text("#refusal") == "", "the answer had come"
+    assert "You are in control" in page.inner_text("#lease-text")
+    assert connections == [], "the ones that there were live"
+    person.leaves()
+
+
 def test_a_picture_that_hangs_alone_stops_the_motion_and_comes_back(browser: Any, instrument: Instrument) -> None:
     person = Operator(browser, instrument.new_address())
     page = person.page

@@ -4,6 +4,7 @@ import { setClock } from "./clock.js";
 
 const SILENT_MS = 1500;
 const ANSWER_MS = 3000;
+const LOOK_MS = 500; // at most so much passes from one look to the next
 const CLOCKS = 25; // answers of the last 5 s: the quickest tells best what the bridge's clock shows
 
 export class Link extends EventTarget {
@@ -13,9 +14,13 @@ export class Link extends EventTarget {
   #waiting = new Map();
   #retryMs = 300;
   #lastHeard = 0;
+  #heardAwakeMs = 0;
+  #lastLook = performance.now();
   #clocks = []; // {rtt, ahead}: round trips, and by how much the bridge's clock is ahead of this page's
   epoch = 0;
   rttMs = null;
+  /** Time in which the page could look: one that was held up has not yet seen what came meanwhile. */
+  awakeMs = 0;
   #signedInUntil = null; // by this page's clock; null while the end is far
 
   /** In how many ms the sign-in ends, null while there is no hurry. */
@@ -38,7 +43,7 @@ export class Link extends EventTarget {
     this.#seq = 0;
     this.#boot = "";
     this.#clocks = [];
-    this.#lastHeard = performance.now();
+    this.#heard();
     socket.addEventListener("message", (event) => this.#take(JSON.parse(event.data)));
     socket.addEventListener("close", () => this.#lost(socket));
   }
@@ -50,9 +55,13 @@ export class Link extends EventTarget {
     return Math.max(0, arrived + ahead - sent);
   }
 
-  /** Call often: gives a connection up on which nothing arrives any more. */
+  /** Call often: gives up answers that do not come, and a connection on which nothing arrives any more. */
   watch() {
-    if (this.#socket && performance.now() - this.#lastHeard > 2 * SILENT_MS) {
+    const now = performance.now();
+    this.awakeMs += Math.min(now - this.#lastLook, LOOK_MS);
+    this.#lastLook = now;
+    for (const [seq, { untilAwakeMs }] of [...this.#waiting]) if (this.awakeMs > untilAwakeMs) this.#giveUp(seq);
+    if (this.#socket && this.awakeMs - this.#heardAwakeMs > 2 * SILENT_MS) {
       const socket = this.#socket;
       socket.close();
       this.#lost(socket);
@@ -63,10 +72,7 @@ export class Link extends EventTarget {
   ask(type, fields = {}) {
     if (!this.open) return Promise.resolve({ ok: false, code: "link_down", values: {} });
     const seq = this.#send(type, fields);
-    return new Promise((resolve) => {
-      const timer = setTimeout(() => this.#settle({ seq, ok: false, code: "link_down", values: {} }), ANSWER_MS);
-      this.#waiting.set(seq, { resolve, timer });
-    });
+    return new Promise((resolve) => this.#waiting.set(seq, { resolve, untilAwakeMs: this.awakeMs + ANSWER_MS }));
   }
 
   alive() {
@@ -92,8 +98,13 @@ export class Link extends EventTarget {
     return this.#seq;
   }
 
-  #take(message) {
+  #heard() {
     this.#lastHeard = performance.now();
+    this.#heardAwakeMs = this.awakeMs;
+  }
+
+  #take(message) {
+    this.#heard();
     if (message.type === "alive") {
       const now = performance.now();
       const rtt = now - message.client_ms;
@@ -116,17 +127,20 @@ export class Link extends EventTarget {
   #settle(answer) {
     const waiting = this.#waiting.get(answer.seq);
     if (!waiting) return false;
-    clearTimeout(waiting.timer);
     this.#waiting.delete(answer.seq);
     waiting.resolve(answer);
     return true;
+  }
+
+  #giveUp(seq) {
+    this.#settle({ seq, ok: false, code: "link_down", values: {} });
   }
 
   async #lost(socket) {
     if (socket !== this.#socket) return;
     this.#socket = null;
     this.#boot = "";
-    for (const seq of [...this.#waiting.keys()]) this.#settle({ seq, ok: false, code: "link_down", values: {} });
+    for (const seq of [...this.#waiting.keys()]) this.#giveUp(seq);
     this.dispatchEvent(new CustomEvent("lost"));
     await new Promise((resolve) => setTimeout(resolve, this.#retryMs));
     this.#retryMs = Math.min(2 * this.#retryMs, 5000);

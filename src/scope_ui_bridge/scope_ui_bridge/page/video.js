@@ -12,7 +12,7 @@ export class Video extends EventTarget {
   #retryMs = 300;
   #retry = 0;
   #heard = 0;
-  #asked = 0;
+  #waitsAwakeMs = 0; // since when a picture is waited for, in the link's time in which the page could look
   #patienceMs = PATIENCE_MS[0];
   #pending = null;
   #decoding = false;
@@ -43,7 +43,7 @@ export class Video extends EventTarget {
     const socket = new WebSocket(`${scheme}://${location.host}/video`);
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
-    this.#asked = performance.now();
+    this.#waitsAwakeMs = this.#link.awakeMs;
     socket.addEventListener("open", () => {
       this.#retryMs = 300;
       this.#send(this.#wish);
@@ -51,6 +51,7 @@ export class Video extends EventTarget {
     socket.addEventListener("message", (event) => {
       if (typeof event.data === "string" || socket !== this.#socket) return;
       this.#heard = performance.now();
+      this.#waitsAwakeMs = this.#link.awakeMs;
       this.#patienceMs = PATIENCE_MS[0];
       this.#pending = { data: event.data, arrived: performance.now(), socket };
       this.#decode();
@@ -72,7 +73,7 @@ export class Video extends EventTarget {
 
   /** Call often: a connection may hang alone, while the other one lives. */
   watch() {
-    if (performance.now() - Math.max(this.#heard, this.#asked) < this.#patienceMs) return;
+    if (this.#link.awakeMs - this.#waitsAwakeMs < this.#patienceMs) return;
     this.#patienceMs = Math.min(2 * this.#patienceMs, PATIENCE_MS[1]);
     this.renew();
   }
