@@ -1,0 +1,26 @@
+"""Which tests may run beside each other, where several run at once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from xdist.scheduler import LoadFileScheduling
+
+
+class Shares(LoadFileScheduling):
+    """Each file to one worker, with two exceptions.
+
+    All that use a browser go to the same worker: on two cores each would slow the other down until a page is late.
+    The tests of every panel take half a minute each, so they are shared out one by one, and last.
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = super()._split_scope(nodeid)
+        if file.startswith("tests/system/test_operator_"):
+            return "browser"
+        return nodeid if file.startswith("tests/unit/robot/test_every_panel") else file
+
+
+def pytest_xdist_make_scheduler(config: Any, log: Any) -> Shares:
+    """Return the scheduler for pytest-xdist."""
+    return Shares(config, log)
