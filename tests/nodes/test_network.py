@@ -69,11 +69,13 @@ def small_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(variable, raising=False)
 
 
-def test_the_driver_shares_no_memory_and_hears_on_loopback_alone(small_buffers: None, ros: Ros) -> None:
+def test_the_driver_shares_no_memory_and_hears_on_loopback_alone(small_buffers: None, ros: Ros, tmp_path: Path) -> None:
     """A process that is stopped or killed while it holds a lock in shared memory holds up all who share it, for 1 s."""
     command = [sys.executable, "-m", "gantry_driver.nodes.serial_driver_node", "--ros-args", "-p", "port:=/dev/null"]
     environment = {**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id())}
-    driver = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    said = tmp_path / "said.txt"
+    with said.open("wb") as out:
+        driver = subprocess.Popen(command, env=environment, stdout=out, stderr=subprocess.STDOUT)
     try:
         node = ros.plain("asker")
         stop = node.create_client(Trigger, "stop")
@@ -81,7 +83,9 @@ def test_the_driver_shares_no_memory_and_hears_on_loopback_alone(small_buffers: 
         answer = stop.call_async(Trigger.Request())
         ros.spin_until(answer.done, 5.0)
         assert "/dev/shm/fastrtps_" in Path("/proc/self/maps").read_text()
-        assert "/dev/shm/fastrtps_" not in Path(f"/proc/{driver.pid}/maps").read_text()
+        mapped = [line for line in Path(f"/proc/{driver.pid}/maps").read_text().splitlines() if "/dev/shm/" in line]
+        given = {name: value for name, value in environment.items() if "FAST" in name or "ROS" in name}
+        assert not any("fastrtps_" in line for line in mapped), (mapped, given, said.read_text())
         assert {address for address, _ in udp_sockets(driver.pid)} == {"127.0.0.1"}
     finally:
         driver.kill()
