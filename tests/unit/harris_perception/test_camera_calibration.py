@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 import re
 from pathlib import Path
@@ -90,6 +91,25 @@ def test_uncertainties_are_those_of_all_parameters_together() -> None:
     variance = np.sum(result.residual_px**2) / freedom
     expected = np.sqrt(variance * np.diag(np.linalg.inv(slopes.T @ slopes)))[: len(free)]
     assert list(result.sigma.values()) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("moved_px", [0.5, 2.0])
+def test_uncertainties_hold_where_the_corners_of_a_view_err_together(moved_px: float) -> None:
+    """A rolling shutter before a board in the hand: each view is sheared and stretched in its own way."""
+    truth, scores = intrinsics(camera()), []
+    for seed in range(15):
+        rng = np.random.default_rng(seed)
+        rolled = [
+            replaced(view, xy=view.xy + (view.xy[:, 1:] / SIZE[1] - 0.5) * rng.normal(0, moved_px, 2))
+            for view in views(seed)
+        ]
+        result = calibrate_camera(BOARD, rolled, CONFIG)
+        found = intrinsics(result.model)
+        scores += [abs(found[name] - truth[name]) / sigma for name, sigma in result.sigma.items()]
+    within = [float(np.mean(np.less(scores, sigmas))) for sigmas in (1, 2)]
+    print("within one and two sigma:", within)
+    # 68 and 95 %, give or take three deviations of some 45 independent scores.
+    assert 0.58 < within[0] < 0.88 and within[1] > 0.85
 
 
 def test_pair_lies_within_its_stated_uncertainties() -> None:
@@ -334,16 +354,34 @@ def boards() -> Path:
     return Path(place) / "boards"
 
 
-def test_photographed_pairs_reach_the_known_error() -> None:
+@functools.cache
+def photographed_pairs() -> list[tuple[BoardView, BoardView]]:
     folder, detector = boards(), BoardDetector(BOARD)
     sides = [
         [detector.detect(read_gray(p), p.name) for p in sorted(folder.glob(f"{s}*.jpg"))] for s in ("left", "right")
     ]
     assert [len(side) for side in sides] == [13, 13] and not any(view is None for side in sides for view in side)
-    result = calibrate_stereo(BOARD, [(a, b) for a, b in zip(*sides) if a and b], CONFIG)
+    return [(a, b) for a, b in zip(*sides) if a and b]
+
+
+def test_photographed_pairs_reach_the_known_error() -> None:
+    result = calibrate_stereo(BOARD, photographed_pairs(), CONFIG)
     print("rms px", result.left.rms_px, result.right.rms_px, result.rms_px, "rows", result.rows_rms_px)
     assert result.left.rms_px <= 0.21
     assert result.right.rms_px <= 0.21
     assert result.rms_px <= 0.22
     assert not result.left_out and not any(view.outlier for view in result.views)
     assert result.rows_rms_px < 0.2
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_halves_of_the_photographs_agree_within_their_stated_uncertainties(side: int) -> None:
+    """What nobody knows of real cameras, two calibrations that share no picture tell."""
+    seen, scores = [pair[side] for pair in photographed_pairs()], []
+    for seed in range(10):
+        order = np.random.default_rng(seed).permutation(len(seen))
+        halves = [calibrate_camera(BOARD, [seen[i] for i in part], CONFIG) for part in (order[:6], order[6:12])]
+        a, b = (intrinsics(half.model) for half in halves)
+        scores += [(a[name] - b[name]) / np.hypot(*(half.sigma[name] for half in halves)) for name in halves[0].sigma]
+    print("rms of differences over sigma:", round(float(np.sqrt(np.mean(np.square(scores)))), 2))
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5
