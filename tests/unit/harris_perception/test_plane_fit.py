@@ -97,3 +97,20 @@ def test_no_plane_is_invented() -> None:
     assert fit_plane(line, np.full(50, 1e-4), config, rng) is None
     one_place = np.tile([0.01, 0.02, 0.6], (50, 1))
     assert fit_plane(one_place, np.full(50, 1e-4), config, rng) is None
+
+
+@pytest.mark.parametrize("noise_px", [0.08, 0.4, 1.0])
+def test_the_plane_is_as_sure_as_it_says_also_where_points_scatter_by_more_than_the_tolerance(noise_px: float) -> None:
+    """The last are 2 mm: half of the points were cut off, and the plane's error was twice what was told."""
+    scores, errors = [], []
+    for seed in range(60):
+        points, sigma, normal = seen_plane(np.random.default_rng(seed), 20, 0.65, 200, noise_px)
+        fit = fit_plane(points, sigma, PlaneConfig(), np.random.default_rng(0))
+        assert fit is not None and fit.share > 0.9
+        errors.append((fit.centre - (0, 0, 0.65)) @ normal)
+        scores.append(abs(errors[-1]) / np.sqrt(normal @ fit.covariance[:3, :3] @ normal))
+    within = [float(np.mean(np.less(scores, sigmas))) for sigmas in (1, 2)]
+    print("within one and two sigma:", within, "rms mm", 1e3 * np.sqrt(np.mean(np.square(errors))))
+    assert 0.52 < within[0] < 0.84 and within[1] > 0.86
+    # Least squares of all 200 points can do no better than this.
+    assert np.sqrt(np.mean(np.square(errors))) < 1.3 * 0.65**2 / FB * noise_px / np.sqrt(200)

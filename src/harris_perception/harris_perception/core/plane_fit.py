@@ -16,6 +16,8 @@ from icu_common.core.config import Config, setting
 from icu_common.core.geometry import Array, Plane, Transform
 
 _TURNS = 10
+_SIGMAS = 2.0
+"""A narrower window cuts good points off, and the plane decides where: it errs twice as much, untold."""
 _AT_ONCE = 1_000_000
 """Distances of points from planes that are held at a time; more of them would not fit the processor's cache."""
 
@@ -25,7 +27,11 @@ class PlaneConfig(Config):
     """Settings of the plane fit."""
 
     tolerance_m: float = setting(
-        0.001, "Points of the plane lie within this depth of it.", minimum=1e-5, maximum=0.1, unit="m"
+        0.001,
+        "Points of the plane lie within this depth of it, or within two of their own standard deviations.",
+        minimum=1e-5,
+        maximum=0.1,
+        unit="m",
     )
     hypotheses: int = setting(400, "Planes through three points that are tried.", minimum=10, maximum=5000)
     min_points: int = setting(20, "Fewer points on the plane are no plane.", minimum=4, maximum=100_000)
@@ -95,17 +101,20 @@ def fit_plane(
         return None
     design = np.column_stack([xyz[:, :2] / z[:, None], np.ones(len(z))])
     inverse = 1 / z
-    inlier = _consensus(design, inverse, z, config, rng)
+    sigma = np.asarray(sigma_m, dtype=np.float64)
+    # A small change of depth is a change of inverse depth by 1 / z^2 times it.
+    within = np.maximum(config.tolerance_m, _SIGMAS * sigma) * inverse**2
+    inlier = _consensus(design, inverse, within, config, rng)
     if inlier is None:
         return None
-    weight = 1 / np.maximum(np.asarray(sigma_m, dtype=np.float64) * inverse**2, 1e-9)
+    weight = 1 / np.maximum(sigma * inverse**2, 1e-9)
     coefficients: Array = np.zeros(3)
     for _ in range(_TURNS):
         if inlier.sum() < config.min_points:
             return None
         w = weight[inlier]
         coefficients = np.asarray(np.linalg.lstsq(design[inlier] * w[:, None], inverse[inlier] * w, rcond=None)[0])
-        now = _near(design @ coefficients, inverse, z, config.tolerance_m)
+        now = np.abs(design @ coefficients - inverse) <= within
         if np.array_equal(now, inlier):
             break
         inlier = now
@@ -152,26 +161,21 @@ def _pose_covariance(normal: Array, centre: Array, coefficients: Array, spread: 
 
 
 def _consensus(
-    design: Array, inverse: Array, z: Array, config: PlaneConfig, rng: np.random.Generator
+    design: Array, inverse: Array, within: Array, config: PlaneConfig, rng: np.random.Generator
 ) -> npt.NDArray[np.bool_] | None:
     """Return which points agree with the best of many planes through three points."""
-    triples = rng.integers(0, len(z), (config.hypotheses, 3))
+    triples = rng.integers(0, len(inverse), (config.hypotheses, 3))
     corners = design[triples]
     usable = np.abs(np.linalg.det(corners)) > 1e-6
     if not usable.any():
         return None
     planes = np.linalg.solve(corners[usable], inverse[triples[usable]][:, :, None])[:, :, 0]
-    best, most = np.zeros(len(z), np.bool_), -1
-    step = max(1, _AT_ONCE // len(z))
+    best, most = np.zeros(len(inverse), np.bool_), -1
+    step = max(1, _AT_ONCE // len(inverse))
     for start in range(0, len(planes), step):
-        near = _near(planes[start : start + step] @ design.T, inverse, z, config.tolerance_m)
+        near = np.abs(planes[start : start + step] @ design.T - inverse) <= within
         counts = near.sum(axis=1)
         first = int(np.argmax(counts))
         if counts[first] > most:
             best, most = near[first].copy(), int(counts[first])
     return best
-
-
-def _near(predicted: Array, inverse: Array, z: Array, tolerance_m: float) -> npt.NDArray[np.bool_]:
-    # A small change of inverse depth is a change of depth by z^2 times it.
-    return np.asarray(np.abs(predicted - inverse) * z**2 <= tolerance_m)
