@@ -670,6 +670,23 @@ def test_one_press_of_stop_is_one_stop_however_late_its_second_way_is() -> None:
     assert of_type(rig.desk.stop("Operator 1", rig.now, press="p2"), StopNow)
 
 
+def test_what_was_sent_before_a_stop_and_comes_after_it_is_not_done() -> None:
+    """The connection hangs: reset, home and STOP are pressed, and STOP alone comes at once, as a request."""
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    assert of_type(rig.desk.stop("Operator 1", rig.now, press="p1"), StopNow)
+    rig.desk.stop_overtakes(rig.a, rig.seq + 4)
+    for service in ("reset", "home"):
+        assert refusal(rig.ask(rig.a, type="call", service=service)) == "before_stop"
+    assert refusal(rig.act()) == "before_stop"
+    assert of_type(rig.ask(rig.a, type="stop", press="p1"), StopNow) == []
+    (reset,) = of_type(rig.ask(rig.a, type="call", service="reset"), CallService)  # this was pressed afterwards
+    rig.desk.service_answered(reset.entry, True, "", rig.now)
+    rig.desk.stop_overtakes("v99", 1000)
+    rig.desk.stop_overtakes(rig.a, 1)
+    assert of_type(rig.act(), SendCommand), "a page that is gone, and a request that is late, void nothing more"
+
+
 def test_stops_that_follow_each_other_quickly_are_one_stop() -> None:
     rig = Rig()
     assert len(of_type(rig.desk.stop("Operator 1", rig.now), StopNow)) == 1

@@ -372,6 +372,23 @@ def test_stop_by_plain_post_from_a_viewer() -> None:
     with_rig(scenario)
 
 
+def test_a_stop_by_post_voids_what_its_page_has_sent_before_and_hangs() -> None:
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, take=True) as client:
+            ids = {"press": "p1", "page": client.hello["you"]["id"], "sent": str(client.seq + 1)}
+            for sent in ("", "-1", "9" * 400, "x"):
+                async with client.session.post("/stop", params=ids | {"sent": sent}, headers=client.origin) as answer:
+                    assert (answer.status, await answer.json()) == (200, {"ok": True})
+            async with client.session.post("/stop", params=ids, headers=client.origin) as answer:
+                assert (answer.status, await answer.json()) == (200, {"ok": True})
+            assert (await client.ask(type="call", service="home"))["code"] == "before_stop"
+            assert (await client.ask(type="call", service="reset"))["ok"]
+            await until(lambda: rig.graph.named("call"), "the call goes out")
+        assert (rig.graph.named("stop"), rig.graph.named("call")) == ([("stop",)], [("call", "reset")])
+
+    with_rig(scenario)
+
+
 @pytest.mark.parametrize(
     ("gone", "cause"),
     [("closed", "stopped_page_gone"), ("cut off", "stopped_link_lost"), ("signed out", "stopped_signed_out")],

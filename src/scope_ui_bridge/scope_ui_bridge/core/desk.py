@@ -205,6 +205,7 @@ class Desk:
         if isinstance(message, wire.Lease):
             return [*self._lease_step(viewer, message, now), self._answer(viewer, message.seq)]
         self.lease.check(viewer, message.epoch)
+        self._viewers[viewer].check_after_stop(message.seq)
         effects: list[Effect]
         if isinstance(message, wire.Select):
             effects = self._select(message, now)
@@ -247,6 +248,11 @@ class Desk:
         entry = self._log.add(who, "stop", code, now, status="sent", goal_id=goal_id)
         self._last_stop = (now.mono_s, who, entry.entry)
         return [StopNow(entry=entry.entry, record=record(who, "stop", code, now)), shown(entry)]
+
+    def stop_overtakes(self, viewer: str, seq: int) -> None:
+        """Take no more orders of a page up to ``seq``: it has pressed STOP since, which came by a quicker way."""
+        if viewer in self._viewers:
+            self._viewers[viewer].stopped(seq)
 
     def tick(self, now: Now) -> list[Effect]:
         """Call every 50 ms: heartbeat, watchdogs, answers that did not come, state for the pages."""

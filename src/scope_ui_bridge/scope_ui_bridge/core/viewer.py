@@ -21,6 +21,7 @@ class Viewer:
     role: Role
     signed_in_until_s: float = math.inf
     _last_seq: int = -1
+    _stopped_seq: int = -1
     _tokens: float = BURST
     _refilled_s: float = 0.0
     _told_rate_s: float = -math.inf
@@ -46,6 +47,15 @@ class Viewer:
         if message.seq <= self._last_seq:
             raise Refusal("replayed", found=message.seq, last=self._last_seq)
         self._last_seq = message.seq
+
+    def stopped(self, seq: int) -> None:
+        """Note that this page has pressed STOP after it had sent message ``seq``, which may still be on its way."""
+        self._stopped_seq = max(self._stopped_seq, seq)
+
+    def check_after_stop(self, seq: int) -> None:
+        """Refuse (``before_stop``) what was sent before a STOP that has come by another way and overtaken it."""
+        if seq <= self._stopped_seq:
+            raise Refusal("before_stop")
 
     def may_tell_rate(self, now_s: float) -> bool:
         """Whether this page is told, once a second, that it sends too fast."""

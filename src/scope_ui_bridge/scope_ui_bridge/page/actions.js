@@ -21,7 +21,9 @@ export function stop() {
     desk.unstopped = false;
   };
   desk.link.ask("stop", { press }).then(arrived);
-  fetch(`/stop?press=${press}`, { method: "POST", keepalive: true }).then(arrived, () => {});
+  // The request may overtake what was sent before it over the connection; the bridge does nothing of that any more.
+  const { page, sent } = desk.link;
+  fetch(`/stop?press=${press}&page=${page}&sent=${sent}`, { method: "POST", keepalive: true }).then(arrived, () => {});
   // Neither is given up: on a link that hangs it may still arrive. But who pressed must know that it has not.
   setTimeout(() => {
     if (through && !desk.unheard) return;

@@ -18,6 +18,8 @@ export class Link extends EventTarget {
   #lastLook = performance.now();
   #clocks = []; // {rtt, ahead}: round trips, and by how much the bridge's clock is ahead of this page's
   epoch = 0;
+  /** Under which name the bridge knows this page, until it gets another one. */
+  page = "";
   rttMs = null;
   /** Time in which the page could look: one that was held up has not yet seen what came meanwhile. */
   awakeMs = 0;
@@ -32,6 +34,11 @@ export class Link extends EventTarget {
     return this.#socket !== null && this.#boot !== "" && this.#socket.readyState === WebSocket.OPEN;
   }
 
+  /** The number of the last message that was sent as this page. */
+  get sent() {
+    return this.#seq;
+  }
+
   get silent() {
     return !this.open || performance.now() - this.#lastHeard > SILENT_MS;
   }
@@ -40,7 +47,6 @@ export class Link extends EventTarget {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
     const socket = new WebSocket(`${scheme}://${location.host}/control`);
     this.#socket = socket;
-    this.#seq = 0;
     this.#boot = "";
     this.#clocks = [];
     this.#heard();
@@ -116,6 +122,8 @@ export class Link extends EventTarget {
     }
     if (message.type === "hello") {
       this.#boot = message.boot;
+      this.page = message.you.id;
+      this.#seq = 0;
       this.#retryMs = 300;
     }
     const state = message.type === "hello" ? message.state : message;

@@ -190,6 +190,7 @@ export const DE = {
   off_picture: "Die Stelle ({u}, {v}) liegt außerhalb des Bildes von {width} x {height} Pixeln.",
   no_number: "Zuerst eine Zahl eingeben.",
   off_panel: "Diese Stelle ({x_mm}, {y_mm} mm) liegt neben der Front.",
+  before_stop: "Danach wurde STOP gedrückt; es wird nicht getan.",
   selection_gone: "Noch einmal wählen.",
   wrong_gesture: "Das geht mit diesem Element nicht.",
   panel_moved: "Die Front hat sich seit der Wahl um {moved_mm} mm bewegt (höchstens {limit_mm} mm). Noch einmal wählen.",
