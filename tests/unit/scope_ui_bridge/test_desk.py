@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from typing import Any
@@ -166,6 +167,22 @@ def test_a_panel_that_moved_since_the_selection_voids_it() -> None:
     answered = answer(rig.act())
     assert (answered["code"], answered["values"]) == ("panel_moved", {"moved_mm": 2.5, "limit_mm": 2.0})
     assert refusal(rig.act()) == "selection_gone"
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_selection_is_void_on_another_panel_that_has_a_control_of_the_same_name(there: bool) -> None:
+    """A panel was taught, or recognition was started anew for another one, since RUN_STOP was chosen."""
+    rig = Rig()
+    rig.select(control="RUN_STOP")
+    run_stop, *others = rig.desk.scene.faces
+    rig.desk.scene.faces = (dataclasses.replace(run_stop, centre=(0.05, 0.03, 0.003)), *others) if there else ()
+    assert refusal(rig.act()) == "selection_gone"
+    assert shown_selections(rig.act()) == []
+    assert rig.desk.join("Operator 2")[1]["selection"] is None
+    if there:
+        rig.select(control="RUN_STOP")
+        rig.desk.scene.faces = tuple(dataclasses.replace(face) for face in rig.desk.scene.faces)
+        assert of_type(rig.act(), SendCommand), "the same panel, told once more"
 
 
 @pytest.mark.parametrize(

@@ -386,6 +386,9 @@ class Desk:
         selection = self._selection
         if selection is None or selection.number != message.selection:
             raise Refusal("selection_gone")
+        if selection.faces != self.scene.faces:  # another panel may bear a control of the same name
+            self._selection = None
+            raise Refusal("selection_gone")
         goal_id = f"ui-{self.boot_id[:6]}-{self._log.count + 1}"
         gesture = make_gesture(selection, message, self.panel.seen, goal_id)
         self.machine.check_frame(message.camera, message.stamp_ns, self.config, now)

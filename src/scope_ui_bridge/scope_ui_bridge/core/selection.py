@@ -30,7 +30,7 @@ SHORTEST_LINE_M = 0.002
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """What the operator has chosen, and where the panel was then.
+    """What the operator has chosen, and where the panel was then, and what it bore.
 
     ``anchors`` are (N, 3) m in panel_link: the control's or the point's place, or a line's two ends. ``pixels`` are
     those of a point or a line in the picture of ``camera``.
@@ -43,6 +43,7 @@ class Selection:
     label: str
     anchors: Array
     camera_from_panel: Transform
+    faces: tuple[Face, ...]
     gestures: tuple[str, ...]
     pixels: tuple[tuple[float, float], ...] = ()
     size_m: tuple[float, float] = (0.0, 0.0)
@@ -116,6 +117,7 @@ def make_selection(
         label=label,
         anchors=anchors,
         camera_from_panel=camera_from_panel,
+        faces=scene.faces,
         gestures=_gestures(kind, seen.control(control) if seen is not None else None),
         pixels=pixels,
         size_m=size,
