@@ -43,7 +43,7 @@ def test_a_control_is_selected_then_pressed_and_its_result_is_shown() -> None:
     assert (gesture.kind, gesture.target) == ("press", "RUN_STOP")
     assert command.record["frame"] == str(rig.stamp)
     assert command.record["who"] == "Operator 1"
-    assert rig.desk.still_wanted(command)
+    assert rig.desk.still_wanted(command, rig.now)
     assert logged(effects)[0]["status"] == "sent"
     done = GoalResult(goal_id=gesture.id, goal="", outcome=Outcome.ACCEPTED)
     assert logged(rig.desk.result(done, rig.now))[0]["status"] == "accepted"
@@ -292,11 +292,11 @@ def test_an_order_that_is_held_up_until_it_is_given_up_does_not_go_out_any_more(
     rig.select(control="RUN_STOP")
     (command,) = of_type(rig.act(), SendCommand)  # its record waits for a disk that hangs
     rig.wait(2.8, alive=True)
-    assert rig.desk.still_wanted(command)
+    assert rig.desk.still_wanted(command, rig.now)
     rig.wait(0.4, alive=True)
     (again,) = of_type(rig.act(), SendCommand)
-    assert not rig.desk.still_wanted(command), "both would press a button that was meant to be pressed once"
-    assert rig.desk.still_wanted(again)
+    assert not rig.desk.still_wanted(command, rig.now), "both would press a button that was meant to be pressed once"
+    assert rig.desk.still_wanted(again, rig.now)
 
 
 def test_a_recording_that_ended_by_itself_is_in_the_log_and_in_the_records() -> None:
@@ -404,6 +404,26 @@ def test_a_held_jog_ends_with(how: str) -> None:
     else:
         outcome = Outcome.REJECTED
     assert of_type(rig.end(goal.stamp_ns, outcome), SendGoal) == []
+
+
+def test_a_step_whose_record_was_long_in_writing_is_not_begun_once_it_is_let_go() -> None:
+    rig = Rig()
+    rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
+    (first,) = of_type(rig.jog(1, 0), SendGoal)
+    rig.jog(0, 0)
+    assert rig.desk.still_wanted(first, rig.now), "a short press is one step"
+    rig.wait(0.35, alive=True)
+    assert not rig.desk.still_wanted(first, rig.now)
+    assert logged(rig.desk.order_failed(first, "let go", rig.now))[0]["status"] == "failed"
+    rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
+    (first,) = of_type(rig.jog(1, 0), SendGoal)
+    for _ in range(5):
+        rig.wait(0.2, alive=True)
+        rig.jog(1, 0)
+    assert rig.desk.still_wanted(first, rig.now), "it is held all the time"
+    rig.desk.order_failed(first, "no gantry controller listens", rig.now)
+    rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
+    assert of_type(rig.jog(1, 0), SendGoal), "what did not go out is begun anew, and not waited for"
 
 
 def test_a_jog_that_cannot_be_is_refused() -> None:
@@ -666,7 +686,7 @@ def test_a_stop_voids_an_order_that_has_not_gone_out() -> None:
     rig.select(control="RUN_STOP")
     (command,) = of_type(rig.act(), SendCommand)
     rig.ask(rig.a, type="stop")
-    assert not rig.desk.still_wanted(command)
+    assert not rig.desk.still_wanted(command, rig.now)
     effects = rig.desk.order_failed(command, "stopped", rig.now)
     assert logged(effects)[0]["status"] == "failed"
     (line,) = of_type(effects, Record)
@@ -676,7 +696,7 @@ def test_a_stop_voids_an_order_that_has_not_gone_out() -> None:
     rig.select(control="RUN_STOP")
     (command,) = of_type(rig.act(), SendCommand)
     rig.ask(rig.a, type="lease", step="release")
-    assert not rig.desk.still_wanted(command)
+    assert not rig.desk.still_wanted(command, rig.now)
 
 
 def test_one_press_of_stop_is_one_stop_however_late_its_second_way_is() -> None:

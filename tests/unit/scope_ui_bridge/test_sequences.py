@@ -45,7 +45,7 @@ def test_typed_steps_go_out_as_a_file_and_are_followed_step_by_step() -> None:
     first, _, text = order.text.partition("\n")
     assert first == f"id: {run_id}" and parse_file(text) == parse_steps(STEPS)
     assert order.record["command"] == "press:RUN_STOP => effect ; turn:CH1_SCALE:30.0 ; press:RUN_STOP"
-    assert rig.desk.still_wanted(order)
+    assert rig.desk.still_wanted(order, rig.now)
     assert logged(hear(rig, run_id, Outcome.ACCEPTED))[0]["status"] == "accepted"
     rig.desk.set_state("sequencer", "step 2/3: turn:CH1_SCALE:30.0")
     shown = told(rig.wait(0.1, alive=True))
@@ -195,7 +195,7 @@ def test_a_stop_voids_a_sequence_that_has_not_gone_out() -> None:
     rig = Rig()
     order = started(rig)
     rig.ask(rig.a, type="stop")
-    assert not rig.desk.still_wanted(order)
+    assert not rig.desk.still_wanted(order, rig.now)
     rig.desk.order_failed(order, "stopped before it went out", rig.now)
     assert told(rig.wait(0.1, alive=True))["status"] == "failed"
 

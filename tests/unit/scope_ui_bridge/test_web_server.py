@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -331,6 +332,34 @@ def test_a_command_whose_record_cannot_be_written_does_not_go_out() -> None:
         assert rig.graph.named("stop")
 
     with_rig(scenario, audit=FullDisk())
+
+
+def test_a_jog_that_is_let_go_while_its_record_is_written_does_not_begin() -> None:
+    class SlowDisk(AuditFile):
+        def __init__(self) -> None:
+            pass
+
+        def append(self, record: dict[str, Any]) -> None:
+            assert written.wait(5.0)
+
+        def close(self) -> None:
+            pass
+
+    async def scenario(rig: Rig) -> None:
+        rig.desk.machine.set_position(0.1, 0.05, 0.0, Now(mono_s=time.monotonic(), ros_ns=0, wall_s=0.0))
+        async with page(rig, take=True) as client:
+            press = await chosen(rig, client)
+            picture = {name: press[name] for name in ("camera", "stamp")}
+            for dx in (1, 0):
+                assert (await client.ask(type="jog", dx=dx, dy=0, step_mm=5, **picture))["ok"]
+            await asyncio.sleep(rig.config.jog_hold_s)
+            written.set()
+            failed = await client.until(lambda m: m["type"] == "log" and m["entry"]["status"] == "failed")
+            assert failed["entry"]["action"] == "jog"
+            assert rig.graph.named("goal") == []
+
+    written = threading.Event()
+    with_rig(scenario, audit=SlowDisk(), jog_hold_s=0.1)
 
 
 def test_nobody_to_take_a_command_is_said() -> None:

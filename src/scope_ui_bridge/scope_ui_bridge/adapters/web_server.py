@@ -398,7 +398,7 @@ class WebServer:
     async def _send_order(self, order: Order) -> None:
         try:
             await self._write(order.record)
-            if not self._desk.still_wanted(order):
+            if not self._desk.still_wanted(order, self._now()):
                 raise GraphError("stopped before it went out")
             if isinstance(order, SendCommand):
                 self._graph.send_command(order.text)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -364,8 +365,14 @@ class Desk:
         self._selection = None
         return [_selection_shown(None)] if had else []
 
-    def still_wanted(self, order: Order) -> bool:
-        """Tell whether an order may still go out: no stop and no change of hands since, and it was not given up."""
+    def still_wanted(self, order: Order, now: Now) -> bool:
+        """Tell whether an order may still go out: no stop and no change of hands since, and it was not given up.
+
+        A step of a jog also needs that it is held, or was asked for a moment ago.
+        """
+        held = self._jog is not None and self._jog.entry == order.entry and now.mono_s <= self._jog.until_s
+        if now.mono_s > order.until_s and not held:
+            return False
         same_hands = order.epoch == self.lease.epoch and bool(self.lease.holder)
         return order.stops == self.stops and same_hands and self._log.open_entry(order.entry) is not None
 
@@ -517,7 +524,8 @@ class Desk:
     def _jog_step(self, entry: LogEntry, now: Now) -> Order:
         assert self._jog is not None
         x, y = self._jog.advance()
-        return self._goal(entry, BASE, (x, y), f"jog ({x * 1e3:.1f}, {y * 1e3:.1f}) mm", {}, now)
+        goal = self._goal(entry, BASE, (x, y), f"jog ({x * 1e3:.1f}, {y * 1e3:.1f}) mm", {}, now)
+        return replace(goal, until_s=self._jog.until_s)
 
     def _goal_entry(self, viewer: str, action: str, target: str, now: Now) -> LogEntry:
         goal_id = str(self._new_stamp_ns(now))
@@ -552,6 +560,8 @@ class Desk:
         entry = self._log.open_entry(order.entry)
         if entry is None:
             return []
+        if self._jog is not None and self._jog.entry == order.entry:
+            self._jog = None
         self.sequence.ended(entry.goal_id, "failed", reason)
         changed = self._log.update(entry, status="failed", reason=reason)
         return [shown(changed), command_log.result_record(changed, now)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -61,13 +62,15 @@ class Record:
 class Order:
     """Something that may move the machine; ``record`` is on disk before it goes out.
 
-    It is dropped when the desk has stopped, changed hands or given it up in between, see ``Desk.still_wanted``.
+    It is dropped when the desk has stopped, changed hands or given it up in between, or when it goes on being written
+    after ``until_s`` (monotonic), see ``Desk.still_wanted``.
     """
 
     entry: int
     stops: int
     epoch: int
     record: dict[str, Any]
+    until_s: float = math.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
