@@ -791,6 +791,18 @@ def test_an_end_that_comes_after_a_command_was_given_up_is_still_told() -> None:
 # --- services and state ---
 
 
+def test_a_call_that_was_long_on_its_way_is_not_done_any_more() -> None:
+    """After 3 s its page has said that there is no link: nobody expects that the machine homes then."""
+    rig = Rig()
+    rig.seconds += 3.1
+    pressed_ms = (rig.seconds - 1.2) * 1e3
+    late = answer(rig.ask(rig.a, type="call", service="home", sent_ms=pressed_ms))
+    assert (late["code"], late["values"]) == ("came_late", {"late_ms": 1200, "limit_ms": 1000})
+    assert of_type(rig.ask(rig.a, type="call", service="disable", sent_ms=pressed_ms), CallService), "it moves nothing"
+    in_time = rig.ask(rig.a, type="call", service="home", sent_ms=(rig.seconds - 0.9) * 1e3)
+    assert of_type(in_time, CallService)
+
+
 def test_services_are_called_and_their_answers_shown() -> None:
     rig = Rig()
     (call,) = of_type(rig.ask(rig.a, type="call", service="home"), CallService)

@@ -29,6 +29,8 @@ def test_each_kind_of_message_is_typed() -> None:
     granted = wire.decode(text(type="lease", step="grant", to="v2"))
     assert granted == wire.Lease(seq=1, boot="b", epoch=0, step="grant", to="v2")
     assert wire.decode(text(type="call", service="home")) == wire.Call(seq=1, boot="b", epoch=0, service="home")
+    sent = wire.decode(text(type="call", service="home", sent_ms=1500.5))
+    assert sent == wire.Call(seq=1, boot="b", epoch=0, service="home", sent_s=1.5005)
     stamp = "1795225165871340849"  # does not fit into a double
     select = wire.decode(text(type="select", camera="left", stamp=stamp, u=10.5, v=3))
     assert isinstance(select, wire.Select)

@@ -52,6 +52,7 @@ from scope_ui_bridge.core.viewer import Viewer
 HEARTBEAT_PERIOD_S = 0.2
 STATE_PERIOD_S = (0.1, 1.0)
 _SAME_STOP_S = 0.5
+_LATEST_CALL_S = 1.0  # from the press to the bridge; all else names a picture, whose age is bounded
 _WATCHDOG, _RECORDER = "Watchdog", "bag_record"
 _TIP_SEEN_NS = 1_000_000_000
 _CLOCK_JUMP_NS = 100_000_000
@@ -222,7 +223,7 @@ class Desk:
             effects = self._teach(viewer, message, now)
         else:
             assert isinstance(message, wire.Call)
-            effects = self._call(viewer, message.service, now)
+            effects = self._call(viewer, message, now)
         return [*effects, self._answer(viewer, message.seq)]
 
     @staticmethod
@@ -546,7 +547,10 @@ class Desk:
         written = record(entry.who, text, entry.target, now) | more | {"goal_id": entry.goal_id}
         return {"entry": entry.entry, "stops": self.stops, "epoch": self.lease.epoch, "record": written}
 
-    def _call(self, viewer: str, service: str, now: Now) -> list[Effect]:
+    def _call(self, viewer: str, message: wire.Call, now: Now) -> list[Effect]:
+        service, late_s = message.service, now.mono_s - message.sent_s
+        if late_s > _LATEST_CALL_S and service != "disable":
+            raise Refusal("came_late", late_ms=round(late_s * 1e3), limit_ms=round(_LATEST_CALL_S * 1e3))
         if service in _FOR_ENGINEERS:
             self._viewers[viewer].need(Role.ENGINEER)
         goal_id = f"service-{self._log.count + 1}"

@@ -161,9 +161,10 @@ class Teach(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call(Message):
-    """Ask a service of the graph, one of SERVICES."""
+    """Ask a service of the graph, one of SERVICES; ``sent_s`` is when, by the bridge's clock as the page knows it."""
 
     service: str
+    sent_s: float = math.inf
 
 
 LEASE_STEPS = ("take", "release", "request", "grant", "decline")
@@ -302,7 +303,8 @@ def _typed(raw: dict[str, Any]) -> Message:
     elif kind == "teach":
         message = _teach(head, read)
     else:
-        message = Call(**head, service=read.choice("service", SERVICES))
+        sent_s = read.number("sent_ms") / 1e3 if "sent_ms" in raw else math.inf
+        message = Call(**head, service=read.choice("service", SERVICES), sent_s=sent_s)
     read.finish()
     return message
 

@@ -82,7 +82,7 @@ function wireCalls() {
         return;
       }
       disarm();
-      desk.ask("call", { service });
+      desk.ask("call", { service, sent_ms: desk.link.bridgeMs });
     });
   }
 }

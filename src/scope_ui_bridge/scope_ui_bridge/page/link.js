@@ -57,8 +57,16 @@ export class Link extends EventTarget {
   /** How long something was on its way that was sent at `sent` by the bridge's clock and came at `arrived` by ours, ms. */
   way(sent, arrived) {
     if (!this.#clocks.length) return (this.rttMs ?? 0) / 2;
-    const { ahead } = this.#clocks.reduce((best, one) => (one.rtt < best.rtt ? one : best));
-    return Math.max(0, arrived + ahead - sent);
+    return Math.max(0, arrived + this.#ahead - sent);
+  }
+
+  /** What the bridge's clock shows now; undefined while that is not known. */
+  get bridgeMs() {
+    return this.#clocks.length ? performance.now() + this.#ahead : undefined;
+  }
+
+  get #ahead() {
+    return this.#clocks.reduce((best, one) => (one.rtt < best.rtt ? one : best)).ahead;
   }
 
   /** Call often: gives up answers that do not come, and a connection on which nothing arrives any more. */

@@ -190,6 +190,7 @@ export const DE = {
   off_picture: "Die Stelle ({u}, {v}) liegt außerhalb des Bildes von {width} x {height} Pixeln.",
   no_number: "Zuerst eine Zahl eingeben.",
   off_panel: "Diese Stelle ({x_mm}, {y_mm} mm) liegt neben der Front.",
+  came_late: "Das war {late_ms} ms unterwegs zur Brücke; höchstens {limit_ms} ms sind erlaubt. Es wird nicht getan.",
   before_stop: "Danach wurde STOP gedrückt; es wird nicht getan.",
   selection_gone: "Noch einmal wählen.",
   wrong_gesture: "Das geht mit diesem Element nicht.",

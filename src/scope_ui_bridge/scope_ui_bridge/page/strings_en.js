@@ -189,6 +189,7 @@ export const EN = {
   not_operable: "{control} is a connector and is never touched.",
   point_needs_left: "Points are chosen in the left picture.",
   off_panel: "That point ({x_mm}, {y_mm} mm) is beside the panel.",
+  came_late: "This was {late_ms} ms on its way to the bridge; at most {limit_ms} ms are allowed. It is not done.",
   before_stop: "STOP was pressed after this; it is not done.",
   selection_gone: "Select again.",
   wrong_gesture: "That cannot be done with this control.",
