@@ -392,6 +392,67 @@ def test_a_page_that_was_held_up_itself_looks_at_what_came_before_it_judges(
     person.leaves()
 
 
+def test_what_was_pressed_while_the_page_was_held_up_is_not_done(operator: Operator) -> None:
+    """Nobody expects it any more; what stood there when it was pressed may have become something else."""
+    page = operator.page
+    rows = page.locator("#log tr:not(.nothing)")
+    before = rows.count()
+    page.evaluate("async () => { (await import('/page/desk.js')).desk.limits.max_age_ms = 900; }")
+    page.evaluate("""() => { window.late = (kind, selector, more = {}) => {
+        const kinds = { click: MouseEvent, pointerdown: PointerEvent, keydown: KeyboardEvent };
+        const event = new kinds[kind](kind, { bubbles: true, cancelable: true, detail: 1, ...more });
+        Object.defineProperty(event, 'timeStamp', { value: performance.now() - 1200 });
+        document.querySelector(selector).dispatchEvent(event);
+    }; }""")
+    presses = {
+        "arrow": "late('keydown', 'body', { key: 'ArrowRight', shiftKey: true })",
+        "control": "late('click', '[data-control=MENU]')",
+        "homing": "late('click', '[data-call=home]'); late('click', '[data-call=home]')",
+    }
+    for name, press in presses.items():
+        page.evaluate("async () => { (await import('/page/desk.js')).desk.refuse({ code: 'no_number' }); }")
+        page.evaluate(press)
+        said = operator.sees("#refusal", r"pressed 1\d\d\d ms ago, while the page was held up")
+        assert "at most 900 ms" in said, name
+    assert page.inner_text("#selection-name") == "Nothing selected"
+    page.keyboard.press("?")
+    page.keyboard.press("Escape")
+    operator.logs("STOP", 5.0)
+    page.evaluate("late('click', '#lease-release')")
+    operator.sees("#lease-text", "Nobody is in control")
+    page.click("#lease-take")
+    operator.sees("#lease-text", "You are in control")
+    page.click("#reset")
+    operator.sees("#chip-driver", "Idle")
+    assert rows.count() == before + 2, f"STOP and reset alone; {page.inner_text('#log')}"
+
+
+def test_an_arrow_that_was_let_go_while_the_page_was_held_up_begins_nothing_more(operator: Operator) -> None:
+    """What the page does first when it goes on, asks anew or hears that the key is up, is else a matter of chance."""
+    page = operator.page
+    page.click("#tab-move")
+    operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 5.0, lambda: page.inner_text("#move-why"))
+    sent = page.evaluate("""async () => {
+        const { desk } = await import('/page/desk.js');
+        const { ask } = desk.link;
+        const asked = [];
+        desk.link.ask = (type, fields) => asked.push(fields.dx) && ask.call(desk.link, type, fields);
+        const key = (kind) => document.body.dispatchEvent(
+            new KeyboardEvent(kind, { key: 'ArrowRight', shiftKey: true, bubbles: true }));
+        key('keydown');
+        const until = performance.now() + 500;
+        while (performance.now() < until);
+        return new Promise((resolve) => setTimeout(() => { // comes after what was due first
+            key('keyup');
+            desk.link.ask = ask;
+            resolve(asked);
+        }, 10));
+    }""")
+    assert sent == [1, 0], "asked for once, and let go"
+    operator.logs(r"Move \+x.*done", 5.0)
+    operator.sees("#banner", "Ready")
+
+
 def test_a_picture_that_hangs_alone_stops_the_motion_and_comes_back(browser: Any, instrument: Instrument) -> None:
     person = Operator(browser, instrument.new_address())
     page = person.page

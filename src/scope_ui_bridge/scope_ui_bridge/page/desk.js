@@ -23,6 +23,13 @@ class Desk {
   stopping = false; // STOP was pressed here, and the machine has not been seen at rest since
   unstopped = false; // STOP was pressed here and has not got through, to the bridge or to the machine
   changed = () => {};
+  #lateMs = 0; // how long the press that is answered now, or was last, had to wait for a page that was held up
+
+  constructor() {
+    for (const kind of ["pointerdown", "pointerup", "click", "keydown"]) {
+      addEventListener(kind, (event) => (this.#lateMs = performance.now() - event.timeStamp), true);
+    }
+  }
 
   get mine() {
     return Boolean(this.state && this.me.id && this.state.lease.holder === this.me.id && !this.link.silent);
@@ -71,8 +78,11 @@ class Desk {
     return worded(this.gestureHindrance);
   }
 
-  /** Ask the bridge; a refusal is shown and said. */
+  /** Ask the bridge; a refusal is shown and said. What was pressed long ago was not meant for what is shown now. */
   async ask(type, fields = {}) {
+    const late = { late_ms: Math.round(this.#lateMs), limit_ms: this.limits.max_age_ms };
+    const ends = fields.step === "release" || fields.service === "disable";
+    if (late.late_ms > late.limit_ms && !ends) return this.refuse({ code: "press_late", values: late });
     return this.report(await this.link.ask(type, fields));
   }
 

@@ -5,9 +5,10 @@ import { find } from "./dom.js";
 import { t } from "./strings.js";
 
 const HOLD_MS = 100;
+const LATE_MS = 200;
 const WAYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
-let held = null; // {dx, dy, step_mm, timer}
+let held = null; // {dx, dy, step_mm, timer, dueMs}
 
 function hold(dx, dy) {
   if (held?.dx === dx && held?.dy === dy) return;
@@ -16,7 +17,7 @@ function hold(dx, dy) {
     desk.refuse(desk.hindrance);
     return;
   }
-  held = { dx, dy, step_mm: Number(find("jog-step").value), timer: 0 };
+  held = { dx, dy, step_mm: Number(find("jog-step").value), timer: 0, dueMs: performance.now() };
   document.dispatchEvent(new Event("acting"));
   repeat();
 }
@@ -30,8 +31,12 @@ async function repeat() {
     desk.refuse(desk.hindrance);
     return;
   }
-  const { dx, dy, step_mm } = mine;
+  const { dx, dy, step_mm, dueMs } = mine;
+  const now = performance.now();
   mine.timer = setTimeout(repeat, HOLD_MS);
+  mine.dueMs = now + HOLD_MS;
+  // The bridge goes on no more, and would begin anew. That the arrow was let go meanwhile may be next to be heard.
+  if (now - dueMs > LATE_MS) return;
   if (!(await desk.ask("jog", { dx, dy, step_mm, ...desk.seen })) && held === mine) release();
 }
 

@@ -188,6 +188,7 @@ export const DE = {
   point_needs_left: "Stellen werden im linken Bild gewählt.",
   frame_ahead: "Das Bild ist der Uhr der Brücke um {ahead_ms} ms voraus; höchstens {limit_ms} ms sind erlaubt. Die Uhren beider Rechner stellen.",
   off_picture: "Die Stelle ({u}, {v}) liegt außerhalb des Bildes von {width} x {height} Pixeln.",
+  press_late: "Das wurde vor {late_ms} ms gedrückt, als die Seite aufgehalten war; höchstens {limit_ms} ms sind erlaubt. Hinsehen und noch einmal drücken.",
   no_number: "Zuerst eine Zahl eingeben.",
   off_panel: "Diese Stelle ({x_mm}, {y_mm} mm) liegt neben der Front.",
   came_late: "Das war {late_ms} ms unterwegs zur Brücke; höchstens {limit_ms} ms sind erlaubt. Es wird nicht getan.",

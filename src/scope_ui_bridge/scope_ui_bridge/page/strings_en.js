@@ -195,6 +195,7 @@ export const EN = {
   wrong_gesture: "That cannot be done with this control.",
   panel_moved: "The panel has moved by {moved_mm} mm since the selection (at most {limit_mm} mm). Select again.",
   picture_late: "The picture is {age_ms} ms old; at most {limit_ms} ms are allowed.",
+  press_late: "This was pressed {late_ms} ms ago, while the page was held up; at most {limit_ms} ms are allowed. Look and press again.",
   no_number: "Enter a number first.",
   link_down: "There is no link to the bridge.",
 
