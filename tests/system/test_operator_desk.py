@@ -453,6 +453,51 @@ def test_an_arrow_that_was_let_go_while_the_page_was_held_up_begins_nothing_more
     operator.sees("#banner", "Ready")
 
 
+def test_answers_that_come_late_take_no_focus_and_an_end_that_was_missed_is_told(
+    browser: Any, instrument: Instrument
+) -> None:
+    person = Operator(browser, instrument.new_address())
+    page = person.page
+    ends: list[Any] = []  # of each connection, the bridge's and the page's
+    kept: list[str] = []
+    keeps = False
+
+    def control(route: Any) -> None:
+        server = route.connect_to_server()
+        ends.extend([server, route])
+        route.on_message(server.send)
+        late = lambda text: keeps and json.loads(text)["type"] == "answer"  # noqa: E731
+        server.on_message(lambda text: kept.append(text) if late(text) else route.send(text))
+
+    page.route_web_socket(re.compile("/control$"), control)
+    page.reload()
+    person.takes_control()
+    person.sees("#banner", "Ready")
+    keeps = True
+    page.focus("[data-control=MENU]")
+    page.keyboard.press("Enter")
+    person.sees("#selection-name", "Menu")
+    page.focus("#log-search")
+    person.until(lambda: kept, 5.0, lambda: "the answer to the choice")
+    keeps = False
+    ends[-1].send(kept[-1])
+    page.keyboard.press("Enter")
+    page.evaluate("new Promise((resolve) => requestAnimationFrame(resolve))")
+    assert page.evaluate("document.activeElement.id") == "log-search", "it has gone on to something else meanwhile"
+    instrument.tell("motion 30")
+    person.confirms()
+    person.sees("#last", "Press Menu: in work")
+    for end in ends[-2:]:
+        end.close()
+    person.logs("Press Menu.*(aborted|stopped)", 10.0)
+    person.sees("#last", "Press Menu: aborted")
+    instrument.tell("motion 1.5")
+    page.click("#lease-take")
+    page.click("#reset")
+    person.sees("#chip-driver", "Idle")
+    person.leaves()
+
+
 def test_a_picture_that_hangs_alone_stops_the_motion_and_comes_back(browser: Any, instrument: Instrument) -> None:
     person = Operator(browser, instrument.new_address())
     page = person.page

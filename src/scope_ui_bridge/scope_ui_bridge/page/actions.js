@@ -33,8 +33,10 @@ export function stop() {
 }
 
 export async function choose({ byKey, ...what }) {
+  const at = document.activeElement;
   const good = await desk.select(what);
-  if (!good || !byKey) return;
+  // Who has gone on to something else meanwhile types there, and confirms nothing.
+  if (!good || !byKey || document.activeElement !== at) return;
   const able = [...find("confirm").querySelectorAll("button:not([disabled])")];
   able.find((button) => button.offsetParent !== null)?.focus();
 }

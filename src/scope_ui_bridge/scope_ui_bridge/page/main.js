@@ -26,6 +26,7 @@ import { COMPUTED } from "./video.js";
 
 const KEEP_ALIVE_MS = 200;
 const READ_MS = 1000;
+const UNDER_WAY = ["sent", "accepted"];
 const AT_REST = ["stopped", "alarm", "unhomed"]; // after STOP; the last one when the driver was started anew
 
 startLanguage();
@@ -39,6 +40,7 @@ let lostControl = false;
 let wasMine = false;
 let turnedAway = "";
 let last = null; // the entry of the last command that was no stop
+let boot = ""; // the run of the bridge whose entry that is
 let declinedBy = ""; // who has control and keeps it, though this page has asked
 let overtakenBy = ""; // whose request stands in the place of this page's
 desk.changed = render;
@@ -64,6 +66,7 @@ link.addEventListener("hello", ({ detail }) => {
   entitle();
   find("tab-console").hidden = find("tab-teach").hidden = desk.me.role !== "engineer";
   log.reset(detail.log);
+  catchUp(detail);
   lines.reset(detail.console);
   setSelection(detail.selection);
   setState(detail.state);
@@ -87,7 +90,7 @@ link.addEventListener("log", ({ detail: { entry } }) => {
   log.show(entry);
   if (entry.action !== "stop") showLast(entry);
   if (entry.action === "teach" && ["failed", "no_answer"].includes(entry.status)) taught({ ok: false, reason: spoken(entry) });
-  if (["sent", "accepted"].includes(entry.status)) return;
+  if (UNDER_WAY.includes(entry.status)) return;
   if (entry.action === "stop" && entry.status !== "done" && !desk.replay) desk.unstopped = true;
   // What was refused while it was at work is over with it, once there was time to read it.
   if (performance.now() - desk.problemAt > READ_MS) desk.refused = null;
@@ -195,6 +198,16 @@ function showLast(entry) {
   element.dataset.status = entry.status;
   element.firstElementChild.textContent = ICONS[entry.status] ?? "";
   element.lastElementChild.textContent = spoken(entry);
+}
+
+/** The last command may have ended while the link was away; another run of the bridge knows nothing of it. */
+function catchUp({ boot: run, log: entries }) {
+  if (last && UNDER_WAY.includes(last.status)) {
+    const known = run === boot && entries.find(({ entry }) => entry === last.entry);
+    showLast(known || { ...last, status: "no_answer" });
+    if (!UNDER_WAY.includes(last.status)) say(spoken(last), true);
+  }
+  boot = run;
 }
 
 function render() {
