@@ -568,6 +568,43 @@ def test_a_picture_that_was_long_on_its_way_is_shown_as_old_as_it_is(browser: An
     person.leaves()
 
 
+def test_a_picture_from_before_the_computer_slept_is_not_shown_as_new(browser: Any, instrument: Instrument) -> None:
+    """The page's clock stands still then: to the page it is the bridge's that goes ahead, all at once."""
+    person = Operator(browser, instrument.new_address())
+    page = person.page
+    slept_s, hangs, answers = 0.0, False, 0
+
+    def control(route: Any) -> None:
+        def told(text: str) -> None:
+            nonlocal answers
+            message = json.loads(text)
+            if message["type"] == "alive":
+                answers += 1
+                message["bridge_ms"] += 1e3 * slept_s
+            route.send(json.dumps(message))
+
+        server = route.connect_to_server()
+        route.on_message(server.send)
+        server.on_message(told)
+
+    def video(route: Any) -> None:
+        server = route.connect_to_server()
+        route.on_message(server.send)
+        server.on_message(lambda message: None if hangs else route.send(message))
+
+    page.route_web_socket(re.compile("/control$"), control)
+    page.route_web_socket(re.compile("/video$"), video)
+    page.reload()
+    person.takes_control()
+    person.sees("#banner", "Ready")
+    person.until(lambda: answers >= 10, 5.0, lambda: "what the bridge's clock shows is known well")
+    hangs, slept_s = True, 60.0
+    person.sees("#stale", r"6\d\.\d s", within_s=2.0)
+    hangs, slept_s = False, 0.0
+    person.sees("#banner", "Ready", within_s=2.0)
+    person.leaves()
+
+
 def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: Any, instrument: Instrument) -> None:
     person = Operator(browser, instrument.address().partition("?")[0])
     page = person.page

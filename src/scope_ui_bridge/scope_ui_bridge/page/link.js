@@ -5,6 +5,7 @@ import { setClock } from "./clock.js";
 const SILENT_MS = 1500;
 const ANSWER_MS = 3000;
 const LOOK_MS = 500; // at most so much passes from one look to the next
+const CLOCK_MS = 20; // browsers round their clocks, and clocks differ in speed
 const CLOCKS = 25; // answers of the last 5 s: the quickest tells best what the bridge's clock shows
 
 export class Link extends EventTarget {
@@ -122,7 +123,7 @@ export class Link extends EventTarget {
     if (message.type === "alive") {
       const now = performance.now();
       const rtt = now - message.client_ms;
-      this.#clocks = [...this.#clocks, { rtt, ahead: message.bridge_ms + rtt / 2 - now }].slice(-CLOCKS);
+      this.#compared({ rtt, ahead: message.bridge_ms + rtt / 2 - now });
       setClock(message.wall_ms + rtt / 2);
       this.#signedInUntil = "sign_in_ends_s" in message ? now + 1e3 * message.sign_in_ends_s : null;
       this.rttMs = this.rttMs === null ? rtt : 0.8 * this.rttMs + 0.2 * rtt;
@@ -138,6 +139,12 @@ export class Link extends EventTarget {
     if (state.lease) this.epoch = state.lease.epoch;
     if (message.type === "answer" && this.#settle(message)) return;
     this.dispatchEvent(new CustomEvent(message.type, { detail: message }));
+  }
+
+  /** An answer tells the difference of the clocks to half a round trip: one that does not fit shows that one stood still. */
+  #compared(clock) {
+    const fits = (one) => Math.abs(one.ahead - clock.ahead) <= (one.rtt + clock.rtt) / 2 + CLOCK_MS;
+    this.#clocks = [...(this.#clocks.every(fits) ? this.#clocks : []), clock].slice(-CLOCKS);
   }
 
   #settle(answer) {

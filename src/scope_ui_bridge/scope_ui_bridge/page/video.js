@@ -17,7 +17,7 @@ export class Video extends EventTarget {
   #pending = null;
   #decoding = false;
   #link;
-  shown = null; // {camera, stamp, age_ms, light, arrived}; age_ms: when it arrived
+  shown = null; // {camera, stamp, age_ms, sent_ms, light, arrived}; age_ms: when it was sent, by the bridge's clock
 
   constructor(canvas, link) {
     super();
@@ -29,7 +29,8 @@ export class Video extends EventTarget {
   /** Age of the shown picture in ms: age when sent, its way, and the time since it came. */
   get ageMs() {
     if (!this.shown) return Infinity;
-    return this.shown.age_ms + performance.now() - this.shown.arrived;
+    const { age_ms, sent_ms, arrived } = this.shown;
+    return age_ms + this.#link.way(sent_ms, arrived) + performance.now() - arrived;
   }
 
   /** How long nothing new has been seen: the picture's age; before the first one of a camera, since any other came. */
@@ -120,8 +121,8 @@ export class Video extends EventTarget {
     this.#context.drawImage(bitmap, 0, 0, about.width, about.height); // light pictures are half as large
     // What was under way when a layer was switched off is not wanted any more.
     for (const layer of COMPUTED) if (!this.#wish[layer]) delete about[layer];
-    const age_ms = about.age_ms + this.#link.way(about.sent_ms, arrived);
-    this.shown = { camera: about.camera, stamp: about.stamp, age_ms, light: about.light, arrived };
+    const { camera, stamp, age_ms, sent_ms, light } = about;
+    this.shown = { camera, stamp, age_ms, sent_ms, light, arrived };
     this.dispatchEvent(new CustomEvent("frame", { detail: about }));
   }
 
