@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import queue
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -60,6 +62,42 @@ def test_an_end_that_is_asked_before_the_program_listens_still_leaves_a_whole_ba
     assert bag.read_text() == "whole"
     with pytest.raises(GraphError, match="nothing is being recorded"):
         recorder.end(lambda ok, text: None)
+    recorder.close()
+
+
+# The first one ends at once; what it has left behind keeps its output open until somebody opens the fifo.
+LEFT_BEHIND = """#!{python}
+import os, pathlib, sys
+here = pathlib.Path(__file__).parent
+if not (here / "ran").exists():
+    (here / "ran").touch()
+    if os.fork() == 0:
+        (here / "gate").read_text()
+    os._exit(1)
+os.execv(here / "second", sys.argv)
+"""
+
+
+def test_one_that_failed_and_is_noticed_late_hides_no_recording_that_runs(tmp_path: Path) -> None:
+    """Who is looked at must be able to know it, and whoever started it must be able to end it."""
+    os.mkfifo(tmp_path / "gate")
+    made(tmp_path / "second", PROGRAM.format(python=sys.executable).replace('(here / "gate").read_text()', ""))
+    program = made(tmp_path / "record", LEFT_BEHIND.format(python=sys.executable))
+    answers: queue.Queue[tuple[str, bool]] = queue.Queue()
+    recorder = Recorder(str(tmp_path / "sessions"), program)
+    recorder.start(lambda ok, text: answers.put(("first", ok)), "Anna")
+    deadline = time.monotonic() + WITHIN_S
+    while answers.empty():
+        assert time.monotonic() < deadline
+        with contextlib.suppress(GraphError):  # while the first one's program is there
+            recorder.start(lambda ok, text: answers.put(("second", ok)), "Bert")
+        time.sleep(0.005)
+    assert answers.get() == ("second", True)
+    (tmp_path / "gate").write_text("go")
+    assert answers.get(timeout=WITHIN_S) == ("first", False)
+    assert recorder.recording is not None and recorder.recording[0] == "Bert"
+    recorder.end(lambda ok, text: answers.put(("end", ok)))
+    assert answers.get(timeout=WITHIN_S) == ("end", True)
     recorder.close()
 
 

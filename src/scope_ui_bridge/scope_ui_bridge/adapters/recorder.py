@@ -119,8 +119,9 @@ class Recorder:
         with process.stdout as said:
             records = bool(said.readline())
             with self._change:
-                self._records = records
-                self.recording = (self._who, time.monotonic()) if records else None
+                if self._process is process:  # else it has failed, and another one runs already
+                    self._records = records
+                    self.recording = (self._who, time.monotonic()) if records else None
                 if records and self._ended is not None:
                     process.send_signal(signal.SIGINT)
             if records:
