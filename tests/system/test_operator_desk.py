@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import axe_playwright_python
+import cv2
+import numpy as np
 import pytest
 from graph_texts import german_phrases
 from system.conftest import PATIENT, executable
@@ -496,6 +498,29 @@ def test_answers_that_come_late_take_no_focus_and_an_end_that_was_missed_is_told
     page.click("#reset")
     person.sees("#chip-driver", "Idle")
     person.leaves()
+
+
+def test_the_picture_that_was_held_last_is_pointed_at_whichever_comes_last(operator: Operator) -> None:
+    page = operator.page
+    asked: list[Any] = []
+
+    def picture(route: Any) -> None:
+        asked.append(route)
+        for width, late in zip((48, 32), reversed(asked)) if len(asked) == 2 else ():
+            jpeg = cv2.imencode(".jpg", np.zeros((24, width, 3), np.uint8))[1].tobytes()
+            late.fulfill(body=jpeg, content_type="image/jpeg")
+
+    page.route("**/held.jpg*", picture)
+    hold = """async (stamps) => {
+        const { setHeld } = await import('/page/teach.js');
+        await Promise.all(stamps.map(([stamp, width]) => setHeld({ stamp, width, height: 24 })));
+        return document.getElementById('held').width;
+    }"""
+    page.click("#tab-teach")
+    assert page.evaluate(hold, [["1", 32], ["2", 48]]) == 48
+    page.route("**/held.jpg*", lambda route: route.abort())
+    assert page.evaluate(hold, [["3", 64]]) == 48
+    operator.sees("#teach-said", "no longer held")
 
 
 def test_a_picture_that_hangs_alone_stops_the_motion_and_comes_back(browser: Any, instrument: Instrument) -> None:

@@ -57,6 +57,7 @@ def test_a_picture_is_held_and_what_was_pointed_at_goes_to_perception() -> None:
     assert logged(effects)[0]["action"] == "teach"
     assert not ada.rig.desk.moving
     assert refusal(ada.teach()) == "busy_pending"
+    assert refusal(ada.ask(type="hold")) == "busy_pending", "another picture would go out with these places"
     details = (("layout", "/x/pump_2.yaml"), ("template", "/x/pump_2.png"), ("start", "bring_up --scope pump_2"))
     done = GoalResult(goal_id=request["id"], goal="pump_2", outcome=Outcome.REACHED, reason="wrote", details=details)
     effects = ada.rig.desk.taught(done, ada.rig.now)
@@ -160,7 +161,9 @@ def test_the_held_picture_is_served_at_full_size_to_engineers(role: Role) -> Non
                 _, text, stamp, encoding, picture = rig.graph.named("teaching")[0]
                 assert (stamp, encoding, picture.shape) == (STAMP, "bgr8", (72, 128, 3))
                 assert (picture == 77).all() and json.loads(text)["stamp"] == str(STAMP)
-            async with page.session.get("/held.jpg") as got:
+                async with page.session.get("/held.jpg", params={"stamp": str(STAMP + 1)}) as got:
+                    assert got.status == 404, "another one is held: what is pointed at in it would not be meant"
+            async with page.session.get("/held.jpg", params={"stamp": str(STAMP)}) as got:
                 assert got.status == (200 if role is Role.ENGINEER else 401)
                 body = await got.read()
             assert role is not Role.ENGINEER or body.startswith(b"\xff\xd8")

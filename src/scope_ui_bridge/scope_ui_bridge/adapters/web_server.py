@@ -227,7 +227,7 @@ class WebServer:
         session = self.door.session(request)
         if session is None or not session.role.may(Role.ENGINEER):
             raise web.HTTPUnauthorized(reason="engineers only")
-        if self._held is None:
+        if self._held is None or request.query.get("stamp", str(self._held[0])) != str(self._held[0]):  # by this name
             raise web.HTTPNotFound(reason="no picture is held")
         _, encoding, picture = self._held
         jpeg = await self._loop.run_in_executor(self._encoder, to_jpeg, picture, encoding, _HELD_QUALITY)

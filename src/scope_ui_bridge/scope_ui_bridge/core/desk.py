@@ -441,10 +441,10 @@ class Desk:
         self._viewers[viewer].need(Role.ENGINEER)
         if self.moving:
             raise Refusal("busy_moving")
+        if self._log.at_work("teach"):  # with the picture that is held now
+            raise Refusal("busy_pending")
         if isinstance(message, wire.Hold):
             return [HoldPicture(viewer=viewer)]
-        if self._log.at_work("teach"):
-            raise Refusal("busy_pending")
         goal_id = f"service-{self.boot_id[:6]}-{self._log.count + 1}"
         text = teaching_text(message, self.held, goal_id)
         entry = self._log.add(self._name(viewer), "teach", message.model, now, status="sent", goal_id=goal_id)

@@ -8,6 +8,7 @@ import { wasDragged } from "./tools.js";
 
 const CORNERS = ["lower_left", "lower_right", "upper_right", "upper_left"];
 let held = null; // {stamp, width, height}
+let newest = ""; // the stamp of the one that was asked for last
 let corners = CORNERS.map(() => null); // [u, v], or null until it is pointed at
 let controls = []; // {name, kind, size: [w, h], proud, at}
 let active = 0; // which place the next click is for: 0 to 3 the corners, then the controls
@@ -27,17 +28,28 @@ function name(index) {
   return index < 4 ? t(`corner_${CORNERS[index]}`) : controls[index - 4].name;
 }
 
+/** The held picture; null when it does not come, or is held no more. */
+async function loaded(stamp) {
+  try {
+    const picture = await fetch(`/held.jpg?stamp=${stamp}`);
+    return picture.ok ? await createImageBitmap(await picture.blob()) : null;
+  } catch {
+    return null;
+  }
+}
+
 export async function setHeld(message) {
+  newest = message.stamp;
   if (!message.stamp) {
     answer = t("no_picture");
     return;
   }
-  const picture = await fetch(`/held.jpg?stamp=${message.stamp}`);
-  if (!picture.ok) {
+  const bitmap = await loaded(message.stamp);
+  if (newest !== message.stamp) return; // another one was held meanwhile
+  if (!bitmap) {
     answer = t("teach_no_picture");
     return;
   }
-  const bitmap = await createImageBitmap(await picture.blob());
   const canvas = find("held");
   canvas.width = message.width;
   canvas.height = message.height;
