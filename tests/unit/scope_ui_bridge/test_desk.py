@@ -712,16 +712,17 @@ def test_what_was_sent_before_a_stop_and_comes_after_it_is_not_done() -> None:
     rig = Rig()
     rig.select(control="RUN_STOP")
     assert of_type(rig.desk.stop("Operator 1", rig.now, press="p1"), StopNow)
-    rig.desk.stop_overtakes(rig.a, rig.seq + 4)
+    rig.desk.stop_overtakes(rig.a, "Operator 1", rig.seq + 4)
     for service in ("reset", "home"):
         assert refusal(rig.ask(rig.a, type="call", service=service)) == "before_stop"
     assert refusal(rig.act()) == "before_stop"
     assert of_type(rig.ask(rig.a, type="stop", press="p1"), StopNow) == []
     (reset,) = of_type(rig.ask(rig.a, type="call", service="reset"), CallService)  # this was pressed afterwards
     rig.desk.service_answered(reset.entry, True, "", rig.now)
-    rig.desk.stop_overtakes("v99", 1000)
-    rig.desk.stop_overtakes(rig.a, 1)
-    assert of_type(rig.act(), SendCommand), "a page that is gone, and a request that is late, void nothing more"
+    rig.desk.stop_overtakes("v99", "Operator 1", 1000)
+    rig.desk.stop_overtakes(rig.a, "Operator 2", 1000)
+    rig.desk.stop_overtakes(rig.a, "Operator 1", 1)
+    assert of_type(rig.act(), SendCommand), "a page that is gone, somebody else, and a late request void nothing more"
 
 
 def test_stops_that_follow_each_other_quickly_are_one_stop() -> None:

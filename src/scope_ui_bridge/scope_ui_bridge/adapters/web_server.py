@@ -216,7 +216,7 @@ class WebServer:
             return web.json_response({"ok": False, "code": "signed_out"}, status=401)
         press, sent = request.query.get("press", "")[:64], request.query.get("sent", "")
         if sent.isascii() and sent.isdigit() and len(sent) <= 15:
-            self._desk.stop_overtakes(request.query.get("page", ""), int(sent))
+            self._desk.stop_overtakes(request.query.get("page", ""), session.name, int(sent))
         self._carry_out(self._desk.stop(session.name, self._now(), press=press))
         if "text/html" in request.headers.get("Accept", ""):  # the form without its script
             return web.Response(status=303, headers={"Location": "/"})

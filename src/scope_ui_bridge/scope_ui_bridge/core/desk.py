@@ -251,9 +251,9 @@ class Desk:
         self._last_stop = (now.mono_s, who, entry.entry)
         return [StopNow(entry=entry.entry, record=record(who, "stop", code, now)), shown(entry)]
 
-    def stop_overtakes(self, viewer: str, seq: int) -> None:
-        """Take no more orders of a page up to ``seq``: it has pressed STOP since, which came by a quicker way."""
-        if viewer in self._viewers:
+    def stop_overtakes(self, viewer: str, who: str, seq: int) -> None:
+        """Take no more orders of ``who``'s page up to ``seq``: STOP was pressed since, which came by a quicker way."""
+        if viewer in self._viewers and self._viewers[viewer].name == who:
             self._viewers[viewer].stopped(seq)
 
     def tick(self, now: Now) -> list[Effect]:

@@ -81,8 +81,8 @@ class Desk {
   /** Ask the bridge; a refusal is shown and said. What was pressed long ago was not meant for what is shown now. */
   async ask(type, fields = {}) {
     const late = { late_ms: Math.round(this.#lateMs), limit_ms: this.limits.max_age_ms };
-    const ends = fields.step === "release" || fields.service === "disable";
-    if (late.late_ms > late.limit_ms && !ends) return this.refuse({ code: "press_late", values: late });
+    const movesNothing = type === "lease" || fields.service === "disable";
+    if (late.late_ms > late.limit_ms && !movesNothing) return this.refuse({ code: "press_late", values: late });
     return this.report(await this.link.ask(type, fields));
   }
 
