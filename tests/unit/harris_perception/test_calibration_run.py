@@ -47,6 +47,7 @@ class Machine:
         self.now = 10_000 * MS
         self.reading, self.true = np.zeros(3), np.zeros(3)
         self.lag, self.slip = np.zeros(2), np.zeros(3)
+        self.stylus_scale = 1.0
         self.goals: list[tuple[float, float, float]] = []
         self.progress: list[Progress] = []
         self.end: Finished | Failed | None = None
@@ -75,7 +76,7 @@ class Machine:
         self.reading = np.round(target * 80e3) / 80e3
         # Backlash of 0.2 mm: the carriage lags behind the motor by which way it came.
         self.lag = np.where(moved != 0, 0.0001 * moved, self.lag)
-        self.true = np.array([*(self.reading[:2] - self.lag), self.reading[2]]) - self.slip
+        self.true = np.array([*(self.reading[:2] - self.lag), self.stylus_scale * self.reading[2]]) - self.slip
 
         def answer(outcome: Outcome, reason: str = "") -> None:
             result = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome, reason=reason)
@@ -102,8 +103,9 @@ class Machine:
             self.act(self.run.tick(self.now))
 
 
-def machine(seed: int = 1, fault: Any = None, **config: Any) -> Machine:
+def machine(seed: int = 1, fault: Any = None, face: Transform | None = None, **config: Any) -> Machine:
     run = CalibrationRun(RunConfig(**config), StillConfig(), HandEyeConfig(), CAMERAS, 0)
+    run.keep_clear_of(face, 0.017)
     rig = Machine(run, seed, fault)
     rig.act(run.start(rig.now))
     rig.spin(300.0)
@@ -200,6 +202,44 @@ def test_every_wait_ends_with_its_reason(fault: Any, reason: str) -> None:
     rig.end = None
     rig.spin(60.0)
     assert (len(rig.goals), rig.end) == (goals, None)
+
+
+def face_below(distance_m: float) -> Transform:
+    """Return where the cameras see a panel that lies so far below the homed tip."""
+    return POSE @ Transform(np.eye(3), np.array([0.02, 0.025, -distance_m]))
+
+
+@pytest.mark.parametrize("distance_m", [0.010, 0.018, 0.028])
+def test_a_panel_that_is_too_near_is_not_touched_by_the_calibration(distance_m: float) -> None:
+    rig = machine(face=face_below(distance_m))
+    assert isinstance(rig.end, Failed), rig.end
+    assert "lowered by 12.0 mm the stylus could touch the panel, above which its tip is" in rig.end.reason
+    further = re.search(r"put the instrument ([\d.]+) mm further away", rig.end.reason)
+    assert further is not None and abs(float(further[1]) - (30.0 - 1e3 * distance_m)) < 0.5, "12, 17 and 1 mm"
+    assert min(z for _, _, z in rig.goals) == 0.0, "the stylus was never lowered"
+
+
+def test_a_panel_that_is_far_enough_is_no_reason() -> None:
+    assert isinstance(machine(face=face_below(0.031)).end, Finished)
+
+
+@pytest.mark.parametrize("scale", [2.0, 0.5, 0.0])
+def test_a_stylus_that_goes_another_way_than_it_should_is_noticed_on_its_second_way_down(scale: float) -> None:
+    def other_steps(rig: Machine, number: int) -> None:
+        rig.stylus_scale = scale
+
+    rig = machine(fault=other_steps)
+    assert isinstance(rig.end, Failed)
+    found = re.match(r"lowered by 12\.0 mm the tip moved by ([\d.]+) mm: check .*\$102", rig.end.reason)
+    assert found is not None and abs(float(found[1]) - 12.0 * scale) < 0.5, rig.end.reason
+    assert [z for _, _, z in rig.goals].count(-0.012) == 2
+
+
+def test_one_way_down_that_is_seen_wrongly_does_not_matter() -> None:
+    def a_reflection(rig: Machine, number: int) -> None:
+        rig.slip = np.array([0.0, 0.0, 0.006 * (number == 5)])
+
+    assert isinstance(machine(fault=a_reflection).end, Finished)
 
 
 def test_a_few_unseen_places_do_not_matter() -> None:

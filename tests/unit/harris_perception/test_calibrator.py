@@ -91,6 +91,30 @@ def test_a_run_ends_in_a_calibration_that_is_used_and_then_kept() -> None:
     assert (calibrator.level, dict(calibrator.values())["drift"]) == ("ok", "none")
 
 
+def test_a_run_lowers_the_stylus_onto_no_control_of_the_panel_that_is_seen() -> None:
+    for controls, said in (({"KNOB": np.array([0.1, 0.05, 0.015])}, "could touch the panel"), ({}, "")):
+        calibrator = Calibrator(CONFIG)
+        for side, baseline in (("left", 0.0), ("right", 0.12)):
+            calibrator.take_camera(side, camera(baseline_m=baseline), NOW_NS)
+        calibrator.take_driver("idle", NOW_NS)
+        calibrator.take_controls(controls)
+        (goal,) = [action for action in calibrator.run(NOW_NS) if isinstance(action, SendGoal)]
+        face = POSE @ Transform(np.eye(3), np.array([0.0, 0.0, -0.025]))  # seen only after the run has begun
+        now = NOW_NS + 50 * MS
+        calibrator.take_panel(now, face, now)
+        while goal is not None and goal.xyz[2] == 0.0:
+            now += 100 * MS
+            reading, actions = np.array([*goal.xyz[:2], 0.0]), []
+            calibrator.take_reading(now, reading)
+            for outcome in (Outcome.ACCEPTED, Outcome.REACHED):
+                answer = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome)
+                actions += calibrator.take_result(answer, now)
+            actions += look(calibrator, reading, now)
+            goal = next((action for action in actions if isinstance(action, SendGoal)), None)
+        assert (goal is None) is bool(said), "lowered only where there is room for it"
+        assert said in calibrator.state and calibrator.running is not bool(said)
+
+
 def test_a_camera_that_changes_ends_the_run_and_withdraws_the_calibration() -> None:
     calibrator = calibrated()
     calibrator.take_driver("idle", NOW_NS)

@@ -227,6 +227,17 @@ def test_a_wrong_tip_that_alone_tells_of_the_stylus_is_refused(off_m: tuple[floa
         calibrate(data, CAMERAS)
 
 
+@pytest.mark.parametrize(
+    "machine", [np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0]), np.eye(3)[[1, 0, 2]], np.diag([1.0, 1.0, -1.0])]
+)
+def test_an_axis_that_runs_backwards_or_two_that_are_swapped_are_refused_as_such(machine: np.ndarray) -> None:
+    found = samples(grid())
+    tips = true_tips(grid() @ machine.T)
+    mirrored = [Sample(reading=s.reading, tip=tip, covariance=s.covariance) for s, tip in zip(found, tips)]
+    with pytest.raises(DegenerateError, match="x or y runs backwards, or the two are swapped, or the stylus goes up"):
+        calibrate(mirrored, CAMERAS)
+
+
 def test_noise_beyond_the_limit_is_refused() -> None:
     rng = np.random.default_rng(0)
     data = [Sample(reading=s.reading, tip=s.tip + rng.normal(0, 0.001, 3), covariance=NOISE) for s in samples(grid())]

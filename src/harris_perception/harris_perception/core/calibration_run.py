@@ -99,6 +99,10 @@ class RunConfig(Config):
 
 _PANEL_S = 2.0
 """The panel is seen at least so often where it is looked at; recognition may be slow."""
+CLEAR_M = 0.001
+"""So far the ball stays above whatever stands highest on the panel: nothing is to be touched by a calibration."""
+_WRONG_WAYS = 2
+"""So many ways down in a row that are seen to be others than they should be are the stylus and not a wrong sighting."""
 
 
 class StillWatch:
@@ -352,11 +356,20 @@ class CalibrationRun:
         self._panels: dict[Purpose, list[PanelSample]] = {purpose: [] for purpose in _SAMPLED}
         self._done = 0
         self._missed: list[str] = []
+        self._face: Transform | None = None
+        self._proud_m = 0.0
+        self._height_m: float | None = None
+        self._upper: tuple[Stop, Array] | None = None
+        self._wrong_ways = 0
         self.over = False
 
     def start(self, now_ns: int) -> list[Action]:
         """Return the first actions."""
         return list(self._next(now_ns))
+
+    def keep_clear_of(self, camera_from_panel: Transform | None, proud_m: float) -> None:
+        """Take where the panel is seen, None while it is not, and how far its tallest control reaches into the ball."""
+        self._face, self._proud_m = camera_from_panel, proud_m
 
     def driver_state(self, text: str) -> list[Action]:
         """Take the driver's state; anything but idle and moving ends the run."""
@@ -402,13 +415,48 @@ class CalibrationRun:
         panel = self._watch.panel_sample(now_ns) if self._see_panel else None
         if isinstance(sample, str) or isinstance(panel, str):
             return []
-        purpose = self._stops[self._index].purpose
+        stop = self._stops[self._index]
         if sample is not None:
-            self._samples[purpose].append(sample)
+            self._samples[stop.purpose].append(sample)
+            if wrong := self._wrong_way(stop, sample.tip):
+                return self._fail(wrong)
+            face = self._face if panel is None else panel.camera_from_panel
+            if face is not None:
+                self._height_m = float(face.inverse().apply(sample.tip)[2]) - stop.z
         if panel is not None:
-            self._panels[purpose].append(panel)
+            self._panels[stop.purpose].append(panel)
         self._done += 1
         return list(self._next(now_ns))
+
+    def _wrong_way(self, stop: Stop, tip: Array) -> str:
+        """Compare a way down with what is seen of it; the whole fit would tell only after all the others."""
+        (above, before), self._upper = self._upper or (stop, tip), (stop, tip)
+        way_m = above.z - stop.z
+        if (above.x, above.y) != (stop.x, stop.y) or way_m <= 0:
+            return ""
+        seen_m = float(np.linalg.norm(tip - before))
+        allowed_m = self._solver.max_scale_error * way_m + self._config.max_held_out_m
+        self._wrong_ways = self._wrong_ways + 1 if abs(seen_m - way_m) > allowed_m else 0
+        if self._wrong_ways < _WRONG_WAYS:
+            return ""
+        return (
+            f"lowered by {way_m * 1e3:.1f} mm the tip moved by {seen_m * 1e3:.1f} mm: check the stylus's steps per mm "
+            "($102), whether it is stuck, and the camera calibration"
+        )
+
+    def _too_low(self, stop: Stop) -> str:
+        """Return why the stylus must not be lowered so far, where panel and tip have been seen."""
+        if stop.z == 0 or self._height_m is None:
+            return ""
+        left_m = self._height_m - self._proud_m + stop.z
+        if left_m >= CLEAR_M:
+            return ""
+        return (
+            f"lowered by {-stop.z * 1e3:.1f} mm the stylus could touch the panel, above which its tip is "
+            f"{self._height_m * 1e3:.1f} mm (the tallest control and the ball take {self._proud_m * 1e3:.1f}): put the "
+            f"instrument {(CLEAR_M - left_m) * 1e3:.1f} mm further away, or let run.heights_m and held_out_height_m go "
+            "less far"
+        )
 
     def tick(self, now_ns: int) -> list[Action]:
         """Look at the deadline."""
@@ -434,6 +482,9 @@ class CalibrationRun:
             yield self._solve()
             return
         stop = self._stops[self._index]
+        if low := self._too_low(stop):
+            yield from self._fail(low)
+            return
         self._goal_id, self._accepted, self._arrived = str(now_ns), False, False
         self._deadline_ns = now_ns + int(self._config.accept_timeout_s * 1e9)
         x, y = (float(v) for v in self._axes @ np.array([stop.x, stop.y]))

@@ -212,6 +212,7 @@ class Calibrator:
     def take_panel(self, stamp_ns: int, pose: Transform, now_ns: int) -> list[Action]:
         """Take camera_from_panel."""
         self._panel = pose
+        self._tell_run_the_face()
         if self._on_carriage:
             return self._take_sighting(self.sightings.add(0, stamp_ns, (stamp_ns, pose)), now_ns)
         self.watch.panel(stamp_ns, pose, FacePoints.joined([]))
@@ -232,6 +233,12 @@ class Calibrator:
     def take_controls(self, controls: dict[str, Array]) -> None:
         """Take the controls' places (3,) m in panel_link by their names."""
         self._controls = controls
+        self._tell_run_the_face()
+
+    def _tell_run_the_face(self) -> None:
+        if self._run is not None:
+            tallest = max((float(place[2]) for place in self._controls.values()), default=0.0)
+            self._run.keep_clear_of(self._panel, tallest + self.config.ball_radius_m)
 
     def take_settings(self, text: str, now_ns: int) -> list[Action]:
         """Take the board's settings."""
@@ -292,6 +299,7 @@ class Calibrator:
         # The controller still turns goals into readings with the calibration that it has.
         axes = None if self.stored is None else self.stored.base_from_reading
         self._run = CalibrationRun(config.run, config.still, config.solver, cameras, now_ns, axes, tuple(self.contacts))
+        self._tell_run_the_face()
         return self._follow(self._run.start(now_ns), now_ns)
 
     def add_sample(self, now_ns: int) -> str:

@@ -568,6 +568,12 @@ def check_stylus(direction: Array, config: HandEyeConfig) -> None:
         With what it misses and what is plausible.
     """
     depth, aside = -float(direction[2]), float(np.hypot(*direction[:2]))
+    if abs(depth + 1) <= config.max_scale_error:
+        raise DegenerateError(
+            "stylus, x and y do not go as they should: x or y runs backwards, or the two are swapped, or the stylus "
+            "goes up where it should go down: move each a little and look which it is, before motors or settings are "
+            "changed"
+        )
     if not abs(depth - 1) <= config.max_scale_error:
         raise DegenerateError(
             f"the stylus moves {depth:.3f} m towards the panel per metre of extension, "
