@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +195,30 @@ def test_markers_that_contradict_the_print_raise_an_alarm_until_they_confirm_it(
     assert len(rig.poses) == poses
     assert rig.show(views[0], 4) > 0.8
     ros.spin_until(lambda: alarms[-1].data == "", 10.0)
+
+
+def test_a_panel_that_stereo_sees_at_another_depth_raises_an_alarm_until_they_agree(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1})
+    alarms: list[String] = ros.collect(rig.probe, String, "alarm", qos.LATCHED)
+    stereo = rig.probe.create_publisher(PointCloud2, "stereo_points", qos.RESULTS)
+    ros.spin_until(lambda: stereo.get_subscription_count() == 1, 10.0)
+    x, y = np.meshgrid(np.linspace(0.02, 0.30, 9), np.linspace(0.02, 0.13, 5))
+    face = scene.pose(LAYOUT).apply(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+
+    def look(times: int, farther: float) -> None:
+        cloud = np.column_stack([face * farther, np.full(len(face), 0.001)])
+        for _ in range(times):
+            stereo.publish(cloud_message(("x", "y", "z", "sigma"), cloud, header(START + PERIOD, CAMERA_LEFT)))
+
+    assert rig.show(picture(), 1) > 0.8
+    look(5, 0.99)
+    ros.spin_until(lambda: alarms[-1].data, 10.0)
+    assert re.match(r"both cameras together see the panel \d\.\d mm nearer than its print says, 2 mm", alarms[-1].data)
+    assert rig.show(picture(seed=2), 2) == 0.0, "no pose counts"
+    look(5, 1.0)
+    ros.spin_until(lambda: alarms[-1].data == "", 10.0)
+    assert rig.show(picture(seed=3), 3) > 0.8
+    ros.spin_until(lambda: stereo.get_subscription_count() == 0, 10.0)  # and costs nothing any more
 
 
 def test_a_panel_whose_markers_have_not_been_seen_once_is_not_used(ros: Any, tmp_path: Path) -> None:

@@ -14,10 +14,12 @@ import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Float32, String
 from visualization_msgs.msg import MarkerArray
 
+from harris_perception.core.face_depth import FaceDepth, height_above_face_m
 from harris_perception.core.fiducials import MarkerFinder, SeenMarker
 from harris_perception.core.gray import bgr_of, eight_bits, gray_of, has_color
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
@@ -56,6 +58,8 @@ from icu_common.nodes.timers import every
 
 _KEPT_CORNERS = 8
 _TICK_S = 0.02
+_STEREO_AGE_NS = 500_000_000
+"""Stereo looks at pictures of its own, of which a panel that stands still says the same."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +99,14 @@ class RecognitionNodeConfig(Config):
     marker_bound_mm: float = setting(
         2.0, "The panel by its markers and by its print may differ by so much", minimum=0.1, maximum=100.0, unit="mm"
     )
+    stereo_bound_mm: float = setting(
+        2.0,
+        "The panel by both cameras and by its print may differ so much in depth, where stereo runs; 0: not compared",
+        minimum=0.0,
+        maximum=100.0,
+        unit="mm",
+        read_only=True,
+    )
     recognition: RecognitionConfig = nested(RecognitionConfig)
     state: StateConfig = nested(StateConfig)
     harris: HarrisConfig = nested(HarrisConfig)
@@ -120,6 +132,8 @@ class RecognitionNode(Node):
         self._plane: tuple[int, Transform, Array] | None = None
         self._improved = 0
         self._alarm, self._confirmed = "", not self._layout.markers
+        self._marker_alarm = ""
+        self._stereo_points: Subscription[PointCloud2] | None = None
         self._alarm_out = self.create_publisher(String, "alarm", qos.LATCHED)
         self._alarm_out.publish(String(data=""))
         self._pose = self.create_publisher(PoseStamped, "pose", qos.LATCHED)
@@ -134,6 +148,7 @@ class RecognitionNode(Node):
         self.create_subscription(PointStamped, "tip", self._on_tip, qos.SENSOR)
         if self._live.config.plane_max_age_s > 0:
             self.create_subscription(PoseWithCovarianceStamped, "plane", self._on_plane, qos.SENSOR)
+        self._begin_depth()
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
         every(self, _TICK_S, self._on_tick)
         every(self, 1.0, self._report)
@@ -165,6 +180,7 @@ class RecognitionNode(Node):
         self._camera = self._waiting = None
         try:
             self._camera = (message, camera_model(message, "left"))
+            self._begin_depth()
         except ValueError as error:
             self.get_logger().error(f"camera_info: {error}", throttle_duration_sec=5.0)
 
@@ -203,6 +219,24 @@ class RecognitionNode(Node):
             self._plane = stamp_ns(message.header.stamp), plane, covariance_array(message)
         except ValueError as error:
             self.get_logger().error(f"plane: {error}", throttle_duration_sec=5.0)
+
+    def _begin_depth(self) -> None:
+        """Let stereo tell how far away the panel is, until that and its print have been seen to agree."""
+        self._depth = FaceDepth(self._live.config.stereo_bound_mm)
+        if self._live.config.stereo_bound_mm > 0 and self._stereo_points is None:
+            self._stereo_points = self.create_subscription(PointCloud2, "stereo_points", self._on_stereo, qos.SENSOR)
+
+    def _on_stereo(self, message: PointCloud2) -> None:
+        if self._sighting is None or abs(stamp_ns(message.header.stamp) - self._last_stamp) > _STEREO_AGE_NS:
+            return
+        try:
+            check_frame(message.header, CAMERA_LEFT)
+            points = cloud_array(message, ("x", "y", "z")).astype(np.float64)
+        except ValueError as error:
+            self.get_logger().error(f"stereo_points: {error}", throttle_duration_sec=5.0)
+            return
+        self._depth.add(height_above_face_m(points, self._sighting.camera_from_panel, self._layout.size_mm))
+        self._raise()
 
     def _with_plane(self, sighting: Sighting, stamp: int) -> Transform:
         """Return the sighting's pose, improved by the stereo plane where there is one that goes with it."""
@@ -266,11 +300,19 @@ class RecognitionNode(Node):
         assert self._camera is not None
         pose, bound_mm = sighting.camera_from_panel, self._live.config.marker_bound_mm
         text = self._markers.disagreement(markers, pose, self._camera[1], bound_mm)
-        if text is None and not (self._confirmed or self._alarm):
+        if text is None and not (self._confirmed or self._marker_alarm):
             text = "none of the panel's markers has been seen yet"
-        if text is None or text == self._alarm:
+        if text is None:
             return
         self._confirmed = self._confirmed or not text
+        self._marker_alarm = text
+        self._raise()
+
+    def _raise(self) -> None:
+        """Publish what forbids every motion, once it has changed."""
+        text = "; ".join(part for part in (self._marker_alarm, self._depth.text) if part)
+        if text == self._alarm:
+            return
         if text:
             self.get_logger().error(text, throttle_duration_sec=5.0)
         self._alarm = text
@@ -299,6 +341,10 @@ class RecognitionNode(Node):
         self._state.publish(panel_state_message(seen, message.header))
 
     def _report(self) -> None:
+        if self._depth.text == "" and self._stereo_points is not None:
+            # Matching takes time that others need; a camera that moves later is seen to by the tip.
+            self.destroy_subscription(self._stereo_points)
+            self._stereo_points = None
         frames, found = self._frames - self._seen[0], self._found - self._seen[1]
         without = frames - (self._with_corners - self._seen[2])
         self._seen = (self._frames, self._found, self._with_corners)
