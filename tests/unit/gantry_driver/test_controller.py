@@ -699,6 +699,25 @@ def test_tip_far_from_its_place_means_a_wrong_calibration() -> None:
     assert min(z for _, _, z in bench.lowest) >= RUN_STOP[2] + 0.010 - 0.0041
 
 
+@pytest.mark.parametrize("off_m", [(0.0, 0.0, -0.010), (0.012, 0.0, 0.0)])
+def test_a_stylus_that_is_longer_or_bent_is_not_lowered_when_it_was_seen_at_rest(off_m: tuple[float, ...]) -> None:
+    bench = Bench()
+    bench.start()
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+    bench.run(1.0)
+    assert bench.do("press:CH1").outcome is Outcome.REACHED, "one that is where it should be may go on"
+    bench.lowest.clear()
+    bench.tip_offset = np.array(off_m)  # 10 mm are more than the height at which the tip is looked at
+    bench.run(1.0)
+    paths = len(bench.paths)
+    result = bench.do("press:RUN_STOP")
+    assert result.outcome is Outcome.ABORTED and len(bench.paths) == paths
+    assert "its place, 5 and 3 mm are allowed: calibrate again; the stylus may be bent, or another" in result.reason
+    bench.tip_offset = np.zeros(3)
+    bench.run(1.0)
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+
+
 def test_error_that_corrections_do_not_cure() -> None:
     bench = Bench().start()
 

@@ -36,9 +36,9 @@ from gantry_driver.core.goal_job import (
     Step,
 )
 from gantry_driver.core.motion_plan import OutOfReach, Path
-from gantry_driver.core.servo import NO_LOOK, Look, contact_complaint, judge, places_beside
+from gantry_driver.core.servo import NO_LOOK, Look, contact_complaint, judge, misplaced, places_beside
 from gantry_driver.core.targets import Refused
-from gantry_driver.core.world import EXTENDED_M, World
+from gantry_driver.core.world import CROSSED_M, EXTENDED_M, World
 from icu_common.core.geometry import Array
 from icu_common.core.gesture import GestureError, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
@@ -67,7 +67,7 @@ class Controller:
         self._phase_ns = 0
         self._end: Array | None = None
         self._arrived_ns: int | None = None
-        self._tip_look = NO_LOOK
+        self._tip_look = self._rest_look = NO_LOOK
         self._asked_ns = 0
 
     # Every transition of a goal. A method either enters another phase or finishes the goal.
@@ -112,6 +112,7 @@ class Controller:
         self._actions = []
         if jumped_back_s > CLOCK_JUMP_S:
             self._world.forget_times()
+            self._rest_look = NO_LOOK
             self._stamp_ns = self._asked_ns = 0  # the driver refuses stamps of the old time
             if self._job is not None:
                 self._break_off(self._job, Fault(cause=f"the clock jumped back by {jumped_back_s:.1f} s", stop=True))
@@ -166,6 +167,9 @@ class Controller:
             case msg.DriverState():
                 self._take_driver(event.text)
             case msg.Joints():
+                if world.readings is None or np.abs(event.readings - world.readings).max() > CROSSED_M:
+                    count, settled_ns = self.config.tip_count, self._now_ns + _nanoseconds(self.config.settle_s)
+                    self._rest_look = Look(after_ns=settled_ns, needed=count, kept=count)
                 world.take_readings(event.readings)
                 self._check_left_behind()
             case msg.MotionResult():
@@ -189,6 +193,7 @@ class Controller:
             case msg.TipSeen():
                 # Pictures come late: those of the contact still count when the stylus is on its way up.
                 self._tip_look = self._tip_look.with_tip(event.in_camera, event.stamp_ns)
+                self._rest_look = self._rest_look.with_tip(event.in_camera, event.stamp_ns)
             case msg.CameraSeen():
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
             case msg.Heartbeat():
@@ -286,9 +291,23 @@ class Controller:
         else:
             self._begin(job)
 
+    def _rests_misplaced(self, job: Job) -> Fault | None:
+        """Return what is wrong with a tip seen at rest: one that hangs too low presses before it is looked at."""
+        if job.scene is None:
+            return None
+        base_from_camera = self._world.base_from_camera(job.scene, self.config)
+        seen = None if base_from_camera is None else self._rest_look.seen(base_from_camera, self.config.tip_spread_m)
+        if seen is None:
+            return None
+        x, y = job.aim.base_from_reading @ self._world.here[:2]
+        return misplaced(seen - (x, y, -self._world.here[2]), self.config)
+
     def _begin(self, job: Job) -> None:
         knob = job.knob
-        if knob is not None and math.isnan(knob.seen_deg) and (job.kind == "set" or self._has_dimple(job, knob)):
+        if (fault := self._rests_misplaced(job)) is not None:
+            reason = f"{fault.cause}; the stylus may be bent, or another one; nothing was moved"
+            self._finish(job, Outcome.ABORTED, reason)
+        elif knob is not None and math.isnan(knob.seen_deg) and (job.kind == "set" or self._has_dimple(job, knob)):
             self._move_aside(job, knob.name)
         elif knob is not None and job.kind == "set" and abs(knob.off_deg) <= self.config.set_tolerance_deg:
             self._finish(job, Outcome.REACHED)

@@ -72,12 +72,8 @@ def judge(error: Array, aim: Aim, config: ControllerConfig) -> Fault | Aim | Non
     None: it is good enough to touch.
     """
     sideways = float(np.linalg.norm(error[:2]))
-    if sideways > config.max_correction_m or abs(error[2]) > config.max_depth_error_m:
-        return Fault(
-            cause=f"the tip is seen {1000 * sideways:.2f} mm beside and {1000 * error[2]:+.2f} mm above its "
-            f"place, {1000 * config.max_correction_m:g} and {1000 * config.max_depth_error_m:g} mm are "
-            "allowed: calibrate again"
-        )
+    if (fault := misplaced(error, config)) is not None:
+        return fault
     if sideways <= config.tolerance_m:
         return None
     if aim.corrections < config.max_corrections:
@@ -87,6 +83,18 @@ def judge(error: Array, aim: Aim, config: ControllerConfig) -> Fault | Aim | Non
     return Fault(
         cause=f"the seen error is {1000 * sideways:.2f} mm after {aim.corrections} corrections, "
         f"{1000 * config.max_error_m:g} mm are allowed"
+    )
+
+
+def misplaced(error: Array, config: ControllerConfig) -> Fault | None:
+    """Return what ends the goal when a tip is seen ``error`` (3,) from its place, too far to be corrected."""
+    sideways = float(np.linalg.norm(error[:2]))
+    if sideways <= config.max_correction_m and abs(error[2]) <= config.max_depth_error_m:
+        return None
+    return Fault(
+        cause=f"the tip is seen {1000 * sideways:.2f} mm beside and {1000 * error[2]:+.2f} mm above its "
+        f"place, {1000 * config.max_correction_m:g} and {1000 * config.max_depth_error_m:g} mm are "
+        "allowed: calibrate again"
     )
 
 

@@ -274,6 +274,7 @@ export const PHRASES_DE = [
   ["the driver reports the end of the motion {} mm beside it, {} mm are allowed", "der Treiber meldet das Ende der Bewegung {} mm daneben, {} mm sind erlaubt"],
   ["the driver {} the motion: {}", "der Treiber hat die Bewegung {}: {}"],
   ["no reason given", "ohne Grund"],
+  ["{}; the stylus may be bent, or another one; nothing was moved", "{}; der Stift kann verbogen oder ein anderer sein; nichts wurde bewegt"],
   ["the tip is seen {} mm beside and {} mm above its place, {} and {} mm are allowed: calibrate again", "die Spitze ist {} mm neben und {} mm über ihrer Stelle zu sehen, {} und {} mm sind erlaubt: neu kalibrieren"],
   ["the seen errors add up to a correction by {} mm, {} mm are allowed", "die gesehenen Fehler ergeben zusammen eine Korrektur um {} mm, {} mm sind erlaubt"],
   ["{}: calibrate again", "{}: neu kalibrieren"],
