@@ -335,6 +335,35 @@ def test_a_board_whose_settings_were_not_heard_is_connected_anew() -> None:
     assert rig.connect().state == "unhomed"
 
 
+@pytest.mark.parametrize(
+    ("said", "hint"),
+    [
+        (b"", "has the board power, and is /dev/ttyUSB0 its port?"),
+        (
+            b"\x80\xf8\x00\xfe" * 250,
+            "1000 bytes came that are no GRBL's: is 115200 its line rate (baud), or is another device at /dev/ttyUSB0?",
+        ),
+    ],
+)
+def test_a_port_without_a_grbl_says_what_to_look_for_also_while_it_is_tried_again(said: bytes, hint: str) -> None:
+    rig = Rig()
+    rig.connected = False  # what the board says and hears is another device's
+    rig.machine.opened(0.0)
+    rig.machine.receive(said, 0.1)
+    for tick in range(700):
+        rig.machine.tick(tick / 100)
+        rig.machine.output(tick / 100)
+    rig.collect()
+    reason = f"no answer in 6 s while waiting for a banner: {hint}"
+    assert rig.states[-1] == f"disconnected: {reason}"
+    rig.now, rig.connected = 8.0, True
+    rig.connect()
+    assert rig.states[-3:] == [f"connecting: {reason}", "connecting", "unhomed"], "nothing of it once there is one"
+    rig.machine.closed("unplugged", rig.now)
+    rig.connect()
+    assert rig.states[-3:] == ["disconnected: unplugged", "connecting", "unhomed"]
+
+
 @pytest.mark.parametrize("delay", ["255", "25", None])
 def test_motors_that_let_go_between_touches_are_told(delay: str | None) -> None:
     board = Board()

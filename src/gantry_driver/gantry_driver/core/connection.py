@@ -93,6 +93,8 @@ class Connection:
         self.dialect = Dialect.UNKNOWN
         self.firmware = ""
         self.connects = 0
+        self._heard_bytes = 0
+        self._unanswered = ""
         self.reading_m: tuple[float, float, float] | None = None
         self._settings: dict[int, str] = {}
         self._startup: dict[str, str] = {}
@@ -202,7 +204,9 @@ class Connection:
     def opened(self, now: float) -> None:
         """The port is open; wait for a banner or ask a board that is already running."""
         self.connects += 1
-        self._synchronise(now, "")
+        # An attempt takes far longer than the pause after it, in which alone the reason would be seen.
+        self._synchronise(now, self._unanswered)
+        self._heard_bytes = 0
         self._probe_from = now + self.config.banner_wait_s
         if self._latched:
             # Asked for while there was no port: a board that still runs what it had buffered is held at once.
@@ -212,6 +216,7 @@ class Connection:
         """The port has gone; whatever was under way is aborted and the position is not trusted any more."""
         self._finish(Outcome.ABORTED, f"link lost: {reason}", now)
         self._forget_position()
+        self._unanswered = ""
         self.session.start(now)
         self._enter(Phase.CLOSED, now, reason)
 
@@ -260,9 +265,22 @@ class Connection:
 
     def _identify(self, now: float, reason: str) -> None:
         self._settings = {}
-        self._enter(Phase.IDENTIFY, now, reason)
+        self._enter(Phase.IDENTIFY, now, "" if reason == self._unanswered else reason)
+        self._unanswered = ""
         self.session.polling = True
         self._marker = self.session.queue("$I").number
+
+    def _no_answer_text(self) -> str:
+        """Say that a board was silent for too long, and what to look for where there seems to be none."""
+        text = f"no answer in {self.config.connect_timeout_s:g} s while {self._waiting_for()}"
+        if self.phase is not Phase.SYNCHRONISE:
+            return text
+        if not self._heard_bytes:
+            return f"{text}: has the board power, and is {self.config.port} its port?"
+        return (
+            f"{text}: {self._heard_bytes} bytes came that are no GRBL's: is {self.config.baud} its line rate (baud), "
+            f"or is another device at {self.config.port}?"
+        )
 
     def _waiting_for(self) -> str:
         return {

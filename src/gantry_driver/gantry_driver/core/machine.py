@@ -82,6 +82,7 @@ class Machine(Connection):
 
     def receive(self, data: bytes, now: float) -> None:
         """Take bytes from the board."""
+        self._heard_bytes += len(data)
         for message in self.session.receive(data, now):
             self._on_message(message, now)
 
@@ -91,7 +92,9 @@ class Machine(Connection):
         phase = self.phase
         if phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
             if age > self.config.connect_timeout_s:
-                self._close(f"no answer in {self.config.connect_timeout_s:g} s while {self._waiting_for()}", now)
+                text = self._no_answer_text()
+                self._close(text, now)
+                self._unanswered = text if phase is Phase.SYNCHRONISE else ""
                 return
             if phase is Phase.SYNCHRONISE and now >= self._probe_from:
                 self._rouse(age, now)

@@ -120,6 +120,8 @@ export const PHRASES_DE = [
   ["after homing the board is {}", "nach der Referenzfahrt ist die Platine {}"],
   ["the board is locked by an alarm whose number was not received", "die Platine ist durch einen Alarm gesperrt, dessen Nummer nicht ankam"],
   ["the board stands at {} instead of {}", "die Platine steht bei {} statt bei {}"],
+  ["{}: has the board power, and is {} its port?", "{}: hat die Steuerung Strom, und ist {} ihr Anschluss?"],
+  ["{}: {} bytes came that are no GRBL's: is {} its line rate (baud), or is another device at {}?", "{}: {} Bytes kamen, die von keinem GRBL sind: ist {} ihre Datenrate (baud), oder ist an {} ein anderes Gerät?"],
   ["no answer in {} s while {}", "keine Antwort in {} s, während {}"],
   ["the board was reset by itself, its position is lost", "die Platine hat sich selbst zurückgesetzt, ihre Position ist verloren"],
   ["homing refused: {}", "Referenzfahrt verweigert: {}"],
