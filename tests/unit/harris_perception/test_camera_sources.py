@@ -224,6 +224,37 @@ def test_v4l2_unplugged_names_the_camera() -> None:
     assert left.released
 
 
+class NoisyDevice(ScriptedDevice):
+    """A sensor whose pictures differ by one pixel, until it is frozen."""
+
+    frozen = False
+    pictures = 0
+
+    def retrieve(self) -> tuple[bool, Any]:
+        self.pictures += not self.frozen
+        picture = numbered(9, (64, 64))
+        picture[37, 21] = self.pictures % 256
+        return True, picture
+
+
+def test_v4l2_that_repeats_one_picture_with_new_stamps_is_no_live_camera() -> None:
+    left, right, now = NoisyDevice(0.0), NoisyDevice(0.0), [0]
+    waiting = [left, right]
+    source = V4l2Source(
+        ["0", "2"], now_ns=lambda: now[0], monotonic_ns=lambda: now[0], open_device=lambda device, api: waiting.pop(0)
+    )
+    for frame in range(90):
+        right.frozen = 30 < frame < 55  # less than a second is no reason
+        now[0] = frame * 33_000_000
+        source.read(1.0)
+    right.frozen = True
+    with pytest.raises(SourceError, match=r"right camera 2 has given the very same picture for 1\.0 s: it is frozen"):
+        for frame in range(90, 125):
+            now[0] = frame * 33_000_000
+            source.read(1.0)
+    assert frame in (120, 121)
+
+
 def test_settings_that_belong_together() -> None:
     with pytest.raises(ConfigError, match="bench_socket"):
         require_settings(CameraConfig())

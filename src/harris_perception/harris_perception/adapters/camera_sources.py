@@ -27,6 +27,9 @@ Clock = Callable[[], int]
 
 SIDES = ("left", "right")
 _DRIVER_STAMP_MAX_AGE_NS = 1_000_000_000
+_FROZEN_NS = 1_000_000_000
+_SAMPLED = (slice(None, None, 16), slice(None, None, 16))
+"""Of two pictures of a sensor already these pixels differ, by its noise; only those that do not are compared whole."""
 
 
 class SourceError(Exception):
@@ -163,6 +166,7 @@ class V4l2Source:
         self._now_ns, self._monotonic_ns = now_ns, monotonic_ns
         self._names = [f"{side} camera {device}" for side, device in zip(SIDES, devices)]
         self._captures: list[Any] = []
+        self._changed: dict[str, tuple[Picture, int]] = {}
         wanted = (
             (cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*fourcc) if fourcc else 0),
             (cv2.CAP_PROP_FRAME_WIDTH, width),
@@ -191,8 +195,19 @@ class V4l2Source:
             good, picture = capture.retrieve()
             if not good or picture is None:
                 raise SourceError(f"{name} gave a picture that cannot be decoded")
+            self._check_alive(name, picture)
             pictures.append(picture)
         return Frames(pictures=tuple(pictures), stamps_ns=tuple(stamps))
+
+    def _check_alive(self, name: str, picture: Picture) -> None:
+        """Refuse a camera that hands out one picture again and again, with stamps as if it were alive."""
+        last, since_ns = self._changed.get(name, (None, 0))
+        same = last is not None and np.array_equal(picture[_SAMPLED], last[_SAMPLED]) and np.array_equal(picture, last)
+        if not same:
+            self._changed[name] = picture, self._monotonic_ns()
+        elif self._monotonic_ns() - since_ns > _FROZEN_NS:
+            seconds = (self._monotonic_ns() - since_ns) / 1e9
+            raise SourceError(f"{name} has given the very same picture for {seconds:.1f} s: it is frozen, or covered")
 
     def _stamp_ns(self, driver_ms: float) -> int:
         # OpenCV hands on v4l2_buffer.timestamp, 0 when the backend has none. A stamp on another clock than
