@@ -251,6 +251,15 @@ def test_a_few_unseen_places_do_not_matter() -> None:
     assert rig.progress[-1].note == "3 missed"
 
 
+def test_a_tip_that_is_nowhere_seen_is_no_matter_of_some_places() -> None:
+    def swapped_cameras(rig: Machine, number: int) -> None:
+        rig.blind = True
+
+    rig = machine(fault=swapped_cameras)
+    assert isinstance(rig.end, Failed) and rig.end.reason.startswith("10 of 36 places gave no sample; last: the tip")
+    assert "; the tip was nowhere seen by both cameras: are left and right swapped, is one upside" in rig.end.reason
+
+
 def test_an_alarm_of_the_driver_ends_the_run() -> None:
     run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
     run.start(0)

@@ -101,6 +101,10 @@ _PANEL_S = 2.0
 """The panel is seen at least so often where it is looked at; recognition may be slow."""
 CLEAR_M = 0.001
 """So far the ball stays above whatever stands highest on the panel: nothing is to be touched by a calibration."""
+NEVER_SEEN = (
+    "the tip was nowhere seen by both cameras: are left and right swapped, is one upside down, out of focus, or is the "
+    "ball another one? The stylus tracker's diagnostics say more"
+)
 _WRONG_WAYS = 2
 """So many ways down in a row that are seen to be others than they should be are the stylus and not a wrong sighting."""
 
@@ -471,7 +475,8 @@ class CalibrationRun:
         panel = self._watch.panel_sample(now_ns) if self._see_panel else None
         self._missed.append(next((why for why in (tip, panel) if isinstance(why, str)), "it was seen too late"))
         if len(self._missed) > self._config.max_missed * self._places:
-            return self._fail(f"{len(self._missed)} of {self._places} places gave no sample; last: {self._missed[-1]}")
+            missed = f"{len(self._missed)} of {self._places} places gave no sample; last: {self._missed[-1]}"
+            return self._fail(missed if self._done or not self._see_tip else f"{missed}; {NEVER_SEEN}")
         return list(self._next(now_ns))
 
     def _next(self, now_ns: int) -> Iterator[Action]:
