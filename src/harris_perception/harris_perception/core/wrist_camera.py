@@ -262,21 +262,29 @@ def _solve(a: Sequence[Transform], b: Sequence[Transform], used: npt.NDArray[np.
     start = min(starts, key=lambda name: starts[name][0])
     _, x, z = starts[start]
     count = len(a)
-    freedom = max(1, 3 * count - 6)  # of turns, and as many of shifts
+    freedom = np.full(2, 3.0 * count - 6.0)  # of turns, and of shifts
+    lever = np.array([1.0, np.sqrt(np.mean([q.translation @ q.translation for q in b])) + 1e-9])
     normal = np.eye(12)
-    for turn in range(30):
+    for turn in range(60):
         error = _residuals(a, b, x, z)
-        # Turns and shifts have their own noise; both are estimated from what is left.
-        sigmas = np.sqrt(np.sum(error.reshape(count, 2, 3) ** 2, axis=(0, 2)) / freedom)
-        weight = np.tile(np.repeat(1 / np.maximum(sigmas, 1e-12), 3), count)
-        slope = _slopes(a, b, x, z, error)
-        normal = (slope * weight[:, None] ** 2).T @ slope
-        step = -np.linalg.solve(normal, (slope * weight[:, None] ** 2).T @ error)
+        # Turns and shifts have their own noise; both are estimated from what is left. Some turns meet three shifts
+        # exactly, which then seem to have none: it is taken to be what the turns' makes at the target's distance.
+        noise = _rms(error, freedom)
+        if count == 3:
+            noise = lever * np.sqrt(np.mean((noise / lever) ** 2))
+        weight = 1 / np.maximum(noise, 1e-12) ** 2
+        slope = _slopes(a, b, x, z, error).reshape(count, 2, 3, 12)
+        parts = weight[:, None, None] * np.einsum("nkis,nkit->kst", slope, slope)
+        normal = parts.sum(axis=0)
+        pull = np.einsum("k,nkis,nki->s", weight, slope, error.reshape(count, 2, 3))
+        step = -np.linalg.solve(normal, pull)
         x, z = _moved(x, step[:6]), _moved(z, step[6:])
+        # Each takes as many of the unknowns as it tells of them: few shifts are met by whatever turn suits them.
+        if count > 3:
+            freedom = np.maximum(3 * count - np.trace(np.linalg.solve(normal, parts), axis1=1, axis2=2), 1e-3)
         if turn > 2 and np.abs(step).max() < 1e-10:
             break
-    error = _residuals(a, b, x, z).reshape(count, 2, 3)
-    rotation_rms, translation_rms = np.sqrt(np.sum(error**2, axis=(0, 2)) / freedom)
+    rotation_rms, translation_rms = _rms(_residuals(a, b, x, z), freedom)
     return WristCamera(
         gripper_from_camera=x,
         base_from_target=z,
@@ -286,6 +294,11 @@ def _solve(a: Sequence[Transform], b: Sequence[Transform], used: npt.NDArray[np.
         covariance=np.asarray(np.linalg.inv(normal)),
         used=used,
     )
+
+
+def _rms(error: Array, freedom: Array) -> Array:
+    """Return (2,) the rms of turns (rad) and of shifts (m) of residuals (6 N,), per degree of freedom (2,)."""
+    return np.asarray(np.sqrt(np.sum(error.reshape(-1, 2, 3) ** 2, axis=(0, 2)) / freedom))
 
 
 def _residuals(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Transform) -> Array:
