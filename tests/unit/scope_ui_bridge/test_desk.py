@@ -299,6 +299,19 @@ def test_an_order_that_is_held_up_until_it_is_given_up_does_not_go_out_any_more(
     assert rig.desk.still_wanted(again, rig.now)
 
 
+def test_an_order_does_not_go_out_when_the_bridge_goes_on_after_it_stood_still() -> None:
+    """Its record was written while the process was stopped; that is heard before the watchdogs have looked."""
+    rig = Rig()
+    rig.wait(0.2, alive=True)
+    rig.select(control="RUN_STOP")
+    (command,) = of_type(rig.act(), SendCommand)
+    rig.seconds += 0.5
+    assert rig.desk.still_wanted(command, rig.now), "a hiccup costs nothing"
+    rig.seconds += 0.2
+    assert not rig.desk.still_wanted(command, rig.now), "what moves would have been stopped"
+    assert of_type(rig.desk.tick(rig.now), StopNow)
+
+
 def test_a_recording_that_ended_by_itself_is_in_the_log_and_in_the_records() -> None:
     rig = Rig()
     effects = rig.desk.recording_ended(False, "the disk is full", rig.now)

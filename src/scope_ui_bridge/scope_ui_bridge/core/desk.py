@@ -104,6 +104,7 @@ class Desk:
         empty: dict[str, Any] = {"facts": {}, "panel": [], "sequence": {}, "recordings": []}
         self._told = {"limits": self._limits(), **empty}
         self._now_s = 0.0
+        self._ticked_s = math.inf
         self._ros_ns = 0
         self._said: list[dict[str, Any]] = []
         self._passed_on: deque[dict[str, Any]] = deque(maxlen=_KEPT_LINES)
@@ -259,7 +260,7 @@ class Desk:
     def tick(self, now: Now) -> list[Effect]:
         """Call every 50 ms: heartbeat, watchdogs, answers that did not come, state for the pages."""
         effects: list[Effect] = []
-        self._ros_ns, self._now_s = now.ros_ns, now.mono_s
+        self._ros_ns, self._now_s, self._ticked_s = now.ros_ns, now.mono_s, now.mono_s
         self._causes.tick(self.machine.state("driver")[0], now.mono_s)
         silence = self.lease.silence_s(now.mono_s)
         if (
@@ -369,8 +370,11 @@ class Desk:
     def still_wanted(self, order: Order, now: Now) -> bool:
         """Tell whether an order may still go out: no stop and no change of hands since, and it was not given up.
 
-        A step of a jog also needs that it is held, or was asked for a moment ago.
+        A step of a jog also needs that it is held, or was asked for a moment ago. A bridge that stood still has not yet
+        looked whether anybody is there.
         """
+        if now.mono_s - self._ticked_s > self.config.silence_stop_s:
+            return False
         held = self._jog is not None and self._jog.entry == order.entry and now.mono_s <= self._jog.until_s
         if now.mono_s > order.until_s and not held:
             return False
