@@ -1,7 +1,7 @@
 // What people do at the desk: stop, control, select, confirm, services; by pointer and by key.
 
 import { desk } from "./desk.js";
-import { find, say } from "./dom.js";
+import { answers, find, say } from "./dom.js";
 import { act, wireGestures } from "./gestures.js";
 import { singleKey, wireSingleKeys } from "./keys.js";
 import { t } from "./strings.js";
@@ -65,7 +65,7 @@ function wireSelection() {
 function wireCalls() {
   for (const button of document.querySelectorAll("[data-call]")) {
     const service = button.dataset.call;
-    let timer = 0;
+    let [timer, armedAt] = [0, 0];
     const name = (what) => {
       button.dataset.text = `${what}_${service}`; // follows the language
       button.textContent = t(button.dataset.text);
@@ -76,9 +76,10 @@ function wireCalls() {
       name("call");
     };
     button.addEventListener("click", (event) => {
-      if ("armed" in button.dataset && event.detail > 1) return; // a double click is one
+      if ("armed" in button.dataset && !answers(event, armedAt)) return;
       if ("twice" in button.dataset && !("armed" in button.dataset)) {
         button.dataset.armed = "";
+        armedAt = performance.now();
         name("confirm");
         timer = setTimeout(disarm, ARMED_MS);
         return;

@@ -25,6 +25,11 @@ export function press(button, on) {
   button.setAttribute("aria-pressed", String(on));
 }
 
+/** Whether a click confirms what was asked at `askedAt`: a double click is one, and one from before answers nothing. */
+export function answers(event, askedAt) {
+  return event.detail <= 1 && event.timeStamp > askedAt;
+}
+
 /** Say it to screen readers. */
 export function say(text, urgent = false) {
   find(urgent ? "say-now" : "say").textContent = text;

@@ -2,7 +2,7 @@
 
 import { timeText, wallNow } from "./clock.js";
 import { desk } from "./desk.js";
-import { find, put, putSteady, say } from "./dom.js";
+import { answers, find, put, putSteady, say } from "./dom.js";
 import { said } from "./said.js";
 import { t } from "./strings.js";
 
@@ -12,6 +12,7 @@ let stored = [];
 let run = null; // what the bridge says of the last one
 let spokenOf = "";
 let timer = 0;
+let armedAt = 0;
 let begun = ""; // the steps as they were written when the last run began
 
 export function setSequences(list, last, robot) {
@@ -124,10 +125,11 @@ function disarm() {
 
 async function start(event) {
   const button = find("sequence-start");
-  if (armed() && event.detail > 1) return; // a double click is one
+  if (armed() && !answers(event, armedAt)) return;
   if (!armed()) {
     clearTimeout(timer);
     button.dataset.armed = wanted().join("\n");
+    armedAt = performance.now();
     timer = setTimeout(disarm, ARMED_MS);
     desk.changed();
     return;
