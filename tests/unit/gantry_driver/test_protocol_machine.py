@@ -772,6 +772,21 @@ def test_other_styluses_go_down_after_the_move_and_up_before_it(kind: str, down:
     assert lines[-6:] == ["F9000X-259G53G1", down, "G4P0.1", up, "G4P0.1", "X-159G53G1"]
 
 
+@pytest.mark.parametrize("kind", ["servo_m3", "solenoid_m8"])
+@pytest.mark.parametrize("hover_m", [0.003, 0.012, 0.0185])
+def test_a_stylus_with_two_positions_is_not_lowered_by_a_goal_that_lies_between(kind: str, hover_m: float) -> None:
+    """Of 12 mm, where it was to hover and be looked at, it made all 20."""
+    rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1))).homed()
+    rig.board.received.clear()
+    rig.go((0.1, 0.0, 0.0), (0.1, 0.0, hover_m))
+    rig.step()
+    assert rig.outcomes() == ["rejected"] and rig.board.received == []
+    assert f"stylus_joint = {hover_m:g} m is between up, 0, and down, 0.02 m" in rig.results[-1].reason
+    rig.go((0.1, 0.0, 0.0198))  # as an axis may report its end
+    rig.until(lambda: "reached" in rig.outcomes())
+    assert rig.machine.reading_m == pytest.approx((0.1, 0.0, 0.02))
+
+
 @pytest.mark.parametrize(("kind", "up"), [("servo_m3", "M3S200"), ("solenoid_m8", "M9")])
 def test_other_styluses_are_lifted_before_homing_crosses_the_panel(kind: str, up: str) -> None:
     """No $H does that: a solenoid was drawn over the panel, and pressed on, taken for lifted."""

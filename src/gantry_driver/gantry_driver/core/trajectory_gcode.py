@@ -15,6 +15,8 @@ from gantry_driver.core.session import plain
 from icu_common.core.frames import JOINTS
 
 _M_WORD, _S_WORD = re.compile(r"M(\d+)"), re.compile(r"S([\d.]+)")
+_END_M = 0.0005
+"""So near to an end a stylus with two positions is meant to be there."""
 _ROUNDING_M = 1e-6
 """Readings this far outside are rounding, not intent, and are clipped."""
 MODES = "G21G90G94"
@@ -171,7 +173,15 @@ def _target(
         target[axis] = min(max(value, 0.0), limit)
     x, y, z = target
     if config.stylus.kind != "z_axis":
-        z = config.stylus.stroke_m if z > config.stylus.stroke_m / 2 else 0.0
+        down_m = config.stylus.stroke_m
+        if min(z, abs(down_m - z)) > _END_M:
+            # Rounded to the nearer end it would press where it was to hover.
+            raise TrajectoryError(
+                f"point {number}: {JOINTS[2]} = {z:.6g} m is between up, 0, and down, {down_m:g} m, the only places of "
+                f"a {config.stylus.kind}: does who sends it take it for a Z axis (the controller's "
+                "stylus_two_positions)?"
+            )
+        z = down_m if z > down_m / 2 else 0.0
     return x, y, z
 
 

@@ -138,6 +138,7 @@ export const PHRASES_DE = [
   ["point {} has {} positions for {} joints", "Punkt {} hat {} Positionen für {} Gelenke"],
   ["point {}: velocities {} or time {} are not finite", "Punkt {}: Geschwindigkeiten {} oder Zeit {} sind nicht endlich"],
   ["point {}: {} = {} is not finite", "Punkt {}: {} = {} ist nicht endlich"],
+  ["point {}: {} = {} m is between up, 0, and down, {} m, the only places of a {}: does who sends it take it for a Z axis (the controller's stylus_two_positions)?", "Punkt {}: {} = {} m liegt zwischen oben, 0, und unten, {} m, den einzigen Stellungen bei {}: hält der Absender ihn für eine Z-Achse (stylus_two_positions der Steuerung)?"],
   ["point {}: {} = {} m is outside 0 to {} m", "Punkt {}: {} = {} m liegt außerhalb von 0 bis {} m"],
   ["point {}: {} at {} mm/min is above {} mm/min", "Punkt {}: {} mit {} mm/min ist schneller als {} mm/min"],
   ["point {}: time_from_start {} s does not follow {} s", "Punkt {}: time_from_start {} s folgt nicht auf {} s"],
