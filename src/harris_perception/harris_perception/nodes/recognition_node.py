@@ -59,7 +59,7 @@ from icu_common.nodes.timers import every
 _KEPT_CORNERS = 8
 _TICK_S = 0.02
 _STEREO_AGE_NS = 3_000_000_000
-"""Stereo looks at pictures of its own, on a busy computer a second later; a panel that stands still is as far in them."""
+"""Stereo looks at other pictures, on a busy computer a second later; a panel that stands still is as far in them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
