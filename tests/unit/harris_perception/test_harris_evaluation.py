@@ -447,3 +447,15 @@ def test_a_picture_whose_name_is_not_utf8_is_read(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "harris_perception.cli.harris", "detect", named]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert (ended.returncode, ended.stderr) == (0, "") and re.fullmatch(r"[1-9]\d* corners\n", ended.stdout)
+
+
+@pytest.mark.parametrize(("option", "name"), [("--output", "o.png"), ("--table", "t.csv"), ("--table", "t.json")])
+def test_what_does_not_fit_on_the_disk_is_named(
+    option: str, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """There may be three files to write, and they may be on different disks."""
+    cv2.imwrite(str(tmp_path / "p.png"), np.kron(np.eye(4, dtype=np.uint8) * 255, np.ones((16, 16), np.uint8)))
+    (tmp_path / name).symlink_to("/dev/full")
+    assert main(["detect", str(tmp_path / "p.png"), option, str(tmp_path / name)]) == 2
+    error = capsys.readouterr().err
+    assert error == f"error: [Errno 28] No space left on device: '{tmp_path / name}'\n"

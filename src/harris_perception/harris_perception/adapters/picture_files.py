@@ -113,7 +113,10 @@ def write_picture(path: Path, picture: npt.NDArray[Any]) -> None:
         raise ValueError(f"{path} cannot be written: {error.err}") from error
     if not done:  # OpenCV 5 raises no error for what it finds on the way
         raise ValueError(f"{path} cannot be written: {path.suffix} holds no {picture.dtype} of shape {picture.shape}")
-    path.write_bytes(encoded.tobytes())
+    try:
+        path.write_bytes(encoded.tobytes())
+    except OSError as error:  # a full disk's does not name the file
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 _LAYOUTS = (("img", "H1to{}p"), ("", "H_1_{}"))

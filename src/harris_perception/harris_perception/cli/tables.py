@@ -33,8 +33,11 @@ def check_table(path: Path) -> None:
 def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     """Write rows as JSON or CSV, as the name's ending says."""
     check_table(path)
-    if path.suffix == ".json":
-        path.write_text(json.dumps([dict(zip(columns, row)) for row in rows], indent=1) + "\n")
-    else:
-        with path.open("w", newline="", errors="backslashreplace") as stream:  # names of files may be no UTF-8
-            csv.writer(stream).writerows([columns, *rows])
+    try:
+        if path.suffix == ".json":
+            path.write_text(json.dumps([dict(zip(columns, row)) for row in rows], indent=1) + "\n")
+        else:
+            with path.open("w", newline="", errors="backslashreplace") as stream:  # names of files may be no UTF-8
+                csv.writer(stream).writerows([columns, *rows])
+    except OSError as error:  # a full disk's does not name the file
+        raise OSError(error.errno, error.strerror, str(path)) from error
