@@ -52,7 +52,6 @@ from scope_ui_bridge.core.viewer import Viewer
 HEARTBEAT_PERIOD_S = 0.2
 STATE_PERIOD_S = (0.1, 1.0)
 _SAME_STOP_S = 0.5
-_LATEST_CALL = 2.0  # times what a picture may be old, from the press to the bridge; all else names its picture
 _WATCHDOG, _RECORDER = "Watchdog", "bag_record"
 _TIP_SEEN_NS = 1_000_000_000
 _CLOCK_JUMP_NS = 100_000_000
@@ -553,7 +552,7 @@ class Desk:
 
     def _call(self, viewer: str, message: wire.Call, now: Now) -> list[Effect]:
         service, late_s = message.service, now.mono_s - message.sent_s
-        limit_s = _LATEST_CALL * self.config.frame_max_age_s
+        limit_s = 2 * self.config.frame_max_age_s  # all else names a picture; a link may be too slow for these
         if late_s > limit_s and service != "disable":
             raise Refusal("came_late", late_ms=round(late_s * 1e3), limit_ms=round(limit_s * 1e3))
         if service in _FOR_ENGINEERS:
