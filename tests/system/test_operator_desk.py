@@ -917,23 +917,29 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
     page.select_option("#jog-step", "5")
     operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 5.0, lambda: page.inner_text("#move-why"))
     start = float(page.inner_text("#position-x").split()[0])
-    moves = lambda: [row for row in page.locator("#log tr").all_inner_texts() if "Move +x" in row]  # noqa: E731
-    before = len(moves())
+    named = lambda text: [row for row in page.locator("#log tr").all_inner_texts() if text in row]  # noqa: E731
+    before = {text: len(named(text)) for text in ("Move +x", "Move -x", "Go to (80.0, 60.5) mm")}
+
+    def ends(text: str, within_s: float) -> None:
+        """Wait until what was begun here has ended; the newest row is the first."""
+        ended = lambda: len(named(text)) > before[text] and "done" in named(text)[0]  # noqa: E731
+        operator.until(ended, within_s, lambda: page.inner_text("#log"))
+
     page.hover("[data-jog='1,0']")
     page.mouse.down()
     x = lambda: float(page.inner_text("#position-x").split()[0]) - start  # noqa: E731
     operator.until(lambda: x() >= 15, 10.0, lambda: f"moved by {x()} mm; {page.inner_text('#log')}")
     page.mouse.up()
-    operator.until(lambda: len(moves()) > before and "done" in moves()[0], 5.0, lambda: page.inner_text("#log"))
+    ends("Move +x", 5.0)
     end = x()
     assert abs(end / 5 - round(end / 5)) < 0.01
-    assert len(moves()) == before + 1
+    assert len(named("Move +x")) == before["Move +x"] + 1
     page.keyboard.down("Shift")
     page.keyboard.down("ArrowLeft")
     operator.until(lambda: x() <= end - 10, 10.0, lambda: f"moved to {x()} mm; {page.inner_text('#log')}")
     page.click("#freeze")  # what is not seen any more does not go on, though the key is still down
     operator.sees("#refusal", "A kept picture lies over the live one")
-    operator.logs(r"Move -x.*done", 5.0)
+    ends("Move -x", 5.0)
     page.keyboard.up("ArrowLeft")
     page.keyboard.up("Shift")
     page.click("#freeze")
@@ -949,7 +955,7 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
     }"""
     assert page.evaluate(answered), "and so has been what the key asked for, and that it was let go"
     assert page.inner_text("#refusal") == "The last command is not finished yet."
-    operator.logs(r"Go to \(80.0, 60.5\) mm.*done", 10.0)
+    ends("Go to (80.0, 60.5) mm", 10.0)
     assert page.inner_text("#position-x") == "80.0 mm"
     page.click("#tab-plots")
     operator.sees("#plot-position .values", r"X 80.0 · Y 60.5")
