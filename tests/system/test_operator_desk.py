@@ -212,7 +212,8 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     assert page.inner_text("#selection-name") == "Channel 1 scale"
     page.click("#freeze")
     assert page.locator("#log tr").count() == rows, page.inner_text("#log")
-    # What is refused during a command is not said any more after it.
+    # What is refused during a command is not said any more after it, if that was a second ago.
+    instrument.tell("motion 4")
     operator.selects("RUN_STOP", "Run / Stop")
     operator.confirms()
     page.click("[data-control=CH1_IN]", force=True)
