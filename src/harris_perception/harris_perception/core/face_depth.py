@@ -39,6 +39,11 @@ class FaceDepth:
         self._row: tuple[bool, int] = (False, 0)
         self.text: str | None = None
 
+    def start_anew(self) -> None:
+        """Ask for new looks, as a camera has changed; what was wrong stays so until they agree that it is not."""
+        self._row = False, 0
+        self.text = self.text or None
+
     def add(self, height_m: float | None) -> None:
         """Take one look; None says nothing."""
         if height_m is None:

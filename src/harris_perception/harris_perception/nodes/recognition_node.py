@@ -133,6 +133,7 @@ class RecognitionNode(Node):
         self._improved = 0
         self._alarm, self._confirmed = "", not self._layout.markers
         self._marker_alarm = ""
+        self._depth = FaceDepth(self._live.config.stereo_bound_mm)
         self._stereo_points: Subscription[PointCloud2] | None = None
         self._alarm_out = self.create_publisher(String, "alarm", qos.LATCHED)
         self._alarm_out.publish(String(data=""))
@@ -148,7 +149,7 @@ class RecognitionNode(Node):
         self.create_subscription(PointStamped, "tip", self._on_tip, qos.SENSOR)
         if self._live.config.plane_max_age_s > 0:
             self.create_subscription(PoseWithCovarianceStamped, "plane", self._on_plane, qos.SENSOR)
-        self._begin_depth()
+        self._compare_depth()
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
         every(self, _TICK_S, self._on_tick)
         every(self, 1.0, self._report)
@@ -180,7 +181,7 @@ class RecognitionNode(Node):
         self._camera = self._waiting = None
         try:
             self._camera = (message, camera_model(message, "left"))
-            self._begin_depth()
+            self._compare_depth()
         except ValueError as error:
             self.get_logger().error(f"camera_info: {error}", throttle_duration_sec=5.0)
 
@@ -220,9 +221,9 @@ class RecognitionNode(Node):
         except ValueError as error:
             self.get_logger().error(f"plane: {error}", throttle_duration_sec=5.0)
 
-    def _begin_depth(self) -> None:
+    def _compare_depth(self) -> None:
         """Let stereo tell how far away the panel is, until that and its print have been seen to agree."""
-        self._depth = FaceDepth(self._live.config.stereo_bound_mm)
+        self._depth.start_anew()
         if self._live.config.stereo_bound_mm > 0 and self._stereo_points is None:
             self._stereo_points = self.create_subscription(PointCloud2, "stereo_points", self._on_stereo, qos.SENSOR)
 
