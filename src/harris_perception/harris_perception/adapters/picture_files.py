@@ -113,9 +113,14 @@ def write_picture(path: Path, picture: npt.NDArray[Any]) -> None:
         raise ValueError(f"{path} cannot be written: {error.err}") from error
     if not done:  # OpenCV 5 raises no error for what it finds on the way
         raise ValueError(f"{path} cannot be written: {path.suffix} holds no {picture.dtype} of shape {picture.shape}")
+    write_file(path, encoded.tobytes())
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write a file, and name it in the ``OSError`` if it cannot be: that of a full disk does not."""
     try:
-        path.write_bytes(encoded.tobytes())
-    except OSError as error:  # a full disk's does not name the file
+        path.write_bytes(data)
+    except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
+
+from harris_perception.adapters.picture_files import write_file
 
 T = TypeVar("T")
 
@@ -33,11 +36,9 @@ def check_table(path: Path) -> None:
 def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     """Write rows as JSON or CSV, as the name's ending says."""
     check_table(path)
-    try:
-        if path.suffix == ".json":
-            path.write_text(json.dumps([dict(zip(columns, row)) for row in rows], indent=1) + "\n")
-        else:
-            with path.open("w", newline="", errors="backslashreplace") as stream:  # names of files may be no UTF-8
-                csv.writer(stream).writerows([columns, *rows])
-    except OSError as error:  # a full disk's does not name the file
-        raise OSError(error.errno, error.strerror, str(path)) from error
+    text = io.StringIO(newline="")
+    if path.suffix == ".json":
+        text.write(json.dumps([dict(zip(columns, row)) for row in rows], indent=1) + "\n")
+    else:
+        csv.writer(text).writerows([columns, *rows])
+    write_file(path, text.getvalue().encode(errors="backslashreplace"))  # names of files may be no UTF-8
