@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from xdist.scheduler import LoadFileScheduling
 
 
@@ -21,6 +22,7 @@ class Shares(LoadFileScheduling):
         return nodeid if file.startswith("tests/unit/robot/test_every_panel") else file
 
 
-def pytest_xdist_make_scheduler(config: Any, log: Any) -> Shares:
-    """Return the scheduler for pytest-xdist."""
-    return Shares(config, log)
+@pytest.hookimpl(optionalhook=True)  # with `-p no:xdist` nobody asks
+def pytest_xdist_make_scheduler(config: Any, log: Any) -> Shares | None:
+    """Return the scheduler for `--dist loadfile`."""
+    return Shares(config, log) if config.getoption("dist") == "loadfile" else None
