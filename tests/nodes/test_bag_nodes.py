@@ -272,14 +272,15 @@ def test_the_end_of_a_recording_is_in_it_when_the_recorder_is_behind(ros: Ros, t
 
 
 def test_nothing_is_played_beside_a_driver_at_work(ros: Ros, tmp_path: Path, command: Start) -> None:
+    whole = QoSProfile(depth=200)  # all messages of the bag, however long the listener is held up
     with BagWriter(tmp_path / "bag", keep_free=0) as bag:
         bag.add_topic(BagTopic(name="/bed_1/gantry/driver_state", type="std_msgs/msg/String"))
-        bag.add_topic(BagTopic(name="/bed_1/panel/alarm", type="std_msgs/msg/String"))
+        bag.add_topic(BagTopic(name="/bed_1/panel/alarm", type="std_msgs/msg/String", qos=(recorded_qos(whole),)))
         for i in range(200):
             bag.write("/bed_1/panel/alarm", 10**9 + 50_000_000 * i, serialize_message(String(data=f"{i}")))
     other, driver = ros.plain("other"), ros.plain("driver")
     other.create_publisher(String, "/gantry/driver_state", qos.LATCHED)  # of another machine: it is none of ours
-    heard = ros.collect(other, String, "/bed_1/panel/alarm", qos.RESULTS)
+    heard = ros.collect(other, String, "/bed_1/panel/alarm", whole)
     player = command("bag_play", str(tmp_path / "bag"))
     ros.spin_until(lambda: len(heard) > 5, 15.0, lambda: heard)
     driver.create_publisher(String, "/bed_1/gantry/driver_state", qos.LATCHED)
