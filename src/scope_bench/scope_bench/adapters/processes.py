@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
+from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE, SIGN_OF_LIFE_S
 
 _PR_SET_PDEATHSIG = 1
 _LONGEST_TURN_S = 1.0
@@ -74,7 +74,8 @@ class ProcessGroup:
         A restarted program that could say that it is ready, and does not within this time, is killed: shared memory
         that its predecessor held when it was killed can hang it. A first start may take as long as it needs.
     silent_s
-        A program that was ready and gives no sign of life for this time is killed, unless it was stopped by a signal.
+        A program that was ready and gives no sign of life for this time is killed; time for which a signal has
+        stopped it does not count.
     """
 
     def __init__(
@@ -183,10 +184,9 @@ class ProcessGroup:
             watched.ready, watched.silence_s = True, 0.0
             return
         watched.silence_s += turn_s
+        if watched.silence_s > SIGN_OF_LIFE_S and _is_stopped(process.pid):
+            watched.silence_s = 0.0  # what is let go on needs a moment for its next sign
         if watched.ready and watched.silence_s > self._silent_s:
-            if _is_stopped(process.pid):
-                watched.silence_s = 0.0
-                return
             why = f"hangs: no sign of life for {self._silent_s:g} s"
         elif not watched.ready and len(watched.starts) > 1 and now - watched.starts[-1] > self._ready_s:
             why = f"is not ready {self._ready_s:g} s after its restart"
