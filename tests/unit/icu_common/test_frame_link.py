@@ -10,6 +10,7 @@ import pytest
 
 from icu_common.adapters.frame_link import FrameClient, FrameServer
 
+DEADLINE_S = 30.0
 RNG = np.random.default_rng(7)
 PAIR = [RNG.integers(0, 255, (480, 640, 3), dtype=np.uint8) for _ in range(2)]
 
@@ -29,8 +30,8 @@ def test_pair_arrives_with_its_stamp(tmp_path: Path) -> None:
     server.send(PAIR, 123_456_789_012)
     sender = threading.Thread(target=drain, args=(server,))
     sender.start()
-    pictures, stamp = client.read(2.0)
-    sender.join(5.0)
+    pictures, stamp = client.read(DEADLINE_S)
+    sender.join(DEADLINE_S)
     assert stamp == 123_456_789_012
     np.testing.assert_array_equal(pictures, PAIR)
     with pytest.raises(TimeoutError):
@@ -51,9 +52,27 @@ def test_slow_reader_misses_frames_but_never_gets_a_torn_one(tmp_path: Path) -> 
         server.send(big, stamp)  # never blocks, although nobody reads
     sender = threading.Thread(target=drain, args=(server,))
     sender.start()
-    pictures, stamp = client.read(5.0)
+    pictures, stamp = client.read(DEADLINE_S)
     assert stamp == 0 and (pictures[0] == 1).all() and (pictures[1] == 2).all()
-    sender.join(5.0)
+    sender.join(DEADLINE_S)
+    server.close()
+    client.close()
+
+
+def test_a_picture_that_is_held_up_half_way_is_read_on(tmp_path: Path) -> None:
+    """The bench may stand still for longer than a reader waits, on a computer that has too much to do."""
+    server = FrameServer(tmp_path / "s")
+    client = FrameClient(tmp_path / "s")
+    big = [np.full((1600, 2000, 3), value, np.uint8) for value in (1, 2)]  # more than the socket takes
+    server.send(big, 5)
+    for _ in range(2):
+        with pytest.raises(TimeoutError):
+            client.read(0.05)
+    sender = threading.Thread(target=drain, args=(server,))
+    sender.start()
+    pictures, stamp = client.read(DEADLINE_S)
+    sender.join(DEADLINE_S)
+    assert stamp == 5 and (pictures[0] == 1).all() and (pictures[1] == 2).all()
     server.close()
     client.close()
 

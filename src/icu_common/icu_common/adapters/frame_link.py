@@ -7,6 +7,7 @@ with a real device.
 
 from __future__ import annotations
 
+import math
 import os
 import selectors
 import socket
@@ -99,6 +100,8 @@ class FrameClient:
     """
 
     def __init__(self, path: Path) -> None:
+        self._head: list[int] | None = None
+        self._part, self._done = bytearray(), 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.settimeout(1.0)
@@ -114,34 +117,34 @@ class FrameClient:
         Raises
         ------
         TimeoutError
-            If nothing arrived in time; the next call may succeed when nothing of a message had arrived.
+            If nothing arrived for so long; the next call goes on where this one stopped.
         ConnectionError
             If the server has gone or sends something else; the client must be closed.
         """
         self._socket.settimeout(timeout_s)
-        header = self._receive(_HEADER.size)
-        magic, count, height, width, channels, stamp_ns = _HEADER.unpack(header)
-        size = height * width * channels
-        if magic != _MAGIC or not 0 < count * size <= MAX_BYTES:
-            raise ConnectionError(f"not a frame: magic {magic!r}, {count} pictures of {width} x {height} x {channels}")
-        body = np.frombuffer(self._receive(count * size), np.uint8).reshape(count, height, width, channels)
+        if self._head is None:
+            magic, *head = _HEADER.unpack(self._receive(_HEADER.size))
+            count, height, width, channels, _ = head
+            if magic != _MAGIC or not 0 < count * height * width * channels <= MAX_BYTES:
+                what = f"{count} pictures of {width} x {height} x {channels}"
+                raise ConnectionError(f"not a frame: magic {magic!r}, {what}")
+            self._head = head
+        *shape, stamp_ns = self._head
+        body = np.frombuffer(self._receive(math.prod(shape)), np.uint8).reshape(shape)
+        self._head = None
         return list(body), stamp_ns
 
     def _receive(self, size: int) -> bytearray:
-        buffer = bytearray(size)
-        view = memoryview(buffer)
-        done = 0
-        while done < size:
-            try:
-                got = self._socket.recv_into(view[done:])
-            except TimeoutError:
-                if done:
-                    raise ConnectionError(f"the picture stopped after {done} of {size} bytes") from None
-                raise
+        if not self._done:
+            self._part = bytearray(size)
+        view = memoryview(self._part)
+        while self._done < size:
+            got = self._socket.recv_into(view[self._done :])
             if not got:
                 raise ConnectionError("the camera has gone")
-            done += got
-        return buffer
+            self._done += got
+        self._done = 0
+        return self._part
 
     def close(self) -> None:
         self._socket.close()
