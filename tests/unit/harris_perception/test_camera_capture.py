@@ -14,11 +14,11 @@ import pytest
 from harris_perception.adapters.camera_sources import Frames, SourceEnded, SourceError
 from harris_perception.adapters.capture import Capture
 
-DEADLINE_S = 10.0
+DEADLINE_S = 30.0
 
 
 class ScriptedSource:
-    """Plays a list of stamps and exceptions, then blocks until the capture stops."""
+    """Plays a list of stamps and exceptions, then is silent until the capture stops."""
 
     def __init__(self, script: list[Any], stop: threading.Event) -> None:
         self.script, self.stop, self.closed = script, stop, False
@@ -45,7 +45,8 @@ def started(
         open_source,
         lambda frames: stamps.put(frames.stamps_ns[0]),
         on_failure=failures.put,
-        **{"retry_min_s": 0.01, "retry_max_s": 0.04, **options},
+        # Silence that no test asks for is no failure, however long the computer is busy with something else.
+        **{"retry_min_s": 0.01, "retry_max_s": 0.04, "read_timeout_s": 3600.0, **options},
     )
     capture.start()
     return capture, stamps, failures

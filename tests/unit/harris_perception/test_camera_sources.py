@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from harris_perception.adapters import camera_sources
 from harris_perception.adapters.camera_sources import (
     BenchSource,
     CameraConfig,
@@ -37,6 +38,27 @@ def write_folder(folder: Path, values: list[int]) -> Path:
     return folder
 
 
+class Clock(threading.Event):
+    """A recording's clock, and the event that ends its pauses: what waits for it is on time."""
+
+    now = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def wait(self, timeout: float | None = None) -> bool:
+        assert timeout is not None
+        self.now += timeout
+        return False
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(camera_sources, "time", clock)
+    return clock
+
+
 def opened(config: CameraConfig, now_ns: int = 7) -> Any:
     return open_source(config, now_ns=lambda: now_ns, stop=threading.Event())
 
@@ -59,14 +81,21 @@ def test_a_recording_without_loop_ends(tmp_path: Path) -> None:
         source.read(1.0)
 
 
-def test_a_recording_keeps_its_rate(tmp_path: Path) -> None:
+def test_a_recording_keeps_its_rate(tmp_path: Path, clock: Clock) -> None:
     left = write_folder(tmp_path / "left", [1, 2, 3])
-    source = opened(CameraConfig(source="images", left_path=str(left), rate_hz=50.0))
-    begin = time.monotonic()
+    config = CameraConfig(source="images", left_path=str(left), rate_hz=50.0)
+    source = open_source(config, now_ns=lambda: 7, stop=clock)
+    given = []
     for _ in range(11):
         source.read(1.0)
-    # Ten periods of 20 ms lie between eleven pictures; a loaded machine may be late, never early.
-    assert 0.199 <= time.monotonic() - begin < 2.0
+        given.append(clock.now)
+    assert given == pytest.approx(np.arange(11) * 0.02)
+    clock.now += 5.0
+    for _ in range(11):
+        source.read(1.0)
+        given.append(clock.now)
+    # Who comes late gets one at once, and one that was due by then; after these the rate is as before.
+    assert given[11:] == pytest.approx([5.2, 5.2, *(5.2 + np.arange(1, 10) * 0.02)])
 
 
 def test_a_set_stop_event_ends_the_pause_between_pictures(tmp_path: Path) -> None:
@@ -122,7 +151,7 @@ def test_errors_name_the_place(tmp_path: Path) -> None:
         opened(CameraConfig(source="bench", bench_socket=str(tmp_path / "none.sock")))
 
 
-def test_video_gives_every_picture_once_at_the_files_rate(tmp_path: Path) -> None:
+def test_video_gives_every_picture_once_at_the_files_rate(tmp_path: Path, clock: Clock) -> None:
     path = tmp_path / "movie.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 100.0, (64, 48))
     if not writer.isOpened():
@@ -130,10 +159,10 @@ def test_video_gives_every_picture_once_at_the_files_rate(tmp_path: Path) -> Non
     for value in range(0, 250, 25):
         writer.write(numbered(value, (48, 64)))
     writer.release()
-    source = opened(CameraConfig(source="video", left_path=str(path), loop=False))
-    begin = time.monotonic()
+    config = CameraConfig(source="video", left_path=str(path), loop=False)
+    source = open_source(config, now_ns=lambda: 7, stop=clock)
     levels = [float(source.read(1.0).pictures[0].mean()) for _ in range(10)]
-    assert time.monotonic() - begin >= 0.089
+    assert clock.now == pytest.approx(0.09)
     assert np.allclose(levels, range(0, 250, 25), atol=4)
     with pytest.raises(SourceEnded):
         source.read(1.0)
