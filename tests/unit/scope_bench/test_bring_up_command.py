@@ -15,6 +15,7 @@ import pytest
 from scope_bench.cli import bring_up, composed
 
 CONFIG = Path(__file__).parents[3] / "config"
+DEADLINE_S = 60.0
 
 
 @pytest.mark.parametrize(
@@ -72,6 +73,7 @@ PROGRAM = """\
 #!/bin/sh
 trap 'echo "$0 ends" >> "$LOG"; exit 0' INT
 trap 'echo "$0 is terminated" >> "$LOG"; exit 0' TERM
+: > "$0 hears"
 while true; do echo "error: still here"; sleep 0.1; done
 """
 TWO = """\
@@ -111,10 +113,14 @@ def two(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
             process.terminate()
 
 
-def until_it_runs(process: subprocess.Popen[str]) -> None:
+def until_it_runs(process: subprocess.Popen[str], *programs: str) -> None:
+    """Wait until each of the programs has said something, and hears signals by then."""
     assert process.stdout is not None
-    while "driver | error: still here" not in process.stdout.readline():
-        assert process.poll() is None
+    silent = set(programs or ("board", "driver"))
+    while silent:
+        line = process.stdout.readline()
+        assert line, "bring-up has ended"
+        silent -= {line.partition(" | ")[0].strip()}
 
 
 @pytest.mark.parametrize("how", ["the terminal is closed", "nobody reads its output any more"])
@@ -128,7 +134,7 @@ def test_bring_up_ends_every_program_in_order_when(
             process.send_signal(signal.SIGHUP)
         assert process.stdout is not None
         process.stdout.close()
-        assert process.wait(20.0) == 0
+        assert process.wait(DEADLINE_S) == 0
     ended = (tmp_path / "log").read_text().splitlines()
     assert ended == [f"{tmp_path}/lib/p/{name} ends" for name in ("driver", "board")]
     assert list((tmp_path / "tmp").iterdir()) == []
@@ -138,7 +144,7 @@ def test_bring_up_says_why_it_ends_on_a_full_disk(two: Callable[..., subprocess.
     with Path("/dev/full").open("w") as full, two(stdout=full.fileno()) as process:
         assert process.stderr is not None
         assert process.stderr.read() == "error: standard output: No space left on device; ending every program\n"
-        assert process.wait(20.0) == 1
+        assert process.wait(DEADLINE_S) == 1
 
 
 TALKATIVE = """\
@@ -156,13 +162,14 @@ def test_programs_go_on_and_end_while_the_terminal_takes_no_output(
 ) -> None:
     """After Control-S nobody read what they print; a driver that waits for that tells nobody where it is."""
     (tmp_path / "lib" / "p" / "driver").write_text(TALKATIVE)
-    log, end = tmp_path / "log", time.monotonic() + 20.0
+    log, end = tmp_path / "log", time.monotonic() + DEADLINE_S
+    board = tmp_path / "lib" / "p" / "board hears"
     with two() as process:  # whose output is read by nobody before it has ended
-        while not (log.exists() and "driver has said all" in log.read_text()):
+        while not (log.exists() and "driver has said all" in log.read_text() and board.exists()):
             assert time.monotonic() < end and process.poll() is None
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
-        assert process.wait(20.0) == 0
+        assert process.wait(DEADLINE_S) == 0
     ended = log.read_text().splitlines()[1:]
     assert ended == [f"{tmp_path}/lib/p/{name} ends" for name in ("driver", "board")]
 
@@ -172,22 +179,22 @@ def test_a_second_graph_under_the_same_names_is_refused(two: Callable[..., subpr
     with two() as first:
         until_it_runs(first)
         for more in ([], ["--without", "board"]):
-            output, error = two(*more).communicate(timeout=20.0)
+            output, error = two(*more).communicate(timeout=DEADLINE_S)
             assert (
                 "started" not in output and "a graph of these names runs already in ROS domain of test_a_sec" in error
             )
-        for beside in (["--only", "driver"], ["--namespace", "bed_2"]):
+        for beside, programs in ((["--only", "driver"], ["driver"]), (["--namespace", "bed_2"], [])):
             with two(*beside) as other:
-                until_it_runs(other)
+                until_it_runs(other, *programs)
                 other.send_signal(signal.SIGINT)
-                other.communicate(timeout=20.0)
+                other.communicate(timeout=DEADLINE_S)
                 assert other.returncode == 0
         first.send_signal(signal.SIGINT)
-        first.communicate(timeout=20.0)
+        first.communicate(timeout=DEADLINE_S)
     with two() as again:
         until_it_runs(again)
         again.send_signal(signal.SIGINT)
-        again.communicate(timeout=20.0)
+        again.communicate(timeout=DEADLINE_S)
 
 
 def test_folders_below_the_home_may_be_named_as_elsewhere(
