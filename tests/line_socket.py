@@ -86,14 +86,16 @@ class BoardSocket(LineSocket):
 
     def at_rest(self) -> tuple[float, float, float]:
         """Return the place once it has not changed for a while."""
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + 30.0
         seen, since_s = self.mpos(), time.monotonic()
-        while time.monotonic() < since_s + 0.3:
+        while True:
+            asked_s = time.monotonic()
             if (now := self.mpos()) != seen:
                 seen, since_s = now, time.monotonic()
-            assert time.monotonic() < deadline, "the machine does not come to rest"
+            elif asked_s > since_s + 0.3:
+                return seen
+            assert asked_s < deadline, "the machine does not come to rest"
             time.sleep(0.02)
-        return seen
 
     def counters(self) -> dict[str, int]:
         return dict(self.ask("counters")["counters"])
