@@ -156,7 +156,7 @@ class ReplayGraph:
             )
         finally:
             recorder.send_signal(signal.SIGINT)
-            recorder.wait(20.0)
+            recorder.wait(60.0)
         assert done.returncode == 0, f"{done.stdout[-2000:]}\n{done.stderr}\n{self.tail()}"
         return read(out)
 
@@ -182,7 +182,7 @@ class ReplayGraph:
         """Press Ctrl-C and return bring-up's exit code."""
         self.process.send_signal(signal.SIGINT)
         try:
-            return self.process.wait(20.0)
+            return self.process.wait(60.0)
         except subprocess.TimeoutExpired:
             self.process.kill()
             raise

@@ -249,6 +249,7 @@ for name in ("best_partners", "nearest", "slid", "along_rows", "gauss_newton"):
 """
 
 
+@pytest.mark.timeout(480)  # the first time all is compiled, on a busy computer
 def test_after_warming_no_pair_waits_for_the_compiler() -> None:
     tests = str(Path(__file__).resolve().parents[2])
     ran = subprocess.run(

@@ -516,6 +516,7 @@ for config in (HarrisConfig(), HarrisConfig(gradient="gaussian", window="gaussia
 """
 
 
+@pytest.mark.timeout(480)  # the first time all is compiled, on a busy computer
 def test_after_warming_no_picture_waits_for_the_compiler() -> None:
     search = os.pathsep.join(p for p in sys.path if p)
     ended = subprocess.run(
@@ -523,7 +524,7 @@ def test_after_warming_no_picture_waits_for_the_compiler() -> None:
         capture_output=True,
         text=True,
         env={**os.environ, "PYTHONPATH": search},
-        timeout=120,
+        timeout=460,
     )
     assert ended.returncode == 0, ended.stderr[-2000:]
 
