@@ -12,6 +12,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 
 T = TypeVar("T", bound=Node)
 Describe = Callable[[], Any]
@@ -26,6 +27,13 @@ def domain_of_worker(base: int = 100, count: int = 100) -> int:
         return base + os.getpid() % count
     # The workers of one run have one parent; two of them must not meet on a domain.
     return base + (os.getppid() * 16 + int(name[2:])) % count
+
+
+def keeping_all(profile: QoSProfile | int) -> QoSProfile:
+    """Return what a reader asks for that misses nothing of such a publisher, however long it is held up."""
+    if isinstance(profile, int):
+        return QoSProfile(depth=1000)
+    return QoSProfile(depth=1000, reliability=profile.reliability, durability=profile.durability)
 
 
 class Ros:
@@ -52,9 +60,9 @@ class Ros:
         return node
 
     def collect(self, node: Node, message_type: Any, topic: str, qos: Any = 10) -> list[Any]:
-        """Subscribe and return the list that the messages will be appended to."""
+        """Subscribe and return the list that all messages will be appended to."""
         received: list[Any] = []
-        node.create_subscription(message_type, topic, received.append, qos)
+        node.create_subscription(message_type, topic, received.append, keeping_all(qos))
         return received
 
     def spin_until(self, condition: Callable[[], Any], within_s: float, describe: Describe | None = None) -> Any:

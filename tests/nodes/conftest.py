@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 import rclpy
 from rclpy.context import Context
+from rclpy.duration import Duration
 from ros_rig import Ros, domain_of_worker
 
+from icu_common.nodes import qos
 from icu_common.nodes.runtime import prepare_transport
 
 
@@ -32,6 +34,8 @@ def hang_up() -> Iterator[None]:
 def ros(domain: int, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
     """A private rclpy context on a domain of its own, discovery on this host only."""
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
+    # A command dies on its way after a second. Whoever sends it here may be held up for longer before it is taken.
+    monkeypatch.setattr(qos.COMMAND, "lifespan", Duration(seconds=60))
     prepare_transport()
     context = Context()
     rclpy.init(context=context, domain_id=domain)
