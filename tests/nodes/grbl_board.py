@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -46,11 +47,46 @@ class GrblBoard(BoardSocket):
         self.process.stdout.close()
 
 
+PATIENT = DriverConfig(enabled_at_start=True, status_timeout_s=10.0, hold_timeout_s=10.0)
+"""On a busy machine a board may stand still for seconds without having gone."""
+SLOW_M_S = 0.03
+"""Of a way on which something happens: it must not have ended, be it that who makes it happen is held up."""
+
+
+class AwakeClock:
+    """Seconds in which this process was not held up, for bounds of what it does itself; a context manager."""
+
+    STEP_S, MOST_S = 0.005, 0.05
+
+    def __init__(self) -> None:
+        self._awake_s, self._ended = 0.0, threading.Event()
+        self._thread = threading.Thread(target=self._tick, daemon=True)
+
+    def _tick(self) -> None:
+        before = time.monotonic()
+        while not self._ended.wait(self.STEP_S):
+            now = time.monotonic()
+            self._awake_s += min(now - before, self.MOST_S)
+            before = now
+
+    def now(self) -> float:
+        return self._awake_s
+
+    def __enter__(self) -> AwakeClock:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+
 class LinkRig:
     """A machine on a serial link, without ROS; everything it says is kept with its time."""
 
     def __init__(self, port: Path | str, config: DriverConfig | None = None) -> None:
-        self.machine = Machine(config or DriverConfig(enabled_at_start=True))
+        self.machine = Machine(config or PATIENT)
+        self.clock: Callable[[], float] = time.monotonic
         self.states: list[tuple[float, str]] = []
         self.results: list[GoalResult] = []
         self.positions: list[tuple[float, float, float]] = []
@@ -62,7 +98,7 @@ class LinkRig:
     def _collect(self, events: list[Event]) -> None:
         if self.complaint is not None:
             self.complaint()
-        now = time.monotonic()
+        now = self.clock()
         for event in events:
             if isinstance(event, StateChanged):
                 self.states.append((now, event.text))
@@ -79,7 +115,7 @@ class LinkRig:
     def state(self) -> str:
         return self.machine.phase.state
 
-    def until(self, condition: Callable[[], Any], within_s: float = 10.0) -> None:
+    def until(self, condition: Callable[[], Any], within_s: float = 15.0) -> None:
         held = self.link.wait_for(lambda machine: bool(condition()), within_s)
         assert held, f"not within {within_s} s: {self.machine.state_text}, {self.results[-3:]}, {self.notes[-5:]}"
 
@@ -93,8 +129,10 @@ class LinkRig:
         self.until(lambda: self.state == "idle", within_s)
         return self
 
-    def go(self, *points: tuple[float, float, float], goal_id: str = "goal") -> GoalResult:
-        way = [Waypoint(positions_m=point) for point in points]
+    def go(self, *points: tuple[float, float, float], goal_id: str = "goal", slow_after: int = 1000) -> GoalResult:
+        """Order the way; after so many points it is driven slowly."""
+        way = [Waypoint(positions_m=point) for point in points[:slow_after]]
+        way += [Waypoint(positions_m=point, velocities_m_s=(SLOW_M_S, 0.0, 0.0)) for point in points[slow_after:]]
         return self.link.call(lambda machine, now: machine.run(goal_id, JOINTS, way, age_s=0.0, now=now))
 
     def outcomes(self) -> list[str]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import serial
-from nodes.grbl_board import GrblBoard, LinkRig
+from nodes.grbl_board import AwakeClock, GrblBoard, LinkRig
 
 from gantry_driver.core.machine_config import DriverConfig
 
@@ -70,7 +70,7 @@ def test_a_long_path_fills_the_buffer_and_loses_no_byte(start: Start) -> None:
 def test_stop_in_mid_path_keeps_the_position_and_lifts_the_stylus(start: Start) -> None:
     board, rig = start()
     rig.home()
-    rig.go((0.05, 0.0, 0.02), (0.35, 0.0, 0.02), (0.0, 0.2, 0.02))
+    rig.go((0.05, 0.0, 0.02), (0.081, 0.0, 0.02), (0.35, 0.0, 0.02), (0.0, 0.2, 0.02), slow_after=2)
     rig.until(lambda: bool(rig.positions) and rig.positions[-1][0] > 0.08)
     rig.link.stop("stop requested")
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
@@ -91,7 +91,7 @@ def test_a_hold_that_shows_before_its_stop_has_the_lock_is_that_stop(
 ) -> None:
     _, rig = start()
     rig.home()
-    rig.go((0.35, 0.0, 0.0))
+    rig.go((0.051, 0.0, 0.0), (0.35, 0.0, 0.0), slow_after=1)
     rig.until(lambda: bool(rig.positions) and rig.positions[-1][0] > 0.05)
     call = rig.link.call
 
@@ -109,15 +109,15 @@ def test_the_loss_of_a_silent_board_is_told_before_its_port_is_closed(
     start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """That may take long: Linux waits half a minute for a USB board that takes no byte any more."""
-    board, rig = start()
+    board, rig = start(config=DriverConfig(enabled_at_start=True))
     rig.home()
-    rig.go((0.35, 0.2, 0.0))
+    rig.go((0.35, 0.2, 0.0), slow_after=0)
     rig.until(lambda: rig.state == "moving")
     close, told = serial.Serial.close, []
     monkeypatch.setattr(
         serial.Serial, "close", lambda port: (told.append((rig.results[-1], rig.states[-1])), close(port))
     )
-    board.fault("hang", seconds=3.0)
+    board.fault("hang", seconds=10.0)
     rig.until(lambda: told)
     result, (_, state) = told[0]
     assert result.outcome.value == "aborted" and "no status report" in result.reason
@@ -127,14 +127,18 @@ def test_the_loss_of_a_silent_board_is_told_before_its_port_is_closed(
 def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:
     board, rig = start(time_scale=2.0)
     rig.home()
-    rig.go((0.35, 0.2, 0.0))
+    rig.go((0.35, 0.2, 0.0), slow_after=0)
     rig.until(lambda: rig.state == "moving")
-    pulled = time.monotonic()
-    board.fault("unplug", seconds=1.0)
-    rig.until(lambda: rig.state == "disconnected", 2.0)
-    noticed = next(t for t, text in rig.states if t > pulled and text.startswith("disconnected")) - pulled
-    rig.until(lambda: rig.state == "unhomed", 5.0)
-    back = time.monotonic() - pulled - 0.5
+
+    def when(state: str) -> list[float]:
+        return [t for t, text in rig.states[before:] if text.startswith(state)]
+
+    with AwakeClock() as clock:
+        rig.clock, before = clock.now, len(rig.states)
+        board.fault("unplug", seconds=1.0)  # is answered when it is done
+        pulled = clock.now()
+        rig.until(lambda: when("disconnected") and when("unhomed"), 20.0)
+    noticed, back = when("disconnected")[0] - pulled, when("unhomed")[0] - pulled - 0.5
     print(f"noticed after {1000 * noticed:.1f} ms, back {back:.2f} s after the port's return")
     assert noticed < 0.1 and back < 3.0
     assert rig.outcomes() == ["accepted", "aborted"] and "link lost" in rig.results[-1].reason
@@ -151,21 +155,22 @@ def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:
         ("alarm", {"number": 1}, "alarm", "ALARM:1"),
         ("error", {"number": 22, "after": 2}, "stopped", "error:22"),
         ("answers", {"how": "lost", "count": 1}, "stopped", "no answer to"),
-        ("hang", {"seconds": 8.0}, "disconnected", "no status report"),
+        ("hang", {"seconds": 20.0}, "disconnected", "no status report"),
     ],
 )
 def test_faults_in_mid_path_end_in_a_state_that_says_why(
     start: Start, fault: str, arguments: dict[str, object], state: str, reason: str
 ) -> None:
-    board, rig = start(time_scale=2.0)
+    board, rig = start(time_scale=2.0, config=DriverConfig(enabled_at_start=True) if fault == "hang" else None)
     rig.home()
-    if fault in ("error", "answers"):
+    at_once = fault in ("error", "answers")
+    if at_once:
         board.fault(fault, **arguments)
-    rig.go(*[(0.02 * k, 0.01 * k, 0.0) for k in range(1, 17)])
-    if fault not in ("error", "answers"):
+    rig.go(*[(0.02 * k, 0.01 * k, 0.0) for k in range(1, 17)], slow_after=16 if at_once else 2)
+    if not at_once:
         rig.until(lambda: bool(rig.positions) and rig.positions[-1][0] > 0.03)
         board.fault(fault, **arguments)
-    rig.until(lambda: len(rig.results) == 2, 20.0)
+    rig.until(lambda: len(rig.results) == 2, 30.0)
     assert rig.outcomes() == ["accepted", "aborted"] and reason in rig.results[-1].reason
     rig.until(lambda: any(text.startswith(state) for _, text in rig.states[-4:]), 10.0)
     assert rig.machine.homed is (state == "stopped")
@@ -193,10 +198,10 @@ def test_the_port_is_exclusive_while_open_and_free_after(start: Start) -> None:
 def test_a_missing_port_is_named_and_taken_when_it_appears(tmp_path: Path) -> None:
     rig = LinkRig(tmp_path / "grbl")
     try:
-        rig.until(lambda: any("No such file or directory" in text for _, text in rig.states), 2.0)
+        rig.until(lambda: any("No such file or directory" in text for _, text in rig.states))
         board = GrblBoard(tmp_path)
         try:
-            rig.until(lambda: rig.state == "unhomed", 4.0)
+            rig.until(lambda: rig.state == "unhomed")
         finally:
             board.close()
     finally:
@@ -271,10 +276,15 @@ def test_stops_during_the_retreat_let_it_finish(start: Start) -> None:
     rig.home()
     rig.go((0.0, 0.0, 0.05))
     rig.until(lambda: bool(rig.positions) and rig.positions[-1][2] > 0.03)
+    lifting = []
+
+    def again() -> None:  # in the link's own thread: meanwhile the retreat does not end
+        if rig.machine.phase.name == "LIFTING" and not lifting:
+            lifting.extend(rig.link.stop("again") for _ in range(5))
+
+    rig.complaint = again
     rig.link.stop("first")
-    rig.until(lambda: rig.machine.phase.name == "LIFTING")
-    for _ in range(5):
-        rig.link.stop("again")
+    rig.until(lambda: lifting)
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
     assert board.mpos()[2] == pytest.approx(HOMED[2], abs=0.01) and rig.states[-1][1] == "stopped: first"
     assert len(board.holds()) == 1, "one hold for the motion, none for the retreat"
