@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 
 
-def output_in_background(*command: str, environment: Mapping[str, str] | None = None, within_s: float = 30.0) -> str:
+def output_in_background(*command: str, environment: Mapping[str, str] | None = None, within_s: float = 60.0) -> str:
     """Return what a Python module with arguments has printed until it ended, or was stopped by the kernel."""
     program = shlex.join([sys.executable, "-m", *command])
     shell = ["bash", "-c", f"set -m; {program} & wait $!; kill -9 $!"]

@@ -67,7 +67,7 @@ class Rig:
 
 
 def test_steps_follow_each_other_and_the_whole_is_answered(ros: Any) -> None:
-    rig = Rig(ros)
+    rig = Rig(ros, check_s=20.0)
     assert rig.states[-1].data == "idle"
     rig.sequence.publish(String(data="id: mine\nsteps: ['press:RUN_STOP => lamp:RUN_STOP=red', 'press:SAVE']\n"))
     assert rig.wait_for_command(1) == "press:RUN_STOP id=mine.1"
@@ -223,7 +223,7 @@ def test_a_sequencer_that_was_held_up_gives_no_step_that_nobody_expects_any_more
         if run_id != "answer":
             rig.reach(f"{run_id}.1")
             ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
-        rig.node._steady_s = lambda: time.monotonic() + 4.0
+        rig.node._steady_s = lambda later_s=rig.node._awake_s + 4.0: later_s
         wake(rig.node)
         ended = rig.final(run_id)
         assert ended.outcome is Outcome.ABORTED
@@ -235,13 +235,15 @@ def test_a_sequencer_that_was_held_up_gives_no_step_that_nobody_expects_any_more
 
 @pytest.mark.parametrize("state", ["waiting: not calibrated", "ready", "stopped: stop requested"])
 def test_a_controller_that_was_started_anew_in_a_step_ends_the_sequence(ros: Any, state: str) -> None:
-    rig = Rig(ros, accept_timeout_s=1.0)
+    rig = Rig(ros)
     rig.state.publish(String(data="moving"))
     ros.spin_until(lambda: rig.node._controller == "moving", 10.0)
     rig.sequence.publish(String(data="id: mine\nsteps: ['press:RUN_STOP', 'press:SAVE']"))
     rig.wait_for_command(1)
     taken = GoalResult(goal_id="mine.1", goal="", outcome=Outcome.ACCEPTED)
     rig.result.publish(result_message(taken, rig.now_ns()))
+    ros.spin_until(lambda: rig.node._run._taken, 10.0)
+    rig.node._run._config = replace(rig.node._run._config, accept_timeout_s=1.0)
     begun_ns = rig.now_ns()
     ros.spin_until(lambda: rig.now_ns() > begun_ns + 2_000_000_000, 10.0)
     assert rig.states[-1].data == "step 1/2: press:RUN_STOP", "it works on it"
