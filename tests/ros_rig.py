@@ -78,6 +78,17 @@ class Ros:
             since_s = now_s
         return value
 
+    def ask(self, client: Any, request: Any, within_s: float = 40.0) -> Any:
+        """Return a service's answer; ask again, as one is lost where the server does not know of its client yet."""
+        asked: list[tuple[float, Any]] = []
+
+        def answered() -> Any:
+            if not asked or time.monotonic() > asked[-1][0] + 4.0:
+                asked.append((time.monotonic(), client.call_async(request)))
+            return next((future for _, future in asked if future.done()), None)
+
+        return self.spin_until(answered, within_s, lambda: f"{client.srv_name} asked {len(asked)} times").result()
+
     def close(self) -> None:
         for node in self.nodes:
             self.executor.remove_node(node)

@@ -140,9 +140,13 @@ def test_the_ball_is_where_it_was_at_the_stamp(start: Any) -> None:
     bench = start(**IDEAL)
     board, camera = bench.board(), bench.camera()
     camera.read(20.0)
-    # Six seconds at 40 mm/s, told ahead of time so that a loaded machine cannot delay it.
-    begin, speed, count, step = time.monotonic() - 0.05, 40.0, 399, 0.015
-    board.say(*((begin + step * i, (-309 + speed * step * i, -109.0, -11.0)) for i in range(count)))
+    # To and fro at 40 mm/s, six seconds each way, told ahead of time so that a loaded machine cannot delay it.
+    begin, speed, count, step = time.monotonic() - 0.05, 40.0, 399, 0.04
+
+    def way_mm(after_s: float) -> float:
+        return speed * (6.0 - abs(after_s % 12.0 - 6.0))
+
+    board.say(*((begin + step * i, (-309 + way_mm(step * i), -109.0, -11.0)) for i in range(count)))
     rig = stereo_rig(bench.config.camera)
     seen = 0
     deadline = time.monotonic() + 20.0
@@ -153,7 +157,7 @@ def test_the_ball_is_where_it_was_at_the_stamp(start: Any) -> None:
         if not 0.1 < at < step * count - 0.1:
             assert at < step * count, "the way ended before enough pairs had come"
             continue
-        tip = np.array([0.050 + speed * at / 1000, 0.110, -0.010])
+        tip = np.array([0.050 + way_mm(at) / 1000, 0.110, -0.010])
         for picture, view in zip(pictures, (rig.left, rig.right)):
             off = magenta(picture) - view.project(tip)[0]
             # The shading is not quite even and the stem hides a little: half a pixel of 0.74 mm; 15 ms are 0.8 px.

@@ -106,6 +106,6 @@ def test_a_live_calibration_ends_with_one_line_in_the_background_too(
         while "0/20 views" not in process.stdout.readline():
             assert process.poll() is None
         process.send_signal(number)
-        _, errors = process.communicate(timeout=20.0)
+        _, errors = process.communicate(timeout=60.0)
     assert errors.startswith("error: no view of the chessboard") and errors.count("\n") == 1
     assert process.returncode == 2

@@ -48,16 +48,14 @@ def test_two_nodes_in_one_process(ros: Ros, tmp_path: Path) -> None:
         clients = {
             s: probe.create_client(GetParameters, f"/stereo/{s}/corners_{s}/get_parameters") for s in ("left", "right")
         }
-        ros.spin_until(lambda: all(c.service_is_ready() for c in clients.values()), 40.0)
+        ros.spin_until(lambda: all(c.service_is_ready() for c in clients.values()), 60.0)
         values = {}
         for side, client in clients.items():
-            future = client.call_async(GetParameters.Request(names=["max_corners"]))
-            ros.spin_until(future.done, 10.0)
-            values[side] = future.result().values[0].integer_value
+            values[side] = ros.ask(client, GetParameters.Request(names=["max_corners"])).values[0].integer_value
         assert values == {"left": 11, "right": 22}
         picture = probe.create_publisher(Image, "/eye_right", qos.IMAGES)
         found = {s: ros.collect(probe, PointCloud2, f"/stereo/{s}/corners", qos.RESULTS) for s in ("left", "right")}
-        ros.spin_until(lambda: picture.get_subscription_count() == 1, 10.0)
+        ros.spin_until(lambda: picture.get_subscription_count() == 1, 30.0)
         noise = np.random.default_rng(1).integers(0, 256, (60, 80), np.uint8)
         message = image_message(noise, "mono8", header(5, "eye"))
 
@@ -65,10 +63,10 @@ def test_two_nodes_in_one_process(ros: Ros, tmp_path: Path) -> None:
             picture.publish(message)
             return bool(found["right"])
 
-        ros.spin_until(answered, 10.0)
+        ros.spin_until(answered, 30.0)
         assert found["right"][0].width == 22 and not found["left"]
         process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=15)
+        output, _ = process.communicate(timeout=40)
         assert process.returncode == 0, output
     finally:
         if process.poll() is None:

@@ -28,11 +28,17 @@ from icu_common.nodes.conversions import result_message
 class Program:
     """A command line program beside the test's own nodes, in the same ROS domain."""
 
-    def __init__(self, ros: Any, module: str, *arguments: str) -> None:
+    def __init__(self, ros: Any, module: str, *arguments: str, changed: str = "") -> None:
         self.ros = ros
+        start = ["-m", f"gantry_driver.cli.{module}"]
+        if changed:
+            start = [
+                "-c",
+                f"from gantry_driver.cli import {module} as program; program.{changed}; exit(program.main())",
+            ]
         environment = {**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id())}
         self.process = subprocess.Popen(
-            [sys.executable, "-m", f"gantry_driver.cli.{module}", *arguments],
+            [sys.executable, *start, *arguments],
             env=environment,
             text=True,
             stdout=subprocess.PIPE,
@@ -108,7 +114,8 @@ def test_each_step_of_a_sequence_is_told_although_the_whole_is_answered_first(ro
     sequences = ros.collect(probe, String, "/gantry/sequence", qos.COMMAND)
     steps = probe.create_publisher(DiagnosticArray, "/gantry/result", qos.RESULTS)
     answer = probe.create_publisher(DiagnosticArray, "/gantry/sequence_result", qos.RESULTS)
-    program = Program(ros, "gantry_sequence", "press:RUN_STOP", "press:CH1_IN")
+    # It waits a second for the last step, within which a busy machine may not tell it.
+    program = Program(ros, "gantry_sequence", "press:RUN_STOP", "press:CH1_IN", changed="LAST_STEP_S = 20.0")
     ros.spin_until(lambda: sequences and answer.get_subscription_count() and steps.get_subscription_count(), 30.0)
     run_id = yaml.safe_load(sequences[0].data)["id"]
 

@@ -185,6 +185,7 @@ def test_readings_that_no_machine_has_are_ignored(ros: Any) -> None:
     refused = bench.spin_until_final(1)
     assert refused.outcome is Outcome.REJECTED and refused.reason.startswith("no joint_states for ")
     bench.readings = np.zeros(3)
+    assert bench.controller.set_parameters([Parameter("joints_timeout_s", value=5.0)])[0].successful
     bench.spin_until_state("waiting: not calibrated")
     bench.goal.publish(point_message([0.1, 0.1, 0.0], header(0, BASE)))
     assert bench.spin_until_final(2).outcome is Outcome.REACHED

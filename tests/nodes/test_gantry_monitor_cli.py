@@ -19,7 +19,7 @@ def test_state_and_counts_are_shown(ros: Any, tmp_path: Path) -> None:
     renamed = ["--ros-args", "-r", "gantry/driver_state:=driver_state"]
     process = None
     try:
-        ros.node(SerialDriverNode, {"port": str(board.port)})
+        ros.node(SerialDriverNode, {"port": str(board.port), "status_timeout_s": 10.0})  # the board may be held up
         process = subprocess.Popen(
             [sys.executable, "-m", "gantry_driver.cli.gantry_monitor", "--seconds", "6", *renamed],
             env={**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id())},
@@ -28,7 +28,7 @@ def test_state_and_counts_are_shown(ros: Any, tmp_path: Path) -> None:
         )
         assert process.stdout is not None
         os.set_blocking(process.stdout.fileno(), False)
-        ros.spin_until(lambda: process.poll() is not None, 40.0)
+        ros.spin_until(lambda: process.poll() is not None, 60.0)
         output = process.stdout.read()
     finally:
         if process is not None:

@@ -86,8 +86,8 @@ def test_a_deaf_program_ends_only_after_a_crash(ros: Any, domain: int) -> None:
 
     deaf, first, hearing = programs = [start("left", "1"), start("left", ""), start("right", "1")]
     try:
-        ros.spin_until(lambda: (mute.get_subscription_count(), heard.get_subscription_count()) == (2, 1), 20.0)
-        ros.spin_until(lambda: (heard.publish(CameraInfo()), deaf.poll() is not None)[1], 20.0)
+        ros.spin_until(lambda: (mute.get_subscription_count(), heard.get_subscription_count()) == (2, 1), 40.0)
+        ros.spin_until(lambda: (heard.publish(CameraInfo()), deaf.poll() is not None)[1], 40.0)
         assert deaf.returncode == 75
         assert deaf.stderr is not None
         assert "error: /left/camera_info: a camera is there and has not been heard for 8 s" in deaf.stderr.read()

@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import subprocess
+import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -36,6 +37,13 @@ class Bed:
         program = ROOT / "ros2_ws/install/scope_bench/lib/scope_bench/bring_up"
         parts = [text for part in ("mock_grbl", "serial_driver", "gantry_controller") for text in ("--only", part)]
         places = ["--config", ROOT / "config", "--state", folder / "state", "--run-dir", folder / "run"]
+        # The operator's heartbeat and goals come from the thread that waits: on a busy machine they may be late.
+        patience = {
+            "serial_driver": {"heartbeat_timeout_s": 5.0, "goal_max_age_s": 5.0, "status_timeout_s": 10.0},
+            "gantry_controller": {"heartbeat_timeout_s": 5.0, "goal_max_age_s": 5.0, "joints_timeout_s": 5.0},
+        }
+        for part, settings in patience.items():
+            parts += [text for key, value in settings.items() for text in ("--set", f"{part}.{key}={value}")]
         environment = {
             **os.environ,
             "ROS_DOMAIN_ID": str(ros.context.get_domain_id()),
@@ -72,16 +80,11 @@ class Bed:
         client = self.node.create_client(kind, f"{self._prefix}/{name}")
         self.ros.spin_until(client.service_is_ready, 30.0, lambda: name)
 
-        def agreed() -> bool:
-            future = client.call_async(request)
-            self.ros.spin_until(future.done, 10.0, lambda: name)
-            return bool(future.result().success)
-
-        self.ros.spin_until(agreed, 10.0, lambda: (name, self.state))
+        self.ros.spin_until(lambda: self.ros.ask(client, request).success, 30.0, lambda: (name, self.state))
 
     def end(self) -> int:
         self.process.send_signal(signal.SIGINT)
-        return self.process.wait(25.0)
+        return self.process.wait(40.0)
 
 
 @pytest.fixture
@@ -94,7 +97,7 @@ def beds(ros: Ros, tmp_path: Path) -> Iterator[list[Bed]]:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(bed.process.pid, signal.SIGINT)
         for bed in made:
-            bed.process.wait(25.0)
+            bed.process.wait(40.0)
 
 
 @pytest.mark.timeout(150)
@@ -107,26 +110,34 @@ def test_no_crosstalk(beds: list[Bed], ros: Ros) -> None:
         ros.spin_until(lambda: second.state == "unhomed", 30.0, lambda: second.state)
         assert not [line for line in boards[1].lines() if line["text"].startswith(("$H", "F", "G"))]
         second.home()
-        ros.spin_until(lambda: first.goal.get_subscription_count() == 1, 10.0)
+        ros.spin_until(lambda: first.goal.get_subscription_count() == 1, 20.0)
         resting = boards[1].mpos()
         before = len(boards[1].lines())
         x, y, _ = boards[0].mpos()
-        stamp = first.node.get_clock().now().nanoseconds
-        first.goal.publish(point_message((0.05, 0.02, 0.0), header(stamp, "base_link")))
-        ros.spin_until(lambda: boards[0].mpos()[:2] == pytest.approx((x + 50, y + 20), abs=0.05), 20.0)
+        sent_s: list[float] = []
+
+        def there() -> bool:
+            # Again: what was a second on its way is taken no more.
+            if not sent_s or time.monotonic() > sent_s[-1] + 5.0:
+                stamp = first.node.get_clock().now().nanoseconds
+                first.goal.publish(point_message((0.05, 0.02, 0.0), header(stamp, "base_link")))
+                sent_s.append(time.monotonic())
+            return bool(boards[0].mpos()[:2] == pytest.approx((x + 50, y + 20), abs=0.05))
+
+        ros.spin_until(there, 30.0)
         assert boards[1].mpos() == resting and boards[1].lines()[before:] == []
 
         first.call("gantry/stop", Trigger, Trigger.Request())
-        ros.spin_until(lambda: first.state.startswith("stopped"), 10.0, lambda: first.state)
+        ros.spin_until(lambda: first.state.startswith("stopped"), 20.0, lambda: first.state)
         assert second.state == "idle"
 
         def shown() -> dict[str, str]:
-            with urllib.request.urlopen(page.server.address + "state", timeout=5) as answer:
+            with urllib.request.urlopen(page.server.address + "state", timeout=20) as answer:
                 beds = json.loads(answer.read())
             return {name: bed["states"]["driver"] for name, bed in beds.items()}
 
         ros.spin_until(
-            lambda: shown()["bed_1"].startswith("stopped") and shown()["bed_2"] == "idle", 10.0, lambda: shown()
+            lambda: shown()["bed_1"].startswith("stopped") and shown()["bed_2"] == "idle", 20.0, lambda: shown()
         )
         assert [bed.end() for bed in beds] == [0, 0]
     finally:
