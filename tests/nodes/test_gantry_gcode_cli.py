@@ -306,7 +306,7 @@ def test_space_pauses_and_resumes_and_ctrl_c_ends_safely(board: GrblBoard, progr
     terminal.process.send_signal(signal.SIGTERM)
     assert terminal.end() == 1
     x, _, z = board.mpos()
-    assert -359.0 < x < -199.9 and z == pytest.approx(-1.0, abs=0.02), "held on the way, and the stylus is up"
+    assert -359.0 < x < -199.9 and z == pytest.approx(-1.0, abs=0.02), ("held on the way, stylus up", terminal.seen)
     assert not [entry for entry in board.log() if entry["kind"] == "alarm"], "the position is kept"
 
 

@@ -197,6 +197,9 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
     log = tmp_path / "robot.log"
     bring_up = ROOT / "ros2_ws/install/scope_bench/lib/scope_bench/bring_up"
     parts = [text for name in ("mock_grbl", "serial_driver", "gantry_controller") for text in ("--only", name)]
+    for setting in ("goal_max_age_s=5.0", "joints_timeout_s=5.0"):  # on a busy machine
+        parts += ["--set", f"gantry_controller.{setting}"]
+    parts += ["--set", "serial_driver.goal_max_age_s=5.0", "--set", "serial_driver.status_timeout_s=10.0"]
     folders = ["--state", str(tmp_path / "state"), "--run-dir", str(tmp_path / "run"), "--config", str(ROOT / "config")]
     with log.open("wb") as out:
         hosts.start(
@@ -220,7 +223,7 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
     )
     board = BoardSocket(tmp_path / "run" / "board")
     try:
-        desk.until(lambda line: line.get("listeners") == 2, 30.0)  # driver and controller
+        desk.until(lambda line: line.get("listeners") == 2, 60.0)  # driver and controller
         desk.ask("gantry/enable", enable=True)
         desk.ask("gantry/home")
         desk.sees("idle", 30.0)
@@ -232,10 +235,11 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
         before = board.holds()
         cut_s = time.monotonic()
         hosts.cut()
-        while board.holds() == before:
-            assert time.monotonic() < cut_s + 3.0, "the driver did not hold"
+        while (holds := board.holds()) == before:
+            assert time.monotonic() < cut_s + 20.0, "the driver did not hold"
             time.sleep(0.01)
-        held_s = time.monotonic() - cut_s
+        # By the board's clock: it does not matter when this process hears of it.
+        held_s = holds[len(before)] + board.clock_s()[0] - cut_s
         print(f"{found_by}: hold {1e3 * held_s:.0f} ms after the cut")
         assert held_s < 1.0
         if found_by == "peer":  # a server does not tell its clients that another one is gone
