@@ -10,7 +10,7 @@ from typing import Any
 
 import aiohttp
 import pytest
-from unit.scope_ui_bridge.web_rig import Page, Rig, page, until, with_rig
+from unit.scope_ui_bridge.web_rig import WITHIN_S, Page, Rig, page, until, with_rig
 
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.core.audit import verify
@@ -74,7 +74,7 @@ async def bytes_that_are_no_text(rig: Rig, client: Page) -> None:
 async def huge_frame(rig: Rig, client: Page) -> None:
     await client.control.send_str("x" * 200_000)
     while not client.control.closed:
-        await client.control.receive(timeout=5.0)
+        await client.control.receive(timeout=WITHIN_S)
 
 
 async def garbage_for_a_frame(rig: Rig, client: Page) -> None:
@@ -82,7 +82,7 @@ async def garbage_for_a_frame(rig: Rig, client: Page) -> None:
     assert transport is not None
     client.control._writer.transport.write(b"\xff" * 64)  # type: ignore[attr-defined]
     while not client.control.closed:
-        await client.control.receive(timeout=5.0)
+        await client.control.receive(timeout=WITHIN_S)
 
 
 async def huge_post(rig: Rig, client: Page) -> None:
@@ -93,7 +93,7 @@ async def huge_post(rig: Rig, client: Page) -> None:
 async def path_traversal(rig: Rig, client: Page) -> None:
     reader, writer = await asyncio.open_connection("127.0.0.1", rig.server.port)
     writer.write(f"GET /page/..%2f..%2fsetup.py HTTP/1.1\r\nHost: 127.0.0.1:{rig.server.port}\r\n\r\n".encode())
-    assert (await asyncio.wait_for(reader.readline(), 5.0)).split()[1] in (b"403", b"404")
+    assert (await asyncio.wait_for(reader.readline(), WITHIN_S)).split()[1] in (b"403", b"404")
     writer.close()
 
 

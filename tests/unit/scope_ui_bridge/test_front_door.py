@@ -14,11 +14,13 @@ from typing import Any
 
 import aiohttp
 import pytest
-from unit.scope_ui_bridge.web_rig import Page, Rig, page, until, with_rig
+from unit.scope_ui_bridge.web_rig import WITHIN_S, Page, Rig, page, until, with_rig
 
-from scope_ui_bridge.adapters import front_door
+from scope_ui_bridge.adapters import front_door, video_hub
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users, write_secret
+from scope_ui_bridge.core import sign_in
 from scope_ui_bridge.core.audit import verify
+from scope_ui_bridge.core.frame_window import FrameWindow
 from scope_ui_bridge.core.passwords import Role, hash_password, new_user
 
 
@@ -26,9 +28,15 @@ def records(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().rpartition("\n")[0].splitlines()]
 
 
+@pytest.fixture
+def long_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a failure the next try is looked at so late that a test which is held up does not miss the refusal."""
+    monkeypatch.setattr(sign_in, "_FIRST_WAIT_S", 10.0)
+
+
 async def ended(reader: asyncio.StreamReader) -> None:
     try:
-        await asyncio.wait_for(reader.read(), 5.0)
+        await asyncio.wait_for(reader.read(), WITHIN_S)
     except ConnectionError:
         pass
 
@@ -51,12 +59,15 @@ def test_slow_and_silent_connections_are_ended_and_stop_is_served_meanwhile(
                 reader, writer = await asyncio.open_connection("127.0.0.1", rig.server.port)
                 writer.write(text.encode())
                 pairs.append((reader, writer))
-            begin = time.monotonic()
-            assert (await client.ask(type="stop"))["ok"]
-            assert time.monotonic() - begin < 1.0
+            took_s = []
+            for _ in range(3):  # one may be held up by what else the computer does
+                begin = time.monotonic()
+                assert (await client.ask(type="stop"))["ok"]
+                took_s.append(time.monotonic() - begin)
+            assert min(took_s) < 1.0
             assert rig.graph.named("stop")
             await asyncio.gather(*(ended(reader) for reader, _ in pairs[:-1]))
-            answer = await asyncio.wait_for(pairs[-1][0].readuntil(b"\r\n"), 5.0)
+            answer = await asyncio.wait_for(pairs[-1][0].readuntil(b"\r\n"), WITHIN_S)
             assert answer.startswith(b"HTTP/1.1 408")
             for _, writer in pairs:
                 writer.close()
@@ -83,7 +94,9 @@ def test_a_crowd_of_silent_connections_leaves_room_for_a_stop(monkeypatch: pytes
     with_rig(scenario)
 
 
-def test_a_flood_of_sign_ins_is_refused_recorded_briefly_and_does_not_delay_a_stop(tmp_path: Path) -> None:
+def test_a_flood_of_sign_ins_is_refused_recorded_briefly_and_does_not_delay_a_stop(
+    tmp_path: Path, long_waits: None
+) -> None:
     path = tmp_path / "audit.jsonl"
 
     async def scenario(rig: Rig) -> None:
@@ -201,7 +214,9 @@ async def signed_in_s(client: Page) -> float:
 
 
 @pytest.mark.parametrize("by", ["password", "token"])
-def test_who_signs_in_again_in_time_keeps_control_page_and_motion(passwords: Path, tmp_path: Path, by: str) -> None:
+def test_who_signs_in_again_in_time_keeps_control_page_and_motion(
+    passwords: Path, tmp_path: Path, by: str, long_waits: None
+) -> None:
     """The lifetime is 100 s; the end of the session is set to the last seconds before the next one."""
     path = tmp_path / "audit.jsonl"
 
@@ -249,8 +264,7 @@ def test_who_signs_in_again_in_time_keeps_control_page_and_motion(passwords: Pat
             assert again()[:2] == [(who, f"refused: wrong_{by}"), (who, "done")]
             assert again().count((who, "done")) == 1
 
-    patient = {"silence_stop_s": 60.0, "lease_timeout_s": 60.0}  # passwords are long in checking on a loaded machine
-    with_rig(scenario, passwords_file=str(passwords), sign_in_warning_s=50.0, audit=AuditFile(path), **patient)
+    with_rig(scenario, passwords_file=str(passwords), sign_in_warning_s=50.0, audit=AuditFile(path))
 
 
 def test_nobody_is_kept_signed_in_by_another_ones_secret(passwords: Path) -> None:
@@ -273,7 +287,9 @@ def test_nobody_is_kept_signed_in_by_another_ones_secret(passwords: Path) -> Non
 @pytest.mark.parametrize(
     "form", [{"name": "ada", "password": "wrong"}, {"name": "nobody", "password": "correct horse"}]
 )
-def test_wrong_names_and_passwords_look_alike_and_are_slowed_down(passwords: Path, form: dict[str, str]) -> None:
+def test_wrong_names_and_passwords_look_alike_and_are_slowed_down(
+    passwords: Path, form: dict[str, str], long_waits: None
+) -> None:
     async def scenario(rig: Rig) -> None:
         async with page(rig, sign_in=False) as client:
             async with client.session.get("/") as answer:
@@ -343,8 +359,26 @@ def test_refused_messages_are_recorded_with_who_sent_them(tmp_path: Path) -> Non
     assert found == {f"message {kind}": "Operator 1" for kind in kinds}
 
 
-def test_a_page_behind_a_slow_link_gets_light_pictures_and_the_others_full_ones() -> None:
+def test_a_page_behind_a_slow_link_gets_light_pictures_and_the_others_full_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock_s = 0.0
+
+    class Timed(FrameWindow):
+        """By the test's clock."""
+
+        def sent(self, seq: int, now_s: float) -> None:
+            super().sent(seq, clock_s)
+
+        def acknowledged(self, seq: int, now_s: float) -> None:
+            super().acknowledged(seq, clock_s)
+
+    async def under_way(rig: Rig, count: int) -> None:
+        windows = [viewer.window for viewer in rig.server.video._viewers]
+        await until(lambda: sum(len(window._under_way) for window in windows) == count, "what was drawn is known")
+
     async def scenario(rig: Rig) -> None:
+        nonlocal clock_s
         async with page(rig, control=False) as slow, page(rig, control=False) as good:
             await slow.open_video()
             await good.open_video()
@@ -355,10 +389,13 @@ def test_a_page_behind_a_slow_link_gets_light_pictures_and_the_others_full_ones(
                 light.append(about["light"])
                 full, whole = await good.frame()
                 assert not full["light"]
-                await asyncio.sleep(0.2)
+                await under_way(rig, 1)
+                clock_s += 0.25
                 await slow.video.send_str(json.dumps({"drawn": about["seq"]}))
+                await under_way(rig, 0)
             assert light == [False] * 5 + [True]
             assert (about["width"], about["height"]) == (full["width"], full["height"]), "pixels mean the same"
             assert len(jpeg) < len(whole)
 
+    monkeypatch.setattr(video_hub, "FrameWindow", Timed)
     with_rig(scenario)

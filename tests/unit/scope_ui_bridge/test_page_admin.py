@@ -15,7 +15,7 @@ from pathlib import Path
 
 import aiohttp
 import pytest
-from unit.scope_ui_bridge.web_rig import Rig, with_rig
+from unit.scope_ui_bridge.web_rig import WITHIN_S, Rig, with_rig
 
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users
 from scope_ui_bridge.cli import page_admin
@@ -145,7 +145,7 @@ def test_the_certificate_serves_the_page_and_strict_cookies(tmp_path: Path, caps
                 assert "Secure" in answer.headers["Set-Cookie"]
             origin = {"Origin": url.rstrip("/")}
             async with session.ws_connect(url + "control", headers=origin, ssl=trusted) as control:
-                assert (await control.receive_json(timeout=5.0))["type"] == "hello"
+                assert (await control.receive_json(timeout=WITHIN_S))["type"] == "hello"
             with pytest.raises(aiohttp.WSServerHandshakeError):
                 await session.ws_connect(
                     url + "control", headers={"Origin": origin["Origin"].replace("https", "http")}, ssl=trusted

@@ -16,7 +16,7 @@ from unit.scope_ui_bridge import web_rig
 from scope_ui_bridge.adapters.graph_port import GraphError
 from scope_ui_bridge.adapters.recorder import Recorder
 
-WITHIN_S = 10.0
+WITHIN_S = 20.0
 # Like bag_record: slow to start (here until somebody opens the fifo), then it says so, and ends by SIGINT.
 PROGRAM = """#!{python}
 import pathlib, signal, sys
@@ -179,13 +179,14 @@ def test_every_page_is_told_who_records_and_for_how_long(program: Path, monkeypa
         monkeypatch.setattr(rig.server.recorder, "_program", program)
         async with web_rig.page(rig, take=True) as operator, web_rig.page(rig) as watcher:
             assert watcher.hello["recordings"] == []
+            begin_s = time.monotonic()
             await operator.send(type="call", service="record")
             assert rig.server.recorder.recording is None
             (program.parent / "gate").write_text("go")
             for page in (operator, watcher):
                 (told,) = (await page.until(lambda m: m["type"] == "recordings"))["recordings"]
                 assert (told["who"], told["program"], told["at_least"]) == ("Operator 1", "", False)
-                assert 0 <= told["for_s"] < web_rig.WITHIN_S
+                assert 0 <= told["for_s"] < time.monotonic() - begin_s + 1
             await watcher.until(lambda m: m["type"] == "recordings" and m["recordings"][0]["for_s"] > told["for_s"])
             async with web_rig.page(rig) as late:
                 assert late.hello["recordings"][0]["who"] == "Operator 1"
