@@ -166,13 +166,16 @@ class ReplayGraph:
             "import sys, rclpy\nfrom rclpy.parameter import Parameter\n"
             "from rclpy.parameter_client import AsyncParameterClient\n"
             "rclpy.init()\nnode = rclpy.create_node('setter')\nclient = AsyncParameterClient(node, sys.argv[1])\n"
-            "assert client.wait_for_services(20)\n"
-            "future = client.set_parameters([Parameter(sys.argv[2], value=float(sys.argv[3]))])\n"
-            "rclpy.spin_until_future_complete(node, future, timeout_sec=20)\n"
+            "assert client.wait_for_services(60)\n"
+            "for _ in range(3):  # an answer is lost when the node does not know yet where it is awaited\n"
+            "    future = client.set_parameters([Parameter(sys.argv[2], value=float(sys.argv[3]))])\n"
+            "    rclpy.spin_until_future_complete(node, future, timeout_sec=20)\n"
+            "    if future.done():\n"
+            "        break\n"
             "assert future.result().results[0].successful, future.result()\n"
         )
         command = [sys.executable, "-c", script, node, name, str(value)]
-        done = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=150, check=False)
         assert done.returncode == 0, done.stderr
 
     def tail(self) -> str:
