@@ -39,8 +39,12 @@ class MachineRig:
         )
         self.link = ShapedLink(self.graph.port, **link)
         self.start_bridge()
-        self.board = self.graph.board()
-        self.clock_s, _ = self.board.clock_s()
+        try:
+            self.board = self.graph.board()
+            self.clock_s, _ = self.board.clock_s()
+        except BaseException:  # what is left behind would slow down all that follow
+            self._end()
+            raise
 
     def _start(self, script: str, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
         command = [sys.executable, str(ROOT / "tests" / script), *arguments]
@@ -68,7 +72,7 @@ class MachineRig:
     def address(self) -> str:
         """Return the page's address with its newest token."""
         found = wait_for(
-            lambda: re.findall(r"http://\S+\?token=\S+", self._output.read_text()), 30.0, "the page's address"
+            lambda: re.findall(r"http://\S+\?token=\S+", self._output.read_text()), 60.0, "the page's address"
         )
         return str(found[-1])
 
@@ -76,7 +80,7 @@ class MachineRig:
         """Ask for another sign-in."""
         before = self._output.read_text().count("?token=")
         self.bridge.send_signal(signal.SIGUSR1)
-        wait_for(lambda: self._output.read_text().count("?token=") > before, 10.0, "another token")
+        wait_for(lambda: self._output.read_text().count("?token=") > before, 30.0, "another token")
         return self.address()
 
     def by_link(self, address: str) -> str:
@@ -88,8 +92,11 @@ class MachineRig:
         return float(wait_for(lambda: self.board.holds(since), within_s, "the driver's hold")[0]) + self.clock_s
 
     def close(self) -> None:
-        self.link.close()
         self.board.close()
+        self._end()
+
+    def _end(self) -> None:
+        self.link.close()
         for process in self._processes:
             if process.poll() is None:
                 process.send_signal(signal.SIGCONT)

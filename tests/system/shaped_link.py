@@ -6,7 +6,7 @@ import asyncio
 import threading
 
 _SEGMENT = 1400
-_WITHIN_S = 5.0
+_WITHIN_S = 20.0
 
 
 class _Direction:

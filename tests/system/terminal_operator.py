@@ -28,6 +28,7 @@ class Operator:
     def __init__(self, ros: Ros) -> None:
         self.ros = ros
         self.node = ros.plain("operator")
+        self._clients: dict[str, Any] = {}
         self.heartbeat = self.node.create_publisher(Header, "/operator/heartbeat", qos.COMMAND)
         self.command = self.node.create_publisher(String, "/gantry/command", qos.COMMAND)
         self.goal = self.node.create_publisher(PointStamped, "/gantry/goal", qos.COMMAND)
@@ -45,7 +46,7 @@ class Operator:
         self._heart.start()
         ros.spin_until(
             lambda: self.state == "ready" and self.goal.get_subscription_count() and self.heartbeat_heard(),
-            20.0,
+            60.0,
             lambda: f"state {self.state!r}",
         )
 
@@ -108,14 +109,16 @@ class Operator:
 
     def reset(self) -> None:
         """Reset after a stop; it is refused while the hold and the lift are not complete."""
-        self.ros.spin_until(lambda: self.call("/gantry/reset").success, 10.0, lambda: self.driver_state)
-        self.ros.spin_until(lambda: self.state == "ready", 10.0, lambda: self.state)
+        self.ros.spin_until(lambda: self.call("/gantry/reset").success, 30.0, lambda: self.driver_state)
+        self.ros.spin_until(lambda: self.state == "ready", 30.0, lambda: self.state)
 
     def call(self, name: str) -> Any:
-        client = self.node.create_client(Trigger, name)
-        self.ros.spin_until(client.service_is_ready, 10.0)
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(Trigger, name)
+        client = self._clients[name]
+        self.ros.spin_until(client.service_is_ready, 30.0)
         future = client.call_async(Trigger.Request())
-        self.ros.spin_until(future.done, 10.0)
+        self.ros.spin_until(future.done, 30.0)
         return future.result()
 
 

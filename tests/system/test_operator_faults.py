@@ -56,7 +56,7 @@ class Room:
             operator.page.click("#go")
             operator.until(
                 lambda: "Moving" in operator.page.inner_text("#chip-driver") or operator.refused(),
-                5.0,
+                15.0,
                 lambda: operator.page.inner_text("#refusal"),
             )
             if not operator.refused():
@@ -74,7 +74,7 @@ class Room:
         )
         if not operator.page.is_hidden("#lease-take"):
             operator.page.click("#lease-take")
-        operator.until(lambda: operator.page.is_enabled("#reset"), 5.0, lambda: "reset can be pressed")
+        operator.until(lambda: operator.page.is_enabled("#reset"), 15.0, lambda: "reset can be pressed")
         operator.page.click("#reset")
         operator.sees("#chip-driver", then, within_s=10.0)
 
