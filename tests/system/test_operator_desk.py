@@ -39,7 +39,7 @@ def instrument(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     folder = tmp_path_factory.mktemp("instrument")
     write_secret(folder / "passwords", new_user(*PERSON, b"a" * 16).line())
     made = Instrument(folder, PATIENT | {"token_role": "engineer", "passwords_file": folder / "passwords"})
-    made.tell("heartbeat_timeout 9")
+    made.tell("heartbeat_timeout 30")
     try:
         yield made
     finally:
@@ -52,6 +52,8 @@ def operator(browser: Any, instrument: Instrument) -> Iterator[Operator]:
     try:
         person.takes_control()
         yield person
+        # A page that goes while something moves stops it. The answer that something has ended comes before its state.
+        person.page.wait_for_selector("#stage:not(.moving)", state="attached")
         assert person.complaints == []
     finally:
         person.context.close()  # its page goes away, and with it the control
@@ -104,7 +106,7 @@ def test_the_page_speaks_german(operator: Operator) -> None:
     stranger = operator.context.browser.new_context(locale="de-DE")
     signs_in = stranger.new_page()
     signs_in.goto(page.url)
-    operator.until(lambda: signs_in.title() == "Anmelden – Ferninstrument", 5.0, signs_in.title)
+    operator.until(lambda: signs_in.title() == "Anmelden – Ferninstrument", 15.0, signs_in.title)
     stranger.close()
     wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
     assert wide <= 0
@@ -112,7 +114,7 @@ def test_the_page_speaks_german(operator: Operator) -> None:
     operator.sees("#lease-text", "Niemand bedient|Sie bedienen")
     page.click("#language")
     operator.sees("#chip-driver", "Machine")
-    operator.until(lambda: not page.is_hidden("#lease-take"), 5.0, lambda: page.inner_text("#lease-text"))
+    operator.until(lambda: not page.is_hidden("#lease-take"), 15.0, lambda: page.inner_text("#lease-text"))
     page.click("#lease-take")
     operator.sees("#lease-text", "You are in control")
 
@@ -196,7 +198,7 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     page.keyboard.down("Enter")
     operator.sees("#selection-name", "Channel 1 scale")
     focused = lambda: page.evaluate("document.activeElement.dataset.act ?? ''")  # noqa: E731
-    operator.until(lambda: focused() == "turn", 5.0, lambda: f"focus on {focused()!r}, not on Turn")
+    operator.until(lambda: focused() == "turn", 15.0, lambda: f"focus on {focused()!r}, not on Turn")
     for _ in range(3):
         page.keyboard.down("Enter")  # repeats, as a keyboard does while the key stays down
     page.keyboard.up("Enter")
@@ -213,21 +215,23 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     page.click("#freeze")
     assert page.locator("#log tr").count() == rows, page.inner_text("#log")
     # What is refused during a command is not said any more after it, if that was a second ago.
-    instrument.tell("motion 4")
+    instrument.tell("motion 60")
     operator.selects("RUN_STOP", "Run / Stop")
     operator.confirms()
     page.click("[data-control=CH1_IN]", force=True)
     operator.sees("#refusal", "connector and is never touched")
     operator.sees("#selection-name", "Nothing selected")
-    operator.logs("Press Run / Stop.*done", 10.0)
-    operator.until(lambda: not page.inner_text("#refusal"), 5.0, lambda: page.inner_text("#refusal"))
+    page.wait_for_timeout(1000)
+    instrument.tell("motion 0.3")
+    operator.sees("#last", "Press Run / Stop: done")
+    operator.until(lambda: not page.inner_text("#refusal"), 15.0, lambda: page.inner_text("#refusal"))
     # A page that is closed or loaded anew is not a hidden one; STOP, and nothing else, is hit while the help is open.
     operator.selects("MENU", "Menu")
-    instrument.tell("motion 6")
+    instrument.tell("motion 60")
     operator.confirms()
     operator.sees("#chip-driver", "Moving")
     page.reload()
-    operator.logs("STOP.*the operator’s page was closed", 10.0)
+    operator.logs("STOP.*the operator’s page was closed", 20.0)
     instrument.tell("motion 1.5")
     operator.takes_control()
     page.keyboard.press("?")
@@ -238,7 +242,7 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     assert "Enable" not in page.inner_text("#log"), "what is shaded is not operated"
     box = page.locator("#stop").bounding_box()
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    operator.logs(r"STOP\s*✓done\s*Operator", 5.0)
+    operator.logs(r"STOP\s*✓done\s*Operator", 15.0)
     page.click("#reset")
     operator.sees("#chip-driver", "Idle")
 
@@ -250,7 +254,7 @@ def test_a_choice_that_is_refused_is_not_shown_as_chosen_and_can_be_made_again(o
     operator.sees("#refusal", "A kept picture")
     assert page.inner_text("#selection-name") == "Nothing selected"
     chosen = lambda: page.input_value("#chooser")  # noqa: E731
-    operator.until(lambda: chosen() == "", 5.0, lambda: f"{chosen()!r} is shown as chosen")
+    operator.until(lambda: chosen() == "", 15.0, lambda: f"{chosen()!r} is shown as chosen")
     page.click("#freeze")
     page.focus("#chooser")
     page.keyboard.type("Menu")
@@ -260,7 +264,7 @@ def test_a_choice_that_is_refused_is_not_shown_as_chosen_and_can_be_made_again(o
     operator.sees("#selection-name", "Nothing selected")
     page.select_option("#chooser", "MENU")
     operator.sees("#refusal", "Take control first")
-    operator.until(lambda: chosen() == "", 5.0, lambda: f"{chosen()!r} is shown as chosen")
+    operator.until(lambda: chosen() == "", 15.0, lambda: f"{chosen()!r} is shown as chosen")
 
 
 def test_single_keys_are_typed_in_any_way_and_can_be_switched_off(operator: Operator) -> None:
@@ -271,7 +275,7 @@ def test_single_keys_are_typed_in_any_way_and_can_be_switched_off(operator: Oper
     done = turned.filter(has_text="done")
     for keys, turns in (({}, True), (altgr, True), ({"altKey": True}, True), ({"ctrlKey": True}, False)):
         operator.selects("CH1_SCALE", "Channel 1 scale")
-        operator.until(lambda: page.is_enabled("[data-act=turn]"), 5.0, lambda: page.inner_text("#refusal"))
+        operator.until(lambda: page.is_enabled("[data-act=turn]"), 15.0, lambda: page.inner_text("#refusal"))
         before = done.count()
         page.evaluate(typed, keys)
         while turns and done.count() == before:
@@ -297,7 +301,7 @@ def test_single_keys_are_typed_in_any_way_and_can_be_switched_off(operator: Oper
     assert page.is_visible("#help")
     page.click("#help-close")
     page.keyboard.press("Escape")
-    operator.sees("#banner", "STOPPED", within_s=10.0)
+    operator.sees("#banner", "STOPPED", within_s=20.0)
     page.click("#reset")
     operator.sees("#chip-driver", "Idle")
 
@@ -336,10 +340,10 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     for facts, done in ({}, "no"), ({"calibration": {**numbers, "held_out_max_mm": "0.1"}}, "yes"):
         lines[-1].send(json.dumps({"type": "facts", "facts": facts}))
         person.until(
-            lambda done=done: page.get_attribute("#guide-result", "data-done") == done, 5.0, lambda done=done: done
+            lambda done=done: page.get_attribute("#guide-result", "data-done") == done, 15.0, lambda done=done: done
         )
     lines[-1].send(json.dumps({"type": "facts", "facts": {"calibration": numbers}}))
-    person.until(lambda: "checked – mm" in (page.text_content("#guide-numbers") or ""), 5.0, lambda: "a dash")
+    person.until(lambda: "checked – mm" in (page.text_content("#guide-numbers") or ""), 15.0, lambda: "a dash")
     assert page.get_attribute("#guide-result", "data-done") == "no", "nobody knows how good it is"
     whole, hung = False, len(pictures)
     page.route("**/stop*", lambda route: route.abort())
@@ -354,12 +358,12 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     page.unroute("**/stop*")
     page.click("#stop")
     whole = True
-    person.sees("#banner", "STOPPED", within_s=10.0)
-    person.until(lambda: len(pictures) > hung, 10.0, lambda: "the picture is asked for anew")
+    person.sees("#banner", "STOPPED", within_s=30.0)
+    person.until(lambda: len(pictures) > hung, 60.0, lambda: "the picture is asked for anew")
     before = person.picture_sum()
-    person.until(lambda: person.picture_sum() != before, 10.0, lambda: "the picture is live again")
+    person.until(lambda: person.picture_sum() != before, 20.0, lambda: "the picture is live again")
     page.click("#lease-take")
-    person.until(lambda: page.is_enabled("#reset"), 5.0, lambda: page.inner_text("#lease-text"))
+    person.until(lambda: page.is_enabled("#reset"), 15.0, lambda: page.inner_text("#lease-text"))
     page.click("#reset")
     person.sees("#chip-driver", "Idle")
     person.leaves()
@@ -386,7 +390,7 @@ def test_a_page_that_was_held_up_itself_looks_at_what_came_before_it_judges(
     connections: list[Any] = []
     page.on("websocket", lambda socket: connections.append(socket))
     page.evaluate("document.querySelector('[data-control=MENU]').click(); window.heldUpMs = 4000;")
-    person.until(lambda: page.evaluate("window.heldUps"), 10.0, lambda: "a frame that takes long")
+    person.until(lambda: page.evaluate("window.heldUps"), 20.0, lambda: "a frame that takes long")
     person.sees("#selection-name", "Menu")
     person.sees("#banner", "Ready")
     assert page.inner_text("#refusal") == "", "the answer had come"
@@ -422,7 +426,7 @@ def test_what_was_pressed_while_the_page_was_held_up_is_not_done(operator: Opera
     assert page.inner_text("[data-call=home]") == "Confirm: home"
     page.keyboard.press("?")
     page.keyboard.press("Escape")
-    operator.logs("STOP", 5.0)
+    operator.logs("STOP", 15.0)
     page.evaluate("late('click', '#lease-release')")
     operator.sees("#lease-text", "Nobody is in control")
     page.click("#lease-take")
@@ -436,7 +440,7 @@ def test_an_arrow_that_was_let_go_while_the_page_was_held_up_begins_nothing_more
     """What the page does first when it goes on, asks anew or hears that the key is up, is else a matter of chance."""
     page = operator.page
     page.click("#tab-move")
-    operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 5.0, lambda: page.inner_text("#move-why"))
+    operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 15.0, lambda: page.inner_text("#move-why"))
     sent = page.evaluate("""async () => {
         const { desk } = await import('/page/desk.js');
         const { ask } = desk.link;
@@ -454,7 +458,7 @@ def test_an_arrow_that_was_let_go_while_the_page_was_held_up_begins_nothing_more
         }, 10));
     }""")
     assert sent == [1, 0], "asked for once, and let go"
-    operator.logs(r"Move \+x.*done", 5.0)
+    operator.logs(r"Move \+x.*done", 15.0)
     operator.sees("#banner", "Ready")
 
 
@@ -483,18 +487,18 @@ def test_answers_that_come_late_take_no_focus_and_an_end_that_was_missed_is_told
     page.keyboard.press("Enter")
     person.sees("#selection-name", "Menu")
     page.focus("#log-search")
-    person.until(lambda: kept, 5.0, lambda: "the answer to the choice")
+    person.until(lambda: kept, 15.0, lambda: "the answer to the choice")
     keeps = False
     ends[-1].send(kept[-1])
     page.keyboard.press("Enter")
     page.evaluate("new Promise((resolve) => requestAnimationFrame(resolve))")
     assert page.evaluate("document.activeElement.id") == "log-search", "it has gone on to something else meanwhile"
-    instrument.tell("motion 30")
+    instrument.tell("motion 60")
     person.confirms()
     person.sees("#last", "Press Menu: in work")
     for end in ends[-2:]:
         end.close()
-    person.logs("Press Menu.*(aborted|stopped)", 10.0)
+    person.logs("Press Menu.*(aborted|stopped)", 20.0)
     person.sees("#last", "Press Menu: aborted")
     instrument.tell("motion 1.5")
     page.click("#lease-take")
@@ -542,18 +546,18 @@ def test_a_picture_that_hangs_alone_stops_the_motion_and_comes_back(browser: Any
     page.route_web_socket(re.compile("/video$"), video)
     page.reload()
     person.takes_control()
-    instrument.tell("motion 30")
+    instrument.tell("motion 60")
     person.selects("MENU", "Menu")
     person.confirms()
     person.sees("#banner", "Moving")
     hung = 1000
-    person.sees("#banner", "STOPPED", within_s=15.0)
-    person.logs(r"STOP.*no new picture.*Watchdog", 5.0)
+    person.sees("#banner", "STOPPED", within_s=30.0)
+    person.logs(r"STOP.*no new picture.*Watchdog", 15.0)
     person.sees("#lease-text", "You are in control")
     hung = len(connections)
-    person.until(lambda: len(connections) > hung, 10.0, lambda: "the picture is asked for anew")
+    person.until(lambda: len(connections) > hung, 60.0, lambda: "the picture is asked for anew")
     before = person.picture_sum()
-    person.until(lambda: person.picture_sum() != before, 10.0, lambda: "the picture is live again")
+    person.until(lambda: person.picture_sum() != before, 20.0, lambda: "the picture is live again")
     instrument.tell("motion 1.5")
     page.click("#reset")
     person.sees("#chip-driver", "Idle")
@@ -586,7 +590,7 @@ def test_a_picture_that_was_long_on_its_way_is_shown_as_old_as_it_is(browser: An
     page.reload()
     person.until(lambda: 0 <= age_ms() < 700, 20.0, lambda: page.inner_text("#chip-video"))
     slow_s = 1.5
-    person.until(lambda: age_ms() >= 1500, 10.0, lambda: page.inner_text("#chip-video"))
+    person.until(lambda: age_ms() >= 1500, 20.0, lambda: page.inner_text("#chip-video"))
     end = time.monotonic() + 3.0
     ages: list[int] = []
     while time.monotonic() < end:
@@ -600,13 +604,15 @@ def test_a_picture_from_before_the_computer_slept_is_not_shown_as_new(browser: A
     """The page's clock stands still then: to the page it is the bridge's that goes ahead, all at once."""
     person = Operator(browser, instrument.new_address())
     page = person.page
-    slept_s, hangs, answers = 0.0, False, 0
+    slept_s, hangs, answers, at_most = 0.0, False, 0, 1e9
 
     def control(route: Any) -> None:
         def told(text: str) -> None:
             nonlocal answers
             message = json.loads(text)
             if message["type"] == "alive":
+                if answers >= at_most:
+                    return
                 answers += 1
                 message["bridge_ms"] += 1e3 * slept_s
             route.send(json.dumps(message))
@@ -625,11 +631,12 @@ def test_a_picture_from_before_the_computer_slept_is_not_shown_as_new(browser: A
     page.reload()
     person.takes_control()
     person.sees("#banner", "Ready")
-    person.until(lambda: answers >= 10, 5.0, lambda: "what the bridge's clock shows is known well")
-    hangs, slept_s = True, 60.0
-    person.sees("#stale", r"6\d\.\d s", within_s=2.0)
-    hangs, slept_s = False, 0.0
-    person.sees("#banner", "Ready", within_s=2.0)
+    person.until(lambda: answers >= 10, 15.0, lambda: "what the bridge's clock shows is known well")
+    # Two seconds' answers must do: the clocks are known from those of the last five.
+    hangs, slept_s, at_most = True, 60.0, answers + 10
+    person.sees("#stale", r"6\d\.\d s")
+    hangs, slept_s, at_most = False, 0.0, answers + 10
+    person.sees("#banner", "Ready")
     person.leaves()
 
 
@@ -661,7 +668,7 @@ def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: 
         page.set_viewport_size({"width": 1280, "height": 800})
         page.click("#tab-sequence")
         page.fill("#sequence-text", "press:MENU")
-        instrument.tell("motion 6")
+        instrument.tell("motion 60")
         person.selects("MENU", "Menu")
         person.confirms()
         newest = page.locator("#log tr").first.inner_text
@@ -679,12 +686,14 @@ def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: 
             person.sees("#stay-problem", "Too many failed attempts")
         assert renewed.value.status == 200
         ends.clear()
-        person.until(lambda: page.is_hidden("#stay"), 5.0, lambda: page.inner_text("#stay"))
+        person.until(lambda: page.is_hidden("#stay"), 15.0, lambda: page.inner_text("#stay"))
         person.sees("#lease-text", "You are in control")
         focus = page.evaluate("document.activeElement.id")
         assert focus == "desk", "where a second Enter does nothing"
         assert page.input_value("#sequence-text") == "press:MENU", "the page is as it was"
+        instrument.tell("motion 0.3")
         person.until(lambda: re.search("Press Menu.*done", newest()), 15.0, newest)
+        person.sees("#banner", "Ready")  # what still moves would be stopped
         assert person.complaints == []
     finally:
         instrument.tell("motion 1.5")
@@ -705,7 +714,7 @@ def test_who_only_watches_sees_that_a_recording_runs_whoever_started_it(
         person.sees("#chip-recording", r"Recording\s*●\s*\d:\d\d$")
         person.sees("#recordings", rf"^Recording for \d:\d\d, begun by {name}\.$")
     said = watcher.page.inner_text("#recordings")
-    watcher.until(lambda: page.inner_text("#recordings") != said, 5.0, lambda: f"more than {said!r}")
+    watcher.until(lambda: page.inner_text("#recordings") != said, 15.0, lambda: f"more than {said!r}")
     page.click("#language")
     watcher.sees("#recordings", rf"^Aufzeichnung seit \d:\d\d, begonnen von {name}\.$")
     page.click("#language")
@@ -735,7 +744,7 @@ def test_two_tabs_of_one_person_are_told_apart(operator: Operator) -> None:
     name = operator.sees("#you", "Operator").partition(" ·")[0]
     other.goto(page.url)
     reads = lambda tab, text: operator.until(  # noqa: E731
-        lambda: tab.inner_text("#lease-text") == text, 10.0, lambda: f"{tab.inner_text('#lease-text')!r}, not {text!r}"
+        lambda: tab.inner_text("#lease-text") == text, 20.0, lambda: f"{tab.inner_text('#lease-text')!r}, not {text!r}"
     )
     reads(other, f"{name} (another page) is in control. You are viewing.")
     other.click("#lease-request")
@@ -787,11 +796,11 @@ def test_the_focus_stays_where_a_second_enter_does_nothing(operator: Operator, i
     page, keyboard = operator.page, operator.page.keyboard
     instrument.tell("motion 0.3")
     focus = lambda: page.evaluate("(({ id, dataset }) => id || dataset.act || dataset.jog)(document.activeElement)")  # noqa: E731
-    lands_on = lambda place: operator.until(lambda: focus() == place, 5.0, lambda: f"{focus()} has the focus")  # noqa: E731
+    lands_on = lambda place: operator.until(lambda: focus() == place, 15.0, lambda: f"{focus()} has the focus")  # noqa: E731
 
     def goes_to(selector: str, place: str) -> None:
         """Focus what is switched off only for a moment."""
-        operator.until(lambda: page.focus(selector) or focus() == place, 5.0, lambda: f"{focus()} has the focus")
+        operator.until(lambda: page.focus(selector) or focus() == place, 15.0, lambda: f"{focus()} has the focus")
 
     page.focus("#lease-release")
     keyboard.press("Enter")
@@ -808,14 +817,16 @@ def test_the_focus_stays_where_a_second_enter_does_nothing(operator: Operator, i
     lands_on("press")
     rows = page.locator("#log tr:not(.nothing)")
     before = rows.count()
+    instrument.tell("motion 60")  # the page must see that it moves
     keyboard.press("Enter")
     lands_on("selection-card")
+    instrument.tell("motion 0.3")
     operator.sees("#last", "Press Menu: done")
     keyboard.press("Enter")
     keyboard.press("Escape")
-    operator.until(lambda: page.is_visible("#reset"), 5.0, lambda: page.inner_text("#banner"))
+    operator.until(lambda: page.is_visible("#reset"), 15.0, lambda: page.inner_text("#banner"))
     assert rows.count() == before + 2, "one press and the stop"
-    operator.logs("STOP.*done", 5.0)
+    operator.logs("STOP.*done", 15.0)
     goes_to("#reset", "reset")
     keyboard.press("Enter")
     lands_on("desk")
@@ -823,14 +834,16 @@ def test_the_focus_stays_where_a_second_enter_does_nothing(operator: Operator, i
     page.click("#tab-move")
     goes_to("[data-jog='0,1']", "0,1")
     keyboard.press("Enter")
-    operator.logs(r"Move \+y.*done", 5.0)
+    operator.logs(r"Move \+y.*done", 15.0)
     lands_on("0,1")
     page.fill("#go-x", "90")
     page.fill("#go-y", "40")
     goes_to("#go", "go")
+    instrument.tell("motion 60")
     keyboard.press("Enter")
     lands_on("panel-move")
-    operator.logs(r"Go to \(90.0, 40.0\) mm.*done", 5.0)
+    instrument.tell("motion 0.3")
+    operator.logs(r"Go to \(90.0, 40.0\) mm.*done", 15.0)
     operator.sees("#banner", "Ready")  # the page's end would stop what still moves
 
 
@@ -867,7 +880,7 @@ def test_zoom_pan_and_a_click_in_the_zoomed_picture(operator: Operator) -> None:
     assert "Nothing" in page.inner_text("#selection-name"), "a drag selects nothing"
     page.focus("[data-control=MENU]")
     page.keyboard.press("Enter")  # a key was never dragged
-    operator.sees("#selection-name", "Menu", within_s=5.0)
+    operator.sees("#selection-name", "Menu", within_s=15.0)
     operator.selects("RUN_STOP", "Run / Stop")
     page.keyboard.press("0")
     operator.sees("#zoom-fit", "100 %")
@@ -879,8 +892,8 @@ def test_the_picture_before_is_compared_and_nothing_moves_meanwhile(operator: Op
     operator.selects("RUN_STOP", "Run / Stop")
     lit = operator.lit()
     operator.confirms()
-    operator.logs("Press Run / Stop.*done", 10.0)
-    operator.until(lambda: operator.lit() != lit, 5.0, lambda: "the button changes")
+    operator.sees("#last", "Press Run / Stop: done")
+    operator.until(lambda: operator.lit() != lit, 15.0, lambda: "the button changes")
     page.click("#compare")
     assert page.input_value("#wipe") == "50"
     page.fill("#wipe", "100")
@@ -894,17 +907,17 @@ def test_the_picture_before_is_compared_and_nothing_moves_meanwhile(operator: Op
     assert not page.is_enabled("[data-act=press]")
     operator.sees("#refusal", "lies over the live one")
     page.click("#compare")
-    operator.until(lambda: page.is_enabled("[data-act=press]"), 5.0, lambda: page.inner_text("#refusal"))
+    operator.until(lambda: page.is_enabled("[data-act=press]"), 15.0, lambda: page.inner_text("#refusal"))
     page.click("#freeze")
-    operator.until(lambda: not page.is_enabled("[data-act=press]"), 5.0, lambda: "nothing moves from a held picture")
+    operator.until(lambda: not page.is_enabled("[data-act=press]"), 15.0, lambda: "nothing moves from a held picture")
     assert page.is_visible("#before") and page.get_attribute("#freeze", "aria-pressed") == "true"
     instrument.tell("running 1")
     held = "() => document.getElementById('before').toDataURL()"
     still, live = page.evaluate(held), operator.picture_sum()
-    operator.until(lambda: operator.picture_sum() != live, 5.0, lambda: "the live picture goes on below")
+    operator.until(lambda: operator.picture_sum() != live, 15.0, lambda: "the live picture goes on below")
     assert page.evaluate(held) == still
     page.click("#freeze")
-    operator.until(lambda: page.is_enabled("[data-act=press]"), 5.0, lambda: page.inner_text("#refusal"))
+    operator.until(lambda: page.is_enabled("[data-act=press]"), 15.0, lambda: page.inner_text("#refusal"))
     with page.expect_download() as saved:
         page.click("#snapshot")
     assert re.fullmatch(r"picture_[\d_-]+\.png", saved.value.suggested_filename)
@@ -916,8 +929,10 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
     instrument.tell("motion 0.3")
     page.click("#tab-move")
     page.select_option("#jog-step", "5")
-    operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 5.0, lambda: page.inner_text("#move-why"))
-    start = float(page.inner_text("#position-x").split()[0])
+    operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 15.0, lambda: page.inner_text("#move-why"))
+    # A position that nobody has told for a second is not shown.
+    at = lambda: float(re.match(r"-?[\d.]+", operator.sees("#position-x", r"\d"))[0])  # noqa: E731
+    start = at()
     named = lambda text: [row for row in page.locator("#log tr").all_inner_texts() if text in row]  # noqa: E731
     before = {text: len(named(text)) for text in ("Move +x", "Move -x", "Go to (80.0, 60.5) mm")}
 
@@ -928,23 +943,23 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
 
     page.hover("[data-jog='1,0']")
     page.mouse.down()
-    x = lambda: float(page.inner_text("#position-x").split()[0]) - start  # noqa: E731
-    operator.until(lambda: x() >= 15, 10.0, lambda: f"moved by {x()} mm; {page.inner_text('#log')}")
+    x = lambda: at() - start  # noqa: E731
+    operator.until(lambda: x() >= 15, 20.0, lambda: f"moved by {x()} mm; {page.inner_text('#log')}")
     page.mouse.up()
-    ends("Move +x", 5.0)
+    ends("Move +x", 15.0)
     end = x()
     assert abs(end / 5 - round(end / 5)) < 0.01
     assert len(named("Move +x")) == before["Move +x"] + 1
     page.keyboard.down("Shift")
     page.keyboard.down("ArrowLeft")
-    operator.until(lambda: x() <= end - 10, 10.0, lambda: f"moved to {x()} mm; {page.inner_text('#log')}")
+    operator.until(lambda: x() <= end - 10, 20.0, lambda: f"moved to {x()} mm; {page.inner_text('#log')}")
     page.click("#freeze")  # what is not seen any more does not go on, though the key is still down
     operator.sees("#refusal", "A kept picture lies over the live one")
-    ends("Move -x", 5.0)
+    ends("Move -x", 15.0)
     page.keyboard.up("ArrowLeft")
     page.keyboard.up("Shift")
     page.click("#freeze")
-    instrument.tell("motion 3")
+    instrument.tell("motion 60")
     page.fill("#go-x", "80")
     page.fill("#go-y", "60.5")
     page.click("#go")
@@ -956,8 +971,9 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
     }"""
     assert page.evaluate(answered), "and so has been what the key asked for, and that it was let go"
     assert page.inner_text("#refusal") == "The last command is not finished yet."
-    ends("Go to (80.0, 60.5) mm", 10.0)
-    assert page.inner_text("#position-x") == "80.0 mm"
+    instrument.tell("motion 0.3")
+    ends("Go to (80.0, 60.5) mm", 15.0)
+    operator.sees("#position-x", "^80.0 mm$")
     page.click("#tab-plots")
     operator.sees("#plot-position .values", r"X 80.0 · Y 60.5")
     assert page.get_attribute("#plot-position path", "d")
@@ -1004,9 +1020,9 @@ def test_times_are_the_bridges_and_those_of_another_day_have_their_date(browser:
         return str(page.inner_text("#log tr >> nth=0 >> td >> nth=0").replace("\xa0", " "))
 
     for days, expected in ((0, "23:50:07"), (1, "Mar 29 23:50:07")):
-        operator.until(lambda d=days, text=expected: time_of(d) == text, 5.0, lambda d=days: time_of(d))
+        operator.until(lambda d=days, text=expected: time_of(d) == text, 15.0, lambda d=days: time_of(d))
     page.click("#language")
-    operator.until(lambda: time_of(1) == "29. März 23:50:07", 5.0, lambda: time_of(1))
+    operator.until(lambda: time_of(1) == "29. März 23:50:07", 15.0, lambda: time_of(1))
     operator.leaves()
 
 
@@ -1014,7 +1030,7 @@ def test_the_log_is_searched_and_exported(operator: Operator) -> None:
     page = operator.page
     operator.selects("MENU", "Menu")
     operator.confirms()
-    operator.logs("Press Menu.*done", 10.0)
+    operator.sees("#last", "Press Menu: done")
     page.fill("#log-search", "menu")
     operator.sees("#log-found", r"\d+ of \d+")
     shown = page.locator("#log tr:visible").all_inner_texts()
@@ -1058,7 +1074,9 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
     assert page.evaluate(plotted, [[30, 40, 0], [580, 410, 0]]) == [[0, 0, 580, 410], [[30, 370], [580, 0]]]
 
 
-def test_outlines_edges_and_the_way_are_seen_on_any_picture(operator: Operator, tmp_path: Path) -> None:
+def test_outlines_edges_and_the_way_are_seen_on_any_picture(
+    operator: Operator, instrument: Instrument, tmp_path: Path
+) -> None:
     """WCAG 1.4.11 on pixels: along each line its bright colour lies beside dark, at least 3:1, whatever is below."""
     import cv2
     import numpy as np
@@ -1116,10 +1134,12 @@ def test_outlines_edges_and_the_way_are_seen_on_any_picture(operator: Operator, 
     for layer in ("edges", "corners"):
         page.click(f"[data-layer={layer}]")
     page.click("[data-layer=path]")
-    operator.until(lambda: page.evaluate("counts.tip") >= 20, 10.0, lambda: "ten more pictures with the stylus's tip")
+    operator.until(lambda: page.evaluate("counts.tip") >= 20, 30.0, lambda: "ten more pictures with the stylus's tip")
     assert page.evaluate("counts.edges") == page.locator(".layer-edges .over").count() == 0
     assert not page.is_visible(".layer-path")
     page.click("[data-layer=path]")
+    instrument.tell("motion 60")  # a page on a loaded machine may not draw what lasts shorter
     operator.confirms()
     page.wait_for_selector(".layer-path .over:not(.planned)", state="attached")
-    operator.logs("Press Run / Stop.*done", 10.0)
+    instrument.tell("motion 1.5")
+    operator.sees("#last", "Press Run / Stop: done")

@@ -38,8 +38,14 @@ class Instrument:
         }
         self.environment = environment
         script = str(ROOT / "tests" / "system" / "synthetic_scope.py")
-        self.scope = subprocess.Popen([sys.executable, script], env=environment, stdin=subprocess.PIPE, text=True)
-        self.start_bridge(0)
+        self.scope = subprocess.Popen(
+            [sys.executable, script], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        try:
+            self.start_bridge(0)
+        except BaseException:  # what is left behind would answer to the next one's pages
+            self.close()
+            raise
 
     def start_bridge(self, port: int) -> None:
         arguments: dict[str, Any] = {"port": port, "token_file": self.folder / "token", **self.limits}
@@ -65,7 +71,7 @@ class Instrument:
             found = re.findall(r"http://\S+\?token=\S+", self.output.read_text())
             return found[number - 1] if len(found) >= number else ""
 
-        return str(wait_for(printed, 30.0, "the page's address"))
+        return str(wait_for(printed, 60.0, "the page's address"))
 
     def new_address(self) -> str:
         """Ask for another sign-in, as the README says."""
@@ -74,9 +80,11 @@ class Instrument:
         return self.address(before + 1)
 
     def tell(self, line: str) -> None:
-        assert self.scope.stdin is not None
+        """Change the instrument's world, and return when it has changed."""
+        assert self.scope.stdin is not None and self.scope.stdout is not None
         self.scope.stdin.write(line + "\n")
         self.scope.stdin.flush()
+        assert self.scope.stdout.readline() == "heard\n", "the instrument has ended"
 
     def close(self) -> None:
         for process in (self.bridge, self.scope):
@@ -87,14 +95,15 @@ class Instrument:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        if self.scope.stdin is not None:
-            self.scope.stdin.close()
+        for pipe in (self.scope.stdin, self.scope.stdout):
+            if pipe is not None:
+                pipe.close()
 
 
 @pytest.fixture
 def instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
     made = Instrument(tmp_path, PATIENT)
-    made.tell("heartbeat_timeout 9")
+    made.tell("heartbeat_timeout 30")
     try:
         yield made
     finally:
@@ -103,8 +112,8 @@ def instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
 
 @pytest.fixture
 def strict_instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
-    """With the product's own limits."""
-    made = Instrument(tmp_path, {})
+    """With the product's own limits of pictures and recognition; an operator whose page is held up stays one."""
+    made = Instrument(tmp_path, {"silence_stop_s": 60.0, "lease_timeout_s": 60.0})
     try:
         yield made
     finally:
@@ -120,24 +129,24 @@ def test_from_sign_in_to_the_measured_result(browser: Any, instrument: Instrumen
     operator.sees_controls()
     assert "token" not in page.url
     first = operator.picture_sum()
-    operator.until(lambda: operator.picture_sum() != first, 5.0, lambda: "the picture changes")
+    operator.until(lambda: operator.picture_sum() != first, 15.0, lambda: "the picture changes")
     assert operator.lit()
     assert not page.is_enabled("[data-call=home]"), "viewers move nothing"
     operator.takes_control()
     operator.selects("RUN_STOP", "Run / Stop")
     assert page.get_attribute("[data-control=RUN_STOP]", "aria-pressed") == "true"
     operator.shoots("selected_light")
-    instrument.tell("motion 4")  # a page on a loaded machine may not draw what lasts shorter
+    instrument.tell("motion 60")  # a page on a loaded machine may not draw what lasts shorter
     operator.confirms()
     operator.sees("#chip-driver", "Moving")
-    operator.logs(r"Press Run / Stop.*in work", 5.0)
-    row = operator.logs(r"Press Run / Stop.*done", 10.0)
+    operator.logs(r"Press Run / Stop.*in work", 15.0)
     instrument.tell("motion 1.5")
+    row = operator.logs(r"Press Run / Stop.*done", 15.0)
     assert "0.42 mm" in row
     assert "Operator 1" in row
     operator.sees("#last", "measured error 0.42 mm")
-    operator.until(lambda: not operator.lit(), 5.0, lambda: "RUN/STOP goes dark in the picture")
-    assert operator.page.inner_text("#position-x") == "208.0 mm"
+    operator.until(lambda: not operator.lit(), 15.0, lambda: "RUN/STOP goes dark in the picture")
+    operator.sees("#position-x", "^208.0 mm$")
     operator.leaves()
 
 
@@ -148,7 +157,7 @@ def test_a_knob_a_point_and_the_touch_screen(browser: Any, instrument: Instrumen
     operator.selects("CH1_SCALE", "Channel 1 scale")
     page.select_option("#turn-degrees", "30")
     operator.confirms("turn")
-    operator.logs(r"Turn ↺ 30° Channel 1 scale.*done", 10.0)
+    operator.logs(r"Turn ↺ 30° Channel 1 scale.*done", 20.0)
     area = page.locator("#controls [data-control=SCREEN]").bounding_box()
     page.mouse.click(area["x"] + area["width"] / 4, area["y"] + area["height"] / 2)
     operator.sees("#selection-name", "Point on the panel")
@@ -157,7 +166,7 @@ def test_a_knob_a_point_and_the_touch_screen(browser: Any, instrument: Instrumen
     assert abs(x - 57.5) < 8
     assert abs(y - 82.5) < 6
     operator.confirms()
-    operator.logs(r"Press \([\d.]+, [\d.]+\) mm.*done", 10.0)
+    operator.logs(r"Press \([\d.]+, [\d.]+\) mm.*done", 20.0)
     page.click("[data-control=CH1_IN]", force=True)  # aria-disabled, and still answered
     operator.sees("#refusal", "connector and is never touched")
     page.mouse.click(area["x"] - 60, area["y"] - 90)
@@ -170,7 +179,6 @@ def test_a_knob_a_point_and_the_touch_screen(browser: Any, instrument: Instrumen
 def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrument: Instrument) -> None:
     operator = Operator(browser, instrument.address(), color_scheme="dark")
     page = operator.page
-    instrument.tell("motion 6")
     operator.sees_controls()
     operator.sees("#lease-text", "Nobody is in control")
     page.keyboard.press("l")
@@ -183,10 +191,10 @@ def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrume
     assert focused(), "Tab reaches the controls"
     page.focus("[data-control=SINGLE]")
     page.keyboard.press("?")
-    operator.until(lambda: page.is_visible("#help"), 5.0, lambda: "the help")
+    operator.until(lambda: page.is_visible("#help"), 15.0, lambda: "the help")
     page.keyboard.press("Shift+ArrowUp")  # only STOP works under the help; the log is looked at in the end
     page.keyboard.press("Enter")
-    operator.until(lambda: focused() == "SINGLE", 5.0, lambda: "the help gives the focus back to where it was")
+    operator.until(lambda: focused() == "SINGLE", 15.0, lambda: "the help gives the focus back to where it was")
     page.keyboard.press("ArrowLeft")
     assert focused() == "RUN_STOP"
     page.keyboard.press("ArrowDown")
@@ -195,16 +203,16 @@ def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrume
     page.keyboard.press("Enter")
     operator.sees("#selection-name", "Run / Stop")
     operator.until(
-        lambda: page.evaluate("document.activeElement.dataset.act ?? ''") == "press", 5.0, lambda: "focus on Press"
+        lambda: page.evaluate("document.activeElement.dataset.act ?? ''") == "press", 15.0, lambda: "focus on Press"
     )
-    instrument.tell("motion 6")
+    instrument.tell("motion 60")
     page.keyboard.press("Enter")
     operator.sees("#chip-driver", "Moving")
     page.keyboard.press("Escape")
     operator.sees("#banner", "STOPPED")
     instrument.tell("motion 1.5")
-    operator.logs("aborted stopped: operator", 5.0)
-    operator.logs("STOP", 5.0)
+    operator.logs("aborted stopped: operator", 15.0)
+    operator.logs("STOP", 15.0)
     assert operator.lit(), "the motion did not end in a touch"
     operator.shoots("stopped_dark")
     assert not page.is_enabled("[data-act=press]")
@@ -217,7 +225,7 @@ def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrume
 
 
 def test_the_stop_button_of_a_viewer_and_of_a_page_without_script(browser: Any, instrument: Instrument) -> None:
-    instrument.tell("motion 20")
+    instrument.tell("motion 300")
     operator = Operator(browser, instrument.address())
     operator.takes_control()
     viewer = Operator(browser, instrument.new_address())
@@ -239,13 +247,13 @@ def test_the_stop_button_of_a_viewer_and_of_a_page_without_script(browser: Any, 
     viewer.page.click("#stop")
     viewer.sees("#chip-driver", "Stopped")
     viewer.sees("#banner", "STOPPED")
-    operator.logs("STOP.*Operator 2", 5.0)
+    operator.logs("STOP.*Operator 2", 15.0)
     operator.page.click("[data-call=reset]")
     operator.sees("#chip-driver", "Idle")
     bare = Operator(browser, instrument.new_address(), java_script_enabled=False)
     bare.page.click("#stop-form button")
     operator.sees("#chip-driver", "Stopped")
-    operator.logs("STOP.*Operator 3", 5.0)
+    operator.logs("STOP.*Operator 3", 15.0)
     bare.context.close()
     viewer.leaves()
     operator.leaves()
@@ -277,12 +285,15 @@ def test_control_is_handed_over(browser: Any, instrument: Instrument) -> None:
     second.page.click("[data-call=home]")
     assert second.page.inner_text("[data-call=home]") == "Confirm: home"
     second.page.click("[data-call=home]")
-    second.logs("Home.*done homing", 5.0)
+    second.logs("Home.*done homing", 15.0)
     first.sees("#banner", "Viewing. Ask for control to operate")
     second.selects("MENU", "Menu")
+    instrument.tell("motion 60")
     second.confirms()
     first.sees("#banner", "Moving. STOP or Esc stops it")
-    second.logs("Press Menu.*done", 10.0)
+    instrument.tell("motion 0.3")
+    second.logs("Press Menu.*done", 15.0)
+    second.sees("#banner", "Ready")  # what still moves would be stopped
     second.page.click("#lease-release")
     second.sees("#banner", "You are no longer in control: it was released, or this page was hidden")
     first.sees("#banner", "Viewing. Take control to operate")
@@ -297,7 +308,7 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     operator.takes_control()
     operator.selects("MENU", "Menu")
     instrument.tell("stall")
-    operator.until(lambda: page.get_attribute("#stage", "data-age") == "stale", 5.0, lambda: "the picture is stale")
+    operator.until(lambda: page.get_attribute("#stage", "data-age") == "stale", 15.0, lambda: "the picture is stale")
     operator.sees("#stale", r"STALE · [1-9]")
     operator.shoots("stale_light")
     assert not page.is_enabled("[data-act=press]")
@@ -319,9 +330,9 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     }""")
     assert len(spoken) <= 2, f"a screen reader would speak of each: {spoken}"
     instrument.tell("resume")
-    operator.until(lambda: page.is_hidden("#stale"), 5.0, lambda: "the picture is live again")
+    operator.until(lambda: page.is_hidden("#stale"), 15.0, lambda: "the picture is live again")
     focused = lambda: page.evaluate("document.activeElement.dataset.control")  # noqa: E731
-    operator.until(lambda: focused() == "MENU", 5.0, lambda: "the focus comes back to the control that was clicked")
+    operator.until(lambda: focused() == "MENU", 15.0, lambda: "the focus comes back to the control that was clicked")
     operator.sees("#chip-recognition", "97 %")
     instrument.tell("mute 1")
     operator.sees("#chip-recognition", "unknown")
@@ -334,9 +345,9 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     instrument.tell("confidence 0.97")
     moved = re.compile("The panel has moved by 10 mm since the selection")
     for _ in range(5):
-        operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "ready again")
+        operator.until(lambda: page.is_enabled("[data-act=press]"), 20.0, lambda: "ready again")
         page.click("[data-act=press]")
-        operator.until(operator.refused, 5.0, lambda: "a refusal")
+        operator.until(operator.refused, 15.0, lambda: "a refusal")
         if moved.search(page.inner_text("#refusal")):
             break
     operator.sees("#refusal", moved)
@@ -357,7 +368,7 @@ def test_a_click_before_the_page_has_drawn_that_it_cannot_be_done_gets_the_reaso
         for _ in range(5):
             act()
             end = time.monotonic() + 2.0
-            operator.until(lambda end=end: done() or time.monotonic() > end, 5.0, lambda: "an answer")
+            operator.until(lambda end=end: done() or time.monotonic() > end, 15.0, lambda: "an answer")
             if done():
                 return
         pytest.fail(f"the page shows {page.inner_text('#refusal')!r}")
@@ -365,17 +376,17 @@ def test_a_click_before_the_page_has_drawn_that_it_cannot_be_done_gets_the_reaso
     busy = "button => { const end = performance.now() + 600; while (performance.now() < end); button.click(); }"
 
     def click_when_it_is_late() -> None:
-        operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "the button")
+        operator.until(lambda: page.is_enabled("[data-act=press]"), 20.0, lambda: "the button")
         page.eval_on_selector("[data-act=press]", busy)
 
-    repeats(click_when_it_is_late, operator.refused)
-    operator.sees("#refusal", r"The picture is \d{3,} ms old; at most 500 ms")
+    late = re.compile(r"The picture is \d{3,} ms old; at most 500 ms")
+    repeats(click_when_it_is_late, lambda: bool(operator.refused() and late.search(page.inner_text("#refusal"))))
     for key in (">", "Shift+ArrowLeft"):
-        operator.until(lambda: page.is_enabled("[data-act=press]"), 10.0, lambda: "ready again")
+        operator.until(lambda: page.is_enabled("[data-act=press]"), 20.0, lambda: "ready again")
         repeats(lambda: page.click("[data-control=RUN_STOP]"), lambda: not operator.refused())
         page.click("#freeze")
         page.keyboard.press(key)
-        operator.until(operator.refused, 5.0, lambda key=key: f"a refusal of {key}")
+        operator.until(operator.refused, 15.0, lambda key=key: f"a refusal of {key}")
         operator.sees("#refusal", "A kept picture lies over the live one")
         page.click("#freeze")
     sentence = "That cannot be done with this control"
