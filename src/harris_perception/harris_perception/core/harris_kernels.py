@@ -3,8 +3,8 @@
 How the fused pass got fast (measured by benchmarks/bench_harris.py, each step against the one before): two rows at a
 time share loads and half of the vertical sums; strips of columns keep all rows in the first-level cache; all float rows
 lie in one array at constant distances, so that the compiler sees that they do not overlap and vectorises the loops
-without checks; the horizontal sums come straight from the 16-bit gradients; the test for a peak marks bytes in a
-vectorised loop, and only marked pixels, listed from bits, are looked at one by one, none waiting for another.
+without checks; the horizontal sums come straight from the 16-bit gradients; the test for a peak tells eight pixels as
+the bits of a byte, and only marked pixels, listed from bits, are looked at one by one, none waiting for another.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core import lanes
 from harris_perception.core.bitmap import MARGIN, lowest, ones, pack
 from harris_perception.core.compiled import called, compiled, inlined
 
@@ -24,10 +25,10 @@ Array = npt.NDArray[Any]
 _STRIP = 640
 _ROW = 656
 
-# Length of a row of marks, a byte for each column: whole words.
-_MARKS = 672
+# Eight elements are compared at a time, so up to seven before the first row of scratch are looked at.
+_BEFORE = 8
 
-_ONE = np.uint64(1)
+_ONE, _ALL = np.uint64(1), np.uint64(2**64 - 1)
 
 # Below this fraction of the product of the two diagonal elements a determinant is rounding of float32, no corner.
 _RANK_ONE = np.float32(2.0**-21)
@@ -82,10 +83,14 @@ def _response_rows(g: Any, rows: Any, old: int, new: int, result: int, n: int, k
 
 @inlined
 def _mark_peaks(above: Any, here: Any, below: Any, marks: Any, n: int, floor: Any) -> None:
-    """Mark the columns 1 to n - 2 that exceed ``floor`` and their four neighbours; of equal ones the first counts."""
-    for x in range(1, n - 1):
-        r = here[x]
-        marks[x] = (r > floor) & (r > here[x - 1]) & (r >= here[x + 1]) & (r > above[x]) & (r >= below[x])
+    """Mark the columns 1 to n - 2 that exceed ``floor`` and their four neighbours; of equal ones the first counts.
+
+    Column 1 is the first bit; up to seven more are told behind the last one, of elements behind it or rows below.
+    """
+    for i in range((n + 5) // 8):
+        x = 8 * i + 1
+        least = lanes.above(here, x, floor) & lanes.exceed(here, x, here, x - 1) & lanes.exceed(here, x, above, x)
+        marks[i] = least & lanes.reach(here, x, here, x + 1) & lanes.reach(here, x, below, x)
 
 
 @inlined
@@ -93,29 +98,34 @@ def _mark_all(
     above: Any,
     here: Any,
     below: Any,
-    g: Any,
-    row: int,
+    gx: Any,
+    gy: Any,
     marks: Any,
     minima: Any,
+    shift: int,
     n: int,
     floor: Any,
-    weak: Any,
-    strong: Any,
+    low: Any,
+    high: Any,
 ) -> None:
-    """Mark peaks as ``_mark_peaks``, and minima along the axis nearer to the gradient.
+    """Mark peaks as ``_mark_peaks``, and in two ``minima`` those along the axis nearer to the gradient.
 
-    Those below ``weak`` are marked in ``minima``, those below ``strong`` ``_MARKS`` behind it. Element x of the
-    responses lies under element x + 1 of the gradients, which begin at ``row`` of ``g``. This is the thinning of the
-    paper of 1988.
+    Those below ``low``, and below ``high``. ``shift`` bits lie before that of column 1; of peaks they mean nothing.
+    Element x of the responses lies under element x + 1 of the gradient. This is the thinning of the paper of 1988.
     """
-    for x in range(1, n - 1):
-        r, west, east, north, south = here[x], here[x - 1], here[x + 1], above[x], below[x]
-        along_x = abs(g[row + x + 1]) >= abs(g[row + _ROW + x + 1])
-        before, after = west if along_x else north, east if along_x else south
-        least = (r < before) & (r <= after)
-        marks[x] = (r > floor) & (r > west) & (r >= east) & (r > north) & (r >= south)
-        minima[x] = least & (r < weak)
-        minima[_MARKS + x] = least & (r < strong)
+    eighths = (shift + n + 5) // 8
+    first, last = 255 << shift, 255 >> (8 * eighths - (shift + n - 2))
+    for i in range(eighths):
+        x = 8 * i + 1 - shift
+        before, after = lanes.exceed(here, x, here, x - 1), lanes.reach(here, x, here, x + 1)
+        over, under = lanes.exceed(here, x, above, x), lanes.reach(here, x, below, x)
+        marks[i] = lanes.above(here, x, floor) & before & after & over & under
+        along_x = lanes.reach_in_magnitude(gx, x + 1, gy, x + 1)
+        least = along_x & lanes.exceed(here, x - 1, here, x) & lanes.reach(here, x + 1, here, x)
+        least |= ~along_x & lanes.exceed(above, x, here, x) & lanes.reach(below, x, here, x)
+        least &= (first if i == 0 else 255) & (last if i == eighths - 1 else 255)
+        minima[0][i] |= least & lanes.below(here, x, low)
+        minima[1][i] |= least & lanes.below(here, x, high)
 
 
 @inlined
@@ -146,31 +156,33 @@ def _quadratic_peak(above: Any, here: Any, below: Any, x: np.uint64, half: Any) 
 
 
 @inlined
-def _columns_of(words: Any, bits: Any, columns: Any, n: int) -> int:
-    """List the marked ones of the first ``n`` columns; return how many. ``bits`` are zero before and after."""
-    pack(words, (n + 7) // 8, bits.view(np.uint8))
-    marked = 0
-    for i in range((n + 63) // 64):
+def _columns_of(bits: Any, shift: int, columns: Any, n: int) -> int:
+    """List which of the columns 1 to n - 2 are marked, and return how many; ``shift`` bits lie before column 1's."""
+    marked, first, end = 0, 1 - shift, shift + n - 2
+    for i in range((end + 63) // 64):
         word = bits[i]
-        bits[i] = 0
+        if i == 0:
+            word &= _ALL << np.uint64(shift)
+        if 64 * i + 64 > end:
+            word &= ~(_ALL << np.uint64(end & 63))
         following = marked + ones(word)
         for j in range(marked, marked + 4):  # most have fewer; always writing, so no branch to mispredict
-            columns[j] = 64 * i + lowest(word)
+            columns[np.uint64(j)] = 64 * i + lowest(word) + first
             word &= word - _ONE
         for j in range(marked + 4, following):
-            columns[j] = 64 * i + lowest(word)
+            columns[np.uint64(j)] = 64 * i + lowest(word) + first
             word &= word - _ONE
         marked = following
     return marked
 
 
-@called
+@inlined
 def _collect(
     above: Any,
     here: Any,
     below: Any,
-    words: Any,
     bits: Any,
+    shift: int,
     columns: Any,
     n: int,
     x0: int,
@@ -184,10 +196,10 @@ def _collect(
 ) -> tuple[Any, int, Any]:
     """Append the marked pixels that also exceed their diagonal neighbours to ``found`` (x, y, response).
 
-    ``words`` are the marks, eight to a word, ``bits`` and ``columns`` scratch for a row. The floor rises with the
+    ``bits`` are the marks, after ``shift`` others, and ``columns`` is scratch for a row. The floor rises with the
     strongest peak of the row. Returns ``found`` (a larger one when it was full), the count and the floor.
     """
-    marked = _columns_of(words, bits, columns, n)
+    marked = _columns_of(bits, shift, columns, n)
     if count + marked > found.shape[0]:
         found = np.concatenate((found, np.empty_like(found)))
     start, row, strongest = count, np.float32(y), np.float32(0.0)
@@ -322,16 +334,15 @@ def fused_peaks(
     centre = weight[0]
     vertical = np.empty(4 * _ROW, weight.dtype)
     # gx, gy of two rows, and of the two rows before, which tell where the minima are looked for.
-    g0, g1 = np.empty(4 * _ROW, weight.dtype), np.empty(4 * _ROW, weight.dtype)
+    gradients = np.empty(_BEFORE + 8 * _ROW, weight.dtype)[_BEFORE:]
+    g0, g1 = gradients[: 4 * _ROW], gradients[4 * _ROW :]
     rows = np.empty(16 * _ROW, np.float32)
     r0, r1 = rows[12 * _ROW : 13 * _ROW], rows[13 * _ROW : 14 * _ROW]
     r2, r3 = rows[14 * _ROW : 15 * _ROW], rows[15 * _ROW :]
-    words = np.zeros(3 * _MARKS // 8, np.uint64)  # peaks, weak edges, strong edges
-    marks = words.view(np.uint8)
     # Marks of edges begin where a byte of the bitmap does, so many columns before the strip.
-    shift = border % 8
-    minima = marks[_MARKS + shift - 1 :]
+    shift = border % 8 if edges.size > 0 else 0
     columns, bits = np.empty(_ROW + 8, np.int32), np.zeros(_ROW // 64 + 1, np.uint64)
+    marks = bits.view(np.uint8)
     weight_k, fraction, floor = np.float32(k), np.float32(relative), np.float32(absolute)
     found = np.empty((2048 + (last - first) * width // 32, 3), np.float32)
     count = 0
@@ -339,8 +350,7 @@ def fused_peaks(
     for start in range(border, width - border, _STRIP):
         x0 = start - 1  # column of the response's first element; its gradient starts one further left, the picture two
         n = min(start + _STRIP, width - border) + 1 - x0
-        words[:] = 0
-        eighths, byte = (shift + n + 5) // 8, (MARGIN + start - shift) // 8
+        byte = (MARGIN + start - shift) // 8
         for y in range(first - 2, last + 2, 2):  # y and y + 1 are gradient rows; responses are y - 1 and y
             p = x0 - 2
             # The last pair may lack its second row; what is computed from the repeated one is not looked at.
@@ -369,13 +379,13 @@ def fused_peaks(
                     continue
                 one, middle, other = (above, here, below) if i == 0 else (here, below, beyond)
                 if edges.size > 0:
-                    _mark_all(one, middle, other, before, 2 * i * _ROW, marks, minima, n, floor, low, high)
-                    pack(words[_MARKS // 8 :], eighths, edges[0, row + 1, byte:])
-                    pack(words[2 * _MARKS // 8 :], eighths, edges[1, row + 1, byte:])
+                    gx, gy = before[2 * i * _ROW :], before[(2 * i + 1) * _ROW :]
+                    minima = edges[0, row + 1, byte:], edges[1, row + 1, byte:]
+                    _mark_all(one, middle, other, gx, gy, marks, minima, shift, n, floor, low, high)
                 else:
                     _mark_peaks(one, middle, other, marks, n, floor)
                 found, count, floor = _collect(
-                    one, middle, other, words, bits, columns, n, x0, row, floor, fraction, subpixel, half, found, count
+                    one, middle, other, bits, shift, columns, n, x0, row, floor, fraction, subpixel, half, found, count
                 )
     return found[:count], floor
 
@@ -386,21 +396,19 @@ def peaks_of(
 ) -> tuple[Array, Any]:
     """Return the peaks of a response picture (H, W) float32; parameters and result as for ``fused_peaks``."""
     width = response.shape[1]
-    words = np.zeros(_MARKS // 8, np.uint64)
-    marks = words.view(np.uint8)
     columns, bits = np.empty(_ROW + 8, np.int32), np.zeros(_ROW // 64 + 1, np.uint64)
+    marks = bits.view(np.uint8)
     fraction, floor = np.float32(relative), np.float32(absolute)
     found = np.empty((2048 + (last - first) * width // 32, 3), np.float32)
     count = 0
     for start in range(border, width - border, _STRIP):
         x0 = start - 1
         n = min(start + _STRIP, width - border) + 1 - x0
-        words[:] = 0
         for y in range(first, last):
             above, here, below = response[y - 1, x0:], response[y, x0:], response[y + 1, x0:]
             _mark_peaks(above, here, below, marks, n, floor)
             found, count, floor = _collect(
-                above, here, below, words, bits, columns, n, x0, y, floor, fraction, subpixel, 0.5, found, count
+                above, here, below, bits, 0, columns, n, x0, y, floor, fraction, subpixel, 0.5, found, count
             )
     return found[:count], floor
 

@@ -1,0 +1,90 @@
+"""Comparisons of eight elements of a row at once; which of them hold is told by the bits of a byte, the lowest first.
+
+numba keeps what a comparison tells as a byte for each element, and packing these into bits took as long as comparing.
+Processors tell the signs of a whole register in one instruction, which LLVM uses where it is asked for the bits of
+eight answers. That all eight elements lie inside the array is not tested: the caller sees to it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+_LANES = 8
+
+
+def _vector(context: Any, builder: Any, kind: Any, array: Any, first: Any) -> Any:
+    """Load the elements of an array of this kind from ``first`` on."""
+    element = context.get_data_type(kind.dtype)
+    data = context.make_array(kind)(context, builder, array).data
+    place = builder.bitcast(cgutils.gep(builder, data, first), ir.VectorType(element, _LANES).as_pointer())
+    return builder.load(place, align=context.get_abi_alignment(element))
+
+
+def _repeated(builder: Any, value: Any) -> Any:
+    vector = ir.Constant(ir.VectorType(value.type, _LANES), ir.Undefined)
+    for i in range(_LANES):
+        vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), i))
+    return vector
+
+
+def _bits(builder: Any, sign: str, one: Any, other: Any) -> Any:
+    """Return for which elements ``one sign other`` holds; not for NaN."""
+    compare = builder.icmp_signed if isinstance(one.type.element, ir.IntType) else builder.fcmp_ordered
+    return builder.bitcast(compare(sign, one, other), ir.IntType(_LANES))
+
+
+def _magnitude(builder: Any, vector: Any) -> Any:
+    if isinstance(vector.type.element, ir.IntType):
+        zero = ir.Constant(vector.type, [0] * _LANES)
+        return builder.select(builder.icmp_signed("<", vector, zero), builder.neg(vector), vector)
+    kind = ir.FunctionType(vector.type, [vector.type])
+    absolute = cgutils.get_or_insert_function(
+        builder.module, kind, f"llvm.fabs.v{_LANES}{vector.type.element.intrinsic_name}"
+    )
+    return builder.call(absolute, [vector])
+
+
+def _of_arrays(sign: str, of: Any = lambda builder, vector: vector) -> Any:
+    @intrinsic  # type: ignore[untyped-decorator, unused-ignore]
+    def compare(typing: Any, one: Any, first: Any, other: Any, second: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            kinds = signature.args
+            vectors = (of(builder, _vector(context, builder, kinds[i], values[i], values[i + 1])) for i in (0, 2))
+            return _bits(builder, sign, *vectors)
+
+        return types.uint8(one, first, other, second), generate
+
+    return compare
+
+
+def _of_value(sign: str) -> Any:
+    @intrinsic  # type: ignore[untyped-decorator, unused-ignore]
+    def compare(typing: Any, one: Any, first: Any, value: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            vector = _vector(context, builder, signature.args[0], *values[:2])
+            return _bits(builder, sign, vector, _repeated(builder, values[2]))
+
+        return types.uint8(one, first, one.dtype), generate
+
+    return compare
+
+
+exceed = _of_arrays(">")
+"""``exceed(one, first, other, second)``: where one[first + i] > other[second + i]; arrays of one dtype."""
+
+reach = _of_arrays(">=")
+"""``reach(one, first, other, second)``: where one[first + i] >= other[second + i]."""
+
+reach_in_magnitude = _of_arrays(">=", _magnitude)
+"""``reach_in_magnitude(one, first, other, second)``: where abs(one[first + i]) >= abs(other[second + i])."""
+
+above = _of_value(">")
+"""``above(one, first, value)``: where one[first + i] > value, which is of the array's dtype."""
+
+below = _of_value("<")
+"""``below(one, first, value)``: where one[first + i] < value."""

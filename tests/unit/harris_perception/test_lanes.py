@@ -1,0 +1,42 @@
+"""Comparisons by eight against numpy's, one by one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from numba import njit
+
+from harris_perception.core import lanes
+
+
+@njit
+def compared(one: Any, other: Any, value: Any, first: int, second: int) -> Any:
+    return (
+        lanes.exceed(one, first, other, second),
+        lanes.reach(one, first, other, second),
+        lanes.reach_in_magnitude(one, first, other, second),
+        lanes.above(one, first, value),
+        lanes.below(one, first, value),
+    )
+
+
+def bits(holds: npt.NDArray[np.bool_]) -> int:
+    return sum(1 << i for i, it in enumerate(holds) if it)
+
+
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_every_bit_is_the_comparison_of_its_elements(dtype: Any) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        one, other = rng.integers(-3, 4, (2, 24)).astype(dtype)
+        if dtype is np.float32:
+            one[rng.integers(24)] = other[rng.integers(24)] = np.nan
+            one[rng.integers(24)] = rng.choice([np.inf, -np.inf, -0.0])
+        value = dtype(rng.integers(-3, 4))
+        first, second = (int(place) for place in rng.integers(0, 17, 2))
+        a, b = one[first : first + 8], other[second : second + 8]
+        expected = [a > b, a >= b, abs(a) >= abs(b), a > value, a < value]
+        assert list(compared(one, other, value, first, second)) == [bits(holds) for holds in expected]
