@@ -12,6 +12,9 @@ from typing import Any, TypeVar
 
 try:
     import numba
+    from numba import types as types
+    from numba.core import cgutils as cgutils
+    from numba.extending import intrinsic as intrinsic
 except ImportError as error:
     raise ImportError(
         "harris_perception needs numba: install python3-numba (rosdep key) or 'pip install numba'"

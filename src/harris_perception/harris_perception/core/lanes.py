@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
+from harris_perception.core.compiled import cgutils, intrinsic, types
 
+ir: Any = cgutils.ir  # of llvmlite, which numba brings along
 _LANES = 8
 
 
