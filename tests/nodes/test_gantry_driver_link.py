@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import pty
 import select
@@ -13,8 +14,9 @@ from pathlib import Path
 
 import pytest
 import serial
-from nodes.grbl_board import AwakeClock, GrblBoard, LinkRig
+from nodes.grbl_board import PATIENT, AwakeClock, GrblBoard, LinkRig
 
+from gantry_driver.adapters import serial_link
 from gantry_driver.core.machine_config import DriverConfig
 
 HOMED = (-359.0, -219.0, -1.0)
@@ -122,6 +124,23 @@ def test_the_loss_of_a_silent_board_is_told_before_its_port_is_closed(
     result, (_, state) = told[0]
     assert result.outcome.value == "aborted" and "no status report" in result.reason
     assert state.startswith("disconnected: no status report")
+
+
+def test_a_link_that_is_closed_before_the_machine_is_at_rest_says_so(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A board that hears nothing gets as long as a hold may take, and the rest of the way out."""
+    monkeypatch.setattr(serial_link, "WAY_OUT_S", 0.5)
+    board, rig = start(config=dataclasses.replace(PATIENT, hold_timeout_s=1.0))
+    rig.home()
+    rig.go((0.35, 0.2, 0.0), slow_after=0)
+    rig.until(lambda: rig.state == "moving")
+    board.fault("hang", seconds=60.0)
+    rig.link.close("enough")
+    assert rig.notes[-2].startswith("the hold did not complete in 1.")
+    assert rig.notes[-1] == (
+        "closed 1.5 s after the stop, while resetting: what the machine does is not known, the stylus may be down"
+    )
 
 
 def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:

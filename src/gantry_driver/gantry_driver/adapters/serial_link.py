@@ -20,13 +20,15 @@ from typing import TypeVar
 import serial
 
 from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_states import CloseRequested, Event
+from gantry_driver.core.machine_states import CloseRequested, Event, Note
 from gantry_driver.core.session import HOLD
 
 T = TypeVar("T")
 
 _STOP_SIGNALS = {int(number): number.name for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
 FIRST_RETRY_S, LAST_RETRY_S = 0.1, 1.0
+WAY_OUT_S = 6.0
+"""How long a link that is closed waits after the hold, for the board's reset and the stylus's retreat."""
 
 
 class SerialLink:
@@ -104,22 +106,27 @@ class SerialLink:
         with self._changed:
             return self._changed.wait_for(lambda: condition(self._machine), within_s)
 
-    def close(self, reason: str, within_s: float = 8.0) -> None:
-        """Bring the machine to rest with the stylus up, at most ``within_s``, then close the port."""
+    def close(self, reason: str) -> None:
+        """Bring the machine to rest with the stylus up, then close the port; what takes too long is told."""
         if self._closed:
             return
         self._closed = True
+        late = ""
         with self._changed:
             restless = self._machine.needs_way_out
         if restless:
             self.stop(reason)
-            if self.alive:
-                self.wait_for(lambda machine: machine.at_rest, within_s)
+            within_s = self._machine.config.hold_timeout_s + WAY_OUT_S
+            if self.alive and not self.wait_for(lambda machine: machine.at_rest, within_s):
+                late = f"closed {within_s:g} s after the stop, while {self._machine.phase.name.lower()}"
         self._closing = True
         self._wake()
         if self._thread.ident is not None:
             self._thread.join(2.0)
         self._close_port()
+        if late:
+            text = f"{late}: what the machine does is not known, the stylus may be down"
+            self._on_events([Note(level="error", text=text)])
         wake_write, self._wake_write = self._wake_write, -1
         os.close(wake_write)
         os.close(self._wake_read)
