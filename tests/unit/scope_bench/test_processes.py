@@ -187,14 +187,20 @@ def test_a_program_that_gives_no_sign_of_life_any_more_is_killed_and_started_aga
     watch.group.stop()
 
 
-def test_a_program_that_a_person_has_stopped_is_not_taken_for_one_that_hangs(tmp_path: Path, clock: Clock) -> None:
+def with_a_stopped_program(folder: Path) -> tuple[Watch, int]:
+    """Return a watch of a program that a person has stopped, and the program's number."""
     watch = Watch(silent_s=2.0)
-    watch.group.start("a", [*PYTHON, FALLS_SILENT, str(tmp_path / "been")], tells_ready=True)
+    watch.group.start("a", [*PYTHON, FALLS_SILENT, str(folder / "been")], tells_ready=True)
     watch.until_ready()
     pid = watch.group.running()["a"]
     os.kill(pid, signal.SIGSTOP)
     watch.until(lambda: state_of(pid) == "T")
     watch.group.watch(0.0)  # the last sign
+    return watch, pid
+
+
+def test_a_program_that_a_person_has_stopped_is_not_taken_for_one_that_hangs(tmp_path: Path, clock: Clock) -> None:
+    watch, pid = with_a_stopped_program(tmp_path)
     for _ in range(3):
         clock.now += 1.0
         watch.group.watch(0.0)
@@ -207,13 +213,7 @@ def test_a_program_that_a_person_has_stopped_is_not_taken_for_one_that_hangs(tmp
 
 def test_time_for_which_a_person_has_stopped_a_program_does_not_count_as_silence(tmp_path: Path, clock: Clock) -> None:
     """Let go on, it may need a moment for its next sign: on a busy computer, or after what it has missed."""
-    watch = Watch(silent_s=2.0)
-    watch.group.start("a", [*PYTHON, FALLS_SILENT, str(tmp_path / "been")], tells_ready=True)
-    watch.until_ready()
-    pid = watch.group.running()["a"]
-    os.kill(pid, signal.SIGSTOP)
-    watch.until(lambda: state_of(pid) == "T")
-    watch.group.watch(0.0)  # the last sign
+    watch, pid = with_a_stopped_program(tmp_path)
     for _ in range(2):
         clock.now += 0.9
         watch.group.watch(0.0)
