@@ -111,22 +111,27 @@ class SerialLink:
         if self._closed:
             return
         self._closed = True
-        late = ""
+        late: list[Event] = []
         with self._changed:
             restless = self._machine.needs_way_out
         if restless:
             self.stop(reason)
             within_s = self._machine.config.hold_timeout_s + WAY_OUT_S
             if self.alive and not self.wait_for(lambda machine: machine.at_rest, within_s):
-                late = f"closed {within_s:g} s after the stop, while {self._machine.phase.name.lower()}"
+                late.append(
+                    Note(
+                        level="error",
+                        text=f"closed {within_s:g} s after the stop, while {self._machine.phase.name.lower()}: what "
+                        "the machine does is not known, the stylus may be down",
+                    )
+                )
         self._closing = True
         self._wake()
         if self._thread.ident is not None:
             self._thread.join(2.0)
         self._close_port()
         if late:
-            text = f"{late}: what the machine does is not known, the stylus may be down"
-            self._on_events([Note(level="error", text=text)])
+            self._on_events(late)
         wake_write, self._wake_write = self._wake_write, -1
         os.close(wake_write)
         os.close(self._wake_read)
