@@ -516,6 +516,18 @@ for config in (HarrisConfig(), HarrisConfig(gradient="gaussian", window="gaussia
 """
 
 
+def test_a_response_that_lies_in_memory_in_another_order_has_the_same_corners() -> None:
+    detector = HarrisDetector()
+    response = detector.response(np.random.default_rng(5).integers(0, 256, (60, 90), dtype=np.uint8))
+    expected = detector.corners_of(response)
+    apart = np.zeros((120, 180), np.float32)
+    apart[::2, ::2] = response
+    assert len(expected.xy) > 100
+    for same in (np.asfortranarray(response), apart[::2, ::2]):
+        found = detector.corners_of(same)
+        assert np.array_equal(found.xy, expected.xy) and np.array_equal(found.response, expected.response)
+
+
 @pytest.mark.timeout(480)  # the first time all is compiled, on a busy computer
 def test_after_warming_no_picture_waits_for_the_compiler() -> None:
     search = os.pathsep.join(p for p in sys.path if p)

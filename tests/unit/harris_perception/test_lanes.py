@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from numba import njit
+from numba.core.errors import TypingError
 
 from harris_perception.core import lanes
 
@@ -40,3 +41,9 @@ def test_every_bit_is_the_comparison_of_its_elements(dtype: Any) -> None:
         a, b = one[first : first + 8], other[second : second + 8]
         expected = [a > b, a >= b, abs(a) >= abs(b), a > value, a < value]
         assert list(compared(one, other, value, first, second)) == [bits(holds) for holds in expected]
+
+
+def test_elements_that_do_not_lie_side_by_side_are_refused() -> None:
+    apart = np.zeros(48, np.float32)[::2]
+    with pytest.raises(TypingError, match="eight elements side by side are compared"):
+        compared(apart, apart, np.float32(0.0), 0, 0)

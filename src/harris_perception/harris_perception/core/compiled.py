@@ -14,6 +14,7 @@ try:
     import numba
     from numba import types as types
     from numba.core import cgutils as cgutils
+    from numba.core.errors import TypingError as TypingError
     from numba.extending import intrinsic as intrinsic
 except ImportError as error:
     raise ImportError(

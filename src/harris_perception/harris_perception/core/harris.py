@@ -187,7 +187,7 @@ class HarrisDetector:
             return self._selected([_nothing()])
         rows = (border, response.shape[0] - border)
         thresholds: tuple[Any, ...] = (config.absolute_threshold, config.relative_threshold, config.subpixel)
-        return self._selected([kernels.peaks_of(response, border, *rows, *thresholds)])
+        return self._selected([kernels.peaks_of(np.ascontiguousarray(response), border, *rows, *thresholds)])
 
     def strengths_of(self, response: F32) -> F32:
         """Return how strong corners of this response are in the unit of edges, (N,) float32 grey levels per px.

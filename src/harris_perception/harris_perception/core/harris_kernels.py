@@ -85,7 +85,8 @@ def _response_rows(g: Any, rows: Any, old: int, new: int, result: int, n: int, k
 def _mark_peaks(above: Any, here: Any, below: Any, marks: Any, n: int, floor: Any) -> None:
     """Mark the columns 1 to n - 2 that exceed ``floor`` and their four neighbours; of equal ones the first counts.
 
-    Column 1 is the first bit; up to seven more are told behind the last one, of elements behind it or rows below.
+    Column 1 is the first bit. For up to seven bits behind the last one, which mean nothing, the elements behind a row
+    are looked at, which must exist: here scratch, or the rows of the picture's border.
     """
     for i in range((n + 5) // 8):
         x = 8 * i + 1
@@ -394,7 +395,10 @@ def fused_peaks(
 def peaks_of(
     response: Array, border: int, first: int, last: int, absolute: float, relative: float, subpixel: bool
 ) -> tuple[Array, Any]:
-    """Return the peaks of a response picture (H, W) float32; parameters and result as for ``fused_peaks``."""
+    """Return the peaks of a response picture (H, W) float32, in the order of C; otherwise as ``fused_peaks``.
+
+    ``last`` is at most H - ``border``, and that at least 2: so many rows follow on the last that is looked at.
+    """
     width = response.shape[1]
     columns, bits = np.empty(_ROW + 8, np.int32), np.zeros(_ROW // 64 + 1, np.uint64)
     marks = bits.view(np.uint8)

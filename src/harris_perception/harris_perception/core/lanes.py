@@ -2,14 +2,15 @@
 
 numba keeps what a comparison tells as a byte for each element, and packing these into bits took as long as comparing.
 Processors tell the signs of a whole register in one instruction, which LLVM uses where it is asked for the bits of
-eight answers. That all eight elements lie inside the array is not tested: the caller sees to it.
+eight answers. Arrays whose elements do not lie side by side are refused when the caller is compiled. That all eight lie
+inside the array is not tested: the caller sees to it.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from harris_perception.core.compiled import cgutils, intrinsic, types
+from harris_perception.core.compiled import TypingError, cgutils, intrinsic, types
 
 ir: Any = cgutils.ir  # of llvmlite, which numba brings along
 _LANES = 8
@@ -47,9 +48,17 @@ def _magnitude(builder: Any, vector: Any) -> Any:
     return builder.call(absolute, [vector])
 
 
+def _refuse_gaps(*kinds: Any) -> None:
+    for kind in kinds:
+        if kind.ndim != 1 or kind.layout != "C":
+            raise TypingError(f"eight elements side by side are compared, which {kind} may not have")
+
+
 def _of_arrays(sign: str, of: Any = lambda builder, vector: vector) -> Any:
     @intrinsic  # type: ignore[untyped-decorator, unused-ignore]
     def compare(typing: Any, one: Any, first: Any, other: Any, second: Any) -> Any:
+        _refuse_gaps(one, other)
+
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             kinds = signature.args
             vectors = (of(builder, _vector(context, builder, kinds[i], values[i], values[i + 1])) for i in (0, 2))
@@ -63,6 +72,8 @@ def _of_arrays(sign: str, of: Any = lambda builder, vector: vector) -> Any:
 def _of_value(sign: str) -> Any:
     @intrinsic  # type: ignore[untyped-decorator, unused-ignore]
     def compare(typing: Any, one: Any, first: Any, value: Any) -> Any:
+        _refuse_gaps(one)
+
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             vector = _vector(context, builder, signature.args[0], *values[:2])
             return _bits(builder, sign, vector, _repeated(builder, values[2]))
