@@ -27,7 +27,7 @@ ONLY_ELSEWHERE = {
         *("recognition_node", "in_step", "conversions", "geometry", "stroke_font", "real_time", "compiled"),
         *("harris", "edges", "edge_kernels", "harris_kernels", "harris_laplace", "edge_tracing", "deriche", "matching"),
         *("stereo_matching", "stylus", "ball_view", "ball_fit", "plane_fit", "planar_pose", "reprojection"),
-        *("structure", "edge_alignment", "overlay", "foxglove_sidecar", "passwords", "secret_files", "audit"),
+        *("structure", "lanes", "edge_alignment", "overlay", "foxglove_sidecar", "passwords", "secret_files", "audit"),
         *("turned_away", "front_door", "executables"),
     ),
 }
