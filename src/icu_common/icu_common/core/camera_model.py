@@ -21,6 +21,9 @@ from icu_common.core.geometry import Array
 _STANDS_STILL = 1e-4
 """Tangent of a ray's angle; about a tenth of a pixel."""
 
+_AT_A_TIME = 8192
+"""So many pixels stay in the cache while their distortion is inverted."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraModel:
@@ -87,28 +90,36 @@ class CameraModel:
         return np.asarray(turned[:, :2] / turned[:, 2:])
 
     def _undistort(self, raw_px: Array) -> Array:
-        # Fixed-point inversion of the distortion, iterated until it stands still: OpenCV's default of five rounds
-        # leaves 0.01 px in the picture's corners, and its two major versions name the longer form differently.
-        target: Array = (raw_px - self.k[:2, 2]) / (self.k[0, 0], self.k[1, 1])
-        target[:, 0] -= self.k[0, 1] / self.k[0, 0] * target[:, 1]
-        xy: Array = target.copy()
-        with np.errstate(over="ignore", invalid="ignore"):
-            for _ in range(50):
-                step = target - self._distort(xy)
-                xy = xy + step
-                if not step.size or np.nanmax(np.abs(step), initial=0.0) < 1e-12:
-                    break
-            xy[~(np.abs(step).max(axis=1) < _STANDS_STILL)] = np.nan
+        v = (raw_px[:, 1] - self.k[1, 2]) / self.k[1, 1]
+        u = (raw_px[:, 0] - self.k[0, 2]) / self.k[0, 0] - self.k[0, 1] / self.k[0, 0] * v
+        xy = np.empty((len(raw_px), 2))
+        for first in range(0, len(xy), _AT_A_TIME):
+            part = slice(first, first + _AT_A_TIME)
+            xy[part, 0], xy[part, 1] = self._inverted(u[part], v[part])
         return xy
 
-    def _distort(self, xy: Array) -> Array:
-        a, b = xy.T
-        k1, k2, p1, p2, k3 = self.d
-        r2 = a * a + b * b
+    def _inverted(self, u: Array, v: Array) -> tuple[Array, Array]:
+        # Fixed-point inversion of the distortion, iterated until it stands still: OpenCV's default of five rounds
+        # leaves 0.01 px in the picture's corners, and its two major versions name the longer form differently.
+        x, y = u, v
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(50):
+                du, dv = self._distort(x, y)
+                du, dv = u - du, v - dv
+                x, y = x + du, y + dv
+                step = np.maximum(np.abs(du), np.abs(dv))
+                if np.fmax.reduce(step, initial=0.0) < 1e-12:  # NaN is no step
+                    break
+            lost = ~(step < _STANDS_STILL)
+        x[lost] = y[lost] = np.nan
+        return x, y
+
+    def _distort(self, a: Array, b: Array) -> tuple[Array, Array]:
+        k1, k2, p1, p2, k3 = self.d.tolist()
+        aa, bb, ab = a * a, b * b, 2 * a * b
+        r2 = aa + bb
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        u = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
-        v = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
-        return np.column_stack([u, v])
+        return a * radial + p1 * ab + p2 * (r2 + 2 * aa), b * radial + p1 * (r2 + 2 * bb) + p2 * ab
 
     def rays(self, raw_px: npt.ArrayLike) -> Array:
         """Return (N, 3) directions with z = 1, in the rectified frame, for raw pixels (N, 2)."""
@@ -126,7 +137,7 @@ class CameraModel:
         x, y, z = xyz.T
         with np.errstate(divide="ignore", invalid="ignore"):
             a, b = np.where(z > 0, x / z, np.nan), np.where(z > 0, y / z, np.nan)
-        u, v = self._distort(np.column_stack([a, b])).T
+        u, v = self._distort(a, b)
         return np.column_stack([self.k[0, 0] * u + self.k[0, 1] * v + self.k[0, 2], self.k[1, 1] * v + self.k[1, 2]])
 
     def rectification_maps(self, size: tuple[int, int] | None = None) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
