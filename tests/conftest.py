@@ -1,4 +1,4 @@
-"""Which tests may run beside each other, where several run at once."""
+"""Which tests may run beside each other, where several run at once; and memory as in a node of the graph."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from typing import Any
 
 import pytest
 from xdist.scheduler import LoadFileScheduling
+
+from icu_common.adapters.memory import keep_large_blocks
+
+keep_large_blocks()
 
 
 class Shares(LoadFileScheduling):

@@ -108,11 +108,16 @@ def _is_rotation(x: Sequence[float], y: Sequence[float], z: Sequence[float]) -> 
 
     In plain floats, as a robot on its way makes thousands of transforms a second, of nine numbers each.
     """
-    products = ((x, x, 1.0), (y, y, 1.0), (z, z, 1.0), (x, y, 0.0), (y, z, 0.0), (z, x, 0.0))
-    if any(abs(_dot(a, b) - wanted) > 1e-6 for a, b, wanted in products):
-        return False
     cross = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
-    return _dot(cross, z) > 0.0
+    return (
+        abs(_dot(x, x) - 1.0) <= 1e-6
+        and abs(_dot(y, y) - 1.0) <= 1e-6
+        and abs(_dot(z, z) - 1.0) <= 1e-6
+        and abs(_dot(x, y)) <= 1e-6
+        and abs(_dot(y, z)) <= 1e-6
+        and abs(_dot(z, x)) <= 1e-6
+        and _dot(cross, z) > 0.0
+    )
 
 
 def _dot(a: Sequence[float], b: Sequence[float]) -> float:

@@ -49,7 +49,7 @@ class Camera:
     def _distorted(self, a: Array, b: Array) -> tuple[Array, Array]:
         k1, k2, p1, p2, k3 = self.distortion
         q = a**2 + b**2
-        radial = 1 + k1 * q + k2 * q**2 + k3 * q**3
+        radial = 1 + q * (k1 + q * (k2 + q * k3))
         return (
             a * radial + 2 * p1 * a * b + p2 * (q + 2 * a**2),
             b * radial + p1 * (q + 2 * b**2) + 2 * p2 * a * b,
@@ -66,8 +66,8 @@ class Camera:
         a, b = target_a.copy(), target_b.copy()
         for _ in range(6):
             q = a**2 + b**2
-            radial = 1 + k1 * q + k2 * q**2 + k3 * q**3
-            slope = k1 + 2 * k2 * q + 3 * k3 * q**2
+            radial = 1 + q * (k1 + q * (k2 + q * k3))
+            slope = k1 + q * (2 * k2 + q * 3 * k3)
             da, db = self._distorted(a, b)
             j_aa = radial + 2 * a**2 * slope + 2 * p1 * b + 6 * p2 * a
             j_bb = radial + 2 * b**2 * slope + 6 * p1 * b + 2 * p2 * a

@@ -6,13 +6,14 @@ The ball is a sphere hit by the exact ray of every sample, so its outline is exa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from icu_common.core.geometry import Array
-from scope_bench.core.configuration import StylusConfig
+from scope_bench.core.configuration import LightConfig, StylusConfig
 from scope_bench.core.panel_texture import Picture
 from scope_bench.core.solids import LAMP_DIRECTION, SHADOW_REACH
 from scope_bench.core.view import View, Window, window_around
@@ -29,36 +30,59 @@ _COUNT, _BALL_COUNT = 3, 6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Part:
+    """Where a part is, the share that it leaves of what is under it, (H, W, 1), and its own light, (H, W, 3)."""
+
     window: Window
-    share: npt.NDArray[np.float32]
+    left: npt.NDArray[np.float32]
     light: npt.NDArray[np.float32]
 
 
 class StylusPainter:
-    """Draws the stylus over a picture of one view."""
+    """Draws the stylus over a picture of one view; what it needs for that is kept as long as the stylus stands."""
 
     def __init__(self, view: View, config: StylusConfig) -> None:
         self._view = view
         self._config = config
         # Rays in base_link with z = -1: the cameras look down at the bench.
         self._lean, self._eye = view.rays.lean, view.rays.eye
+        self._drawn: tuple[bytes, LightConfig] | None = None
+        self._below_arm: list[_Part] = []
+        self._above_arm: list[_Part] = []
+        self._shaded: bytes | None = None
+        self._shade: tuple[Window, Picture] = (slice(0), slice(0)), np.empty((0, 0, 3), np.uint8)
 
     def draw(self, picture: Picture, tip: Array) -> None:
         """Draw the stylus with its ball's centre at ``tip``, (3,) metres in base_link, into ``picture``."""
+        if self._drawn != (tip.tobytes(), self._view.light):
+            self._cast(tip)
+            self._drawn = tip.tobytes(), self._view.light
+        # From far to near: the camera looks down, so what is higher hides what is lower.
+        self._over(picture, self._below_arm)
+        self._arm(picture, tip)
+        self._over(picture, self._above_arm)
+
+    def _cast(self, tip: Array) -> None:
         config = self._config
         stem, shaft = config.stem_mm / 1000, config.shaft_mm / 1000
         top = max(tip[2] + shaft, config.arm_height_m + 0.02)
         rod = config.shaft_diameter_mm / 2000
         ball_radius = config.ball_diameter_mm / 2000
-        # From far to near: the camera looks down, so what is higher hides what is lower.
         ball = self._ball(tip, ball_radius)
         thin = self._rod(tip, tip[2], tip[2] + stem, config.stem_diameter_mm / 2000, tip, ball_radius)
-        self._over(picture, [ball, thin, self._rod(tip, tip[2] + stem, config.arm_height_m, rod)])
-        self._arm(picture, tip)
-        self._over(picture, [self._rod(tip, config.arm_height_m + 0.008, top, rod)])
+        below = ball, thin, self._rod(tip, tip[2] + stem, config.arm_height_m, rod)
+        above = self._rod(tip, config.arm_height_m + 0.008, top, rod)
+        self._below_arm = [part for part in below if part is not None]
+        self._above_arm = [] if above is None else [above]
 
     def cast_shadow(self, picture: Picture, tip: Array) -> None:
         """Darken the panel where ball, shaft and arm keep the lamp's light away; done before the screen shines."""
+        if self._shaded != tip.tobytes():
+            self._shade, self._shaded = self._shadow(tip), tip.tobytes()
+        window, left = self._shade
+        picture[window] = cv2.multiply(picture[window], left, scale=1 / 255)
+
+    def _shadow(self, tip: Array) -> tuple[Window, Picture]:
+        """Return where the shadow is, and the share of light that it leaves, of 255."""
         config = self._config
         arm, half = config.arm_height_m, config.arm_width_mm / 2000
         rod = config.shaft_diameter_mm / 2000
@@ -74,12 +98,15 @@ class StylusPainter:
         outlines = [self._view.camera.project(self._shadow_of(np.array(part))) for part in (shaft, beam, disc)]
         window = window_around(np.vstack(outlines), 4 * _SHADOW_BLUR_PX, self._view.camera)
         rows, columns = window
-        mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
+        height, width = rows.stop - rows.start, columns.stop - columns.start
+        # So soft a shadow has no more detail than half the pixels hold.
+        mask = np.zeros(((height + 1) // 2, (width + 1) // 2), np.uint8)
         for outline in outlines:
-            points = np.round((np.clip(outline, -2000, 4000) - (columns.start, rows.start)) * 16).astype(np.int32)
-            cv2.fillConvexPoly(mask, points, (_SHADOW_DEPTH,), cv2.LINE_AA, 4)
-        left = cv2.cvtColor(255 - cv2.GaussianBlur(mask, (0, 0), _SHADOW_BLUR_PX), cv2.COLOR_GRAY2BGR)
-        picture[window] = cv2.multiply(picture[window], left, scale=1 / 255)
+            inside = (np.clip(outline, -2000, 4000) - (columns.start, rows.start) + 0.5) / 2 - 0.5
+            cv2.fillConvexPoly(mask, np.round(inside * 16).astype(np.int32), (_SHADOW_DEPTH,), cv2.LINE_AA, 4)
+        left = 255 - cv2.GaussianBlur(mask, (0, 0), _SHADOW_BLUR_PX / 2)
+        left = cv2.resize(left, (2 * mask.shape[1], 2 * mask.shape[0]), interpolation=cv2.INTER_LINEAR)
+        return window, np.asarray(cv2.cvtColor(left[:height, :width], cv2.COLOR_GRAY2BGR), np.uint8)
 
     def _shadow_of(self, points: Array) -> Array:
         """Slide points along the light onto the panel's face; (N, 3) metres in base_link."""
@@ -89,29 +116,27 @@ class StylusPainter:
         slid = in_panel[:, :2] - SHADOW_REACH * height * LAMP_DIRECTION
         return stands.apply(np.column_stack([slid, np.minimum(in_panel[:, 2], 0)]))
 
-    def _over(self, picture: Picture, parts: list[_Part | None]) -> None:
-        gain = self._view.light.level
-        blur = self._view.light.blur_px
-        for part in filter(None, parts):
-            share, light = part.share, np.asarray(part.light * gain, np.float32)
-            if blur > 0:
-                share, light = (np.asarray(cv2.GaussianBlur(x, (0, 0), blur), np.float32) for x in (share, light))
-            under = picture[part.window].astype(np.float32)
-            mixed = under * (1 - share[..., None]) + light * self._view.vignette[part.window][..., None]
+    def _over(self, picture: Picture, parts: list[_Part]) -> None:
+        for part in parts:
+            mixed = picture[part.window] * part.left + part.light
             picture[part.window] = np.clip(mixed + 0.5, 0, 255).astype(np.uint8)
 
-    def _rays(self, window: Window, count: int = _COUNT) -> tuple[Array, Array]:
+    def _rays(self, window: Window, count: int) -> tuple[Array, Array]:
         lean = self._view.samples(self._lean, window, count)
         return lean[0], lean[1]
 
-    def _gather(self, window: Window, hit: npt.NDArray[np.bool_], colour: Array) -> _Part:
+    def _gather(self, window: Window, hit: npt.NDArray[np.bool_], colour: npt.NDArray[Any]) -> _Part:
         size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
-        share = hit.astype(np.float32)
-        light = (colour * share[..., None]).astype(np.float32)
+        samples = hit.astype(np.float32)
+        share = cv2.resize(samples, size, interpolation=cv2.INTER_AREA)
+        light = cv2.resize((colour * samples[..., None]).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        blur = self._view.light.blur_px
+        if blur > 0:
+            share, light = (cv2.GaussianBlur(layer, (0, 0), blur) for layer in (share, light))
         return _Part(
             window=window,
-            share=np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_AREA)),
-            light=np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA)),
+            left=np.asarray(1 - share[..., None], np.float32),
+            light=np.asarray(light * (self._view.light.level * self._view.vignette[window])[..., None], np.float32),
         )
 
     def _margin(self) -> int:
@@ -150,26 +175,25 @@ class StylusPainter:
         corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (0, 1)], dtype=np.float64)
         corners = corners * (radius, radius, high - low) + (axis[0], axis[1], low)
         window = window_around(self._view.camera.project(corners), self._margin(), self._view.camera)
-        dx, dy = self._rays(window)
-        ex, ey = self._eye[0] - axis[0], self._eye[1] - axis[1]
-        # Upper face, then the side: |(ex, ey) + t (dx, dy)| = radius.
-        t_top = self._eye[2] - high
+        dx, dy = (ray.astype(np.float32) for ray in self._rays(window, _COUNT))
+        ex, ey, ez = (self._eye - (*axis[:2], 0.0)).tolist()
+        # Upper face, then the side: |(ex, ey) + t (dx, dy)| = radius, whose root is without a difference of what is
+        # nearly equal.
+        t_top = float(ez - high)
         cap = (ex + t_top * dx) ** 2 + (ey + t_top * dy) ** 2 <= radius**2
         a = dx**2 + dy**2
-        b = ex * dx + ey * dy
-        root = b**2 - a * (ex**2 + ey**2 - radius**2)
-        t = (-b - np.sqrt(np.maximum(root, 0))) / np.maximum(a, 1e-12)
-        z = self._eye[2] - t
+        root = a * radius**2 - (ex * dy - ey * dx) ** 2
+        t = (-(ex * dx + ey * dy) - np.sqrt(np.maximum(root, 0))) / np.maximum(a, 1e-12)
+        z = ez - t
+        x, y = ex + t * dx, ey + t * dy
         side = ~cap & (root >= 0) & (z <= high) & (z >= low)
-        nx, ny = (ex + t * dx) / radius, (ey + t * dy) / radius
         if ball is not None:
-            outside = (
-                (ex + t * dx + axis[0] - ball[0]) ** 2 + (ey + t * dy + axis[1] - ball[1]) ** 2 + (z - ball[2]) ** 2
-            )
-            side &= outside >= ball_radius**2
-        facing = nx * LIGHT[0] + ny * LIGHT[1]
+            bx, by, bz = (ball - (*axis[:2], 0.0)).tolist()
+            side &= (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 >= ball_radius**2
+        nx, ny = x / radius, y / radius
+        facing = nx * float(LIGHT[0]) + ny * float(LIGHT[1])
         shade = np.where(cap, 1.7, 0.75 + 0.9 * np.clip(facing, -0.3, 1) + 0.9 * np.clip(nx + 0.2, 0, 1) ** 8)
-        return self._gather(window, cap | side, shade[..., None] * SHAFT)
+        return self._gather(window, cap | side, shade[..., None] * SHAFT.astype(np.float32))
 
     def _arm(self, picture: Picture, tip: Array) -> None:
         """Draw the arm: its front end, then its upper face up to beyond the picture."""

@@ -211,26 +211,14 @@ class View:
         """Draw the face, the case's sides and the table: (H, W, 3) reflected light under even lighting."""
         height, width = self.camera.height, self.camera.width
         result = np.empty((height, width, 3), np.float32)
-        case = Control(
-            name="case",
-            kind="button",
-            position_mm=(self.layout.size_mm[0] / 2, self.layout.size_mm[1] / 2),
-            size_mm=self.layout.size_mm,
-        )
         table_z = float(self.base_from_panel.translation[2]) - CASE_MM / 1000
         table_xy = (self.rays.eye[:2, None, None] + self.rays.lean * (self.rays.eye[2] - table_z)) * 1000
         table_xy = table_xy + 1000 * self._camera_xy[:, None, None]
         under = self.xy0 - self.lean * CASE_MM
+        case_rows, case_columns = self.window_of_panel(_case_edges(self.layout.size_mm))
         for top in range(0, height, _STRIP):
-            window = (slice(top, min(top + _STRIP, height)), slice(0, width))
-            x, y = self.samples(self.xy0, window, self._samples).astype(np.float32)
-            s = np.float32(FACE_PER_MM)
-            map_x, map_y = x * s - 0.5, (np.float32(self.layout.size_mm[1]) - y) * s - 0.5
-            seen = cv2.remap(surfaces.face, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            printed = cv2.resize(seen, (width, window[0].stop - top), interpolation=cv2.INTER_AREA).astype(np.float32)
-            x0, y0 = self.xy0[:, window[0]].astype(np.float32)
-            printed *= _shade(surfaces.face_shadow, self.layout, x0, y0)
-            table_x, table_y = table_xy[:, window[0]].astype(np.float32)
+            rows = slice(top, min(top + _STRIP, height))
+            table_x, table_y = table_xy[:, rows].astype(np.float32)
             ground = cv2.remap(
                 surfaces.table,
                 (table_x - _TABLE_LEFT) * _TABLE_PER_MM - 0.5,
@@ -238,18 +226,34 @@ class View:
                 cv2.INTER_LINEAR,
                 borderMode=cv2.BORDER_REPLICATE,
             ).astype(np.float32)
-            ground *= _shade(surfaces.table_shadow, self.layout, *under[:, window[0]].astype(np.float32))
-            size = (width, window[0].stop - top)
-            inside = (x >= 0) & (x <= self.layout.size_mm[0]) & (y >= 0) & (y <= self.layout.size_mm[1])
-            on_top = cv2.resize(inside.astype(np.float32), size, interpolation=cv2.INTER_AREA)[..., None]
-            edge = min(self._samples, 2)
-            lean, start = self.samples(self.lean, window, edge), self.samples(self.xy0, window, edge)
-            hit = cast(case, 0.0, -CASE_MM, (start[0], start[1]), (lean[0], lean[1]))
-            solid = cv2.resize((hit.top | hit.wall).astype(np.float32), size, interpolation=cv2.INTER_AREA)[..., None]
-            wall = np.array([60.0, 58.0, 55.0], np.float32)
-            solid = np.maximum(solid, on_top)
-            result[window] = printed * on_top + wall * (solid - on_top) + ground * (1 - solid)
+            result[rows] = ground * _shade(surfaces.table_shadow, self.layout, *under[:, rows].astype(np.float32))
+            rows = slice(max(top, case_rows.start), min(rows.stop, case_rows.stop))
+            if rows.start < rows.stop:
+                self._lay_case(result, surfaces, (rows, case_columns))
         return result
+
+    def _lay_case(self, ground: npt.NDArray[np.float32], surfaces: Surfaces, window: Window) -> None:
+        """Lay what is seen of the face and of the case's sides in a window over the ground."""
+        size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
+        face_width, face_height = self.layout.size_mm
+        x, y = self.samples(self.xy0, window, self._samples).astype(np.float32)
+        s = np.float32(FACE_PER_MM)
+        map_x, map_y = x * s - 0.5, (np.float32(face_height) - y) * s - 0.5
+        seen = cv2.remap(surfaces.face, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        printed = cv2.resize(seen, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        printed *= _shade(surfaces.face_shadow, self.layout, *self.xy0[(slice(None), *window)].astype(np.float32))
+        inside = (x >= 0) & (x <= face_width) & (y >= 0) & (y <= face_height)
+        on_top = cv2.resize(inside.astype(np.float32), size, interpolation=cv2.INTER_AREA)[..., None]
+        edge = min(self._samples, 2)
+        lean, start = self.samples(self.lean, window, edge), self.samples(self.xy0, window, edge)
+        case = Control(
+            name="case", kind="button", position_mm=(face_width / 2, face_height / 2), size_mm=self.layout.size_mm
+        )
+        hit = cast(case, 0.0, -CASE_MM, (start[0], start[1]), (lean[0], lean[1]))
+        solid = cv2.resize((hit.top | hit.wall).astype(np.float32), size, interpolation=cv2.INTER_AREA)[..., None]
+        wall = np.array([60.0, 58.0, 55.0], np.float32)
+        solid = np.maximum(solid, on_top)
+        ground[window] = printed * on_top + wall * (solid - on_top) + ground[window] * (1 - solid)
 
     def _set(self, control: Control, state: ControlState) -> None:
         self._states[control.name] = state
@@ -296,6 +300,14 @@ class View:
             lit = cv2.GaussianBlur(lit, (0, 0), self.light.blur_px)
         inner = _relative(window, outer)
         self.picture[window] = np.rint(lit[inner]).astype(np.uint8)
+
+
+def _case_edges(size_mm: tuple[float, float]) -> Array:
+    """Return (N, 3) points in mm all along the case's edges, which a lens bends outwards."""
+    way = np.linspace(0.0, 1.0, 17)
+    sides = [np.stack([way, np.full_like(way, end)]) for end in (0.0, 1.0)]
+    around = np.concatenate([side[order] for side in sides for order in ([0, 1], [1, 0])], axis=1).T * size_mm
+    return np.concatenate([np.column_stack([around, np.full(len(around), z)]) for z in (0.0, -CASE_MM)])
 
 
 def window_around(pixels: Array, margin: int, camera: Camera) -> Window:
