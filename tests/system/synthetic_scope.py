@@ -83,7 +83,8 @@ def panel_pose(shift_m: float = 0.0) -> Transform:
     return Transform(rotation, np.array([shift_m, 0.0, 0.68]) - rotation @ centre)
 
 
-def draw_face(layout: PanelLayout, running: bool, phase: float) -> np.ndarray:
+def draw_face(layout: PanelLayout, running: bool) -> np.ndarray:
+    """Draw all but the screen's trace."""
     width, height = (round(v * PX_PER_MM) for v in layout.size_mm)
     face = np.full((height, width, 3), rgb(layout.colour)[::-1], np.uint8)
     for control in layout.controls:
@@ -97,18 +98,24 @@ def draw_face(layout: PanelLayout, running: bool, phase: float) -> np.ndarray:
             corners = (round(x - w), round(y - h)), (round(x + w), round(y + h))
             cv2.rectangle(face, *corners, colour, -1)
             cv2.rectangle(face, *corners, (60, 60, 60), 2)
+    return face
+
+
+def trace(layout: PanelLayout, phase: float) -> np.ndarray:
+    """Return the points of the screen's trace, (N, 2) px of the face."""
     screen = layout.control("SCREEN")
     x = np.linspace(-screen.size_mm[0] / 2 + 3, screen.size_mm[0] / 2 - 3, 300)
-    y = 20 * np.sin(x / 9 + (phase if running else 0.0))
+    y = 20 * np.sin(x / 9 + phase)
     points = np.column_stack([(x + screen.position_mm[0]), layout.size_mm[1] - screen.position_mm[1] - y]) * PX_PER_MM
-    cv2.polylines(face, [points.round().astype(np.int32)], False, (60, 220, 250), 4, cv2.LINE_AA)
-    return face
+    return points.astype(np.float32)
 
 
 class SyntheticScope(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("synthetic_scope", **kwargs)
         self.layout = load_layout(LAYOUT)
+        self.faces = {running: draw_face(self.layout, running) for running in (False, True)}
+        self.still: dict[tuple[str, bool, float], np.ndarray] = {}
         self.models = {"left": camera(), "right": right_camera()}
         self.running, self.phase, self.shift, self.confidence, self.stalled = True, 0.0, 0.0, 0.97, False
         self.position = [0.1, 0.05, 0.0]
@@ -191,7 +198,8 @@ class SyntheticScope(Node):
         begin_s = time.monotonic()
         if self.stalled or begin_s < self.rests_until_s:
             return
-        face = draw_face(self.layout, self.running, self.phase)
+        face = self.faces[self.running]
+        line = trace(self.layout, self.phase if self.running else 0.0)
         size_m = np.array(self.layout.size_mm) * 1e-3
         corners = np.array([[0, 0, 0], [size_m[0], 0, 0], [*size_m, 0], [0, size_m[1], 0]])
         height, width = face.shape[:2]
@@ -199,7 +207,12 @@ class SyntheticScope(Node):
         for side, model in self.models.items():
             points = pose.apply(corners) - (np.array([0.12, 0, 0]) if side == "right" else 0)
             warp = cv2.getPerspectiveTransform(source, model.project(points).astype(np.float32))
-            picture = cv2.warpPerspective(face, warp, (1280, 720), borderValue=(52, 48, 44))
+            seen = side, self.running, self.shift
+            if seen not in self.still:
+                self.still[seen] = cv2.warpPerspective(face, warp, (1280, 720), borderValue=(52, 48, 44))
+            picture = self.still[seen].copy()
+            shown = cv2.perspectiveTransform(line[None], warp).round().astype(np.int32)
+            cv2.polylines(picture, shown, False, (60, 220, 250), 2, cv2.LINE_AA)
             picture[-16:, -16:] = round(20 * self.phase) % 256  # no two pictures are alike, whatever the scope shows
             if side == "left":
                 u, v = model.project(tip)[0]
