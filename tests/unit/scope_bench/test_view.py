@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from icu_common.core.panel_layout import parse_layout
+from scope_bench.core import view as view_module
 from scope_bench.core.configuration import BenchConfig, CameraConfig, LightConfig, StylusConfig
 from scope_bench.core.optics import Camera, stereo_rig
 from scope_bench.core.renderer import base_from_panel
@@ -213,3 +214,35 @@ def test_shaft_and_arm_leave_the_ball_free(view: View) -> None:
                 pixel_mm = 1000 * np.linalg.norm(view.camera.position - (x, y, z)) / 1700.0
                 area = magenta.sum() * pixel_mm**2
                 assert area > 0.8 * np.pi * 2.0**2, f"ball at {(x, y, z)}: {area:.1f} of {np.pi * 4:.1f} mm2 are seen"
+
+
+def test_what_was_kept_of_the_stylus_is_not_shown_elsewhere_or_in_other_light() -> None:
+    camera = stereo_rig(CAMERA).left
+    lights = CLEAR, dataclasses.replace(CLEAR, level=0.5, blur_px=1.0, vignetting=0.4)
+    tips = [np.array(tip) for tip in ((0.05, 0.05, -0.01), (0.18, 0.11, -0.033), (0.05, 0.05, -0.01))]
+    seen = View(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
+    painter = StylusPainter(seen, StylusConfig())
+
+    def drawn(painter: StylusPainter, tip: np.ndarray) -> np.ndarray:
+        picture = np.full((720, 1280, 3), 128, np.uint8)
+        painter.cast_shadow(picture, tip)
+        painter.draw(picture, tip)
+        return picture
+
+    for light in (*lights, lights[0]):
+        seen.relight(light)
+        for tip in tips:
+            anew = drawn(StylusPainter(seen, StylusConfig()), tip)
+            for _ in range(2):  # cast, then kept
+                assert np.array_equal(drawn(painter, tip), anew)
+            assert (anew < 100).any() and not (anew == 128).all()
+
+
+@pytest.mark.parametrize("bend", [-0.8, 0.8])
+def test_a_bent_lens_shows_the_case_whole(bend: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = dataclasses.replace(stereo_rig(CAMERA).left, distortion=(bend, 0.0, 0.0, 0.0, 0.0))
+    seen = View(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
+    corners = seen.xy0[:, [0, 0, -1, -1], [0, -1, 0, -1]]
+    monkeypatch.setattr(view_module, "_case_edges", lambda size_mm: np.column_stack([*corners, np.zeros(4)]))
+    everywhere = View(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
+    assert np.array_equal(seen.picture, everywhere.picture)
