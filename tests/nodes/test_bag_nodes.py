@@ -257,13 +257,13 @@ def test_loop_filter_pause_and_no_orders(ros: Ros, tmp_path: Path, command: Star
 
 
 def test_the_end_of_a_recording_is_in_it_when_the_recorder_is_behind(ros: Ros, tmp_path: Path) -> None:
-    words = ros.plain("talker").create_publisher(String, "words", QoSProfile(depth=40))
+    words = ros.plain("talker").create_publisher(String, "words", QoSProfile(depth=800))
     executor = EventsExecutor(context=ros.context)  # as that of the program
     sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
     recorder = BagRecorder(sink, ["words"], context=ros.context)
     executor.add_node(recorder)
     ros.spin_until(lambda: executor.spin_once(timeout_sec=0.02) or words.get_subscription_count(), 40.0)
-    for number in range(40):  # nobody serves the recorder meanwhile
+    for number in range(800):  # nobody serves the recorder meanwhile
         words.publish(String(data=f"{number}"))
     assert words.wait_for_all_acked(Duration(seconds=10))
     catch_up(executor)
@@ -272,7 +272,7 @@ def test_the_end_of_a_recording_is_in_it_when_the_recorder_is_behind(ros: Ros, t
     sink.close()
     with BagReader(tmp_path / "bag") as bag:
         spoken = [bag.decode(data, "std_msgs/msg/String").data for _, _, data in bag.messages()]
-    assert spoken == [f"{number}" for number in range(40)]
+    assert spoken == [f"{number}" for number in range(800)]
 
 
 def test_nothing_is_played_beside_a_driver_at_work(ros: Ros, tmp_path: Path, command: Start) -> None:

@@ -17,6 +17,14 @@ from rclpy.qos import (
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
 _DEPTH = 50
+_LARGE = (
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/CompressedImage",
+    "sensor_msgs/msg/PointCloud2",
+    "stereo_msgs/msg/DisparityImage",
+)
+_HEARD, _HEARD_LARGE = 1000, _DEPTH
+"""So many messages wait for a recorder that is held up; of what is large there is no memory for more."""
 
 
 def message_class(name: str) -> Any:
@@ -50,12 +58,15 @@ def recorded_qos(profile: QoSProfile) -> Qos:
     )
 
 
-def listening_qos(offers: Sequence[QoSProfile]) -> QoSProfile:
-    """Return what a recorder asks for: the strictest that all publishers of a topic offer, as ros2 bag does."""
+def listening_qos(kind: str, offers: Sequence[QoSProfile]) -> QoSProfile:
+    """Return what a recorder asks for: the strictest that all publishers of a topic offer, as ros2 bag does.
+
+    ``kind`` is ``package/msg/Name``.
+    """
     reliable = all(offer.reliability is ReliabilityPolicy.RELIABLE for offer in offers)
     latched = all(offer.durability is DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
     return QoSProfile(
-        depth=_DEPTH,
+        depth=_HEARD_LARGE if kind in _LARGE else _HEARD,
         history=HistoryPolicy.KEEP_LAST,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,

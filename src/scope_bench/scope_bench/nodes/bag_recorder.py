@@ -59,9 +59,8 @@ class BagRecorder(Node):
             return
         self.recorded.add(name)
         self._sink.add_topic(BagTopic(name=name, type=kinds[0], qos=tuple(recorded_qos(offer) for offer in offers)))
-        self.create_subscription(
-            kind, name, lambda data: self._sink.put(name, self._now_ns(), data), listening_qos(offers), raw=True
-        )
+        profile = listening_qos(kinds[0], offers)
+        self.create_subscription(kind, name, lambda data: self._sink.put(name, self._now_ns(), data), profile, raw=True)
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
