@@ -235,7 +235,7 @@ def test_what_was_kept_of_the_stylus_is_not_shown_elsewhere_or_in_other_light() 
             anew = drawn(StylusPainter(seen, StylusConfig()), tip)
             for _ in range(2):  # cast, then kept
                 assert np.array_equal(drawn(painter, tip), anew)
-            assert (anew < 100).any() and not (anew == 128).all()
+            assert (anew < 100).any()
 
 
 @pytest.mark.parametrize("bend", [-0.8, 0.8])
@@ -243,6 +243,6 @@ def test_a_bent_lens_shows_the_case_whole(bend: float, monkeypatch: pytest.Monke
     camera = dataclasses.replace(stereo_rig(CAMERA).left, distortion=(bend, 0.0, 0.0, 0.0, 0.0))
     seen = View(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
     corners = seen.xy0[:, [0, 0, -1, -1], [0, -1, 0, -1]]
-    monkeypatch.setattr(view_module, "_case_edges", lambda size_mm: np.column_stack([*corners, np.zeros(4)]))
+    monkeypatch.setattr(view_module, "_case_points", lambda size_mm: np.column_stack([*corners, np.zeros(4)]))
     everywhere = View(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
     assert np.array_equal(seen.picture, everywhere.picture)

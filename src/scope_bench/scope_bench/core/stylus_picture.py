@@ -177,8 +177,8 @@ class StylusPainter:
         window = window_around(self._view.camera.project(corners), self._margin(), self._view.camera)
         dx, dy = (ray.astype(np.float32) for ray in self._rays(window, _COUNT))
         ex, ey, ez = (self._eye - (*axis[:2], 0.0)).tolist()
-        # Upper face, then the side: |(ex, ey) + t (dx, dy)| = radius, whose root is without a difference of what is
-        # nearly equal.
+        # Upper face, then the side: |(ex, ey) + t (dx, dy)| = radius. What is under its root is written as by
+        # Lagrange's identity: float32 has too few digits for the difference of two large squares.
         t_top = float(ez - high)
         cap = (ex + t_top * dx) ** 2 + (ey + t_top * dy) ** 2 <= radius**2
         a = dx**2 + dy**2

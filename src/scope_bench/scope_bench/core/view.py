@@ -215,7 +215,7 @@ class View:
         table_xy = (self.rays.eye[:2, None, None] + self.rays.lean * (self.rays.eye[2] - table_z)) * 1000
         table_xy = table_xy + 1000 * self._camera_xy[:, None, None]
         under = self.xy0 - self.lean * CASE_MM
-        case_rows, case_columns = self.window_of_panel(_case_edges(self.layout.size_mm))
+        case_rows, case_columns = self.window_of_panel(_case_points(self.layout.size_mm))
         for top in range(0, height, _STRIP):
             rows = slice(top, min(top + _STRIP, height))
             table_x, table_y = table_xy[:, rows].astype(np.float32)
@@ -302,12 +302,10 @@ class View:
         self.picture[window] = np.rint(lit[inner]).astype(np.uint8)
 
 
-def _case_edges(size_mm: tuple[float, float]) -> Array:
-    """Return (N, 3) points in mm all along the case's edges, which a lens bends outwards."""
-    way = np.linspace(0.0, 1.0, 17)
-    sides = [np.stack([way, np.full_like(way, end)]) for end in (0.0, 1.0)]
-    around = np.concatenate([side[order] for side in sides for order in ([0, 1], [1, 0])], axis=1).T * size_mm
-    return np.concatenate([np.column_stack([around, np.full(len(around), z)]) for z in (0.0, -CASE_MM)])
+def _case_points(size_mm: tuple[float, float]) -> Array:
+    """Return (N, 3) points in mm all over the case's upper and lower side: a lens may bend edges beyond the corners."""
+    x, y = (grid.ravel() for grid in np.meshgrid(*(np.linspace(0.0, side, 17) for side in size_mm)))
+    return np.concatenate([np.column_stack([x, y, np.full_like(x, z)]) for z in (0.0, -CASE_MM)])
 
 
 def window_around(pixels: Array, margin: int, camera: Camera) -> Window:
