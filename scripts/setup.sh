@@ -83,6 +83,8 @@ trap 'kill -- "${others[@]/#/-}" 2>/dev/null || true' EXIT
 # The machine code of detector and stereo is cached beside its source, so that the first picture is not late.
 compile() {
   echo "[3/4] compile the corner detector and stereo, meanwhile"
+  # What is kept is only compiled anew where its own file has changed, not one that it calls functions of.
+  find "$root/src" -name '*.nb[ci]' -delete
   local path=$root/src/icu_common:$root/src/harris_perception${PYTHONPATH:+:$PYTHONPATH}
   PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core import dense_stereo, stereo_matching
 dense_stereo.warm()

@@ -117,6 +117,25 @@ def test_setting_up_refuses_a_folder_whose_programs_would_not_start(tmp_path: Pa
     assert f"error: {tmp_path / 'my röbot'} has a blank in its name" in done.stderr
 
 
+def test_what_was_compiled_from_other_sources_is_not_used(tmp_path: Path) -> None:
+    """Numba looks at the file of the function that it keeps, and not at those of the functions which that one calls."""
+    setup = (ROOT / "scripts" / "setup.sh").read_text()
+    compile_all = re.search(r"^compile\(\) \{.*?^\}", setup, re.DOTALL | re.MULTILINE)
+    kept = tmp_path / "src" / "harris_perception" / "core" / "__pycache__"
+    python = tmp_path / "venv" / "bin" / "python"
+    kept.mkdir(parents=True)
+    python.parent.mkdir(parents=True)
+    for name in ("trace.nbi", "trace.1.nbc", "edges.pyc"):
+        (kept / name).touch()
+    python.write_text(f"#!/bin/sh\nls {kept} >> {tmp_path}/found\n")
+    python.chmod(0o755)
+    assert compile_all
+    script = f"root={tmp_path} venv={tmp_path}/venv kernels=new\n{compile_all[0]}\ncompile"
+    subprocess.run(["bash", "-euo", "pipefail", "-c", script], timeout=20, check=True)
+    assert set((tmp_path / "found").read_text().split()) == {"edges.pyc"}
+    assert (tmp_path / "venv" / ".compiled").read_text() == "new\n"
+
+
 class Recorded:
     """Stands for an action or substitution of `launch`, which is not among the wheels: keeps what it was given."""
 

@@ -41,7 +41,7 @@ def compiled(function: F) -> F:
 def called(function: F) -> F:
     """Compile a function that compiled ones call; one copy, which keeps compiling short.
 
-    Where it is changed in a file of its own, the files of the callers must be touched: the cache looks at these alone.
+    Where it is changed in a file of its own, ``scripts/setup.sh`` must follow: the cache looks at the callers' files.
     """
     result: F = numba.njit(nogil=True, fastmath=_FASTMATH, error_model="numpy")(function)
     return result
