@@ -19,7 +19,7 @@ from icu_common.core.geometry import Array
 
 _HALF_PX = 4.0
 _STEP_PX = 0.5
-_BESIDE_PX = (-2.0, -1.0, 0.0, 1.0, 2.0)
+_BESIDE_PX = np.array([-2.0, -1.0, 0.0, 1.0, 2.0], np.float32)
 _LEAST_GRADIENT = 4.0
 _CELL_PX = 6
 _CONTRAST = 2.5
@@ -143,11 +143,11 @@ def _profiles(gray: npt.NDArray[np.uint8], px: Array, across: Array, half_px: fl
     steps = np.arange(-half_px, half_px + 0.5 * _STEP_PX, _STEP_PX)
     if not len(px):
         return np.empty((0, len(steps)))
-    along = across[:, ::-1] * (-1.0, 1.0)
-    middle = px[:, None] + steps[None, :, None] * across[:, None]
+    # In float32, which takes half the time: OpenCV rounds places to 1/32 px before it samples.
+    (x, y), (dx, dy) = px.T.astype(np.float32)[..., None], across.T.astype(np.float32)[..., None]
+    x, y = x + steps.astype(np.float32) * dx, y + steps.astype(np.float32) * dy
     smooth = np.asarray(cv2.GaussianBlur(gray, (0, 0), 0.7), np.uint8)
-    total = np.zeros((len(px), len(steps)))
+    total = np.zeros(x.shape, np.float32)
     for beside in _BESIDE_PX:
-        at = (middle + beside * along[:, None]).astype(np.float32)
-        total += sampled(smooth, at[..., 0], at[..., 1])
-    return total / len(_BESIDE_PX)
+        total += sampled(smooth, x - beside * dy, y + beside * dx)
+    return np.asarray(total / len(_BESIDE_PX), np.float64)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -46,6 +47,10 @@ _COMPARED = 0.5
 _TYPEFACE = 4.0
 # So near to a control the picture blurs its sides and its shadow into the print (px of the template).
 _BESIDE_PX = 5
+# Steps between the places of a camera from which it is told what controls hide. What it hides moves by a twentieth of
+# that; but telling it takes longer than to look, and from picture to picture the place is the same.
+_VIEWS_MM = 1.0
+_KEPT_VIEWS = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,6 +127,7 @@ class FaceMeter:
         if best is None or len(best.corners_px) < config.min_points or len(best.edges) < config.edge_points:
             raise ValueError(f"the face of {layout.model} has too little print to be recognised")
         self._soft: dict[tuple[int, float], Level] = {}
+        self._hidden = lru_cache(_KEPT_VIEWS)(self._hidden_from)
 
     def by_corners(self, rectified: Gray, start: Transform, camera: CameraModel, blur_px: float) -> PoseFit | None:
         """Return the pose after following the template's corners: robust, coarse."""
@@ -270,13 +276,21 @@ class FaceMeter:
 
     def _visible(self, level: Level, pose: Transform, margin_px: int = 0) -> npt.NDArray[np.bool_]:
         """Return where steady print is not hidden by proud controls, at least ``margin_px`` away from them."""
-        viewpoint_mm = pose.inverse().translation * 1e3
-        shape = level.template.gray.shape
-        hidden = hidden_by_controls(self.layout, viewpoint_mm, (shape[0], shape[1]), level.template.px_per_mm)
+        x, y, z = np.rint(pose.inverse().translation * 1e3 / _VIEWS_MM).tolist()
+        height, width = level.template.gray.shape
+        return np.asarray(
+            level.template.steady & ~self._hidden((x, y, z), (height, width), level.template.px_per_mm, margin_px)
+        )
+
+    def _hidden_from(
+        self, view: tuple[float, float, float], shape: tuple[int, int], px_per_mm: float, margin_px: int
+    ) -> npt.NDArray[np.bool_]:
+        """Return what proud controls hide, and ``margin_px`` around, from a place in steps of ``_VIEWS_MM``."""
+        hidden = hidden_by_controls(self.layout, np.array(view) * _VIEWS_MM, shape, px_per_mm)
         if margin_px:
             size = 2 * margin_px + 1
             hidden = cv2.dilate(hidden.astype(np.uint8), np.ones((size, size), np.uint8)).astype(bool)
-        return np.asarray(level.template.steady & ~hidden)
+        return np.asarray(hidden)
 
     def _warp(self, rectified: Gray, homography: Array, level: Level) -> Gray:
         height, width = level.template.gray.shape

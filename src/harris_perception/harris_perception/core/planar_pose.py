@@ -92,11 +92,13 @@ class FacePoints:
 
         The derivative is that of the predicted place, along ``across``.
         """
-        focal = np.array([camera.p[0, 0], camera.p[1, 1]])
-        slopes = in_camera[:, :2] / in_camera[:, 2:]
-        error = np.einsum("ni,ni->n", self.across, self.pixels - (focal * slopes + camera.p[:2, 2]))
-        scaled = self.across * focal / in_camera[:, 2:]
-        return error, np.column_stack([scaled, -np.einsum("ni,ni->n", scaled, slopes)])
+        x, y, z = in_camera.T
+        right, down, nearer = x / z, y / z, 1.0 / z
+        (du, dv), (u, v) = self.across.T, self.pixels.T
+        (fx, fy), (cx, cy) = camera.p[(0, 1), (0, 1)], camera.p[:2, 2]
+        error = du * (u - (fx * right + cx)) + dv * (v - (fy * down + cy))
+        by_x, by_y = du * (fx * nearer), dv * (fy * nearer)
+        return error, np.stack([by_x, by_y, -(by_x * right + by_y * down)], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -198,10 +200,9 @@ def fit_pose(
         error, by_point = points.residuals(seen, camera)
         # Turn about the seen centre, so that rotation and translation hardly disturb one another.
         centre = seen.mean(axis=0)
-        rows = np.column_stack([np.einsum("nj,njk->nk", by_point, -cross(seen - centre)), by_point])
         weight = tukey(error, floor_px) / _scale(error, floor_px)
-        weighted = rows * weight[:, None]
-        information, pull = weighted.T @ weighted, weighted.T @ (error * weight)
+        weighted = weight * _by_turn_and_shift(by_point, seen - centre)
+        information, pull = weighted @ weighted.T, weighted @ (error * weight)
         if prior is not None:
             off, known = _from_prior(prior, pose, centre)
             information, pull = information + known, pull + known @ off
@@ -280,6 +281,12 @@ def _by_motion(seen: Array, centre: Array, camera: CameraModel) -> Array:
     by_point[:, (0, 1), (0, 1)] = focal / seen[:, 2:]
     by_point[:, :, 2] = -focal * seen[:, :2] / seen[:, 2:] ** 2
     return np.concatenate([by_point @ -cross(seen - centre), by_point], axis=2)
+
+
+def _by_turn_and_shift(by_point: Array, arm: Array) -> Array:
+    """Return derivatives (6, N) by a turn and a shift, from those by the place (N, 3) of points at ``arm`` (N, 3)."""
+    (bx, by, bz), (x, y, z) = by_point.T, arm.T
+    return np.stack([y * bz - z * by, z * bx - x * bz, x * by - y * bx, bx, by, bz])
 
 
 def _scale(error: Array, floor: float) -> float:
