@@ -300,6 +300,25 @@ def test_rounding_on_constant_pictures_is_no_corner(value: float, gradient: str,
         assert len(HarrisDetector(config).detect(picture)) == 0, response
 
 
+@pytest.mark.parametrize("response", ["harris", "shi_tomasi", "noble", "geometric"])
+@pytest.mark.parametrize("gradient", ["harris", "deriche"])
+def test_a_drawing_has_the_corners_of_the_gaussian_window_by_recursion_too(response: str, gradient: str) -> None:
+    """What the recursion leaves of a step far away is below zero, on flat ground both sums of squares are."""
+    rng = np.random.default_rng(3)
+    picture = np.full((240, 320), 30, np.uint8)
+    for y, x, height, width, value in rng.integers((10, 10, 8, 8, 80), (180, 260, 50, 50, 255), (8, 5)):
+        picture[y : y + height, x : x + width] = value
+    one, other = (
+        HarrisDetector(HarrisConfig(gradient=gradient, window=window, response=response))
+        for window in ("gaussian", "deriche")
+    )
+    assert np.isfinite(other.response(picture)).all()
+    expected, found = one.detect(picture).xy, other.detect(picture).xy
+    assert len(expected) > 15 and abs(len(found) - len(expected)) <= 2
+    apart = np.linalg.norm(expected[:, None] - found[None], axis=2).min(axis=1)
+    assert (apart < 0.5).sum() >= len(expected) - 2
+
+
 def test_thresholds_count_and_border() -> None:
     picture = texture(2, 120, 150)
 

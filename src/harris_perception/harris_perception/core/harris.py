@@ -55,7 +55,8 @@ class HarrisConfig(Config):
     )
     window: str = setting(
         "box",
-        "Shape of the window that sums the products; deriche is a Gaussian by recursion",
+        "Shape of the window that sums the products; deriche is a Gaussian by recursion, exact to a few thousandths, "
+        "which relative_threshold = 0 takes for corners",
         choices=("box", "gaussian", "deriche"),
     )
     window_px: int = setting(3, "Side of the box window, odd", minimum=3, maximum=255, unit="px")
@@ -250,6 +251,8 @@ class HarrisDetector:
         if config.window == "deriche":
             soft = deriche.recursive_filter(config.sigma_i_px, False)
             a, b, c = (deriche.filtered(p, soft, soft)[inside] for p in products)
+            for squares in (a, b):  # far from a step the recursion is below zero
+                np.maximum(squares, 0.0, out=squares)
         else:
             a, b, c = (cv2.sepFilter2D(p, cv2.CV_32F, self._window, self._window)[inside] for p in products)
         if unknown.any():
