@@ -464,6 +464,18 @@ def test_a_pair_and_bands_of_rows_give_the_same_corners() -> None:
         HarrisDetector(config, bands=0)
 
 
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
+def test_bands_do_not_change_how_sums_are_rounded(dtype: Any) -> None:
+    rng = np.random.default_rng(4)
+    picture = rng.integers(0, 65536, (101, 131)).astype(dtype) / dtype(1 if dtype == np.uint16 else 65535)
+    picture = picture.astype(dtype)
+    expected = HarrisDetector(HarrisConfig(max_corners=0)).detect(picture)
+    for bands in (2, 3, 4, 5):
+        found = HarrisDetector(HarrisConfig(max_corners=0), bands=bands).detect(picture)
+        np.testing.assert_array_equal(found.xy, expected.xy)
+        np.testing.assert_array_equal(found.response, expected.response)
+
+
 @pytest.mark.parametrize("chosen", [{}, {"gradient": "gaussian"}, {"suppression_radius_px": 40.0}])
 def test_of_equal_corners_the_same_are_kept_in_any_bands(chosen: dict[str, Any]) -> None:
     """A picture wider than a strip, with more equal corners than are wanted: the upper ones are kept."""

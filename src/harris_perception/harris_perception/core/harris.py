@@ -275,7 +275,8 @@ class HarrisDetector:
         Parameters
         ----------
         gray
-            (H, W) uint8, uint16 or float32, or a sequence of such.
+            (H, W) uint8, uint16 or float32, or a sequence of such. Of floats beyond 1e9 the fourth power, which the
+            response is of, is none any more, and corners are lost.
 
         Raises
         ------
@@ -354,7 +355,8 @@ class HarrisDetector:
             thresholds = (config.k, *thresholds, _HALF.get(picture.dtype.itemsize, 0.5), *edges)
         else:
             find = partial(kernels.peaks_of, self._response(picture)[0] if response is None else response, border)
-        limits = [border + (height - 2 * border) * i // bands for i in range(bands + 1)]
+        # Two rows share half of a sum, so bands begin at even ones: rounding is the same in however many.
+        limits = [*(border + (height - 2 * border) * i // bands // 2 * 2 for i in range(bands)), height - border]
         return [partial(find, first, last, *thresholds) for first, last in pairwise(limits)]
 
     def _selected(self, bands: Sequence[Band]) -> Corners:
