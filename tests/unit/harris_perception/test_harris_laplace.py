@@ -77,18 +77,45 @@ def test_all_scales_together_give_as_many_as_asked_for() -> None:
     assert len(corners) == 50 and counts[0] > counts[1] > counts[2] > 0, counts
 
 
+@pytest.mark.parametrize("count", [50, 200, 400])
+def test_as_many_selected_corners_as_asked_for_where_there_are(count: int) -> None:
+    picture, every = scene(3), HarrisConfig(relative_threshold=0.0, max_corners=0)
+    there = HarrisLaplaceDetector(HarrisLaplaceConfig(detector=every)).detect(picture)
+    assert len(there) > 400
+    few = HarrisLaplaceConfig(detector=HarrisConfig(relative_threshold=0.0, max_corners=count))
+    found = HarrisLaplaceDetector(few).detect(picture)
+    assert len(found) == count and (np.diff(found.response) <= 0).all()
+    known = {(*map(float, xy), float(scale)) for xy, scale in zip(there.xy, there.scale)}
+    assert {(*map(float, xy), float(scale)) for xy, scale in zip(found.xy, found.scale)} <= known
+    finest = [int(np.isclose(corners.scale, 1.0).sum()) for corners in (found, there)]
+    assert finest[0] == min(finest[1], count) or finest[0] < count, "coarse levels have their share"
+
+
+@pytest.mark.parametrize("shape", [(60, 33_000), (33_000, 60)])
+def test_a_picture_may_be_longer_than_opencv_takes(shape: tuple[int, int]) -> None:
+    tile = scene(4)[:60, :500]
+    long = np.tile(tile, 66)
+    assert long.shape == (60, 33_000)
+    picture = long if shape == long.shape else np.ascontiguousarray(long.T)
+    config = HarrisLaplaceConfig(levels=2, detector=HarrisConfig(max_corners=0))
+    xy = HarrisLaplaceDetector(config).detect(picture).xy
+    along = xy[:, 0] if shape == long.shape else xy[:, 1]
+    counts = np.bincount((along // 500).astype(int), minlength=66)
+    assert counts.min() > 5 and np.ptp(counts[1:-1]) <= 2, counts
+
+
 @pytest.mark.parametrize("select", [True, False])
 def test_an_even_spread_covers_the_picture_at_all_scales_together(select: bool) -> None:
     """A quarter has strong texture, the others a weak one: the strongest are all there."""
     picture = scene(3).astype(np.float32)
     picture[:250, :250] *= 5.0
 
-    def quarters(even_spread: bool) -> list[int]:
-        detector = HarrisConfig(relative_threshold=0.0, max_corners=200, even_spread=even_spread)
+    def quarters(even_spread: bool, count: int = 200) -> list[int]:
+        detector = HarrisConfig(relative_threshold=0.0, max_corners=count, even_spread=even_spread)
         xy = HarrisLaplaceDetector(HarrisLaplaceConfig(select=select, detector=detector)).detect(picture).xy
         return [int(n) for n in np.bincount((xy[:, 0] >= 250) * 1 + (xy[:, 1] >= 250) * 2, minlength=4)]
 
-    assert quarters(False)[0] > 0.8 * sum(quarters(False))
+    assert quarters(False, 100)[0] > 0.8 * sum(quarters(False, 100))
     assert sum(quarters(True)) == 200 and min(quarters(True)) >= 40, quarters(True)
 
 

@@ -76,9 +76,9 @@ class HarrisLaplaceDetector:
     def __init__(self, config: HarrisLaplaceConfig | None = None) -> None:
         self.config = config if config is not None else HarrisLaplaceConfig()
         detector = self.config.detector
-        # Which corners are far apart is told among those that are kept, of each level.
-        every = replace(detector, even_spread=False, max_corners=0) if detector.even_spread else detector
-        self._detector = HarrisDetector(every)
+        # Which are the best scales, or far apart, is told among all corners of each level.
+        every = replace(detector, even_spread=False, max_corners=0)
+        self._detector = HarrisDetector(every if detector.even_spread or self.config.select else detector)
 
     def warm(self) -> None:
         """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
@@ -101,7 +101,7 @@ class HarrisLaplaceDetector:
         found = [self._detector.detect(picture) for picture in pictures]
         laplacians = [self._laplacian(picture) for picture in pictures] if self.config.select else []
         xys: list[F32] = []
-        scales, responses = [], []
+        scales, responses, beyond = [], [], []
         for level, corners in enumerate(found):
             ratio = _ratio(gray, pictures[level])
             xy = np.asarray((corners.xy + 0.5) * ratio - 0.5, np.float32)
@@ -110,15 +110,20 @@ class HarrisLaplaceDetector:
                 if 0 <= beside < len(laplacians):
                     kept &= _values(laplacians[level], xy, gray) > _values(laplacians[beside], xy, gray)
             places, scale, quota = np.flatnonzero(kept), self.config.factor**level, self._quota(level)
-            if detector.even_spread and len(places) > quota:
-                places = places[spread(xy[places], detector.suppression_radius_px * scale, quota)]
-            places = places[:quota]
+            # A share is of what is strong on its level; no weak ones are taken before others' strong ones.
+            late = (np.arange(len(places)) >= quota) | (places >= (detector.max_corners or len(xy)))
+            if detector.even_spread:
+                if len(places) > quota:
+                    places = places[spread(xy[places], detector.suppression_radius_px * scale, quota)]
+                late = np.zeros(len(places), bool)
             xys.append(xy[places])
             scales.append(np.full(len(places), scale))
             responses.append(corners.response[places])
+            beyond.append(late)
         response = np.concatenate(responses)
-        # The levels' shares are rounded up, so together they may be a few too many.
-        order = np.argsort(-response, kind="stable")[: detector.max_corners or None]
+        # Shares are rounded up, so together they may be a few too many; what a level leaves of its own, others get.
+        order = np.lexsort((-response, np.concatenate(beyond)))[: detector.max_corners or None]
+        order = order[np.argsort(-response[order], kind="stable")]
         parts = (np.concatenate(xys)[order], np.concatenate(scales)[order], response[order])
         return ScaledCorners(*(np.asarray(p, np.float32) for p in parts))
 

@@ -9,8 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 _MOST = 32_766
-"""OpenCV takes tables of no more rows or columns."""
+"""OpenCV takes tables, and pictures, of no more rows or columns."""
 _FOLDED = 1024
+_PART, _OVERLAP = 16_384, 8
+"""Longer pictures are looked at in parts of so many px, which reach over their ends by what interpolation needs."""
 
 _SHRUNK = 8
 """How many times smaller the picture is on which means are taken."""
@@ -24,12 +26,31 @@ def sampled(
     Outside, the picture is continued by its border pixels.
     """
     shape = x.shape
+    if max(picture.shape) > _MOST:
+        return _sampled_in_parts(picture, x, y, interpolation)
     if max(shape) > _MOST:
         folded = (-(-x.size // _FOLDED), _FOLDED)
         x, y = np.resize(x, folded), np.resize(y, folded)
     table = np.asarray(x, np.float32), np.asarray(y, np.float32)
     values = cv2.remap(picture, *table, interpolation, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(values.ravel()[: shape[0] * shape[1]].reshape(shape), np.float32)
+
+
+def _sampled_in_parts(
+    picture: npt.NDArray[Any], x: npt.NDArray[Any], y: npt.NDArray[Any], interpolation: int
+) -> npt.NDArray[np.float32]:
+    along = int(np.argmax(picture.shape[:2]))
+    length, values = picture.shape[along], np.empty(x.shape, np.float32)
+    part = np.clip((x, y)[1 - along], 0, length - 1).astype(np.int64) // _PART
+    for number in np.unique(part):
+        first, there = max(int(number) * _PART - _OVERLAP, 0), part == number
+        rows = slice(first, (int(number) + 1) * _PART + _OVERLAP)
+        u, v = x[there][None], y[there][None]
+        if along == 0:
+            values[there] = sampled(picture[rows], u, v - first, interpolation)[0]
+        else:
+            values[there] = sampled(np.ascontiguousarray(picture[:, rows]), u - first, v, interpolation)[0]
+    return values
 
 
 def mean_around(values: npt.NDArray[np.float32], sigma_px: float) -> npt.NDArray[np.float32]:
