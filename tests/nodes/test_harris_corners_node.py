@@ -274,6 +274,23 @@ def test_outlines_see_colors_of_one_lightness(ros: Any) -> None:
         assert found.any(axis=1).all() and np.abs(np.nonzero(found)[1] - 39.5).max() < 1.0, encoding
 
 
+def test_outlines_end_at_the_same_corners_in_colored_light_of_16_bits(ros: Any) -> None:
+    """The grey picture is four times as dark as the colors, so it fills fewer bits."""
+    rng = np.random.default_rng(5)
+    light = np.kron(rng.integers(40, 220, (4, 5)), np.ones((32, 32))) + rng.normal(0.0, 0.5, (128, 160))
+    light += 10.0 * (np.indices((128, 160)) // 8 % 2).prod(axis=0)  # too faint for an edge to end there
+    blue = np.dstack([light, light / 6, light / 6]).clip(0, 255).astype(np.uint8)
+    rig = Rig(ros, {"edge_method": "outlines", "relative_threshold": 0.0})
+    labels: list[Image] = ros.collect(rig.probe, Image, "edges", qos.IMAGES)
+    ros.spin_until(lambda: rig.node.count_subscribers("edges") == 1, 10.0)
+    ros.spin_until(lambda: rig.probe.count_publishers("edges") == 1, 10.0)
+    found = []
+    for stamp, encoding, seen in ((1, "bgr8", blue), (2, "bgr16", blue.astype(np.uint16) * 257)):
+        rig.corners_of(image_message(seen, encoding, header(stamp, "c")))
+        found.append(image_array(ros.spin_until(lambda n=stamp: len(labels) == n and labels[-1], 10.0)) == 128)
+    assert found[0].sum() > 500 and (found[0] != found[1]).sum() < 0.05 * found[0].sum()
+
+
 def test_edges_of_the_corners_pass_need_its_response(ros: Any) -> None:
     rig = Rig(ros)
     answer = rig.node.set_parameters([Parameter("response", value="noble")])[0]

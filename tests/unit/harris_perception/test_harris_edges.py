@@ -615,6 +615,35 @@ def test_corners_of_noise_by_other_detectors_cut_no_edges(
         assert (found.labels[y, x] == CORNER).all()
 
 
+def test_outlines_of_16_bits_are_those_of_8_in_their_grey_levels() -> None:
+    rng = np.random.default_rng(8)
+    picture = cv2.GaussianBlur(
+        np.where(np.indices((120, 160)).sum(axis=0) // 30 % 2, 150, 60).astype(np.uint8), (0, 0), 1
+    )
+    picture += rng.integers(0, 6, picture.shape).astype(np.uint8)
+    corners = HarrisDetector().detect(picture)
+    strengths = HarrisDetector().strengths_of(corners.response)
+    one = EdgeDetector().detect(picture, corners.xy, strengths)
+    deep = picture.astype(np.uint16) * 257
+    other = EdgeDetector().detect(deep, corners.xy, strengths * np.float32(257.0), grey_level=257.0)
+    assert len(one.chains) == len(other.chains) > 3
+    assert (one.labels != other.labels).sum() < 0.03 * (one.labels == EDGE).sum()
+    np.testing.assert_allclose(EdgeDetector().thinned(deep, 257.0), EdgeDetector().thinned(deep) / 257.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("lowest", [10.0, 1010.0, 10_010.0])
+def test_unknown_pixels_change_no_outlines_elsewhere_however_far_from_zero_the_values_lie(lowest: float) -> None:
+    rng = np.random.default_rng(9)
+    picture = np.full((160, 200), lowest, np.float32)
+    for y, x, height, width, value in rng.integers((30, 30, 20, 20, 20), (110, 150, 60, 60, 244), (12, 5)):
+        picture[y : y + height, x : x + width] = lowest + value
+    picture += rng.normal(0.0, 2.0, picture.shape).astype(np.float32)
+    dark, unknown = picture.copy(), picture.copy()
+    dark[:12, :12], unknown[:12, :12] = picture.min(), np.nan
+    expected, found = (EdgeDetector().detect(p).labels[25:, 25:] == EDGE for p in (dark, unknown))
+    assert expected.sum() > 600 and (expected != found).sum() < 0.01 * expected.sum()
+
+
 @pytest.mark.parametrize("response", ["harris", "shi_tomasi", "noble", "geometric"])
 @pytest.mark.parametrize("gradient", ["sobel", "gaussian"])
 def test_strengths_of_corners_are_in_grey_levels_per_pixel(response: str, gradient: str) -> None:

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
-from harris_perception.adapters.picture_files import sequences
+from harris_perception.adapters.picture_files import read_bgr, read_deep_gray, read_gray, sequences
 from harris_perception.cli import harris_evaluate
 from harris_perception.cli.harris import main
 from harris_perception.cli.tables import write_table
@@ -225,6 +225,17 @@ def test_pictures_of_floats_are_read_as_they_are(tmp_path: Path, capsys: pytest.
         assert len(places) > 150 and ((places >= (48, 38)) & (places <= (111, 81))).all(), name
     assert main(["match", str(tmp_path / "dark.tif"), str(tmp_path / "hidden.tif"), "--scales", "1"]) == 0
     assert capsys.readouterr().out.startswith("4 and 4 corners")
+
+
+def test_a_picture_in_colored_light_is_as_bright_in_16_bits_as_in_8(tmp_path: Path) -> None:
+    blue = np.zeros((60, 80, 3), np.uint8)
+    blue[20:40, 30:60] = (255, 40, 40)
+    for name, picture in (("8.png", blue), ("16.png", blue.astype(np.uint16) * 257)):
+        assert cv2.imwrite(str(tmp_path / name), picture)
+    eight, deep = read_gray(tmp_path / "8.png"), read_deep_gray(tmp_path / "16.png")
+    assert eight.max() < 70 and deep.dtype == np.float32
+    np.testing.assert_allclose(deep, eight, atol=1.0)
+    np.testing.assert_array_equal(read_bgr(tmp_path / "16.png"), blue)
 
 
 def test_numbers_may_have_an_exponent_and_scales_be_selected(

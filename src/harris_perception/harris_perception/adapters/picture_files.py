@@ -39,8 +39,15 @@ def read_sensor_gray(path: Path) -> npt.NDArray[np.uint8]:
 
 
 def read_deep_gray(path: Path) -> npt.NDArray[Any]:
-    """Read a picture as (H, W) uint8, or float32 from 0 to 255 if it has more than 8 bits; raises as above."""
-    return _stretched(_read(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH))
+    """Read a picture as (H, W) uint8, or float32 from 0 to 255 if it has more than 8 bits; raises as above.
+
+    One in colour is stretched as :func:`read_bgr` does, so that the strengths of both are of one unit.
+    """
+    gray = _read(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    if gray.dtype == np.uint8:
+        return gray
+    deep = _stretched(_read(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH))
+    return deep if deep.ndim == 2 else cv2.cvtColor(deep, cv2.COLOR_BGR2GRAY)
 
 
 def read_bgr(path: Path) -> npt.NDArray[np.uint8]:

@@ -19,7 +19,7 @@ from harris_perception.core import bitmap
 from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edge_tracing as tracing
 from harris_perception.core.edge_sides import SHRUNK, Sides, structure
-from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked
+from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked, from_lowest
 from harris_perception.core.noise import noise_above
 from harris_perception.core.sampling import mean_around
 from icu_common.core.config import Config, setting
@@ -39,7 +39,7 @@ _ABOVE_NOISE = 3.0
 """And no edge ends at those that are not so many times as strong as the noise; its own seldom are."""
 
 
-_STARTS = "Strength that starts an edge, in grey levels of 8 bits also where a picture has more"
+_STARTS = "Strength that starts an edge, in grey levels, of 8 bits also where a message or file has more"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,13 +164,13 @@ class EdgeDetector:
     def warm(self) -> None:
         """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
         checks = (np.indices((64, 64)) // 16).sum(axis=0) % 2 * 100
-        for dtype in (np.uint8, np.float32):
+        for dtype in (np.uint8, np.uint16, np.float32):
             self.detect(checks.astype(dtype), [(20.0, 20.0)], [100.0])
 
-    def thinned(self, picture: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    def thinned(self, picture: npt.NDArray[Any], grey_level: float = 1.0) -> npt.NDArray[np.float32]:
         """Return the strength of every pixel that is a maximum across an edge, (H, W) float32, zero elsewhere.
 
-        The picture is as for ``detect``.
+        Picture and ``grey_level`` are as for ``detect``; strengths are in grey levels per px.
         """
         channels = self._channels(picture)
         if 0 in picture.shape[:2]:
@@ -189,7 +189,7 @@ class EdgeDetector:
             weighed = strength.copy()
             kernels.weigh(weighed, sides.of_regions(maxima, config.region_px))
             maxima = self._maxima(weighed, tensor)
-        return maxima
+        return maxima if grey_level == 1.0 else maxima / np.float32(grey_level)
 
     def _maxima(
         self, strength: npt.NDArray[np.float32], tensor: tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]
@@ -214,7 +214,11 @@ class EdgeDetector:
         return [(np.ascontiguousarray(checked(picture), dtype), 1.0)]
 
     def detect(
-        self, picture: npt.NDArray[Any], corners_xy: npt.ArrayLike = (), strengths: npt.ArrayLike | None = None
+        self,
+        picture: npt.NDArray[Any],
+        corners_xy: npt.ArrayLike = (),
+        strengths: npt.ArrayLike | None = None,
+        grey_level: float = 1.0,
     ) -> Edges:
         """Return the edges of a picture.
 
@@ -227,16 +231,19 @@ class EdgeDetector:
         strengths
             (N,) of the corners, as of ``HarrisDetector.strengths_of``: those below 1.5 times ``high``, or three times
             the picture's noise, end no edge, for they may be noise. Without these all do.
+        grey_level
+            What the settings count as one grey level, in values of the picture.
 
         Raises
         ------
         ValueError
             For another shape or dtype, or a corner outside the picture.
         """
-        thinned, noise = self.thinned(picture), 0.0
+        thinned, noise = self.thinned(picture, grey_level), 0.0
         if strengths is not None:
             gray = picture if picture.ndim == 2 or picture.size == 0 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-            noise = noise_above(gray, _ABOVE_START * self.config.high / _ABOVE_NOISE)
+            noise = noise_above(gray, _ABOVE_START * self.config.high * grey_level / _ABOVE_NOISE) / grey_level
+            strengths = np.asarray(strengths) / grey_level
         return self.edges_of(thinned, corners_xy, strengths, noise)
 
     def edges_of(
@@ -366,7 +373,8 @@ def _of_256(channel: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     """Return a channel in 256 steps; no range is agreed on for others than uint8, so that of it shrunk is taken."""
     if channel.dtype == np.uint8:
         return channel
-    finite = np.where(np.isfinite(channel), channel, 0.0)
+    above = from_lowest(channel)
+    finite = np.where(np.isfinite(above), above, np.float32(0.0))
     size = (-(-channel.shape[1] // SHRUNK), -(-channel.shape[0] // SHRUNK))
     small = cv2.resize(finite, size, interpolation=cv2.INTER_AREA)
     low, high = float(small.min()), float(small.max())

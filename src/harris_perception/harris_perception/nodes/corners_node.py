@@ -126,12 +126,11 @@ class CornersNode(Node):
         level, strengths = grey_level_of(gray), self._corner_detector.strengths_of(corners.response)
         if combined:
             return corners, self._combined.detect(gray, corners.xy, strengths, level)[1]
-        strengths = strengths / np.float32(level)
         if has_color(message.encoding) and gray.size > 0:
-            color = bgr_of(image_array(message), message.encoding)
-            return corners, self._outlines.detect(color, corners.xy, strengths)
-        leveled = gray if gray.dtype == np.uint8 else gray.astype(np.float32) / np.float32(level)
-        return corners, self._outlines.detect(leveled, corners.xy, strengths)
+            colors = image_array(message)  # of which one may be brighter than the grey picture
+            strengths = strengths / np.float32(grey_level_of(colors))
+            return corners, self._outlines.detect(bgr_of(colors, message.encoding), corners.xy, strengths)
+        return corners, self._outlines.detect(gray, corners.xy, strengths, level)
 
     def _publish(self, corners: Corners | ScaledCorners, gray: npt.NDArray[Any], message: Image) -> None:
         columns, values = [*COLUMNS], [corners.xy, corners.response]
