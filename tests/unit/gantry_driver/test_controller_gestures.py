@@ -121,6 +121,36 @@ def test_a_knob_under_the_stylus_is_looked_at_from_aside_first() -> None:
     assert bench.knob_deg == pytest.approx(-40, abs=2)
 
 
+@pytest.mark.parametrize("slips", [0.4, 1.0])
+@pytest.mark.parametrize("command", ["click:CH1_SCALE:2", "turn:CH1_SCALE:-36"])
+def test_a_knob_under_the_stylus_is_turned_by_what_is_seen_from_aside(command: str, slips: float) -> None:
+    """It was turned blind, and one that had slipped answered ``reached``."""
+    bench = seeing()
+    assert bench.do("press:CH1_SCALE").outcome is Outcome.REACHED
+    bench.run(0.5)
+    bench.knob_slips, sent = slips, len(bench.paths)
+    result = bench.do(command)
+    assert bench.paths[sent][:, 2].max() == 0.0, "first it goes aside"
+    if slips < 1:
+        assert result.outcome is Outcome.REACHED and bench.knob_deg == pytest.approx(20 - 36, abs=2), result
+        assert float(details(result)["knob_deg"]) == pytest.approx(bench.knob_deg, abs=0.01)
+    else:
+        assert result.outcome is Outcome.ABORTED
+        assert "CH1_SCALE stands 36.0 degrees off after 5 turns, 2 are allowed" in result.reason
+
+
+def test_a_knob_under_the_stylus_that_shows_no_marker_from_aside_is_turned_once() -> None:
+    bench = seeing()
+    bench.knob_deg = math.nan
+    assert bench.do("press:CH1_SCALE").outcome is Outcome.REACHED
+    bench.run(0.5)
+    turned: list[int] = []
+    bench.on_phase[Phase.TURN] = lambda b: turned.append(b.now_ns)
+    result = bench.do("turn:CH1_SCALE:30")
+    assert result.outcome is Outcome.REACHED and details(result)["turns"] == "1" and len(turned) == 1, result
+    assert details(result)["effect"] == "not looked for" and details(result)["knob_deg"] == "nan"
+
+
 def test_a_dimple_is_not_touched_before_the_marker_has_been_seen() -> None:
     bench = seeing()
     dimple = Dimple(place_mm=(0.0, -5.0), diameter_mm=4.6, depth_mm=1.0)
@@ -216,6 +246,43 @@ def test_a_lamp_that_the_raised_stylus_still_hides_is_read_from_aside() -> None:
         assert result.outcome is Outcome.REACHED and details(result)["effect"] == effect
         assert Phase.ASIDE not in bench.on_phase and bench.readings[2] == 0.0
         assert bench.paths[-1][:, 2].max() == 0.0, "it goes aside with the stylus up"
+
+
+@pytest.mark.parametrize("required", [False, True])
+def test_a_lamp_that_the_stylus_hides_from_the_start_is_read_from_aside_before_the_press(required: bool) -> None:
+    """Its change could not be told, and who reads that nothing was seen presses once more."""
+    bench = seeing(require_effect=required)
+    bench.hidden["RUN_STOP"] = "stylus"
+    bench.run(0.4)
+
+    def press(b: Bench) -> None:
+        b.lamp = "red"
+        b.hidden["RUN_STOP"] = "stylus"
+        b.on_phase[Phase.ASIDE] = lambda b: b.hidden.clear()
+
+    bench.on_phase[Phase.ASIDE] = lambda b: b.hidden.clear()
+    bench.on_phase[Phase.CONTACT] = press
+    sent = len(bench.paths)
+    result = bench.do("press:RUN_STOP")
+    assert result.outcome is Outcome.REACHED and details(result)["effect"] == "lamp green -> red", result
+    assert bench.paths[sent][:, 2].max() == 0.0 == bench.readings[2], "it goes aside with the stylus up"
+
+
+def test_what_has_no_lamp_is_pressed_from_where_the_stylus_stands() -> None:
+    bench = seeing()
+    for _ in range(2):  # the first leaves the stylus over the knob
+        bench.on_phase[Phase.ASIDE] = lambda b: pytest.fail("it needs no look from aside")
+        assert details(bench.do("press:CH1_SCALE"))["effect"] == "none seen"
+        bench.run(0.5)
+
+
+def test_a_lamp_that_is_not_seen_from_aside_either_is_pressed_all_the_same() -> None:
+    bench = seeing()
+    bench.hidden["RUN_STOP"] = "stylus"
+    bench.run(0.4)
+    bench.on_phase[Phase.CONTACT] = lambda b: setattr(b, "screen_changed_ns", b.now_ns)
+    result = bench.do("press:RUN_STOP")
+    assert result.outcome is Outcome.REACHED and details(result)["effect"] == "screen changed", result
 
 
 def test_what_must_have_an_effect_needs_somebody_who_sees_it() -> None:

@@ -307,8 +307,11 @@ class Controller:
         if (fault := self._rests_misplaced(job)) is not None:
             reason = f"{fault.cause}; the stylus may be bent, or another one; nothing was moved"
             self._finish(job, Outcome.ABORTED, reason)
-        elif knob is not None and math.isnan(knob.seen_deg) and (job.kind == "set" or self._has_dimple(job, knob)):
+        elif knob is not None and math.isnan(knob.seen_deg) and (self._needs_marker(job, knob) or self._under(job)):
             self._move_aside(job, knob.name)
+        elif self._may_tell_by_lamp(job) and self._under(job):
+            assert job.touch is not None
+            self._move_aside(job, job.touch.control)
         elif knob is not None and job.kind == "set" and abs(knob.off_deg) <= self.config.set_tolerance_deg:
             self._finish(job, Outcome.REACHED)
         else:
@@ -327,9 +330,20 @@ class Controller:
                 return
         self._begin(job)
 
-    def _has_dimple(self, job: Job, knob: Knob) -> bool:
+    def _needs_marker(self, job: Job, knob: Knob) -> bool:
+        """Whether the knob is not touched before its marker has been read."""
         assert job.scene is not None
-        return job.scene.control(knob.name).dimple is not None
+        return job.kind == "set" or job.scene.control(knob.name).dimple is not None
+
+    def _may_tell_by_lamp(self, job: Job) -> bool:
+        """Whether the effect is looked for at a control that may have a lamp."""
+        looked_for = job.knob is None and job.before is not None and self.config.effect_wait_s > 0
+        return looked_for and job.touch is not None and job.touch.control not in self._world.lampless
+
+    def _under(self, job: Job) -> bool:
+        """Whether the stylus, though it is up, hides the control."""
+        seen = None if self._world.seen is None or job.touch is None else self._world.seen.control(job.touch.control)
+        return seen is not None and seen.hidden_by == "stylus"
 
     def _move_aside(self, job: Job, name: str) -> None:
         """Let the cameras see the whole control, wherever on it the stylus has been."""
@@ -341,7 +355,8 @@ class Controller:
         self._try(job, Phase.ASIDE, lambda: motion_plan.aside(self._world.here, middle, by_m, config.motion))
 
     def _read_from_aside(self, job: Job) -> None:
-        self._enter(Phase.READ, self.config.effect_wait_s if job.knob is None else self.config.read_timeout_s)
+        for_effect = job.knob is None and job.touched_ns
+        self._enter(Phase.READ, self.config.effect_wait_s if for_effect else self.config.read_timeout_s)
 
     def _enter(self, phase: Phase, within_s: float) -> None:
         self.phase, self._phase_ns = phase, self._now_ns
@@ -413,17 +428,19 @@ class Controller:
         return Step.SEEN if seen else Step.UNSEEN if self._now_ns > self._deadline_ns else None
 
     def _effect_seen(self, job: Job) -> bool:
-        """Look for the effect since the way down, or for the knob's marker since the stylus has gone aside."""
+        """Look for the effect since the way down, or for the marker or the lamp since the stylus has gone aside."""
         after = self._world.seen
         if after is None:
             return False
+        still = after.stamp_ns > self._phase_ns + _nanoseconds(self.config.settle_s)
+        if job.knob is None and not job.touched_ns:
+            return still and not self._under(job)
         if job.knob is None:
             assert job.before is not None and job.touch is not None
             # Contact comes before the driver reports the end of the way down, and what it does may be seen as early.
             job.effect, told = effect(job.before, after, job.touch.control, job.plunge_ns)
             return told
         knob = after.control(job.knob.name)
-        still = after.stamp_ns > self._phase_ns + _nanoseconds(self.config.settle_s)
         return still and knob is not None and not math.isnan(knob.angle_deg)
 
     def _standing(self) -> bool:
@@ -543,6 +560,8 @@ class Controller:
         assert job.touch is not None
         if job.knob is not None:
             self._judge_knob(job, job.knob)
+        elif not job.touched_ns:
+            self._try(job, Phase.APPROACH, lambda: self._way_to(job))
         elif not job.effect and not job.went_aside and self._hides_lamp(job):
             job.went_aside = True
             self._move_aside(job, job.touch.control)
@@ -557,12 +576,14 @@ class Controller:
         """Whether the stylus, though it is up, still hides the lamp that may tell the effect."""
         assert job.before is not None and job.touch is not None
         before = job.before.control(job.touch.control)
-        now = None if self._world.seen is None else self._world.seen.control(job.touch.control)
-        return before is not None and before.lamp != "" and now is not None and now.hidden_by == "stylus"
+        return before is not None and before.lamp != "" and self._under(job)
 
     def _judge_knob(self, job: Job, knob: Knob) -> None:
         seen = None if self._world.seen is None else self._world.seen.control(knob.name)
         angle = math.nan if seen is None or not self._effect_seen(job) else seen.angle_deg
+        if math.isnan(angle) and not knob.turns and not self._needs_marker(job, knob):
+            self._try(job, Phase.APPROACH, lambda: self._way_to(job))  # it has no marker, perhaps: turned once, unseen
+            return
         if math.isnan(angle):
             wait_s = self.config.read_timeout_s
             cause = f"the marker of {knob.name} was not seen within {wait_s:g} s"

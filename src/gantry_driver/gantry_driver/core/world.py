@@ -69,6 +69,8 @@ class World:
     panel: PanelMap | None = None
     seen: PanelSeen | None = None
     hidden_ns: dict[str, int] = field(default_factory=dict)
+    lampless: set[str] = field(default_factory=set)
+    """Controls that were in view, last, without a lamp that could be read."""
     camera_from_base: Transform | None = None
     base_from_reading: Array | None = None
     unchecked: bool = True
@@ -144,6 +146,8 @@ class World:
         self.seen = seen
         hidden = [c.name for c in seen.controls if c.hidden_by == "something"]
         self.hidden_ns = {name: self.hidden_ns.get(name, seen.stamp_ns) for name in hidden}
+        for control in (c for c in seen.controls if not c.hidden_by):
+            (self.lampless.discard if control.lamp else self.lampless.add)(control.name)
 
     def recently_seen(self, config: ControllerConfig) -> PanelSeen | None:
         """Return what was last seen of the controls, None when that is too long ago."""
