@@ -914,6 +914,7 @@ def test_started_with_the_stylus_extended_it_asks_for_a_stop_and_says_why() -> N
         ("idle", "waiting: no joint_states"),
         ("disconnected: link lost: unplugged", "waiting: driver disconnected: link lost: unplugged"),
         ("alarm: 3 reset while moving", "alarm: 3 reset while moving"),
+        ("stopped: stop requested", "stopped: stop requested"),
     ],
 )
 def test_a_stylus_that_a_lost_driver_has_left_down_is_told_until_it_is_up(driver: str, state: str) -> None:

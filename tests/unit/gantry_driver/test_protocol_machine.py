@@ -265,6 +265,116 @@ def test_a_second_stop_lets_the_retreat_finish(hold_written: bool) -> None:
     assert rig.board.mpos == pytest.approx(list(HOMED)) and rig.states[-1] == "stopped: first"
 
 
+NOT_LIFTED = "; the stylus was not lifted, it may still press"
+
+
+def pressing(config: DriverConfig | None = None) -> Rig:
+    """Return a homed machine whose stylus rests on the panel."""
+    rig = Rig(config).homed()
+    rig.go((0.1, 0.1, 0.02))
+    rig.until(lambda: "reached" in rig.outcomes())
+    return rig
+
+
+def test_a_retreat_that_a_lost_answer_ends_is_told_and_made_by_another_stop() -> None:
+    rig = pressing()
+    rig.beating = False
+    rig.until(lambda: rig.machine.phase.name == "LIFTING")
+    first = rig.states[-1]
+    rig.board.drop_answers = 1
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    rig.run_for(5.0)
+    assert first.startswith("stopped: operator's heartbeat lost") and rig.states[-1] == first + NOT_LIFTED
+    assert rig.board.mpos[2] == pytest.approx(HOMED[2] - 20.0)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.board.mpos == pytest.approx([HOMED[0] + 100.0, HOMED[1] + 100.0, HOMED[2]])
+    assert rig.states[-1] == first, "the first reason stays, and it is up now"
+
+
+def test_a_lift_that_the_board_refused_once_is_told_until_it_is_made() -> None:
+    rig = pressing()
+    rig.board.refuse = {"G21G90G94": 9}
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1].startswith("stopped: stop requested; the stylus was not lifted: error:9")
+    rig.board.refuse = {}
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == "stopped: stop requested" and rig.board.mpos[2] == pytest.approx(HOMED[2])
+
+
+@pytest.mark.parametrize("phase", ["LIFTING", "RESETTING"])
+def test_a_door_that_ends_the_retreat_is_told_and_no_stop_lifts_after_it(phase: str) -> None:
+    rig = pressing()
+    board, leave = rig.board, rig.board.reset
+
+    def with_the_door_open() -> None:
+        leave()
+        board.state = "Door:1"
+
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == phase)
+    board.blocks.clear()
+    board.state, board.reset = "Door:1", with_the_door_open  # type: ignore[method-assign]
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    where = list(board.mpos)
+    assert rig.states[-1] == "stopped: stop requested" + NOT_LIFTED and where[2] < HOMED[2] - 10.0
+    board.state, board.reset = "Door:0", leave  # type: ignore[method-assign]
+    for _ in range(2):
+        rig.run_for(1.0)
+        rig.machine.stop("stop requested", rig.now)
+        rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert board.mpos == where and rig.states[-1] == "stopped: stop requested" + NOT_LIFTED
+    assert rig.machine.reset(rig.now) == "" and rig.states[-1] != "idle"
+    rig.step()
+    assert rig.states[-1] == "idle"
+
+
+def test_a_hold_that_never_completes_leaves_the_stylus_down_and_says_so_until_it_is_homed() -> None:
+    rig = pressing()
+    rig.board.hold_s, rig.board.speed_scale = 100.0, 0.05
+    rig.go((0.2, 0.1, 0.02))
+    rig.run_for(0.3)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == "stopped: stop requested" + NOT_LIFTED and not rig.machine.homed
+    assert rig.board.mpos[2] == pytest.approx(HOMED[2] - 20.0)
+    rig.board.hold_s, rig.board.speed_scale = 0.05, 1.0
+    assert rig.machine.reset(rig.now) == "" and rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle")
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == "stopped: stop requested"
+
+
+def test_a_link_that_is_lost_in_a_stop_leaves_the_stylus_down_and_the_stop_says_so() -> None:
+    rig = pressing()
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "HOLDING")
+    rig.machine.closed("the device has gone", rig.now)
+    rig.collect()
+    assert rig.states[-1] == "disconnected: the device has gone"
+    rig.connect()
+    rig.run_for(1.0)
+    assert rig.states[-1] == "stopped: stop requested" + NOT_LIFTED
+    assert rig.machine.reset(rig.now) == ""
+    rig.step()
+    assert rig.states[-1] == "unhomed"
+
+
+def test_what_no_stop_is_to_lift_and_what_a_reset_lets_go_is_not_told() -> None:
+    rig = pressing(DriverConfig(enabled_at_start=True, lift_on_stop=False))
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == "stopped: stop requested" and rig.board.mpos[2] == pytest.approx(HOMED[2] - 20.0)
+    rig = pressing(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind="solenoid_m8", dwell_s=0.1)))
+    rig.machine.closed("the device has gone", rig.now)
+    rig.machine.stop("stop requested", rig.now)
+    rig.connect()
+    assert rig.states[-1] == "stopped: stop requested", "the reset has switched the solenoid off"
+
+
 def test_resting_extended_for_too_long_is_a_stop_that_lifts() -> None:
     rig = Rig().homed()
     rig.go((0.1, 0.0, 0.0))

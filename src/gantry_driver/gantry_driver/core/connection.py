@@ -88,6 +88,7 @@ class Connection:
         self.session = GrblSession(self.counts)
         self.phase = Phase.CLOSED
         self.reason = "not opened yet"
+        self._not_lifted = ""
         self.homed = False
         self.enabled = config.enabled_at_start
         self.dialect = Dialect.UNKNOWN
@@ -111,7 +112,9 @@ class Connection:
         self._marker = 0
         self._marker_done = False
         self._lift = True
+        self._lift_barred = False
         self._lift_timeout_s = 0.0
+        self._left_down = False
         self._critical = False
         self._reset_not_before = 0.0
         self._hold_sent = 0.0
@@ -139,7 +142,7 @@ class Connection:
     @property
     def state_text(self) -> str:
         """The published state: ``state`` or ``state: reason``."""
-        reason = "inactive" if self.phase is Phase.IDLE and not self.active else self.reason
+        reason = "inactive" if self.phase is Phase.IDLE and not self.active else self._whole_reason()
         return f"{self.state}: {reason}" if reason else self.state
 
     @property
@@ -390,12 +393,14 @@ class Connection:
 
     # --- transitions ---------------------------------------------------------------------------------------------
 
-    def _enter(self, phase: Phase, now: float, reason: str = "") -> None:
+    def _enter(self, phase: Phase, now: float, reason: str = "", not_lifted: str | None = None) -> None:
         if phase is not self.phase and phase not in TRANSITIONS[self.phase] and phase not in OPEN_ENDS:
             raise AssertionError(f"{self.phase.name} to {phase.name} is not in the table")
         before = self.state_text
         self.phase, self.reason, self._since = phase, reason, now
         self._misplaced = False
+        text = self._still_down_text() if not_lifted is None else not_lifted
+        self._not_lifted = text if phase is Phase.STOPPED else ""
         if phase is not Phase.MOVING:
             self._pausing = self._resuming = False
         self._poll_at_rate()
@@ -416,6 +421,7 @@ class Connection:
         self.closed(reason, now)
 
     def _forget_position(self) -> None:
+        self._left_down = self._left_down or self._stylus_is_down()
         self.homed = False
         self.reading_m = None
 
@@ -450,6 +456,15 @@ class Connection:
         if self.config.stylus.kind != "z_axis":
             return self._stylus_down or self._lowers
         return self.reading_m is not None and self.reading_m[2] > STYLUS_DOWN_M
+
+    def _whole_reason(self) -> str:
+        """Return the reason, and that the stylus was not lifted; the latter ends with the lift, the first stays."""
+        return "; ".join(text for text in (self.reason, self._not_lifted) if text)
+
+    def _still_down_text(self) -> str:
+        """Say that nothing has lifted the stylus, for who reads ``stopped`` takes it for lifted; empty if it is up."""
+        down = self.config.lift_on_stop and (self._stylus_is_down() or self._left_down)
+        return "the stylus was not lifted, it may still press" if down else ""
 
     def _rests_extended(self) -> bool:
         return self.phase is Phase.IDLE and self._stylus_is_down()

@@ -113,7 +113,7 @@ class Machine(Connection):
         elif phase is Phase.HOMING and age > self.config.homing_timeout_s:
             self._halt(f"homing took longer than {self.config.homing_timeout_s:g} s", now)
         elif phase is Phase.LIFTING and age > self._lift_timeout_s:
-            self._enter(Phase.STOPPED, now, f"{self.reason}; the stylus was not lifted in time")
+            self._enter(Phase.STOPPED, now, self.reason, not_lifted="the stylus was not lifted in time")
         self._watch(now)
 
     def _watch(self, now: float) -> None:
@@ -195,6 +195,8 @@ class Machine(Connection):
             return
         if self.phase is Phase.LIFTING and not hold_written:
             return  # The retreat is the way into the safe state already: a repeated stop lets it finish.
+        if self.phase is Phase.STOPPED:
+            self._lift = self.config.lift_on_stop and not self._lift_barred  # also where a lost count ended the retreat
         self._halt(reason, now, hold_written=hold_written, lift_again=True)
 
     def pause(self, now: float) -> str:
@@ -379,7 +381,7 @@ class Machine(Connection):
             # The first reason is the one that explains; a retreat that failed is not repeated.
             reason, self._lift = self.reason, self._lift and (lift_again or self.phase is not Phase.LIFTING)
         else:
-            self._lift = self.config.lift_on_stop
+            self._lift, self._lift_barred = self.config.lift_on_stop, False
         self._latched = reason
         if self.phase in (Phase.HOLDING, Phase.RESETTING):
             return
@@ -440,6 +442,8 @@ class Machine(Connection):
             self._refuse(banner.dialect, now)
             return
         self._critical = False
+        if self.config.stylus.kind == "solenoid_m8":
+            self._stylus_down = self._lowers = self._left_down = False  # it is switched off
         if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):
             # Also after an alarm: it may have come before the settings were known, or the board is another one.
             self.dialect, self.firmware = banner.dialect, banner.version
@@ -488,7 +492,7 @@ class Machine(Connection):
         elif self.phase is Phase.HOMING:
             self._halt(f"homing refused: {text}", now)
         elif self.phase is Phase.LIFTING:
-            self._enter(Phase.STOPPED, now, f"{self.reason}; the stylus was not lifted: {text}")
+            self._enter(Phase.STOPPED, now, self.reason, not_lifted=f"the stylus was not lifted: {text}")
         elif self.phase is Phase.WRITING and event.line.number == self._marker:
             self._read_settings(now, "")
         elif self.phase is Phase.SETTINGS and event.line.text in READ_STARTUP:
@@ -515,7 +519,7 @@ class Machine(Connection):
 
     def _to_alarm(self, text: str, now: float) -> None:
         if self.phase.state == "stopped":
-            text = f"{text}, after: {self.reason}"
+            text = f"{text}, after: {self._whole_reason()}"
         self._finish(Outcome.ABORTED, text, now)
         self._forget_position()
         self.session.last_report_at = now  # In a homing cycle it is the first that the board says.
@@ -567,7 +571,7 @@ class Machine(Connection):
             self._enter(Phase.MISMATCH, now, text)
             self._misplaced = True
             return
-        self.homed, self._stylus_down, self._lowers = True, False, False
+        self.homed, self._stylus_down, self._lowers, self._left_down = True, False, False, False
         self.session.executed_all()
         self.reading_m = reading_m(report.mpos_mm, False, self.config)
         self._events.append(Position(reading_m=self.reading_m))
@@ -642,7 +646,7 @@ class Machine(Connection):
             self._reset_after_hold(now)
         elif report.state == "Door":
             # Still open: a reset does not leave this state, and nothing may move, not even when it is closed later.
-            self._lift = False
+            self._lift, self._lift_barred = False, True
             self._enter(Phase.STOPPED, now, self.reason)
         elif report.state == "Alarm" and self.homed:
             self._to_alarm("the reset left the board locked, its position is lost", now)
@@ -669,9 +673,10 @@ class Machine(Connection):
         elif report.state == "Idle" and self._marker_done:
             self.session.executed_all()
             self._stylus_down = self._lowers = False
-            self._enter(Phase.STOPPED, now, self.reason)
+            self._enter(Phase.STOPPED, now, self.reason, not_lifted="")
         elif report.state in ("Hold", "Door"):
             # The hold of a stop that was written just before the retreat began must not leave the stylus down.
+            self._lift_barred = report.state == "Door"
             self._halt(self.reason, now, lift_again=report.state == "Hold")
 
 

@@ -228,7 +228,7 @@ class World:
                 shown += f": {reason.strip()}"
             if self.left_behind:
                 shown += f"; {self.left_behind}"
-            elif state in _LIFTS_NOTHING:
+            elif state in _LIFTS_NOTHING or (state == "stopped" and silent):
                 shown += self._left_down_text()
             yield Obstacle(state=shown, reason=f"the driver is {self.driver!r}, 'idle' is needed", every_goal=True)
         elif self.readings is None or silent:
