@@ -40,6 +40,25 @@ class Failed(Exception):
     """Something was refused or went wrong; the message says what."""
 
 
+def _advice(driver: str) -> str:
+    """Return what leads out of a driver's state, as the end of a sentence; empty where its reason says it."""
+    state, _, reason = driver.partition(": ")
+    if state in ("stopped", "alarm"):
+        return "; look at the machine, then call gantry/reset"
+    if state == "mismatch" and reason.startswith("homed at"):
+        return (
+            "; a switch may have been touched: call gantry/reset and prepare once more, which homes again; where it "
+            "ends at the same place, correct travel_mm, pull_off_mm or homing_direction_mask of the configured machine"
+        )
+    if state == "mismatch" and "the configuration says" in reason:
+        return (
+            "; call gantry/write_settings to give the board the configured ones (gantry_gcode settings --write does so "
+            "without a driver), correct machine.* of the configuration where the board is right, or call "
+            "gantry/accept_settings to go on with these differences"
+        )
+    return ""
+
+
 def prepare(session: OperatorSession, *, home: bool, calibrate: bool, until: float) -> None:
     """Go through the steps; ``home`` and ``calibrate`` ask for them even where they are not needed.
 
@@ -94,7 +113,7 @@ class _Steps:
             raise Failed(str(error)) from error
         text = session.latest(DRIVER)
         if text.partition(":")[0] in _BROKEN:
-            raise Failed(f"the driver is {text!r}; look at the machine, then call gantry/reset")
+            raise Failed(f"the driver is {text!r}{_advice(text)}")
 
     def wait(self, condition: Callable[[], Any], missing: str | Callable[[], str]) -> Any:
         """Wait for a condition until the deadline of the whole preparation."""
@@ -143,7 +162,7 @@ class _Steps:
                 shown += 1
                 say(f"{what}: {text}")
                 if text.partition(":")[0] in failed:
-                    raise Failed(f"{what}: {text}")
+                    raise Failed(f"{what}: {text}{_advice(text)}")
                 if done(text):
                     return True
             return False
