@@ -21,6 +21,25 @@ def checked(*lines: str, **kwargs: object) -> list[str]:
     return [line.text for line in checker.check_all(lines)]
 
 
+KEPT: dict[str, object] = {"offsets_mm": {"G54": (0.0, 0.0, 20.0)}, "kept_g92": True}
+
+
+@pytest.mark.parametrize("lines", [["G92.1", "G1 Z-30 F300"], ["G92 X0", "G92.1"]])
+def test_an_offset_that_may_be_a_kept_g92_is_not_cancelled(lines: list[str]) -> None:
+    """The board went 20 mm deeper than was checked."""
+    with pytest.raises(GcodeError) as error:
+        checked(*lines, **KEPT)
+    assert error.value.line == lines.index("G92.1") + 1
+    assert error.value.reason.startswith("G92.1 moves all targets by what of the work offset (0, 0, 20) mm is a G92, ")
+    assert error.value.reason.endswith("leave it out, and send it from a terminal before")
+
+
+def test_an_offset_that_is_no_g92_may_stay_and_one_that_is_none_may_be_cancelled() -> None:
+    assert checked("G92.1", "G1 Z-30 F300", offsets_mm=KEPT["offsets_mm"])[0] == "G92.1"
+    assert checked("G92.1", "G1 Z-30 F300", kept_g92=True)[0] == "G92.1", "a board without an offset has no G92"
+    assert checked("G92 Z0", "G1 Z-1 F300", **KEPT)[0] == "Z0G92", "what it makes of the offset is known"
+
+
 @pytest.mark.parametrize(
     ("lines", "line", "column", "reason"),
     [

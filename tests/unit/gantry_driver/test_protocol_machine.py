@@ -1088,6 +1088,40 @@ def test_a_program_is_not_started_from_elsewhere_than_where_it_was_checked() -> 
     assert rig.machine.run_checked("p", again, lines, rig.now).outcome.value == "accepted"
 
 
+@pytest.mark.parametrize(
+    ("banner", "keeps"),
+    [(b"Grbl 1.1h ['$' for help]", False), (b"GrblHAL 1.1f ['$' for help]", True), (b"Grbl 3.7 [FluidNC v3.7]", True)],
+)
+def test_a_g92_that_a_board_may_have_kept_is_not_cancelled_by_a_program(
+    banner: bytes, keeps: bool, monkeypatch: Any
+) -> None:
+    """All of the offset counted as G54's: after a G92.1 the board went elsewhere than was checked."""
+    monkeypatch.setattr(protocol_board, "BANNER", b"\r\n%s\r\n" % banner)
+    rig = Rig()
+    report, offset = rig.board.report, "0,0,20"
+    rig.board.macros = dict.fromkeys(FLUIDNC_MACROS, "")
+    rig.board.report = lambda: report().replace("WCO:0,0,0", f"WCO:{offset}")  # type: ignore[method-assign]
+    rig.homed()
+
+    def run(*lines: str) -> str:
+        answer = rig.machine.run_program("p", lines, rig.now)
+        rig.until(lambda: rig.state == "idle")
+        return answer.reason
+
+    assert ("G92.1 moves all targets" in run("G92.1")) is keeps
+    assert run("G92 X0 Y0 Z0") == "" and "G92.1 moves all targets" in run("G92.1"), "the program before has left one"
+    offset = "0,0,0"
+    rig.run_for(0.5)
+    assert run("G92.1") == ""
+    offset = "0,0,20"
+    rig.run_for(0.5)
+    assert run("G92.1") == "", "there is none since it was cancelled"
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.machine.reset(rig.now) == ""
+    assert ("G92.1 moves all targets" in run("G92.1")) is keeps, "what a reset does to it, each firmware knows"
+
+
 def test_every_machine_that_can_be_configured_has_settings_that_fit_their_lines() -> None:
     """A line that is too long ended the driver, in the service that was to write it."""
     with pytest.raises(ConfigError, match=r"steps_per_mm = 1e\+90 is above its maximum"):

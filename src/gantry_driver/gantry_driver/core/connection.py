@@ -121,6 +121,8 @@ class Connection:
         self._probed = 0.0
         self._probe_from = 0.0
         self._stylus_down = self._lowers = False
+        self._has_g92: bool | None = None
+        """Whether a program has left a G92; None after a reset, which only some firmwares keep it over."""
         self._pausing = self._resuming = False
         self._old_holds = 0
 

@@ -127,15 +127,23 @@ class ProgramChecker:
         Machine position at which the program starts.
     offsets_mm
         Work offsets by coordinate system, as ``$#`` prints them; a system that is not here may not be chosen.
+    kept_g92
+        Whether a part of them may be a G92 from before, which G92.1 would cancel.
     """
 
     def __init__(
-        self, bounds: Bounds, start_mm: Sequence[float], offsets_mm: Mapping[str, Vector] | None = None
+        self,
+        bounds: Bounds,
+        start_mm: Sequence[float],
+        offsets_mm: Mapping[str, Vector] | None = None,
+        *,
+        kept_g92: bool = False,
     ) -> None:
         self._bounds = bounds
         self._at = [float(v) for v in start_mm[:3]]
         self._offsets = dict(offsets_mm or {"G54": (0.0, 0.0, 0.0)})
-        self.begins = (self.position_mm, dict(self._offsets))
+        self._kept_g92 = kept_g92
+        self.begins = (self.position_mm, dict(self._offsets), kept_g92)
         """Where the program starts, and with which offsets."""
         self.seconds = 0.0
         """About how long the lines checked so far take."""
@@ -341,7 +349,14 @@ class ProgramChecker:
     def _shift(self, special: str, values: dict[str, _Word], axes: list[_Word], words: list[_Word]) -> None:
         modes = self._modes
         if special == "G92.1":
-            modes.shift = [0.0, 0.0, 0.0]
+            offset = self._offsets[modes.system]
+            if self._kept_g92 and any(offset):
+                raise self._error(
+                    next(word.column for word in words if word.name == special),
+                    f"G92.1 moves all targets by what of the work offset ({', '.join(f'{v:g}' for v in offset)}) mm is "
+                    "a G92, and how much that is, is not known here: leave it out, and send it from a terminal before",
+                )
+            modes.shift, self._kept_g92 = [0.0, 0.0, 0.0], False
             return
         if not axes:
             raise self._error(words[0].column, "G92 needs axis words (error:26)")

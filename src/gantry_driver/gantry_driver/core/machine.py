@@ -289,7 +289,8 @@ class Machine(Connection):
         steps_mm = (1.0 / scale for scale in self.config.machine.steps_per_mm)
         # At its end an axis reports the motor step that is nearest, which may lie beyond it.
         start = _three([i if abs(i - place) < step else place for i, place, step in zip(inside, start, steps_mm)])
-        return ProgramChecker(bounds, start, {"G54": _three(self.session.wco_mm[:3])})
+        kept_g92 = self.dialect is not Dialect.GRBL if self._has_g92 is None else self._has_g92
+        return ProgramChecker(bounds, start, {"G54": _three(self.session.wco_mm[:3])}, kept_g92=kept_g92)
 
     def run_checked(
         self, goal_id: str, checker: ProgramChecker, checked: Sequence[CheckedLine], now: float
@@ -340,6 +341,8 @@ class Machine(Connection):
             text, seconds = next(goal.rest)
             goal.left -= 1
             self._may_lower(text)
+            if "G92" in text:
+                self._has_g92 = "G92.1" not in text
             number = self.session.queue(text, answer_within_s=self._answer_time() + seconds).number
             goal.marker = 0 if goal.left else number
 
@@ -441,7 +444,7 @@ class Machine(Connection):
         if banner.dialect is Dialect.MARLIN or (banner.dialect in REFUSED and self.phase is Phase.SYNCHRONISE):
             self._refuse(banner.dialect, now)
             return
-        self._critical = False
+        self._critical, self._has_g92 = False, None
         if self.config.stylus.kind == "solenoid_m8":
             self._stylus_down = self._lowers = self._left_down = False  # it is switched off
         if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):
