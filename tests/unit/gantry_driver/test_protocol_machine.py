@@ -474,6 +474,47 @@ def test_a_port_without_a_grbl_says_what_to_look_for_also_while_it_is_tried_agai
     assert rig.states[-3:] == ["disconnected: unplugged", "connecting", "unhomed"]
 
 
+class SuspendedBoard(Board):
+    """Takes no line, and answers none, while its door is open or it holds; ``suspended`` is what it reports then."""
+
+    suspended = ""
+
+    def report(self) -> str:
+        self.state = self.suspended or ("Idle" if self.state.startswith(("Door", "Hold")) else self.state)
+        return super().report()
+
+    def _next_line(self) -> bool:
+        return not self.suspended and super()._next_line()
+
+
+@pytest.mark.parametrize(
+    ("suspended", "question"), [("Door:1", "is its safety door open"), ("Hold:0", "is its hold button pressed")]
+)
+@pytest.mark.parametrize("waiting", ["asking for the build", "reading the settings"])
+def test_a_board_that_reports_why_it_takes_no_line_while_it_connects_is_quoted(
+    suspended: str, question: str, waiting: str
+) -> None:
+    """It was ``no answer in 6 s`` again and again, though each report told of the door."""
+    board = SuspendedBoard()
+    if waiting == "asking for the build":
+        board.suspended = suspended
+    else:
+        board.hooks["$I"] = lambda: setattr(board, "suspended", suspended)
+    rig = Rig(board=board)
+    rig.machine.opened(rig.now)
+    board.reset()
+    why = f"the board reports {suspended}, {question}?"
+    rig.until(lambda: rig.states[-1] == f"connecting: {why}", 1.0)
+    rig.until(lambda: rig.state == "disconnected", 7.0)
+    assert rig.states[-1] == f"disconnected: no answer in 6 s while {waiting}: {why}"
+    rig.machine.opened(rig.now)
+    board.reset()
+    rig.until(lambda: rig.states[-1] == f"connecting: {why}", 1.0)
+    board.suspended = ""
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.states[-2:] == ["connecting", "unhomed"], "closed meanwhile, it goes on"
+
+
 @pytest.mark.parametrize("delay", ["255", "25", None])
 def test_motors_that_let_go_between_touches_are_told(delay: str | None) -> None:
     board = Board()

@@ -88,7 +88,7 @@ class Connection:
         self.session = GrblSession(self.counts)
         self.phase = Phase.CLOSED
         self.reason = "not opened yet"
-        self._not_lifted = ""
+        self._not_lifted = self._suspended = ""
         self.homed = False
         self.enabled = config.enabled_at_start
         self.dialect = Dialect.UNKNOWN
@@ -244,6 +244,13 @@ class Connection:
         self.session.polling = False
         self.session.soft_reset(now)
 
+    def _report_connecting(self, report: Report, now: float) -> None:
+        """Say what keeps the board from taking lines; until it is over none of them is answered."""
+        before = self.state_text
+        question = {"Door": "is its safety door open", "Hold": "is its hold button pressed"}.get(report.state)
+        self._suspended = f"the board reports {report.state_text}, {question}?" if question else ""
+        self._say_if_changed(before)
+
     def _rouse(self, age: float, now: float) -> None:
         # A board that answers neither with a banner nor to `?` may be a Marlin, which has no real-time bytes ...
         if age > self.config.connect_timeout_s / 2 and not self._probed:
@@ -279,7 +286,7 @@ class Connection:
         """Say that a board was silent for too long, and what to look for where there seems to be none."""
         text = f"no answer in {self.config.connect_timeout_s:g} s while {self._waiting_for()}"
         if self.phase is not Phase.SYNCHRONISE:
-            return text
+            return f"{text}: {self._suspended}" if self._suspended else text
         if not self._heard_bytes:
             return f"{text}: has the board power, and is {self.config.port} its port?"
         return (
@@ -402,7 +409,7 @@ class Connection:
         self.phase, self.reason, self._since = phase, reason, now
         self._misplaced = False
         text = self._still_down_text() if not_lifted is None else not_lifted
-        self._not_lifted = text if phase is Phase.STOPPED else ""
+        self._not_lifted, self._suspended = text if phase is Phase.STOPPED else "", ""
         if phase is not Phase.MOVING:
             self._pausing = self._resuming = False
         self._poll_at_rate()
@@ -460,8 +467,8 @@ class Connection:
         return self.reading_m is not None and self.reading_m[2] > STYLUS_DOWN_M
 
     def _whole_reason(self) -> str:
-        """Return the reason, and that the stylus was not lifted; the latter ends with the lift, the first stays."""
-        return "; ".join(text for text in (self.reason, self._not_lifted) if text)
+        """Return the reason, and what may end before it: that the stylus is not lifted, or the board suspended."""
+        return "; ".join(text for text in (self.reason, self._not_lifted, self._suspended) if text)
 
     def _still_down_text(self) -> str:
         """Say that nothing has lifted the stylus, for who reads ``stopped`` takes it for lifted; empty if it is up."""

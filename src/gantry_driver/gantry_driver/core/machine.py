@@ -545,6 +545,9 @@ class Machine(Connection):
             self._events.append(Position(reading_m=self.reading_m))
         handler = {
             Phase.SYNCHRONISE: self._report_synchronise,
+            Phase.IDENTIFY: self._report_connecting,
+            Phase.SETTINGS: self._report_connecting,
+            Phase.WRITING: self._report_connecting,
             Phase.HOMING: self._report_homing,
             Phase.IDLE: self._report_resting,
             Phase.UNHOMED: self._report_resting,
