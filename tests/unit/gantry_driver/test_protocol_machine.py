@@ -889,6 +889,44 @@ def test_a_board_that_only_wants_to_be_homed_is_unhomed(banner: bytes, code: int
     rig.until(lambda: rig.state == "alarm")
 
 
+def homing_wanted(kind: str, setting: str, monkeypatch: Any) -> Rig:
+    """Return a machine with a grblHAL whose $22 was accepted; with its bit 2 it takes no $X before it is homed."""
+    monkeypatch.setattr(protocol_board, "BANNER", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\nALARM:11\r\n")
+    board = Board()
+    board.settings[22] = setting
+    board.refuse = {"$X": 46} if int(setting) & 4 else {}
+    rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind)), board=board).connect()
+    assert rig.states[-1] == f"mismatch: $22 is {setting}, the configuration says 1"
+    assert rig.machine.accept_settings(rig.now) == ""
+    rig.step()
+    return rig
+
+
+@pytest.mark.parametrize("kind", ["servo_m3", "solenoid_m8"])
+def test_a_board_that_lets_no_stylus_be_lifted_before_homing_is_not_homed(kind: str, monkeypatch: Any) -> None:
+    rig = homing_wanted(kind, "5", monkeypatch)
+    said = rig.machine.home(rig.now)
+    assert said == (
+        "the board must be homed before it takes any line ($22 is 5), but the stylus has to be lifted before that: "
+        "set $22 to 1, as gantry/write_settings does"
+    )
+    assert rig.state == "unhomed" and "$X" not in rig.board.received and "$H" not in rig.board.received
+    assert rig.machine.write_settings(rig.now) == ""
+    rig.board.refuse = {}
+    rig.until(lambda: rig.state == "unhomed" and "$22=1" in rig.board.received)
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle")
+
+
+@pytest.mark.parametrize(("kind", "setting"), [("z_axis", "5"), ("servo_m3", "3")])
+def test_a_stylus_that_homing_lifts_or_a_board_that_can_be_unlocked_is_homed(
+    kind: str, setting: str, monkeypatch: Any
+) -> None:
+    rig = homing_wanted(kind, setting, monkeypatch)
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle")
+
+
 def test_homing_with_the_door_open_is_refused_by_a_reason_that_names_it() -> None:
     rig = Rig().connect()
     rig.board.refuse["$H"] = 13

@@ -295,6 +295,7 @@ ERROR_TEXTS = {
     15: "jog beyond the travel",
     16: "bad jog",
     17: "laser mode needs PWM",
+    18: "a reset signal is held, or with FluidNC no axis homes",
     20: "command not supported",
     21: "two commands of one modal group",
     22: "no feed rate",
@@ -309,6 +310,9 @@ ERROR_TEXTS = {
     34: "arc radius",
     35: "arc offsets",
     36: "unused value words",
+    45: "a limit switch is engaged, only homing is allowed",
+    46: "must be homed first",
+    50: "the emergency stop is pressed",
 }
 
 

@@ -63,6 +63,8 @@ CRITICAL_ALARM_PAUSE_S = 0.6
 """After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
 EEPROM_READ_FAILED = 7
 """Of a startup line; GRBL and grblHAL empty it then, go on with the other one, and answer ``ok`` besides."""
+HOMING_FIRST = 22, 4
+"""The setting, and its bit, with which a grblHAL that has not been homed is not unlocked by ``$X`` either."""
 HOMING_WANTED = {Dialect.GRBLHAL: 11, Dialect.FLUIDNC: 14}
 """The alarm with which a firmware says after each reset that it has not been homed."""
 QUEUED_LINES = 600
@@ -162,7 +164,7 @@ class Machine(Connection):
         """Begin a homing cycle."""
         if self.phase not in (Phase.UNHOMED, Phase.IDLE) and not self._misplaced:
             return f"the driver is {self.state_text}"
-        if refusal := self._permission(now):
+        if refusal := self._permission(now) or self._unlock_refusal():
             return refusal
         self._forget_position()
         self._enter(Phase.HOMING, now)
@@ -173,6 +175,18 @@ class Machine(Connection):
                 self.session.queue(text, answer_within_s=self.config.homing_timeout_s)
         self._marker = self.session.queue("$H", answer_within_s=self.config.homing_timeout_s).number
         return ""
+
+    def _unlock_refusal(self) -> str:
+        """Return why the board takes no line that lifts the stylus before homing, which itself lifts a Z axis only."""
+        number, bit = HOMING_FIRST
+        value = self._settings.get(number, "")
+        locked = self.dialect is Dialect.GRBLHAL and value.isdecimal() and int(value) & bit
+        if self.config.stylus.kind == "z_axis" or self.homed or not locked:
+            return ""
+        return (
+            f"the board must be homed before it takes any line (${number} is {value}), but the stylus has to be lifted "
+            f"before that: set ${number} to 1, as gantry/write_settings does"
+        )
 
     def stop(self, reason: str, now: float, *, hold_written: bool = False) -> None:
         """Hold, flush everything that is buffered, lift the stylus, and stay stopped until :meth:`reset`.
