@@ -259,6 +259,48 @@ def test_the_stop_button_of_a_viewer_and_of_a_page_without_script(browser: Any, 
     operator.leaves()
 
 
+def test_a_stop_is_pressed_by_whatever_clicks_and_each_press_is_one(browser: Any, instrument: Instrument) -> None:
+    """Screen readers in some browsers click a button without any pointer, and the click still counts as a mouse's."""
+    operator = Operator(browser, instrument.address(), has_touch=True)
+    page = operator.page
+    operator.sees_controls()
+    stops: list[str] = []
+    page.on("request", lambda request: stops.append(request.url) if "/stop?" in request.url else None)
+
+    def new_stops() -> int:
+        """Return how many were sent since the last look, once all that happened on the page has been told."""
+        with page.expect_response("**/session"):
+            page.evaluate("async () => { await fetch('/session'); }")
+        found = len(stops)
+        stops.clear()
+        return found
+
+    def clicks(detail: int) -> None:
+        click = "new MouseEvent('click', { detail, bubbles: true, cancelable: true })"
+        page.evaluate(f"(detail) => document.getElementById('stop').dispatchEvent({click})", detail)
+
+    clicks(1)
+    assert new_stops() == 1, "a click alone"
+    page.click("#stop")
+    assert new_stops() == 1, "the mouse"
+    clicks(1)
+    assert new_stops() == 1, "a click alone, right after the mouse's"
+    page.tap("#stop")
+    assert new_stops() == 1, "a finger"
+    page.focus("#stop")
+    page.keyboard.press("Enter")
+    assert new_stops() == 1, "a key"
+    box = page.locator("#stop").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    assert new_stops() == 1, "on press, not on release"
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 300)
+    page.mouse.up()
+    assert new_stops() == 0, "a pointer that has slid off"
+    operator.until(lambda: clicks(1) or new_stops() == 1, 15.0, lambda: "a click alone is heard after that, too")
+    operator.leaves()
+
+
 def test_control_is_handed_over(browser: Any, instrument: Instrument) -> None:
     first = Operator(browser, instrument.address())
     first.takes_control()

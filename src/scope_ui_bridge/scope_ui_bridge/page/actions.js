@@ -8,6 +8,7 @@ import { t } from "./strings.js";
 
 const ARMED_MS = 4000;
 const STOP_ANSWER_MS = 1000;
+const CLICK_FOLLOWS_MS = 500; // after a finger is lifted, at most
 
 export function stop() {
   // Two ways at once: the open connection, and a plain request that needs nothing but the sign-in.
@@ -46,10 +47,23 @@ function wireStop() {
     event.preventDefault();
     stop();
   });
-  // On press, not on release: a finger that slides off has still said stop.
-  find("stop").addEventListener("pointerdown", stop);
+  // On press, not on release: a finger that slides off has still said stop. The click that follows is the same press;
+  // one without a pointer is a press of its own: so click some screen readers, and it counts as one of a mouse.
+  let [pointer, timer] = [null, 0];
+  find("stop").addEventListener("pointerdown", ({ pointerId }) => {
+    clearTimeout(timer);
+    pointer = pointerId;
+    stop();
+  });
+  for (const end of ["pointerup", "pointercancel"]) {
+    document.addEventListener(end, ({ pointerId }) => {
+      if (pointerId === pointer) timer = setTimeout(() => (pointer = null), CLICK_FOLLOWS_MS);
+    });
+  }
   find("stop").addEventListener("click", (event) => {
-    if (event.detail !== 0) event.preventDefault(); // pointerdown has done it; a key comes through submit
+    if (event.detail === 0) return; // a key's
+    if (pointer !== null) event.preventDefault();
+    pointer = null;
   });
 }
 
