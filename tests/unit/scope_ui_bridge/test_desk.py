@@ -817,6 +817,43 @@ def test_a_call_that_was_long_on_its_way_is_not_done_any_more() -> None:
     assert of_type(in_time, CallService)
 
 
+@pytest.mark.parametrize("service", ["reset", "home"])
+@pytest.mark.parametrize("how", ["another person", "once more, which is the same stop", "the desk itself"])
+def test_a_call_from_before_a_stop_of_somebody_else_does_not_undo_it(service: str, how: str) -> None:
+    """Its link is slow: it is pressed at 0.0 s, STOP at 0.4 s, and it comes at 0.8 s."""
+    rig = Rig()
+    pressed_ms = rig.seconds * 1e3
+    rig.seconds += 0.2
+    if how == "the desk itself":
+        rig.desk.set_state("controller", "moving")
+    elif how.startswith("once more"):
+        assert of_type(rig.desk.stop("Operator 2", rig.now, press="p1"), StopNow)
+        pressed_ms += 300
+    rig.seconds += 0.2
+    if how == "the desk itself":
+        stopped = rig.ask(rig.a, type="blind", silence_ms=1100)
+        assert of_type(stopped, StopNow)
+    else:
+        assert bool(rig.desk.stop("Operator 2", rig.now, press="p2")) is (how == "another person")
+    stop_ms = rig.seconds * 1e3
+    rig.seconds += 0.4
+    assert refusal(rig.ask(rig.a, type="call", service=service, sent_ms=pressed_ms)) == "before_stop"
+    assert of_type(rig.ask(rig.a, type="call", service="disable", sent_ms=pressed_ms), CallService), "it moves nothing"
+    assert of_type(rig.ask(rig.a, type="call", service=service, sent_ms=stop_ms + 100), CallService)
+    assert of_type(rig.ask(rig.a, type="call", service=service), CallService), "who tells no time is not judged by it"
+
+
+def test_the_second_way_of_a_stop_does_not_void_what_was_pressed_after_it() -> None:
+    rig = Rig()
+    assert of_type(rig.ask(rig.a, type="stop", press="p1"), StopNow)
+    rig.seconds += 0.4
+    pressed_ms = rig.seconds * 1e3
+    rig.seconds += 0.2
+    assert rig.desk.stop("Operator 1", rig.now, press="p1") == []
+    rig.seconds += 0.2
+    assert of_type(rig.ask(rig.a, type="call", service="reset", sent_ms=pressed_ms), CallService)
+
+
 def test_services_are_called_and_their_answers_shown() -> None:
     rig = Rig()
     (call,) = of_type(rig.ask(rig.a, type="call", service="home"), CallService)

@@ -97,6 +97,7 @@ class Desk:
         self._jog: HeldJog | None = None
         self._last_goal_ns = 0
         self._last_stop = (-math.inf, "", 0)
+        self._wanted_stop_s = -math.inf
         self._presses: deque[str] = deque(maxlen=64)
         self._last_heartbeat_s = -math.inf
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
@@ -240,9 +241,11 @@ class Desk:
         """
         self.stops += 1
         self._jog = None
+        if press and press in self._presses:
+            return []
+        self._wanted_stop_s = now.mono_s
         last_s, last_who, last_entry = self._last_stop
-        quick = who == last_who and now.mono_s - last_s < _SAME_STOP_S and last_entry == self._log.count
-        if quick or (press and press in self._presses):
+        if who == last_who and now.mono_s - last_s < _SAME_STOP_S and last_entry == self._log.count:
             return []
         self._presses.append(press)
         self._causes.stopped(code, who, silence_s, now.mono_s)
@@ -555,6 +558,9 @@ class Desk:
         limit_s = 2 * self.config.frame_max_age_s  # all else names a picture; a link may be too slow for these
         if late_s > limit_s and service != "disable":
             raise Refusal("came_late", late_ms=round(late_s * 1e3), limit_ms=round(limit_s * 1e3))
+        # Another page's STOP overtakes it on a slow link: a reset would undo what its operator has not seen.
+        if message.sent_s < self._wanted_stop_s and service != "disable":
+            raise Refusal("before_stop")
         if service in _FOR_ENGINEERS:
             self._viewers[viewer].need(Role.ENGINEER)
         goal_id = f"service-{self._log.count + 1}"
