@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import shutil
+import ssl
 import time
 import unicodedata
 from collections.abc import Iterator
@@ -18,6 +20,7 @@ from unit.scope_ui_bridge.web_rig import WITHIN_S, Page, Rig, page, until, with_
 
 from scope_ui_bridge.adapters import front_door, video_hub
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users, write_secret
+from scope_ui_bridge.cli import page_admin
 from scope_ui_bridge.core import sign_in
 from scope_ui_bridge.core.audit import verify
 from scope_ui_bridge.core.frame_window import FrameWindow
@@ -41,12 +44,22 @@ async def ended(reader: asyncio.StreamReader) -> None:
         pass
 
 
+@pytest.mark.parametrize("tls", [False, True])
 def test_slow_and_silent_connections_are_ended_and_stop_is_served_meanwhile(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tls: bool
 ) -> None:
     monkeypatch.setattr(front_door, "_SPEAK_WITHIN_S", 1.0)
     monkeypatch.setattr(front_door, "_BODY_TIMEOUT_S", 1.0)
     path = tmp_path / "audit.jsonl"
+    encrypted: ssl.SSLContext | None = None
+    options = {}
+    if tls:
+        if shutil.which("openssl") is None:
+            pytest.skip("openssl is not installed")
+        page_admin.make_certificate(["127.0.0.1"], tmp_path / "tls")
+        key, certificate = tmp_path / "tls" / "key.pem", tmp_path / "tls" / "certificate.pem"
+        encrypted = ssl.create_default_context(cafile=str(certificate))
+        options = {"tls_key": str(key), "tls_certificate": str(certificate)}
 
     async def scenario(rig: Rig) -> None:
         host = f"Host: 127.0.0.1:{rig.server.port}\r\n"
@@ -55,8 +68,13 @@ def test_slow_and_silent_connections_are_ended_and_stop_is_served_meanwhile(
         post = f"POST /sign-in HTTP/1.1\r\n{host}Origin: {rig.url}\r\n{form}\r\ntoken="
         async with page(rig, take=True) as client:
             pairs = []
+            if tls:  # nothing, or a part of the first message, and never a key
+                for data in [b"", b"\x16\x03\x01\x02\x00\x01"] * 15:
+                    reader, writer = await asyncio.open_connection("127.0.0.1", rig.server.port)
+                    writer.write(data)
+                    pairs.append((reader, writer))
             for text in [*beginnings, post]:
-                reader, writer = await asyncio.open_connection("127.0.0.1", rig.server.port)
+                reader, writer = await asyncio.open_connection("127.0.0.1", rig.server.port, ssl=encrypted)
                 writer.write(text.encode())
                 pairs.append((reader, writer))
             took_s = []
@@ -74,7 +92,7 @@ def test_slow_and_silent_connections_are_ended_and_stop_is_served_meanwhile(
             async with client.session.get("/session") as still:
                 assert still.status == 200
 
-    with_rig(scenario, audit=AuditFile(path))
+    with_rig(scenario, audit=AuditFile(path), **options)
     assert any(entry["command"] == "connection" for entry in records(path))
 
 

@@ -77,6 +77,11 @@ class FrontDoor:
         self._seen_s: dict[Any, float] = {}
         self._spoke: set[Any] = set()
 
+    @property
+    def speak_within_s(self) -> float:
+        """For how long a connection may ask for nothing, and for how long it may take to become encrypted."""
+        return _SPEAK_WITHIN_S
+
     def opened(self, port: int) -> None:
         """Take the port in use, which the exact origins and hosts name."""
         self._origins = self._config.origins(port)

@@ -61,6 +61,7 @@ _MAX_FORM = 4096  # bytes of a plain request
 _HARD_LIMIT = 64 * 1024  # above this the WebSocket library itself closes the connection
 _START_TIMEOUT_S = 10.0
 _IDLE_CONNECTION_S = 15.0
+_BACKLOG = 128
 _HELD_QUALITY = 95
 
 
@@ -172,14 +173,22 @@ class WebServer:
         )
         await runner.setup()
         assert runner.server is not None
+        listener: asyncio.Server | None = None
         try:
             context: ssl.SSLContext | None = None
             if self._config.tls:
                 context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
                 context.load_cert_chain(self._config.tls_certificate, self._config.tls_key)
-            site = web.TCPSite(runner, self._config.host, self._config.port, ssl_context=context)
-            await site.start()
-            self.port = runner.addresses[0][1]
+            listener = await self._loop.create_server(
+                runner.server,
+                self._config.host,
+                self._config.port,
+                ssl=context,
+                backlog=_BACKLOG,
+                # The sweep sees no connection before it is encrypted, and asyncio would wait for a minute.
+                ssl_handshake_timeout=self.door.speak_within_s if context else None,
+            )
+            self.port = listener.sockets[0].getsockname()[1]
             self.door.opened(self.port)
             self._started.set()
             while not self._closing.is_set():
@@ -195,6 +204,8 @@ class WebServer:
             for task in self._tasks:
                 task.cancel()
             await asyncio.gather(*self._tasks, return_exceptions=True)
+            if listener is not None:
+                listener.close()
             await runner.cleanup()
 
     def _application(self) -> web.Application:
