@@ -369,6 +369,47 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     person.leaves()
 
 
+def test_a_calibration_that_has_drifted_is_not_shown_as_good(browser: Any, instrument: Instrument) -> None:
+    summary = "24 samples, rms 0.08 mm, predicted 0.05 mm, 2026-07-04T02:32:13+00:00"
+    drift = "the tip is seen 3.10 mm from its calibrated place: a camera or the machine has moved: calibrate again"
+    reasons = {"good": summary, "waiting": f"{summary}; drift: {drift}"}
+    words = {"en": {"good": "Calibrated", "waiting": "Drifted"}, "de": {"good": "Kalibriert", "waiting": "Verschoben"}}
+    numbers = {"rms_mm": "0.051", "held_out_max_mm": "0.1", "predicted_sigma_mm": "0.030"}
+    person = Operator(browser, instrument.new_address())
+    page = person.page
+    told: dict[str, Any] = {"calibration": {"state": "calibrated", "reason": reasons["good"]}}
+    person.hears("state", told)
+    page.reload()
+    person.sees_controls()
+    set_facts = "async (calibration) => (await import('/page/guide.js')).setFacts({ calibration })"
+    page.evaluate(set_facts, numbers)
+    try:
+        for language in words:
+            for look, word in words[language].items():
+                told["calibration"] = {"state": "calibrated", "reason": reasons[look]}
+                person.sees("#chip-calibration dd", rf"{word}$")
+                assert page.get_attribute("#chip-calibration", "data-look") == look
+                whole = f"{word}: {page.evaluate(_SAID, reasons[look])}"
+                assert page.get_attribute("#chip-calibration", "title") == whole
+                done = {"good": "yes", "waiting": "no"}[look]
+                person.until(lambda done=done: _done(page, "result") == done, 15.0, lambda: _done(page, "result"))
+                assert _done(page, "run") == "yes", "it was made all the same"
+                text = str(page.text_content("#calibration-text"))
+                assert word in text
+                assert page.evaluate(_SAID, reasons[look]) in text
+            page.click("#language")
+    finally:
+        page.evaluate("localStorage.clear()")
+    person.leaves()
+
+
+_SAID = "async (text) => (await import('/page/said.js')).said(text)"
+
+
+def _done(page: Any, step: str) -> str:
+    return str(page.get_attribute(f"#guide-{step}", "data-done"))
+
+
 def test_a_page_that_was_held_up_itself_looks_at_what_came_before_it_judges(
     browser: Any, instrument: Instrument
 ) -> None:

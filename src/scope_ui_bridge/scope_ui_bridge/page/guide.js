@@ -3,6 +3,7 @@
 import { desk } from "./desk.js";
 import { find, put, svg } from "./dom.js";
 import { said } from "./said.js";
+import { named } from "./status.js";
 import { t } from "./strings.js";
 
 const FRAME_MM = [360, 220]; // of the places, at least: a larger machine's widen it
@@ -60,14 +61,15 @@ export function renderGuide() {
   const { done, all } = progress();
   const { rms_mm: rms, held_out_max_mm: held, predicted_sigma_mm: predicted } = facts.calibration ?? {};
   const calibrated = calibration.state === "calibrated";
+  const state = named(calibration);
   step("guide-machine", ["idle", "moving"].includes(driver.state));
   step("guide-tip", tip_seen);
   step("guide-run", calibrated);
-  step("guide-result", calibrated && Number(held) <= GOOD_MM);
+  step("guide-result", state === "calibrated" && Number(held) <= GOOD_MM);
   put(find("guide-run-text"), all ? t("guide_run", { done, all }) : t("guide_run_idle"));
   put(find("calibration-text"), calibration.reason
-    ? `${t("chip_calibration")}: ${t(`state_${calibration.state}`, { reason: said(calibration.reason) })}${
-        calibration.state === "calibrating" ? "" : ` – ${said(calibration.reason)}`
+    ? `${t("chip_calibration")}: ${t(`state_${state}`, { reason: said(calibration.reason) })}${
+        state === "calibrating" ? "" : ` – ${said(calibration.reason)}`
       }`
     : "");
   put(find("guide-numbers"), calibrated && rms

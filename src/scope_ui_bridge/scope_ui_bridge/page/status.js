@@ -10,7 +10,7 @@ const LOOKS = {
 const LOOK_OF = {
   idle: "good", ready: "good", calibrated: "good",
   moving: "busy", homing: "busy", looking: "busy", touching: "busy", calibrating: "busy", connecting: "busy",
-  unhomed: "waiting", disabled: "waiting", waiting: "waiting", uncalibrated: "waiting",
+  unhomed: "waiting", disabled: "waiting", waiting: "waiting", uncalibrated: "waiting", drifted: "waiting",
   stopped: "bad", alarm: "bad", disconnected: "bad", mismatch: "bad", failed: "bad",
 };
 
@@ -28,8 +28,13 @@ export function chip(id, look, text, title = "") {
   element.querySelector("dd").replaceChildren(icon, text);
 }
 
-export function stateChip(id, { state, reason: told }) {
-  const reason = said(told);
+/** The state's name for people: a calibration after which something has moved is still used, but not as good as it says. */
+export function named({ state, reason }) {
+  return state === "calibrated" && reason.includes("; drift: ") ? "drifted" : state;
+}
+
+export function stateChip(id, { state: found, reason: told }) {
+  const [state, reason] = [named({ state: found, reason: told }), said(told)];
   const text = state ? t(`state_${state}`, { reason }) : t("unknown");
   const full = reason && state !== "calibrating" ? `${text}: ${reason}` : text;
   chip(id, LOOK_OF[state] ?? "none", text, full);

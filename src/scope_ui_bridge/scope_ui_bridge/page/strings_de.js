@@ -124,6 +124,7 @@ export const DE = {
   state_uncalibrated: "Keine",
   state_calibrating: "{reason}",
   state_calibrated: "Kalibriert",
+  state_drifted: "Verschoben",
   state_failed: "Misslungen",
   recognised: "{percent} %",
   not_recognised: "Unerkannt",

@@ -124,6 +124,7 @@ export const EN = {
   state_uncalibrated: "None",
   state_calibrating: "{reason}",
   state_calibrated: "Calibrated",
+  state_drifted: "Drifted",
   state_failed: "Failed",
   recognised: "{percent} %",
   not_recognised: "Not seen",
