@@ -598,3 +598,52 @@ def test_closing_the_server_ends_open_connections() -> None:
         assert not rig.server.alive
 
     with_rig(scenario)
+
+
+def test_the_stop_with_which_the_bridge_ends_is_recorded_though_the_disk_is_slow(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+
+    class SlowDisk(AuditFile):
+        def append(self, record: dict[str, Any]) -> None:
+            assert written.wait(WITHIN_S)
+            super().append(record)
+
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, take=True) as client:
+            rig.server.mailbox.each(rig.desk.machine.set_state, "driver", "moving")
+            await client.until(lambda m: m["type"] == "state" and m["moving"])
+            written.clear()
+            async with client.session.post("/sign-in", data={"token": "wrong"}, headers=client.origin) as answer:
+                assert answer.status == 401  # what is still being written when the bridge ends
+            closing = asyncio.get_running_loop().run_in_executor(None, rig.server.close)
+            while not client.control.closed:
+                await client.control.receive(timeout=WITHIN_S)
+            await until(lambda: not rig.server.alive, "the server's thread ends")
+            assert len(rig.graph.named("stop")) == 1
+            written.set()
+            await closing
+
+    written = threading.Event()
+    written.set()
+    try:
+        with_rig(scenario, audit=SlowDisk(path))
+    finally:
+        written.set()
+    lines = path.read_text().splitlines()
+    assert verify(lines)[0] == len(lines)
+    found = [json.loads(line) for line in lines]
+    assert [entry["command"] for entry in found[:3]] == ["sign-in", "sign-in", "stop"]
+    assert found[2]["who"] == "Watchdog"
+    assert found[2]["target"] in ("stopped_page_gone", "stopped_link_lost"), "what the bridge hears of its own end"
+    assert {entry["command"] for entry in found[2:]} == {"stop"}, "nothing is later but what the driver has answered"
+
+
+def test_what_is_to_be_recorded_after_the_end_is_told_and_hurts_nobody(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "audit.jsonl"
+    with Rig(audit=AuditFile(path)) as rig:
+        rig.server.close()
+        rig.server.door.turned_away.note("127.0.0.1", "sign-in", "wrong_token")
+    assert path.read_text() == ""
+    assert "the record could not be written" in caplog.text

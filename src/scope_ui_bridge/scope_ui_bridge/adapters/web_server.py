@@ -14,7 +14,7 @@ import ssl
 import threading
 import time
 from collections.abc import Awaitable, Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy.typing as npt
@@ -390,7 +390,7 @@ class WebServer:
                 self._write_later(effect.record)
             else:
                 assert isinstance(effect, Order)
-                self._spawn(self._send_order(effect))
+                self._spawn(self._send_order(effect, self._write(effect.record)))
 
     def _put(self, viewer: str, text: str) -> None:
         outbox = self._outboxes.get(viewer)
@@ -406,9 +406,9 @@ class WebServer:
             if viewer in self._transports:
                 self._transports[viewer].abort()
 
-    async def _send_order(self, order: Order) -> None:
+    async def _send_order(self, order: Order, written: Future[None]) -> None:
         try:
-            await self._write(order.record)
+            await asyncio.wrap_future(written)
             if not self._desk.still_wanted(order, self._now()):
                 raise GraphError("stopped before it went out")
             if isinstance(order, SendCommand):
@@ -439,24 +439,34 @@ class WebServer:
     def _service_answered(self, entry: int, success: bool, text: str) -> None:
         self.post(self._desk.service_answered, entry, success, text)
 
-    async def _write(self, record: dict[str, Any]) -> None:
+    def _write(self, record: dict[str, Any]) -> Future[None]:
+        """Hand a record to the writer, behind all others; the future is done when it is on disk.
+
+        At once, and not by a task: those end with the event loop, and the last stop comes from its end.
+        """
+        try:
+            return self._writer.submit(self._append, record)
+        except RuntimeError as error:  # after the end
+            failed: Future[None] = Future()
+            failed.set_exception(OSError(str(error)))
+            return failed
+
+    def _append(self, record: dict[str, Any]) -> None:
         if self._audit is not None:
-            await self._loop.run_in_executor(self._writer, self._audit.append, record)
+            self._audit.append(record)
 
     def _write_later(self, record: dict[str, Any]) -> None:
-        async def write() -> None:
-            try:
-                await self._write(record)
-            except OSError as error:
-                _LOG.error("the record could not be written: %s", error)
-
-        if self._audit is not None:
-            self._spawn(write())
+        self._write(record).add_done_callback(_tell_failure)
 
     def _spawn(self, work: Any) -> None:
         task = self._loop.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+
+
+def _tell_failure(written: Future[None]) -> None:
+    if (error := written.exception()) is not None:
+        _LOG.error("the record could not be written: %s", error)
 
 
 async def _close(socket: web.WebSocketResponse) -> None:
