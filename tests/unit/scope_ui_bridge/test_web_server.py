@@ -122,18 +122,40 @@ def test_one_browser_is_signed_in_at_two_robots_of_one_host() -> None:
     with_rig(scenario)
 
 
-def test_signing_out_ends_the_session_and_its_connections() -> None:
+@pytest.mark.parametrize("meanwhile", ["speaks", "says nothing", "only pings"])
+def test_signing_out_ends_the_session_and_its_connections(meanwhile: str) -> None:
+    async def ends(rig: Rig, client: Page) -> None:
+        if meanwhile == "speaks":
+            await client.send(type="alive", client_ms=1.0)
+        elif meanwhile == "only pings":
+            await client.control.ping()
+        while True:
+            message = await client.control.receive(timeout=WITHIN_S)
+            if message.type in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED):
+                break
+            if message.type is aiohttp.WSMsgType.PONG:
+                await client.control.ping()
+        while not client.video.closed:
+            await client.video.receive(timeout=WITHIN_S)
+
     async def scenario(rig: Rig) -> None:
         async with page(rig, take=True) as client:
+            if meanwhile == "only pings":
+                assert (await client.ask(type="lease", step="release"))["ok"]
+                client.control = await client.session.ws_connect("/control", headers=client.origin, autoping=False)
+                client.seq = 0
+                assert (await client.ask(type="lease", step="take"))["ok"]
+            await client.open_video()
+            await until(lambda: rig.server.video._viewers, "the pictures are asked for")
+            rig.server.mailbox.each(rig.desk.machine.set_state, "driver", "moving")
+            await client.until(lambda m: m["type"] == "state" and m["moving"])
             async with client.session.post("/sign-out", headers=client.origin) as answer:
                 assert answer.status == 401
                 assert 'data-problem=""' in await answer.text(), "who has signed out knows it"
-            await client.send(type="alive", client_ms=1.0)
-            while True:
-                message = await client.control.receive(timeout=WITHIN_S)
-                if message.type in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED):
-                    break
+            await asyncio.wait_for(ends(rig, client), WITHIN_S)
             await until(lambda: rig.desk.lease.holder == "", "the lease is free")
+            assert len(rig.graph.named("stop")) == 1
+        assert rig.desk.join("Operator 2")[1]["log"][-1]["target"] == "stopped_signed_out"
 
     with_rig(scenario)
 

@@ -62,6 +62,9 @@ _HARD_LIMIT = 64 * 1024  # above this the WebSocket library itself closes the co
 _START_TIMEOUT_S = 10.0
 _IDLE_CONNECTION_S = 15.0
 _BACKLOG = 128
+_LOOK_S = 1.0
+"""So often, at least, it is looked whether who has opened a connection is still signed in, and may listen."""
+_GOES_ON = (WSMsgType.TEXT, WSMsgType.BINARY, WSMsgType.PING, WSMsgType.PONG)
 _HELD_QUALITY = 95
 
 
@@ -254,21 +257,22 @@ class WebServer:
 
     # --- WebSockets ------------------------------------------------------------------------------------------------
 
-    async def _open(self, request: web.Request, autoping: bool = True) -> tuple[web.WebSocketResponse, Session]:
+    async def _open(self, request: web.Request) -> tuple[web.WebSocketResponse, Session]:
         session = self.door.session(request)
         if session is None:
             raise web.HTTPUnauthorized(reason="sign in first")
         if len(self._sockets) >= 2 * self._config.max_viewers:
             raise web.HTTPServiceUnavailable(reason="too many viewers")
+        # Pings come through to us: answered unseen, they would put off the look at who says nothing.
         socket = web.WebSocketResponse(
-            max_msg_size=_HARD_LIMIT, compress=False, heartbeat=5.0, timeout=1.0, autoping=autoping
+            max_msg_size=_HARD_LIMIT, compress=False, heartbeat=5.0, timeout=1.0, autoping=False
         )
         await socket.prepare(request)
         self._sockets.add(socket)
         return socket, session
 
     async def _control(self, request: web.Request) -> web.StreamResponse:
-        socket, session = await self._open(request, autoping=False)
+        socket, session = await self._open(request)
         viewer = ""
         sender: asyncio.Task[None] | None = None
         gone = "stopped_link_lost"  # without a word, as when a tunnel ends
@@ -285,16 +289,10 @@ class WebServer:
                 self._transports[viewer] = request.transport
             sender = asyncio.create_task(_send_all(socket, outbox))
             while True:
-                message = await socket.receive()
-                if message.type is WSMsgType.PONG:
-                    self._desk.pong(viewer)
-                    continue
-                if message.type is WSMsgType.PING:
-                    await socket.pong(message.data)
-                    continue
-                if message.type is WSMsgType.CLOSE:
-                    gone = "stopped_page_gone"
-                if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
+                message = await _receive(socket)
+                if message is not None and message.type not in _GOES_ON:
+                    if message.type is WSMsgType.CLOSE:
+                        gone = "stopped_page_gone"
                     self._note_broken(session, message)
                     break
                 now_in = self.door.session(request)
@@ -302,6 +300,11 @@ class WebServer:
                     gone = "stopped_signed_out"
                     break
                 self._desk.signed_in(viewer, now_in.ends_s)
+                if message is None or message.type is WSMsgType.PING:
+                    continue
+                if message.type is WSMsgType.PONG:
+                    self._desk.pong(viewer)
+                    continue
                 effects = self._desk.message(viewer, message.data, self._now())
                 self._note_suspects(session.name, effects)
                 self._carry_out(effects)
@@ -331,7 +334,10 @@ class WebServer:
         self.video.add(viewer)
         sender = asyncio.create_task(_until_gone(self.video.serve(viewer)))
         try:
-            async for message in socket:
+            while self.door.session(request) is not None:
+                message = await _receive(socket)
+                if message is None or message.type in (WSMsgType.PING, WSMsgType.PONG):
+                    continue
                 if message.type is not WSMsgType.TEXT or self.door.session(request) is None:
                     self._note_broken(session, message)
                     break
@@ -471,6 +477,17 @@ def _tell_failure(written: Future[None]) -> None:
 
 async def _close(socket: web.WebSocketResponse) -> None:
     await socket.close(code=WSCloseCode.GOING_AWAY, message=b"server ends")
+
+
+async def _receive(socket: web.WebSocketResponse) -> WSMessage | None:
+    """Return what comes next, or None when nothing has come for a second; what comes then is not lost."""
+    try:
+        message = await socket.receive(timeout=_LOOK_S)
+    except asyncio.TimeoutError:
+        return None
+    if message.type is WSMsgType.PING:
+        await socket.pong(message.data)
+    return message
 
 
 async def _send_all(socket: web.WebSocketResponse, outbox: asyncio.Queue[str]) -> None:
