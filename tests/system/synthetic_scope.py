@@ -126,6 +126,7 @@ class SyntheticScope(Node):
         self.heartbeat_timeout = 0.6
         self.motion = 1.5
         self.deaf = self.mute = self.unread = 0.0
+        self.reach_m = math.inf
         self.controller, self.driver = "ready", "idle"
         self.knobs = {c.name: c.marks[0][1] if c.marks else 10.0 for c in self.layout.controls if c.kind == "knob"}
         self.changed_ns = 0
@@ -278,6 +279,9 @@ class SyntheticScope(Node):
     def start(self, goal_id: str, text: str, xy: np.ndarray) -> None:
         if self.controller != "ready":
             self.answer(goal_id, text, Outcome.REJECTED, reason=f"the controller is {self.controller}")
+            return
+        if xy[0] > self.reach_m:
+            self.answer(goal_id, text, Outcome.REJECTED, reason=f"x is beyond {self.reach_m} m")
             return
         self.goal = (goal_id, text, self.now())
         way = [[*self.position[:2], 0.0], [float(xy[0]), float(xy[1]), 0.0], [float(xy[0]), float(xy[1]), TIP_ABOVE_M]]

@@ -1021,6 +1021,35 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
     instrument.tell("motion 1.5")
 
 
+def test_an_arrow_that_is_held_at_a_limit_orders_one_step_and_says_why(
+    operator: Operator, instrument: Instrument
+) -> None:
+    page = operator.page
+    page.click("#tab-move")
+    operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 15.0, lambda: page.inner_text("#move-why"))
+    operator.sees("#position-x", r"\d")
+    numbers = """async () => {
+        const { desk } = await import('/page/desk.js');
+        await desk.link.ask("select", {});
+        return document.querySelectorAll("#log tr:not(.nothing)").length;
+    }"""
+    before = page.evaluate(numbers)
+    instrument.tell("reach_m 0.0")
+    try:
+        page.hover("[data-jog='1,0']")
+        page.mouse.down()
+        operator.sees("#refusal", "That step was not done: x is beyond 0.0 m. Press the arrow again to try once more.")
+        for _ in range(5):  # still held
+            assert page.evaluate(numbers) == before + 1, page.inner_text("#log")
+        page.mouse.up()
+        page.hover("[data-jog='1,0']")  # the sentence has moved it
+        page.mouse.down()
+        operator.until(lambda: page.evaluate(numbers) == before + 2, 15.0, lambda: page.inner_text("#log"))
+        page.mouse.up()
+    finally:
+        instrument.tell("reach_m inf")
+
+
 # A computer whose clock is a day and an hour ahead.
 _AHEAD = """{ const True = Date, ahead = 90_000_000; globalThis.Date = class extends True {
   constructor(...given) { super(...(given.length ? given : [True.now() + ahead])); }

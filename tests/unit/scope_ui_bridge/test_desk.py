@@ -419,6 +419,26 @@ def test_a_held_jog_ends_with(how: str) -> None:
     assert of_type(rig.end(goal.stamp_ns, outcome), SendGoal) == []
 
 
+@pytest.mark.parametrize("outcome", [Outcome.REJECTED, Outcome.ABORTED])
+def test_a_jog_that_was_not_done_is_not_ordered_again_before_it_is_let_go(outcome: Outcome) -> None:
+    """At a limit: the page asks again every 100 ms as long as the arrow is held."""
+    rig = Rig()
+    rig.desk.machine.set_position(0.3, 0.05, 0.0, rig.now)
+    (goal,) = of_type(rig.jog(1, 0), SendGoal)
+    refused = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome, reason="x is out of reach")
+    rig.desk.result(refused, rig.now)
+    for _ in range(100):
+        rig.wait(0.1, alive=True)
+        rig.desk.machine.set_position(0.3, 0.05, 0.0, rig.now)
+        answered = rig.jog(1, 0)
+        assert refusal(answered) == "jog_refused"
+        assert answer(answered)["values"] == {"what": "x is out of reach"}
+    assert of_type(rig.jog(-1, 0), SendGoal), "the other way is free"
+    rig.jog(0, 0)
+    rig.end(rig.desk._last_goal_ns)
+    assert of_type(rig.jog(1, 0), SendGoal), "and whoever presses it anew tries again"
+
+
 def test_a_step_whose_record_was_long_in_writing_is_not_begun_once_it_is_let_go() -> None:
     rig = Rig()
     rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)

@@ -95,6 +95,7 @@ class Desk:
         self._selection: Selection | None = None
         self._selection_count = 0
         self._jog: HeldJog | None = None
+        self._refused_jog: tuple[HeldJog, str] | None = None
         self._last_goal_ns = 0
         self._last_stop = (-math.inf, "", 0)
         self._wanted_stop_s = -math.inf
@@ -500,9 +501,11 @@ class Desk:
 
     def _hold_jog(self, viewer: str, message: wire.Jog, now: Now) -> list[Effect]:
         if message.dx == message.dy == 0:
-            self._jog = None
+            self._jog = self._refused_jog = None
             return []
         self.machine.check_frame(message.camera, message.stamp_ns, self.config, now)
+        if self._refused_jog is not None and self._refused_jog[0].same(viewer, message):
+            raise Refusal("jog_refused", what=self._refused_jog[1])
         if self._jog is not None and self._jog.same(viewer, message):
             self._jog.until_s = now.mono_s + self.config.jog_hold_s
             return []
@@ -517,6 +520,7 @@ class Desk:
             f"{'+' if sign > 0 else '-'}{axis}" for axis, sign in zip("xy", (message.dx, message.dy)) if sign
         )
         entry = self._goal_entry(viewer, "jog", direction, now)
+        self._refused_jog = None
         self._jog = HeldJog(
             viewer=viewer,
             entry=entry.entry,
@@ -613,6 +617,8 @@ class Desk:
                 known = self._log.update(known, goal_id=goal_id, sent_mono_s=now.mono_s, status="sent")
                 return [self._jog_step(known, now)]
             self._jog = None
+            if result.outcome is not Outcome.REACHED:  # as at a limit: what is held on to is not tried again
+                self._refused_jog = (jog, result.reason)
         return self._log.ended(known, result, now)
 
     def set_path(self, path: Array) -> None:

@@ -315,6 +315,7 @@ export const DE = {
   not_at_rest: "Die Maschine ruht nicht: {state} {reason}",
   position_unknown: "Es ist nicht bekannt, wo der Stift ist.",
   jog_step: "Ein Schritt von {step_mm} mm ist zu weit; höchstens {limit_mm} mm.",
+  jog_refused: "Dieser Schritt wurde nicht ausgeführt: {what}. Für einen neuen Versuch den Pfeil noch einmal drücken.",
 
   kind_line: "Linie",
   selection_a_line: "Linie auf dem Berührbildschirm",

@@ -315,6 +315,7 @@ export const EN = {
   not_at_rest: "The machine is not at rest: {state} {reason}",
   position_unknown: "It is not known where the stylus is.",
   jog_step: "A step of {step_mm} mm is too long; at most {limit_mm} mm.",
+  jog_refused: "That step was not done: {what}. Press the arrow again to try once more.",
 
   kind_line: "Line",
   selection_a_line: "Line on the touch screen",
