@@ -7,6 +7,7 @@ import json
 import math
 import shutil
 import ssl
+import threading
 import time
 import unicodedata
 from collections.abc import Iterator
@@ -24,7 +25,7 @@ from scope_ui_bridge.cli import page_admin
 from scope_ui_bridge.core import sign_in
 from scope_ui_bridge.core.audit import verify
 from scope_ui_bridge.core.frame_window import FrameWindow
-from scope_ui_bridge.core.passwords import Role, hash_password, new_user
+from scope_ui_bridge.core.passwords import Role, hash_password, matches, new_user
 
 
 def records(path: Path) -> list[dict[str, Any]]:
@@ -322,6 +323,75 @@ def test_wrong_names_and_passwords_look_alike_and_are_slowed_down(
                 assert answer.status == 429
 
     with_rig(scenario, passwords_file=str(passwords))
+
+
+@pytest.mark.parametrize("first", ["correct horse", "wrong"])
+def test_two_who_sign_in_at_once_from_one_address_both_come_in_unless_the_first_fails(
+    passwords: Path, monkeypatch: pytest.MonkeyPatch, long_waits: None, first: str
+) -> None:
+    """Whoever comes through a tunnel has the address of the bridge's own machine; and a button is clicked twice."""
+    both_there = threading.Event()
+    checked: list[str] = []
+
+    def slow(password: str, hashed: str) -> bool:
+        assert both_there.wait(WITHIN_S)
+        checked.append(password)
+        return matches(password, hashed)
+
+    monkeypatch.setattr(front_door, "matches", slow)
+
+    async def scenario(rig: Rig) -> None:
+        async def enters(client: Page, name: str, password: str) -> int:
+            form = {"name": name, "password": password}
+            async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+                return answer.status
+
+        async with page(rig, sign_in=False) as one, page(rig, sign_in=False) as other:
+            ada = asyncio.ensure_future(enters(one, "ada", first))
+            await until(lambda: len(rig.server.door._guesses) == 1, "the first is looked at")
+            eve = asyncio.ensure_future(enters(other, "eve", "battery staple"))
+            await until(lambda: len(rig.server.door._guesses) == 2 or eve.done(), "the second has come")
+            both_there.set()
+            found = await asyncio.wait_for(asyncio.gather(ada, eve), WITHIN_S)
+        if first == "wrong":
+            assert (found, checked) == ([401, 429], ["wrong"]), "guesses at once are slowed down as those one by one"
+        else:
+            assert (found, checked) == ([200, 200], ["correct horse", "battery staple"])
+        assert rig.server.door._guesses == []
+
+    try:
+        with_rig(scenario, passwords_file=str(passwords))
+    finally:
+        both_there.set()
+
+
+def test_no_more_than_a_few_passwords_of_one_address_wait_and_others_find_a_place(
+    passwords: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    all_there = threading.Event()
+    monkeypatch.setattr(front_door, "matches", lambda password, hashed: all_there.wait(WITHIN_S) and False)
+
+    async def scenario(rig: Rig) -> None:
+        door = rig.server.door
+        async with page(rig, sign_in=False) as client:
+
+            async def guess() -> int:
+                form = {"name": "ada", "password": "guess"}
+                async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+                    return answer.status
+
+            flood = [asyncio.ensure_future(guess()) for _ in range(20)]
+            await until(lambda: sum(one.done() for one in flood) == 17, "those for whom there is no place")
+            assert door._guesses == ["127.0.0.1"] * 3
+            assert front_door._MAX_GUESSES == 4
+            all_there.set()
+            found = await asyncio.wait_for(asyncio.gather(*flood), WITHIN_S)
+            assert sorted(found) == [401] + [429] * 19
+
+    try:
+        with_rig(scenario, passwords_file=str(passwords))
+    finally:
+        all_there.set()
 
 
 def test_a_file_of_passwords_that_others_may_read_opens_nothing_and_is_recorded(

@@ -31,6 +31,7 @@ _SPEAK_WITHIN_S = 5.0
 _MAX_CONNECTIONS = 256
 _MAX_PATH = 200  # characters; far below what a file system takes for a name
 _MAX_GUESSES = 4  # passwords that wait to be checked: each takes a tenth of a second of a processor
+_MAX_OF_ONE = 3  # of them from one address, as that of all tunnels: others find a place
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
@@ -71,6 +72,7 @@ class FrontDoor:
         self._passwords = Path(config.passwords_file).expanduser()
         self._checker = ThreadPoolExecutor(1, "password")
         self._guesses: list[str] = []
+        self._one_by_one = asyncio.Lock()
         self._nobody = ""
         self._users: dict[str, User] | None = None
         self._look_s = 0.0
@@ -233,12 +235,14 @@ class FrontDoor:
     async def _user(self, name: str, password: str, remote: str) -> User | None:
         """Return whose name and password these are, None for nobody's; ``wait`` while too many are looked at."""
         self._sign_in.check_wait(remote, time.monotonic())
-        if remote in self._guesses or len(self._guesses) >= _MAX_GUESSES:
+        if self._guesses.count(remote) >= _MAX_OF_ONE or len(self._guesses) >= _MAX_GUESSES:
             raise Refusal("wait", seconds=1.0)
         self._guesses.append(remote)
-        check = asyncio.get_running_loop().run_in_executor(self._checker, self._check, name, password)
         try:
-            user, problem = await check
+            async with self._one_by_one:  # when a guess before this one was wrong, its address has to wait now
+                self._sign_in.check_wait(remote, time.monotonic())
+                loop = asyncio.get_running_loop()
+                user, problem = await loop.run_in_executor(self._checker, self._check, name, password)
         finally:
             self._guesses.remove(remote)
         if problem:
