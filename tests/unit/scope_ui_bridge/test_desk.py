@@ -853,6 +853,7 @@ def test_a_call_from_before_a_stop_of_somebody_else_does_not_undo_it(service: st
     if how == "the desk itself":
         stopped = rig.ask(rig.a, type="blind", silence_ms=1100)
         assert of_type(stopped, StopNow)
+        rig.desk.set_state("controller", "stopped: blind")
     else:
         assert bool(rig.desk.stop("Operator 2", rig.now, press="p2")) is (how == "another person")
     stop_ms = rig.seconds * 1e3
@@ -872,6 +873,28 @@ def test_the_second_way_of_a_stop_does_not_void_what_was_pressed_after_it() -> N
     assert rig.desk.stop("Operator 1", rig.now, press="p1") == []
     rig.seconds += 0.2
     assert of_type(rig.ask(rig.a, type="call", service="reset", sent_ms=pressed_ms), CallService)
+
+
+def test_the_second_way_of_a_press_that_counted_as_one_with_another_is_no_stop_either() -> None:
+    rig = Rig()
+    assert of_type(rig.ask(rig.a, type="stop", press="p1"), StopNow)
+    rig.seconds += 0.3
+    assert not of_type(rig.ask(rig.a, type="stop", press="p2"), StopNow)
+    rig.seconds += 2.0
+    assert rig.desk.stop("Operator 1", rig.now, press="p2") == []
+
+
+@pytest.mark.parametrize("service", ["home", "calibrate"])
+@pytest.mark.parametrize(
+    ("part", "state"), [("controller", "touching"), ("sequencer", "step 2/3"), ("driver", "moving")]
+)
+def test_nothing_is_begun_while_another_thing_moves(service: str, part: str, state: str) -> None:
+    rig = Rig()
+    rig.desk.set_state(part, state)
+    effects = rig.ask(rig.a, type="call", service=service)
+    assert refusal(effects) == "not_at_rest" and not of_type(effects, CallService)
+    rig.desk.set_state(part, {"controller": "ready", "sequencer": "idle", "driver": "idle"}[part])
+    assert of_type(rig.ask(rig.a, type="call", service=service), CallService)
 
 
 def test_services_are_called_and_their_answers_shown() -> None:

@@ -58,6 +58,7 @@ _CLOCK_JUMP_NS = 100_000_000
 _MAX_LINES = 40  # in one tick
 _KEPT_LINES = 100  # for engineers who come later
 _FOR_ENGINEERS = ("accept_settings",)
+_MOVE = ("home", "calibrate")
 
 
 class Desk:
@@ -245,10 +246,10 @@ class Desk:
         if press and press in self._presses:
             return []
         self._wanted_stop_s = now.mono_s
+        self._presses.append(press)
         last_s, last_who, last_entry = self._last_stop
         if who == last_who and now.mono_s - last_s < _SAME_STOP_S and last_entry == self._log.count:
             return []
-        self._presses.append(press)
         self._causes.stopped(code, who, silence_s, now.mono_s)
         goal_id = f"service-stop-{self._log.count + 1}"
         entry = self._log.add(who, "stop", code, now, status="sent", goal_id=goal_id)
@@ -565,6 +566,8 @@ class Desk:
         # Another page's STOP overtakes it on a slow link: a reset would undo what its operator has not seen.
         if message.sent_s < self._wanted_stop_s and service != "disable":
             raise Refusal("before_stop")
+        if service in _MOVE:
+            self.machine.check_still()
         if service in _FOR_ENGINEERS:
             self._viewers[viewer].need(Role.ENGINEER)
         goal_id = f"service-{self._log.count + 1}"

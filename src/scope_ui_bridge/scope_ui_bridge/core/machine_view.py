@@ -134,11 +134,19 @@ class MachineView:
         if state != "ready":
             raise Refusal("not_ready", state=state, reason=reason)
 
+    def check_still(self) -> None:
+        """Refuse while a part of the graph says that it moves: ``not_at_rest``."""
+        for part, names in _MOVING.items():
+            state, reason = self.state(part)
+            if state in names:
+                raise Refusal("not_at_rest", state=state, reason=reason)
+
     def check_at_rest(self) -> None:
         """Refuse a move unless the machine is homed, enabled and at rest: ``not_at_rest``."""
         state, reason = self.state("driver")
-        if state != "idle" or self.active:
+        if state != "idle":
             raise Refusal("not_at_rest", state=state or "disconnected", reason=reason)
+        self.check_still()
 
     def message(self) -> dict[str, Any]:
         """Return what the page gets of all this."""
