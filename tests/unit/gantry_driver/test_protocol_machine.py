@@ -848,6 +848,28 @@ def test_an_alarm_that_a_reset_does_not_leave_stays_one() -> None:
     rig.until(lambda: rig.state == "unhomed")
 
 
+@pytest.mark.parametrize(
+    ("banner", "code", "meaning"),
+    [
+        (b"Grbl 1.1h ['$' for help]", 10, "emergency stop or second axis"),
+        (b"GrblHAL 1.1f ['$' for help]", 10, "the emergency stop is pressed"),
+        (b"GrblHAL 1.1f ['$' for help]", 12, "a limit switch is engaged"),
+        (b"Grbl 3.7 [FluidNC v3.7]", 10, "spindle fault"),
+        (b"Grbl 3.7 [FluidNC v3.7]", 13, "hard stop"),
+        (b"Grbl 3.7 [FluidNC v3.7]", 1, "hard limit switch, position lost"),
+    ],
+)
+def test_an_alarm_means_what_the_firmware_means_by_it(
+    banner: bytes, code: int, meaning: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(protocol_board, "BANNER", b"\r\n" + banner + b"\r\n")
+    rig = Rig().connect()
+    rig.until(lambda: rig.state == "unhomed")
+    rig.board.alarm(code)
+    rig.until(lambda: rig.state == "alarm")
+    assert rig.states[-1] == f"alarm: ALARM:{code} ({meaning})"
+
+
 def test_an_alarm_outlasts_the_reset_that_the_board_adds_to_it() -> None:
     rig = Rig().connect()
     rig.step()

@@ -281,6 +281,23 @@ ALARM_TEXTS = {
     9: "homing: no switch found",
     10: "emergency stop or second axis",
 }
+_ALARM_TEXTS_OF = {
+    Dialect.GRBLHAL: {
+        10: "the emergency stop is pressed",
+        11: "must be homed first",
+        12: "a limit switch is engaged",
+        14: "the spindle is not at speed",
+        17: "motor fault",
+    },
+    Dialect.FLUIDNC: {
+        10: "spindle fault",
+        11: "a control or limit input is active at the start",
+        12: "homing: which switch is not clear",
+        13: "hard stop",
+        14: "must be homed first",
+    },
+}
+"""What others mean by numbers for which GRBL has no use, or another (grblHAL: alarms.c, FluidNC: Protocol.h)."""
 ERROR_TEXTS = {
     1: "letter expected",
     2: "bad number",
@@ -316,9 +333,10 @@ ERROR_TEXTS = {
 }
 
 
-def alarm_text(code: int) -> str:
+def alarm_text(code: int, dialect: Dialect) -> str:
     """Return ``ALARM:N (meaning)``."""
-    return f"ALARM:{code} ({ALARM_TEXTS.get(code, 'see the manual of the firmware')})"
+    texts = ALARM_TEXTS | _ALARM_TEXTS_OF.get(dialect, {})
+    return f"ALARM:{code} ({texts.get(code, 'see the manual of the firmware')})"
 
 
 def error_text(code: int) -> str:

@@ -521,7 +521,7 @@ class Machine(Connection):
             self._close(f"{event.line.text} was refused: {text}", now)
 
     def _on_alarm(self, alarm: Alarm, now: float) -> None:
-        text = alarm_text(alarm.code)
+        text = alarm_text(alarm.code, self.dialect)
         if self.phase in (Phase.SYNCHRONISE, Phase.CLOSED):
             return
         if self.phase is Phase.RESETTING and not self.homed:
