@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -42,6 +43,34 @@ def test_what_names_no_setting_or_program_is_refused(
     assert bring_up.main() == 2
     captured = capsys.readouterr()
     assert captured.err.startswith(said) and "started" not in captured.out
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["--profile", "hardware"],
+        ["--profile", "lab_2"],
+        ["--set", "serial_driver.port=/dev/ttyACM0"],
+        ["--without", "mock_grbl"],
+        ["--only", "serial_driver"],
+    ],
+)
+def test_no_machine_but_the_one_in_software_is_moved_without_anybody_at_the_page(
+    given: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = shutil.copytree(CONFIG, tmp_path / "config")
+    graph = (config / "graph.yaml").read_text()
+    (config / "graph.yaml").write_text(
+        graph.replace("  replay:\n    about", "  lab_2: {extends: hardware}\n  replay:\n    about", 1)
+    )
+    for side in ("left", "right"):
+        shutil.copy(config / "cameras" / f"bench_{side}.yaml", config / "cameras" / f"{side}.yaml")
+    folders = ["--config", str(config), "--state", str(tmp_path / "state"), "--run-dir", str(tmp_path / "run")]
+    monkeypatch.setattr("sys.argv", ["bring_up", *folders, "--prepare", *given])
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    monkeypatch.setattr(bring_up.BringUp, "_run_programs", lambda *_: pytest.fail("started"))
+    assert bring_up.main() == 2
+    assert capsys.readouterr().err.startswith("error: --prepare moves the machine by itself")
 
 
 def test_a_namespace_that_is_none_makes_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -85,7 +85,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--set", action="append", default=[], metavar="PROGRAM.PARAMETER=VALUE", help="one value more")
     result.add_argument("--composed", action="store_true", help="all nodes but the simulated ones in one process")
     result.add_argument("--in-step", action="store_true", help="let bag_play --in-step wait for every process")
-    result.add_argument("--prepare", action="store_true", help="enable, home and calibrate (not on hardware)")
+    result.add_argument("--prepare", action="store_true", help="enable, home and calibrate (the simulated machine alone)")
     result.add_argument("--verbose", action="store_true", help="print everything that the programs say")
     return result
 
@@ -120,8 +120,6 @@ class BringUp:
         check_namespace(self.options.namespace)
         config = (self.options.config or configuration_folder()).resolve()
         state = state_folder(self.options.state, self.options.namespace)
-        if self.options.prepare and self.options.profile == "hardware":
-            raise GraphError("--prepare moves the machine by itself; on hardware use the page")
         with tempfile.TemporaryDirectory(prefix="icu_gantry_") as temporary:
             run = (self.options.run_dir or Path(temporary)).resolve()
             run.mkdir(parents=True, exist_ok=True)
@@ -135,6 +133,7 @@ class BringUp:
             )
             self._check_names(programs)
             programs = [self._with_single_values(program) for program in programs]
+            self._check_preparation(programs)
             if not self.options.only:  # single programs may come to a graph
                 hold_names(self.options.namespace)
             return self._run_programs(programs, Path(temporary))
@@ -150,6 +149,21 @@ class BringUp:
         if given - names:
             raise GraphError(f"no program {', '.join(sorted(given - names))}; there are {', '.join(sorted(names))}")
 
+    def _chosen(self, programs: list[Program]) -> list[Program]:
+        wanted = {*self.options.only} or {p.name for p in programs}
+        return [p for p in programs if p.name in wanted - {*self.options.without}]
+
+    def _check_preparation(self, programs: list[Program]) -> None:
+        """Refuse to move what may be a machine with nobody at the page: a board in software is started here, too."""
+        chosen = self._chosen(programs)
+        ports = [p.parameters.get("port") for p in chosen if p.name == "serial_driver"]
+        boards = [p.arguments for p in chosen if p.executable == "mock_grbl"]
+        if self.options.prepare and not any(port in arguments for port in ports for arguments in boards):
+            raise GraphError(
+                "--prepare moves the machine by itself, so it is for the board in software (mock_grbl) that is started "
+                "with it; on hardware use the page"
+            )
+
     def _run_programs(self, programs: list[Program], temporary: Path) -> int:
         prepare_transport()
         here = Path(sys.argv[0])
@@ -160,8 +174,7 @@ class BringUp:
         printer = threading.Thread(target=self._print_all, name="printer", daemon=True)
         printer.start()
         try:
-            wanted = {*self.options.only} or {p.name for p in programs}
-            waiting = [p for p in programs if p.name in wanted - {*self.options.without}]
+            waiting = self._chosen(programs)
             together = [p for p in waiting if self.options.composed and p.is_node and not p.ends_last]
             waiting = [p for p in waiting if p not in together]
             patience = time.monotonic() + WAIT_S
