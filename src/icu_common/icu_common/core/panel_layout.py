@@ -15,7 +15,7 @@ import yaml
 
 from icu_common.core.fiducial import DICTIONARIES, Fiducial, count_of
 from icu_common.core.gesture import is_mark, is_name
-from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
+from icu_common.core.yaml_text import UNREADABLE, Loader, mistake, refuse_repeated_keys
 
 CONTROL_KINDS = ("button", "knob", "touch_area", "connector")
 SHAPES = ("rectangle", "circle")
@@ -145,12 +145,9 @@ class _LineLoader(Loader):
 
 
 def _mapping_with_line(loader: _LineLoader, node: yaml.MappingNode) -> dict[str, Any]:
-    mapping: dict[str, Any] = {}
-    for key_node, value_node in node.value:
-        key = loader.construct_object(key_node, deep=True)
-        if key in mapping:
-            raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", key_node.start_mark)
-        mapping[key] = loader.construct_object(value_node, deep=True)
+    refuse_repeated_keys(node)
+    build = loader.construct_object
+    mapping: dict[str, Any] = {build(key, deep=True): build(value, deep=True) for key, value in node.value}
     mapping["__line__"] = node.start_mark.line + 1
     return mapping
 
@@ -398,12 +395,11 @@ class _Reader:
         if not good or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value or ()):
             raise self.error(entry, f"{key} = {value!r}: {count} numbers are needed")
         assert isinstance(value, list)
-        numbers = tuple(float(v) for v in value)
-        if any(v != v or abs(v) > 1e4 for v in numbers) or (positive and min(numbers) <= 0):
+        if any(v != v or abs(v) > 1e4 for v in value) or (positive and min(value) <= 0):
             raise self.error(
                 entry, f"{key} = {value!r}: {'positive ' if positive else ''}numbers up to 10000 are needed"
             )
-        return numbers
+        return tuple(float(v) for v in value)
 
 
 def marker_artwork(marker: Fiducial) -> tuple[Rectangle, ...]:

@@ -18,7 +18,7 @@ import yaml
 
 from icu_common.core.gesture import TURNING, Gesture, GestureError, is_mark, parse_gesture
 from icu_common.core.panel_state import LAMPS, ControlSeen, PanelSeen
-from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
+from icu_common.core.yaml_text import UNREADABLE, Loader, mistake, refuse_repeated_keys
 
 MAX_STEPS = 100
 _CHECK = re.compile(r"(?:(effect|screen)|(lamp|angle):([A-Za-z][A-Za-z0-9_]*)=([^\s=]+))\Z")
@@ -156,6 +156,7 @@ def _missing(name: str, seen: PanelSeen) -> str:
 def _sequence_of(root: yaml.Node | None, file_name: str) -> Sequence:
     if not isinstance(root, yaml.MappingNode):
         raise SequenceError(f"{file_name}:1: a mapping with steps is needed")
+    refuse_repeated_keys(root)
     entries: list[tuple[str, Any]] = []
     name = ""
     for key, value in root.value:
@@ -188,7 +189,7 @@ def _step(place: str, entry: Any) -> Step:
         texts = [checks] if isinstance(checks, str) else checks
         within = entry.get("within_s", math.nan)
         good = isinstance(within, (int, float)) and not isinstance(within, bool)
-        if not good or not (math.isnan(within) or 0 < within <= 60):
+        if not good or not (within != within or 0 < within <= 60):  # no isnan: it takes no number of 400 digits
             raise SequenceError(f"{place}: within_s = {within!r}: seconds above 0 and up to 60 are needed")
         if not isinstance(texts, list) or not all(isinstance(t, str) for t in texts):
             raise SequenceError(f"{place}: check = {checks!r}: a text or a list of texts is needed")
