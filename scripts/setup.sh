@@ -32,7 +32,10 @@ else
   esac
 fi
 
-# The virtual environment, made anew when its python is another one.
+# The virtual environment, made anew when its python is another one, or its folder: its scripts name both.
+if [ -f "$venv/.made-in" ] && [ "$(cat "$venv/.made-in")" != "$(pwd -P)" ]; then
+  rm -rf "$venv"
+fi
 if [ -x "$venv/bin/python" ] && [ "$("$venv/bin/python" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)" != "$version" ]; then
   rm -rf "$venv"
 fi
@@ -42,6 +45,7 @@ if [ ! -x "$venv/bin/pip" ]; then
   options=()
   [ $jazzy = yes ] && options=(--system-site-packages)
   "$python" -m venv "${options[@]}" "$venv" || fail "$python -m venv failed; install it (Debian and Ubuntu: apt install python3-venv)"
+  pwd -P > "$venv/.made-in"
 fi
 
 # On Jazzy, Ubuntu's OpenCV must find the numpy that it was compiled for, whatever else pip installs.

@@ -50,7 +50,9 @@ def test_good_layout() -> None:
         ("position_mm: [20, 10]", "position_mm: [4, 10]", r"f\.yaml:4: control 'RUN' at \(4, 10\) reaches outside"),
         ("size_mm: [10, 6]", "size_mm: [10]", r"f\.yaml:4: size_mm = \[10\]: 2 numbers"),
         ("size_mm: [10, 6]", "size_mm: [10, .nan]", r"f\.yaml:4: size_mm"),
-        pytest.param("size_mm: [10, 6]", f"size_mm: [10, 1{400 * '0'}]", r"f\.yaml:4: .*numbers up to 10000", id="huge"),
+        pytest.param(
+            "size_mm: [10, 6]", f"size_mm: [10, 1{400 * '0'}]", r"f\.yaml:4: .*numbers up to 10000", id="huge"
+        ),
         ("height_mm: 3\n", "hieght_mm: 3\n", r"f\.yaml:4: unknown key hieght_mm"),
         ('"#00ff00"', '"green"', r"f\.yaml:4: lit_colour = 'green'"),
         ("name: RUN\n", "name: ON\n", r"f\.yaml:4: name = True: a text is needed"),

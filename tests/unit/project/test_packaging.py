@@ -136,6 +136,40 @@ def test_what_was_compiled_from_other_sources_is_not_used(tmp_path: Path) -> Non
     assert (tmp_path / "venv" / ".compiled").read_text() == "new\n"
 
 
+def test_the_environment_of_a_folder_that_was_moved_is_made_anew(tmp_path: Path) -> None:
+    """Its scripts name the place where they were made: pip and mypy would not start, or be those of the original."""
+    setup = (ROOT / "scripts" / "setup.sh").read_text()
+    block = re.search(r"^# The virtual environment.*?(?=^# On Jazzy)", setup, re.DOTALL | re.MULTILINE)
+    python = tmp_path / "python"
+    python.write_text(
+        '#!/bin/sh\nmkdir -p "$3/bin"\nfor name in python pip; do\n'
+        '  printf \'#!/bin/sh\\necho 3.11\\n\' > "$3/bin/$name"\n  chmod +x "$3/bin/$name"\ndone\n'
+    )
+    python.chmod(0o755)
+
+    def set_up(folder: Path) -> bool:
+        assert block
+        names = f"root={folder} venv={folder}/.venv python={python} version=3.11 jazzy=no"
+        script = f"fail() {{ exit 1; }}\n{names}\n{block[0]}"
+        done = subprocess.run(
+            ["bash", "-euo", "pipefail", "-c", script],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=20,
+            check=True,
+        )
+        return "[1/4]" in done.stdout
+
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir()
+    assert [set_up(first), set_up(first)] == [True, False]
+    first.rename(second)
+    assert [set_up(second), set_up(second)] == [True, False]
+    first.symlink_to(second)
+    assert not set_up(first), "by another name it is the same folder"
+
+
 class Recorded:
     """Stands for an action or substitution of `launch`, which is not among the wheels: keeps what it was given."""
 
