@@ -266,6 +266,19 @@ class NoisyDevice(ScriptedDevice):
         return True, picture
 
 
+def test_v4l2_pictures_that_waited_while_the_computer_was_busy_keep_their_time() -> None:
+    """What was taken before a motion must not be told as taken after it."""
+    left, right, now = NoisyDevice(0.0), NoisyDevice(0.0), [5_000_000_000]
+    waiting = [left, right]
+    source = V4l2Source(
+        ["0", "2"], now_ns=lambda: now[0], monotonic_ns=lambda: now[0], open_device=lambda device, api: waiting.pop(0)
+    )
+    for age_ms in (20.0, 1500.0, 3000.0, 20.0):
+        now[0] += 4_000_000_000
+        left.driver_ms = now[0] / 1e6 - age_ms
+        assert source.read(1.0).stamps_ns == (now[0] - round(age_ms * 1e6), now[0]), "the right one has no stamps"
+
+
 def test_v4l2_that_repeats_one_picture_with_new_stamps_is_no_live_camera() -> None:
     left, right, now = NoisyDevice(0.0), NoisyDevice(0.0), [0]
     waiting = [left, right]

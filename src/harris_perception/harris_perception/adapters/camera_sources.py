@@ -167,6 +167,7 @@ class V4l2Source:
         self._names = [f"{side} camera {device}" for side, device in zip(SIDES, devices)]
         self._captures: list[Any] = []
         self._changed: dict[str, tuple[Picture, int]] = {}
+        self._monotonic: set[str] = set()
         wanted = (
             (cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*fourcc) if fourcc else 0),
             (cv2.CAP_PROP_FRAME_WIDTH, width),
@@ -189,7 +190,7 @@ class V4l2Source:
         for name, capture in zip(self._names, self._captures):
             if not capture.grab():
                 raise SourceError(f"{name} gives no pictures any more: unplugged?")
-            stamps.append(self._stamp_ns(capture.get(cv2.CAP_PROP_POS_MSEC)))
+            stamps.append(self._stamp_ns(name, capture.get(cv2.CAP_PROP_POS_MSEC)))
         pictures: list[Picture] = []
         for name, capture in zip(self._names, self._captures):
             good, picture = capture.retrieve()
@@ -209,11 +210,16 @@ class V4l2Source:
             seconds = (self._monotonic_ns() - since_ns) / 1e9
             raise SourceError(f"{name} has given the very same picture for {seconds:.1f} s: it is frozen, or covered")
 
-    def _stamp_ns(self, driver_ms: float) -> int:
+    def _stamp_ns(self, name: str, driver_ms: float) -> int:
         # OpenCV hands on v4l2_buffer.timestamp, 0 when the backend has none. A stamp on another clock than
-        # CLOCK_MONOTONIC shows as an impossible age; then the time of the grab is the best that is known.
+        # CLOCK_MONOTONIC shows as an impossible age; then the time of the grab is the best that is known. Of a camera
+        # that has been seen to keep this clock an old picture is old: it has waited while the computer was busy.
         now, age = self._now_ns(), self._monotonic_ns() - round(driver_ms * 1e6)
-        return now - age if driver_ms > 0 and 0 <= age < _DRIVER_STAMP_MAX_AGE_NS else now
+        if driver_ms <= 0 or age < 0:
+            return now
+        if age < _DRIVER_STAMP_MAX_AGE_NS:
+            self._monotonic.add(name)
+        return now - age if name in self._monotonic else now
 
     def close(self) -> None:
         for capture in self._captures:
