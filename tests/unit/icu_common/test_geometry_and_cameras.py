@@ -109,6 +109,9 @@ def test_pixels_that_the_distortion_does_not_reach_have_no_ray() -> None:
     [
         ({"r": np.zeros((3, 3))}, r"camera test: r \[\[0\.0, .* is not a rotation"),
         ({"p": np.zeros((3, 4))}, r"camera test: p has focal length 0\.0, 0\.0, above 0 is needed"),
+        ({"width": 0}, r"camera test: pictures of 0 x 720 px, 1 to 32767 each way are needed"),
+        ({"height": -1}, r"camera test: pictures of 1280 x -1 px"),
+        ({"width": 40_000}, r"camera test: pictures of 40000 x 720 px"),
     ],
 )
 def test_half_filled_calibrations_are_refused(change: dict[str, object], message: str) -> None:

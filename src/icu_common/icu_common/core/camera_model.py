@@ -21,6 +21,8 @@ from icu_common.core.geometry import Array
 _STANDS_STILL = 1e-4
 """Tangent of a ray's angle; about a tenth of a pixel."""
 
+_MOST_PX = 32_767
+"""OpenCV takes pictures of no more rows or columns."""
 _AT_A_TIME = 8192
 """So many pixels stay in the cache while their distortion is inverted."""
 
@@ -47,7 +49,7 @@ class CameraModel:
     Raises
     ------
     ValueError
-        If a shape is wrong, a value is not finite, a focal length is not above 0, or ``r`` is no rotation.
+        If the size or a shape is wrong, a value is not finite, a focal length is not above 0, or ``r`` is no rotation.
     """
 
     name: str
@@ -59,6 +61,10 @@ class CameraModel:
     p: Array
 
     def __post_init__(self) -> None:
+        if not (0 < self.width <= _MOST_PX and 0 < self.height <= _MOST_PX):
+            raise ValueError(
+                f"camera {self.name}: pictures of {self.width} x {self.height} px, 1 to {_MOST_PX} each way are needed"
+            )
         for field_name, shape in (("k", (3, 3)), ("d", (5,)), ("r", (3, 3)), ("p", (3, 4))):
             value = np.asarray(getattr(self, field_name), dtype=np.float64)
             if value.shape != shape:
