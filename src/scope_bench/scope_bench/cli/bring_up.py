@@ -85,7 +85,9 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--set", action="append", default=[], metavar="PROGRAM.PARAMETER=VALUE", help="one value more")
     result.add_argument("--composed", action="store_true", help="all nodes but the simulated ones in one process")
     result.add_argument("--in-step", action="store_true", help="let bag_play --in-step wait for every process")
-    result.add_argument("--prepare", action="store_true", help="enable, home and calibrate (the simulated machine alone)")
+    result.add_argument(
+        "--prepare", action="store_true", help="enable, home and calibrate (the simulated machine alone)"
+    )
     result.add_argument("--verbose", action="store_true", help="print everything that the programs say")
     return result
 
