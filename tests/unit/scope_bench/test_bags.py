@@ -10,6 +10,8 @@ import sqlite3
 import stat
 import subprocess
 import sys
+import zlib
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -17,6 +19,10 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import CRCValidationError, StreamReader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as OfficialWriter
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.typesys import Stores, get_typestore
 
@@ -24,6 +30,7 @@ from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX, Picture
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic, BagWriter, repair
 from scope_bench.cli import bag_info
+from scope_bench.core.mcap_records import whole_messages
 from scope_bench.core.play_clock import PlayClock, progress_bar
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -284,6 +291,144 @@ def test_every_cut_of_an_mcap_file_leaves_the_whole_records(tmp_path: Path) -> N
                 assert [bag.decode(d, STRING).data for _, _, d in bag.messages()] == [f"{i}" for i in range(count)]
         last = count
     assert last == 60
+
+
+def bag_of_six_chunks(path: Path) -> list[tuple[str, int, bytes]]:
+    """Write ten messages into each."""
+    rows = [("/a", i + 1, text(f"word {i}")) for i in range(60)]
+    with BagWriter(path, "mcap", keep_free=0) as bag:
+        bag.add_topic(BagTopic(name="/a", type=STRING))
+        for i, row in enumerate(rows):
+            bag.write(*row)
+            if i % 10 == 9:
+                bag.checkpoint()
+    return rows
+
+
+def chunks_of(file: Path) -> list[Chunk]:
+    """Return the chunks as the official reader finds them."""
+    with file.open("rb") as stream:
+        return [r for r in StreamReader(stream, emit_chunks=True).records if isinstance(r, Chunk)]
+
+
+def test_each_chunk_has_its_checksum(tmp_path: Path) -> None:
+    """The writer of rosbags says 0, which readers take for unknown; ours is set by its attributes `bio` and `chunk`."""
+    bag_of_six_chunks(tmp_path / "bag")
+    chunks = chunks_of(storage_file(tmp_path / "bag"))
+    assert [chunk.uncompressed_crc for chunk in chunks] == [zlib.crc32(chunk.data) for chunk in chunks]
+    assert len(chunks) == 6 and all(chunk.uncompressed_crc for chunk in chunks)
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_a_chunk_whose_checksum_is_wrong_is_refused_and_all_others_are_saved(
+    number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first is the only one that tells of the topic; the end of the file does so again."""
+    rows = bag_of_six_chunks(tmp_path / "bag")
+    file = storage_file(tmp_path / "bag")
+    data = bytearray(file.read_bytes())
+    data[data.index(f"word {number * 10 + 4}\0".encode())] ^= 1  # a vord
+    file.write_bytes(data)
+    with pytest.raises(CRCValidationError), file.open("rb") as stream:
+        list(make_reader(stream, validate_crcs=True).iter_messages())
+    assert bag_info.main([str(tmp_path / "bag"), "--check"]) == 1
+    assert "checksum" in capsys.readouterr().err
+    count, end = repair(tmp_path / "bag", tmp_path / "new")
+    at = bytes(data).index(chunks_of(file)[number].data) - 49  # the fields before a chunk's data that is not compressed
+    assert end == (
+        f"bag.mcap: damaged and left out: 1 of its records, the first at byte {at} (its checksum is wrong); "
+        "bag.mcap: 50 of 60 messages are whole"
+    )
+    with BagReader(tmp_path / "new") as bag:
+        assert list(bag.messages()) == rows[: number * 10] + rows[number * 10 + 10 :]
+    assert count == 50
+    assert bag_info.main([str(tmp_path / "bag"), "--repair", str(tmp_path / "again")]) == 0
+    assert capsys.readouterr().out == f"50 messages saved in {tmp_path / 'again'}; not all: {end}\n"
+
+
+def test_messages_whose_topic_only_a_damaged_chunk_told_are_counted(tmp_path: Path) -> None:
+    """The file was cut off, too, so its end does not tell of it again."""
+    bag_of_six_chunks(tmp_path / "bag")
+    data = bytearray(storage_file(tmp_path / "bag").read_bytes())
+    data[data.index(b"word 4\0")] ^= 1
+    (tmp_path / "x.mcap").write_bytes(data[: data.index(b"word 59\0")])
+    count, end = repair(tmp_path / "x.mcap", tmp_path / "new")
+    assert count == 0 and end.endswith("(its checksum is wrong); x.mcap: of 40 messages the topic is not known")
+
+
+@pytest.mark.parametrize("checksums", [True, False])
+@pytest.mark.parametrize("compression", [CompressionType.LZ4, CompressionType.ZSTD, CompressionType.NONE])
+def test_a_damaged_chunk_in_the_middle_costs_no_other(
+    compression: CompressionType, checksums: bool, tmp_path: Path
+) -> None:
+    """In files of others, with checksums or without."""
+    rows = [("/a", i + 1, text(f"{i} " + "long words " * 20)) for i in range(100)]
+    file = tmp_path / "theirs.mcap"
+    writer = OfficialWriter(str(file), chunk_size=2000, compression=compression, enable_crcs=checksums)
+    writer.start("ros2", "test")
+    schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+    channel = writer.register_channel("/a", "cdr", schema)
+    for _, stamp_ns, content in rows:
+        writer.add_message(channel, stamp_ns, content, stamp_ns)
+    writer.finish()
+    chunks = chunks_of(file)
+    hurt = chunks[len(chunks) // 2]
+    lost = [row for row in rows if hurt.message_start_time <= row[1] <= hurt.message_end_time]
+    assert len(chunks) > 8 and 2 < len(lost) < 20
+    data = bytearray(file.read_bytes())
+    at = bytes(data).index(hurt.data)
+    data[at : at + 12] = b"\xff" * 12  # the frame's head, or the first message's length
+    file.write_bytes(data)
+    with pytest.raises(BagError, match=r"broken.*--repair"), BagReader(file) as bag:
+        list(bag.messages())
+    count, end = repair(file, tmp_path / "new")
+    assert "damaged and left out: 1 of its records" in end
+    assert end.endswith(f"theirs.mcap: {100 - len(lost)} of 100 messages are whole"), end
+    with BagReader(tmp_path / "new") as bag:
+        assert list(bag.messages()) == [row for row in rows if row not in lost]
+    assert count == 100 - len(lost)
+
+
+def test_no_damage_of_one_byte_is_passed_over(tmp_path: Path) -> None:
+    seed = 11
+    chance = random.Random(seed)
+    rows = bag_of_six_chunks(tmp_path / "bag")
+    whole = storage_file(tmp_path / "bag").read_bytes()
+    saved_of_all = 0
+    for place in chance.sample(range(8, len(whole)), 1500):
+        data = bytearray(whole)
+        data[place] ^= 1 << chance.randrange(8)
+        ends: list[str] = []
+        saved = [(c.topic, stamp, m) for c, stamp, m in whole_messages(BytesIO(data), {"": bytes}, ends)]
+        assert saved == rows or (ends and set(saved) <= set(rows)), (seed, place)
+        saved_of_all += len(saved)
+    assert saved_of_all > 1500 * 45, "of most chunks the others are saved"
+
+
+def test_the_check_of_a_bag_passes_over_no_damage_of_one_byte(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither in a chunk nor in the index, without which messages are not found; each is told in one line."""
+    seed = 12
+    chance = random.Random(seed)
+    rows = bag_of_six_chunks(tmp_path / "bag")
+    file = storage_file(tmp_path / "bag")
+    whole = file.read_bytes()
+    index = whole.rindex(b"serialized_metadata")
+    bad = 0
+    for place in (*chance.sample(range(index), 50), *chance.sample(range(index, len(whole)), 50)):
+        data = bytearray(whole)
+        data[place] ^= 1 << chance.randrange(8)
+        file.write_bytes(data)
+        end = bag_info.main([str(tmp_path / "bag"), "--check"])
+        error = capsys.readouterr().err
+        if end:
+            assert error.startswith("error: ") and error.count("\n") == 1 and ": ;" not in error, (seed, place, error)
+            bad += 1
+        else:
+            with BagReader(tmp_path / "bag") as bag:
+                assert list(bag.messages()) == rows, (seed, place)
+    assert bad > 25
 
 
 @both

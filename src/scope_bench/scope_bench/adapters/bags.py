@@ -13,9 +13,11 @@ import importlib
 import shlex
 import shutil
 import sqlite3
+import struct
 import sys
 import tempfile
 import time
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,12 +38,14 @@ from scope_bench.core.mcap_records import whole_messages
 STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 _CHECKPOINT_S = 1.0
 _BETWEEN_DISK_CHECKS = 1 << 20
+_CHECKSUM_AT = 9 + 3 * 8  # in a chunk's record, after its kind and length, two times and a size
 _ZSTD: Any = importlib.import_module(
     "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
 )  # as rosbags
 _READ_ERRORS = (
     *(ReaderError, apsw.Error, OSError, ValueError, KeyError, TypeError, AssertionError, EOFError),
-    _ZSTD.ZstdError,
+    # RuntimeError is lz4's; the last two come of lengths that are damaged.
+    *(_ZSTD.ZstdError, RuntimeError, struct.error, OverflowError, MemoryError),
 )
 _ZIPPED, _PIECE = ".zstd", 1 << 16
 T = TypeVar("T")
@@ -79,6 +83,22 @@ def is_known(kind: str) -> bool:
 @functools.cache
 def _known_types() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
+
+
+class _McapWriter(McapWriter):
+    """Writes the checksum of each chunk, by which damage is seen later; rosbags leaves it out."""
+
+    def close_chunk(self) -> None:
+        start, checksum = self.bio.tell(), zlib.crc32(self.chunk.bio.getvalue())
+        super().close_chunk()
+        end = self.bio.tell()
+        self.bio.seek(start + _CHECKSUM_AT)
+        self.bio.write(checksum.to_bytes(4, "little"))
+        self.bio.seek(end)
+
+
+class _Writer(Writer):
+    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapWriter}  # noqa: RUF012
 
 
 class BagWriter:
@@ -120,7 +140,7 @@ class BagWriter:
         self._check_disk(next(place for place in (path.absolute(), *path.absolute().parents) if place.is_dir()))
         try:
             # The version of metadata.yaml that Jazzy writes.
-            self._writer = Writer(path, version=9, storage_plugin=STORAGES[storage])
+            self._writer = _Writer(path, version=9, storage_plugin=STORAGES[storage])
             if zstd:
                 self._writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
             self._writer.open()
@@ -235,8 +255,7 @@ class BagReader:
         try:
             return call()
         except _READ_ERRORS as error:
-            reason = " ".join(str(error).split())  # that of metadata.yaml has several lines
-            raise BagError(f"{self.path} is broken: {reason}; {_advice(self.path)}") from error
+            raise BagError(f"{self.path} is broken: {_reason(error)}; {_advice(self.path)}") from error
 
     @property
     def topics(self) -> list[BagTopic]:
@@ -280,9 +299,23 @@ class BagReader:
             except StopIteration:
                 return
             except _READ_ERRORS as error:
-                raise BagError(f"{self.path} is broken after {done} messages: {error}; {_advice(self.path)}") from error
+                where = f"{self.path} is broken after {done} messages"
+                raise BagError(f"{where}: {_reason(error)}; {_advice(self.path)}") from error
             done += 1
             yield connection.topic, stamp_ns, bytes(data)
+
+    def check(self) -> int:
+        """Read every message, and return how many there are.
+
+        Raises
+        ------
+        BagError
+            If the bag is broken, also where its index is so and does not lead to all messages.
+        """
+        count = sum(1 for _ in self.messages())
+        if count != self.count:
+            raise BagError(f"{self.path} is broken: {count} of {self.count} messages are found; {_advice(self.path)}")
+        return count
 
     def decode(self, data: bytes, msgtype: str) -> Any:
         """Return the message as rosbags' own object, without ROS."""
@@ -311,7 +344,7 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
     Returns
     -------
     count, end
-        Messages that were saved, and why there are no more (empty if the rest was whole).
+        Messages that were saved, and what was left out and why (empty if all up to the file's end was whole).
 
     Raises
     ------
@@ -337,14 +370,16 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
         with BagWriter(out, "sqlite3" if next(iter(plain)).suffix == ".db3" else "mcap", types=types) as writer:
             known: set[str] = set()
             for file, name in plain.items():
+                missing: list[str] = []
                 try:
-                    for topic, stamp_ns, data in _salvaged(file):
+                    for topic, stamp_ns, data in _salvaged(file, missing):
                         if topic.name not in known:
                             writer.add_topic(topic)
                             known.add(topic.name)
                         writer.write(topic.name, stamp_ns, data)
                 except (*_READ_ERRORS, sqlite3.Error) as error:
-                    ends.append(f"{name}: {error}")
+                    missing.append(_reason(error))
+                ends += [f"{name}: {reason}" for reason in missing]
             count = writer.messages
     return count, "; ".join(ends)
 
@@ -403,10 +438,11 @@ def _fill_up(plain: Path) -> None:
             )
 
 
-def _salvaged(file: Path) -> Iterator[tuple[BagTopic, int, bytes]]:
+def _salvaged(file: Path, missing: list[str]) -> Iterator[tuple[BagTopic, int, bytes]]:
+    """Yield the messages; ``missing`` gets what was left out, and why."""
     if file.suffix == ".mcap":
         with file.open("rb") as stream:
-            for channel, stamp_ns, data in whole_messages(stream, _UNPACK):
+            for channel, stamp_ns, data in whole_messages(stream, _UNPACK, missing):
                 yield _topic(channel.topic, channel.msgtype, channel.qos), stamp_ns, data
         return
     with contextlib.closing(_rolled_back(file)) as database:
@@ -423,10 +459,15 @@ def _topic(name: str, kind: str, qos: str) -> BagTopic:
     return BagTopic(name=name, type=kind, qos=tuple(parse_qos(qos)))
 
 
+def _unpacked_chunk(compression: str, data: bytes) -> bytes:
+    try:
+        return DECOMPRESSORS[compression](data, 0)
+    except (RuntimeError, EOFError, _ZSTD.ZstdError) as error:
+        raise ValueError(f"it cannot be unpacked: {error}") from error
+
+
 _UNPACK: dict[str, Callable[[bytes], bytes]] = {
-    "": bytes,
-    "lz4": lambda data: DECOMPRESSORS["lz4"](data, 0),
-    "zstd": lambda data: DECOMPRESSORS["zstd"](data, 0),
+    name: functools.partial(_unpacked_chunk, name) for name in ("", "lz4", "zstd")
 }
 
 
@@ -444,7 +485,7 @@ def _types_in(files: Sequence[Path]) -> Typestore:
         with contextlib.suppress(*_READ_ERRORS, sqlite3.Error):
             if file.suffix == ".mcap":
                 with file.open("rb") as stream:
-                    definitions |= {c.msgtype: c.definition for c, _, _ in whole_messages(stream, _UNPACK)}
+                    definitions |= {c.msgtype: c.definition for c, _, _ in whole_messages(stream, _UNPACK, [])}
             else:
                 with contextlib.closing(_rolled_back(file)) as database:
                     rows = database.execute("SELECT topic_type, encoded_message_definition FROM message_definitions")
@@ -469,6 +510,11 @@ def _with_definitions(definitions: dict[str, str]) -> Typestore:
 def _qos_of(connection: Connection) -> tuple[Qos, ...]:
     assert isinstance(connection.ext, ConnectionExtRosbag2)
     return tuple(connection.ext.offered_qos_profiles)
+
+
+def _reason(error: BaseException) -> str:
+    """Return the error's text in one line: that of metadata.yaml has several, others have none."""
+    return " ".join(str(error).split()) or repr(error)
 
 
 def _advice(path: Path) -> str:

@@ -29,12 +29,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if options.repair is not None:
             count, end = repair(options.bag, options.repair)
-            print(f"{count} messages saved in {options.repair}" + (f"; then {end}" if end else ""))
+            print(f"{count} messages saved in {options.repair}" + (f"; not all: {end}" if end else ""))
             return 0
         with BagReader(options.bag) as bag:
             print(description(bag), flush=True)
             if options.check:
-                print(f"{sum(1 for _ in bag.messages())} messages can be read")
+                print(f"{bag.check()} messages can be read")
     except BagError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -1,13 +1,15 @@
-"""Reads what is whole in an MCAP file that was cut off: the records up to the first that is not complete.
+"""Reads what is whole in an MCAP file that was cut off or damaged: the records up to the first that is not complete.
 
 A recording that ends with the power has no summary at its end, and readers refuse the file. Everything that is needed
-stands before each message, too (https://mcap.dev/spec, checked with the official library in the tests).
+stands before each message, too (https://mcap.dev/spec, checked with the official library in the tests). A damaged
+record, mostly a chunk, is left out: its length says where the next one begins.
 """
 
 from __future__ import annotations
 
 import contextlib
 import struct
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
@@ -17,6 +19,7 @@ MAGIC = b"\x89MCAP0\r\n"
 _HEADER = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
+_FOOTER = struct.Struct("<BQQQI8s")
 _MAX_RECORD = 1 << 32
 
 
@@ -41,7 +44,7 @@ class _Fields:
 
     def take(self, size: int) -> bytes:
         if self._at + size > len(self._data):
-            raise EOFError
+            raise EOFError("it is too short")
         self._at += size
         return self._data[self._at - size : self._at]
 
@@ -61,72 +64,134 @@ class _Fields:
 
 
 def whole_messages(
-    stream: BinaryIO, decompress: Mapping[str, Callable[[bytes], bytes]]
+    stream: BinaryIO, decompress: Mapping[str, Callable[[bytes], bytes]], ends: list[str]
 ) -> Iterator[tuple[McapChannel, int, bytes]]:
-    """Yield (channel, log time in ns, message) in the order of the file, up to the first record that is not whole.
+    """Yield (channel, log time in ns, message) in the order of the file, up to the first record that is not complete.
 
     Parameters
     ----------
     stream
         The file, at its start.
     decompress
-        For each compression's name how a chunk is unpacked.
+        For each compression's name how a chunk is unpacked; ValueError where it is damaged.
+    ends
+        Gets what was left out before the end of the file, and why.
 
     Raises
     ------
     ValueError
-        If this is no MCAP file, or a chunk's compression is unknown.
+        If this is no MCAP file.
     """
     if stream.read(len(MAGIC)) != MAGIC:
         raise ValueError("it does not begin as an MCAP file does")
-    schemas: dict[int, tuple[str, str]] = {}
-    channels: dict[int, McapChannel] = {}
-    try:
-        yield from _messages(stream, decompress, schemas, channels)
-    except EOFError:
-        return
+    reading = _Reading(decompress)
+    reading.learn_from_the_end(stream)
+    stream.seek(len(MAGIC))
+    yield from reading.messages(stream)
+    ends += reading.complaints()
 
 
-def _messages(
-    stream: BinaryIO,
-    decompress: Mapping[str, Callable[[bytes], bytes]],
-    schemas: dict[int, tuple[str, str]],
-    channels: dict[int, McapChannel],
-) -> Iterator[tuple[McapChannel, int, bytes]]:
-    while True:
-        kind, data = _record(stream)
-        fields = _Fields(data)
-        if kind == 0x02:  # footer
+class _Reading:
+    """What is known of a file while its records are read."""
+
+    def __init__(self, decompress: Mapping[str, Callable[[bytes], bytes]]) -> None:
+        self._decompress = decompress
+        self._schemas: dict[int, tuple[str, str]] = {}
+        self._channels: dict[int, McapChannel] = {}
+        self._damaged: list[str] = []
+        self._whole = self._unknown = self._announced = 0
+        self._read_until = self._records_end = 0
+
+    def learn_from_the_end(self, stream: BinaryIO) -> None:
+        """Take topics and the number of messages from the summary: the chunk that told of a topic may be damaged."""
+        start = stream.seek(0, 2) - _FOOTER.size
+        if start < len(MAGIC):
             return
+        stream.seek(start)
+        _, _, summary, _, _, magic = _FOOTER.unpack(stream.read(_FOOTER.size))
+        if magic != MAGIC:
+            return
+        self._records_end = start + _FOOTER.size - len(MAGIC)
+        if 0 < summary < start:
+            stream.seek(summary)
+            with contextlib.suppress(EOFError, ValueError):
+                while stream.tell() < start:
+                    self._take(*_record(stream))
+        self._unknown = 0
+
+    def messages(self, stream: BinaryIO) -> Iterator[tuple[McapChannel, int, bytes]]:
+        """Yield the messages of all records up to the first that is not complete."""
+        while True:
+            self._read_until = stream.tell()
+            try:
+                kind, data = _record(stream)
+            except EOFError:
+                return
+            try:
+                for inner in self._unpacked(data) if kind == 0x06 else [(kind, data)]:
+                    if (message := self._take(*inner)) is not None:
+                        self._whole += 1
+                        yield message
+            except (EOFError, ValueError) as error:
+                self._damaged.append(f"at byte {self._read_until} ({error})")
+
+    def _unpacked(self, chunk: bytes) -> Iterator[tuple[int, bytes]]:
+        """Yield the records in a chunk, none if size or checksum are wrong."""
+        fields = _Fields(chunk)
+        _, _, size, checksum = _CHUNK.unpack(fields.take(_CHUNK.size))
+        compression = fields.text()
+        if compression not in self._decompress:
+            raise ValueError(f"it is compressed with {compression!r}; known: {', '.join(self._decompress)}")
+        data = self._decompress[compression](fields.take(fields.number(8)))
+        if len(data) != size:
+            raise ValueError(f"it has {len(data)} bytes, not {size}")
+        if checksum and zlib.crc32(data) != checksum:  # 0: its writer did not count it
+            raise ValueError("its checksum is wrong")
+        records = BytesIO(data)
+        while records.tell() < size:
+            yield _record(records)
+
+    def _take(self, kind: int, data: bytes) -> tuple[McapChannel, int, bytes] | None:
+        """Learn from a record, and return its message if it is one of a known topic."""
+        fields = _Fields(data)
         if kind == 0x03:
             key, name, _, definition = fields.number(2), fields.text(), fields.text(), fields.text()
-            schemas[key] = (name, definition)
+            self._schemas[key] = (name, definition)
         elif kind == 0x04:
             key, schema, topic, _ = fields.number(2), fields.number(2), fields.text(), fields.text()
             qos = fields.texts().get("offered_qos_profiles", "")
-            name, definition = schemas.get(schema, ("", ""))
-            channels[key] = McapChannel(topic=topic, msgtype=name, definition=definition, qos=qos)
+            name, definition = self._schemas.get(schema, ("", ""))
+            self._channels[key] = McapChannel(topic=topic, msgtype=name, definition=definition, qos=qos)
         elif kind == 0x05:
             key, _, log_ns, _ = _MESSAGE.unpack(fields.take(_MESSAGE.size))
-            if key in channels:
-                yield channels[key], log_ns, fields.rest()
-        elif kind == 0x06:
-            fields.take(_CHUNK.size)
-            compression = fields.text()
-            if compression not in decompress:
-                raise ValueError(f"chunks are compressed with {compression!r}; known: {', '.join(decompress)}")
-            inner = decompress[compression](fields.take(fields.number(8)))
-            with contextlib.suppress(EOFError):
-                yield from _messages(BytesIO(inner), decompress, schemas, channels)
+            if key in self._channels:
+                return self._channels[key], log_ns, fields.rest()
+            self._unknown += 1
+        elif kind == 0x0B:
+            self._announced = fields.number(8)
+        return None
+
+    def complaints(self) -> Iterator[str]:
+        """Say what is missing of a file; that it was cut off is none, as all up to there has been read."""
+        if self._damaged:
+            count = len(self._damaged)
+            yield f"damaged and left out: {count} of its records, the first {self._damaged[0]}"
+        if self._read_until < self._records_end:
+            yield f"nothing can be read after byte {self._read_until}"
+        if self._unknown:
+            yield f"of {self._unknown} messages the topic is not known"
+        # Damage that looks like something else, as a chunk that has become a record of another kind, shows here only.
+        if self._whole < self._announced:
+            yield f"{self._whole} of {self._announced} messages are whole"
 
 
 def _record(stream: BinaryIO) -> tuple[int, bytes]:
     """Return the next record's kind and content; EOFError if it is not whole."""
     head = stream.read(_HEADER.size)
     if len(head) < _HEADER.size:
-        raise EOFError
+        raise EOFError("a record in it is not complete")
     kind, size = _HEADER.unpack(head)
     data = stream.read(size) if size <= _MAX_RECORD else b""
     if len(data) < size:
-        raise EOFError
+        raise EOFError("a record in it is not complete")
     return kind, data
