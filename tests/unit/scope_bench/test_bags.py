@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import resource
+import shutil
 import signal
 import sqlite3
 import stat
 import subprocess
 import sys
+import time
 import zlib
 from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -30,7 +34,7 @@ from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX, Picture
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic, BagWriter, repair
 from scope_bench.cli import bag_info
-from scope_bench.core.mcap_records import whole_messages
+from scope_bench.core.mcap_records import MAGIC, whole_messages
 from scope_bench.core.play_clock import PlayClock, progress_bar
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -548,9 +552,71 @@ def test_a_write_that_fails_leaves_a_bag_that_can_be_repaired(tmp_path: Path, st
         assert [stamp for _, stamp, _ in bag.messages()] == list(range(1, count + 1))
 
 
+@both
+def test_what_was_recorded_outlives_the_recorder_also_where_nothing_follows(tmp_path: Path, storage: str) -> None:
+    """What a copy of the files has would be there after the recorder was killed."""
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", storage, keep_free=0))
+    try:
+        assert storage_file(tmp_path / "bag").read_bytes().startswith((MAGIC, b"SQLite format 3\0"))
+        for burst in range(2):
+            if not burst:
+                sink.add_topic(BagTopic(name="/a", type=STRING))
+            for i in range(3):
+                sink.put("/a", burst * 3 + i + 1, text(f"{burst} {i}"))
+            stamps, attempt, until_s = [], 0, time.monotonic() + 10.0
+            while stamps != list(range(1, burst * 3 + 4)):
+                assert time.monotonic() < until_s, (burst, stamps, sink.failure)
+                copy, attempt = tmp_path / f"{burst} {attempt}", attempt + 1
+                # A journal that sqlite deletes meanwhile, or a copy of two moments, is looked at again.
+                with contextlib.suppress(shutil.Error, BagError):
+                    shutil.copytree(tmp_path / "bag", copy)
+                    repair(copy, copy / "new")
+                    with BagReader(copy / "new") as bag:
+                        stamps = [stamp for _, stamp, _ in bag.messages()]
+                shutil.rmtree(copy)
+    finally:
+        sink.close()
+    assert (sink.failure, sink.messages) == ("", 6)
+
+
+def test_a_checkpoint_is_due_a_second_after_the_first_message_that_it_saves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not after the last checkpoint, nor after the last message: neither of a slow trickle is then older."""
+    now = [100.0]
+    monkeypatch.setattr("scope_bench.adapters.bags.time", SimpleNamespace(monotonic=lambda: now[0]))
+    with BagWriter(tmp_path / "bag", keep_free=0) as bag:
+        due = [bag.due_s]
+        for now[0] in (103.0, 103.9, 104.0, 105.5):
+            if now[0] == 103.0:
+                bag.add_topic(BagTopic(name="/a", type=STRING))
+            bag.write("/a", 1, text("word"))
+            due.append(bag.due_s)
+        bag.checkpoint()
+        due.append(bag.due_s)
+    assert due == [None, 104.0, 104.0, None, 106.5, None]
+    assert len(chunks_of(storage_file(tmp_path / "bag"))) == 2
+
+
+def test_the_official_reader_reads_a_recording_whose_topics_are_older_than_its_messages(tmp_path: Path) -> None:
+    """They are alone in a chunk, whose times are 0, as the format wants it."""
+    with BagWriter(tmp_path / "bag", keep_free=0) as bag:
+        bag.add_topic(BagTopic(name="/a", type=STRING))
+        bag.checkpoint()
+        bag.write("/a", 7, text("word"))
+    file = storage_file(tmp_path / "bag")
+    assert [(c.message_start_time, c.message_end_time) for c in chunks_of(file)] == [(0, 0), (7, 7)]
+    with file.open("rb") as stream:
+        assert [m.log_time for _, _, m in make_reader(stream, validate_crcs=True).iter_messages()] == [7]
+    for given in (tmp_path / "bag", file):
+        with BagReader(given) as bag:
+            assert (list(bag.messages()), bag.start_ns) == ([("/a", 7, text("word"))], 7)
+
+
 def test_a_slow_disk_drops_and_counts() -> None:
     class Slow:
         messages = bytes = 0
+        due_s = None
 
         def __enter__(self) -> Slow:
             return self

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from scope_bench.adapters.bag_pictures import BESIDE, COMPRESSED, IMAGE, SUFFIX, PictureCodec
 from scope_bench.adapters.bags import BagError, BagTopic, BagWriter
@@ -92,7 +93,7 @@ class BagSink:
             self._change.notify()
         try:
             with writer:
-                while (item := self._next()) is not None:
+                for item in self._items(writer):
                     self._write(writer, item)
                 for topic in self._pictures.keys() - {name.removesuffix(SUFFIX) for name in self._announced}:
                     self._announce(writer, topic, compressed=True)
@@ -102,10 +103,19 @@ class BagSink:
             # Of a thread's error nobody hears, and the recorder would go on without writing a word.
             self._fail(RuntimeError(f"error while writing: {error!r}"))
 
-    def _next(self) -> BagTopic | tuple[str, int, bytes] | None:
-        with self._change:
-            self._change.wait_for(lambda: self._waiting or self._ending)
-            return self._waiting.popleft() if self._waiting else None
+    def _items(self, writer: BagWriter) -> Iterator[BagTopic | tuple[str, int, bytes]]:
+        """Yield what is to be written; where nothing follows, what was is given to the operating system in time."""
+        while True:
+            with self._change:
+                wait_s = None if writer.due_s is None else writer.due_s - time.monotonic()
+                self._change.wait_for(lambda: self._waiting or self._ending, wait_s)
+                item = self._waiting.popleft() if self._waiting else None
+                if item is None and self._ending:
+                    return
+            if item is None:
+                writer.checkpoint()  # without the lock: a slow disk holds up nobody who hands something over
+            else:
+                yield item
 
     def _write(self, writer: BagWriter, item: BagTopic | tuple[str, int, bytes]) -> None:
         if isinstance(item, BagTopic):

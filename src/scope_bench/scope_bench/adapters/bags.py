@@ -1,8 +1,8 @@
 """Reads and writes standard rosbag2 bags (sqlite3 and MCAP) by the rosbags library, with errors that say what to do.
 
 Messages stay the bytes that the middleware delivered (CDR). A bag is written so that it can be read whenever its writer
-ends: the disk is watched and the bag closed before it is full, and once a second all that was received is handed to
-the operating system. What was cut off nevertheless is made whole by :func:`repair`.
+ends: the disk is watched and the bag closed before it is full, and all that was received is handed to the operating
+system within a second. What was cut off nevertheless is made whole by :func:`repair`.
 """
 
 from __future__ import annotations
@@ -89,6 +89,8 @@ class _McapWriter(McapWriter):
     """Writes the checksum of each chunk, by which damage is seen later; rosbags leaves it out."""
 
     def close_chunk(self) -> None:
+        if not self.chunk.msgs:
+            self.chunk.message_start_time = 0  # as the format wants it; rosbags leaves the end of all times there
         start, checksum = self.bio.tell(), zlib.crc32(self.chunk.bio.getvalue())
         super().close_chunk()
         end = self.bio.tell()
@@ -117,6 +119,12 @@ class BagWriter:
     zstd
         Compress the whole file; what pictures have in common is then kept once.
 
+    Attributes
+    ----------
+    due_s
+        When, by ``time.monotonic``, somebody has to call :meth:`checkpoint`, unless a message follows before; None: all
+        was given to the operating system.
+
     Raises
     ------
     BagError
@@ -136,7 +144,8 @@ class BagWriter:
         self.types = types or get_typestore(Stores.ROS2_JAZZY)
         self._connections: dict[str, Connection] = {}
         self.messages = self.bytes = 0
-        self._unchecked, self._flushed_s = 0, time.monotonic()
+        self._unchecked = 0
+        self.due_s: float | None = None
         self._check_disk(next(place for place in (path.absolute(), *path.absolute().parents) if place.is_dir()))
         try:
             # The version of metadata.yaml that Jazzy writes.
@@ -146,6 +155,7 @@ class BagWriter:
             self._writer.open()
         except (OSError, WriterError, sqlite3.Error) as error:
             raise BagError(f"{path} cannot be made: {error}") from error
+        self.checkpoint()  # a file that has not even its beginning is none
 
     def add_topic(self, topic: BagTopic) -> None:
         """Announce a topic.
@@ -161,6 +171,7 @@ class BagWriter:
             self._connections[topic.name] = self._writer.add_connection(
                 topic.name, topic.type, typestore=self.types, offered_qos_profiles=topic.qos
             )
+        self._note_change()
 
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Append a message that was received at ``stamp_ns``.
@@ -176,8 +187,7 @@ class BagWriter:
             self._unchecked = 0
         with self._explaining():
             self._writer.write(self._connections[topic], stamp_ns, data)
-        if time.monotonic() - self._flushed_s > _CHECKPOINT_S:
-            self.checkpoint()
+        self._note_change()
         self.messages += 1
         self.bytes += len(data)
 
@@ -194,8 +204,11 @@ class BagWriter:
                 self._writer.close()
 
     def checkpoint(self) -> None:
-        """Give everything to the operating system, so that it outlives this process; done once a second anyway."""
-        self._flushed_s = time.monotonic()
+        """Give everything to the operating system, so that it outlives this process; done once a second anyway.
+
+        Not where nothing is written any more: see ``due_s``.
+        """
+        self.due_s = None
         storage = self._writer.storage
         with self._explaining():
             if isinstance(storage, Sqlite3Writer):
@@ -204,6 +217,13 @@ class BagWriter:
                 if storage.chunk.bio.tell():
                     storage.close_chunk()
                 storage.bio.flush()
+
+    def _note_change(self) -> None:
+        now_s = time.monotonic()
+        if self.due_s is None:
+            self.due_s = now_s + _CHECKPOINT_S
+        elif now_s >= self.due_s:
+            self.checkpoint()
 
     def _check_disk(self, place: Path) -> None:
         free = shutil.disk_usage(place).free
