@@ -28,7 +28,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as OfficialWriter
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX, PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
@@ -433,6 +433,68 @@ def test_the_check_of_a_bag_passes_over_no_damage_of_one_byte(
             with BagReader(tmp_path / "bag") as bag:
                 assert list(bag.messages()) == rows, (seed, place)
     assert bad > 25
+
+
+MINE = "lab_msgs/msg/Mine"
+
+
+def bag_with_a_definition(folder: Path, rows: list[tuple[str, int, bytes]], encoding: str, definition: str) -> Path:
+    """Write /a, of strings, and /mine, whose type is described so, as MCAP."""
+    folder.mkdir()
+    file = folder / "theirs.mcap"
+    writer = OfficialWriter(str(file), compression=CompressionType.NONE)
+    writer.start("ros2", "test")
+    kinds = {"/mine": (MINE, encoding, definition), "/a": (STRING, "ros2msg", "string data\n")}
+    channels = {
+        topic: writer.register_channel(topic, "cdr", writer.register_schema(kind, form, of.encode()))
+        for topic, (kind, form, of) in kinds.items()
+    }
+    for topic, stamp_ns, data in rows:
+        writer.add_message(channels[topic], stamp_ns, data, stamp_ns)
+    writer.finish()
+    return file
+
+
+def bag_without_a_definition(folder: Path, rows: list[tuple[str, int, bytes]]) -> Path:
+    """Write the same with sqlite3, as an older recorder does, that wrote no definitions."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    types.register(get_types_from_msg("string text", MINE))
+    with BagWriter(folder, "sqlite3", keep_free=0, types=types) as bag:
+        bag.add_topic(BagTopic(name="/mine", type=MINE))
+        bag.add_topic(BagTopic(name="/a", type=STRING))
+        for row in rows:
+            bag.write(*row)
+    with contextlib.closing(sqlite3.connect(storage_file(folder))) as database:
+        database.execute("DELETE FROM message_definitions")
+        database.commit()
+    return storage_file(folder)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "definition"),
+    [
+        ("", ""),
+        ("ros2msg", ""),
+        ("ros2msg", "int32 number="),
+        ("ros2msg", "other_msgs/Unknown inner"),
+        ("ros2msg", "Mine inner"),
+        ("ros2idl", "module lab_msgs { module msg { struct Mine { string text; }; }; };"),
+        ("sqlite3", ""),
+    ],
+)
+def test_a_topic_whose_definition_is_not_known_costs_no_other(encoding: str, definition: str, tmp_path: Path) -> None:
+    rows = [("/mine" if i % 101 == 10 else "/a", i + 1, text(f"{i}")) for i in range(1010)]
+    if encoding == "sqlite3":
+        file = bag_without_a_definition(tmp_path / "bag", rows)
+    else:
+        file = bag_with_a_definition(tmp_path / "bag", rows, encoding, definition)
+    with BagReader(file) as bag:
+        assert list(bag.messages()) == rows
+    count, end = repair(file, tmp_path / "new")
+    assert (count, end) == (1000, f"{file.name}: /mine: the definition of {MINE} is not known")
+    with BagReader(tmp_path / "new") as bag:
+        assert list(bag.messages()) == [row for row in rows if row[0] == "/a"]
+        assert bag.decode(rows[3][2], STRING).data == "3"
 
 
 @both

@@ -30,7 +30,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderEr
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, McapWriter
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from scope_bench.core.mcap_records import whole_messages
@@ -165,7 +165,7 @@ class BagWriter:
         BagError
             If the definition of its type is not known.
         """
-        if topic.type not in self.types.types:
+        if not _describes(self.types, topic.type):
             raise BagError(f"{topic.name}: the definition of {topic.type} is not known")
         with self._explaining():
             self._connections[topic.name] = self._writer.add_connection(
@@ -388,15 +388,19 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
         plain = {_unpacked(file, Path(folder), ends): file.name for file in files}
         types = _types_in(list(plain))
         with BagWriter(out, "sqlite3" if next(iter(plain)).suffix == ".db3" else "mcap", types=types) as writer:
-            known: set[str] = set()
+            known: dict[str, bool] = {}
             for file, name in plain.items():
                 missing: list[str] = []
                 try:
                     for topic, stamp_ns, data in _salvaged(file, missing):
                         if topic.name not in known:
-                            writer.add_topic(topic)
-                            known.add(topic.name)
-                        writer.write(topic.name, stamp_ns, data)
+                            known[topic.name] = _describes(types, topic.type)
+                            if known[topic.name]:
+                                writer.add_topic(topic)
+                            else:
+                                missing.append(f"{topic.name}: the definition of {topic.type} is not known")
+                        if known[topic.name]:
+                            writer.write(topic.name, stamp_ns, data)
                 except (*_READ_ERRORS, sqlite3.Error) as error:
                     missing.append(_reason(error))
                 ends += [f"{name}: {reason}" for reason in missing]
@@ -508,7 +512,10 @@ def _types_in(files: Sequence[Path]) -> Typestore:
                     definitions |= {c.msgtype: c.definition for c, _, _ in whole_messages(stream, _UNPACK, [])}
             else:
                 with contextlib.closing(_rolled_back(file)) as database:
-                    rows = database.execute("SELECT topic_type, encoded_message_definition FROM message_definitions")
+                    rows = database.execute(
+                        "SELECT topic_type, encoded_message_definition FROM message_definitions "
+                        "WHERE encoding = 'ros2msg'"
+                    )
                     definitions |= dict(rows.fetchall())
     return _with_definitions(definitions)
 
@@ -522,9 +529,21 @@ def _with_definitions(definitions: dict[str, str]) -> Typestore:
     types = get_typestore(Stores.ROS2_JAZZY)
     for name, text in definitions.items():
         if name not in types.types and text:
-            new = get_types_from_msg(text, name)
-            types.register({key: value for key, value in new.items() if key not in types.types})
+            # One that cannot be understood makes only its own topics unknown.
+            with contextlib.suppress(TypesysError):
+                new = get_types_from_msg(text, name)
+                types.register({key: value for key, value in new.items() if key not in types.types})
     return types
+
+
+def _describes(types: Typestore, kind: str) -> bool:
+    """Return whether a type is known with all that it consists of, as a bag's metadata needs it."""
+    try:
+        types.generate_msgdef(kind, ros_version=2)
+        types.hash_rihs01(kind)
+    except (TypesysError, KeyError, RecursionError):  # a type may say that it contains itself
+        return False
+    return True
 
 
 def _qos_of(connection: Connection) -> tuple[Qos, ...]:

@@ -25,7 +25,7 @@ _MAX_RECORD = 1 << 32
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class McapChannel:
-    """A topic: its type, the type's definition, and the offered QoS as YAML text."""
+    """A topic: its type, the type's definition as .msg text (empty if it is in another form), and the QoS as YAML."""
 
     topic: str
     msgtype: str
@@ -155,8 +155,8 @@ class _Reading:
         """Learn from a record, and return its message if it is one of a known topic."""
         fields = _Fields(data)
         if kind == 0x03:
-            key, name, _, definition = fields.number(2), fields.text(), fields.text(), fields.text()
-            self._schemas[key] = (name, definition)
+            key, name, form, definition = fields.number(2), fields.text(), fields.text(), fields.text()
+            self._schemas[key] = (name, definition if form == "ros2msg" else "")
         elif kind == 0x04:
             key, schema, topic, _ = fields.number(2), fields.number(2), fields.text(), fields.text()
             qos = fields.texts().get("offered_qos_profiles", "")
