@@ -159,6 +159,13 @@ def test_cameras_on_the_carriage_see_the_tip_at_each_height_in_turn() -> None:
     assert len(fixed) - len(riding) == 12
 
 
+def test_cameras_on_the_carriage_that_do_not_see_the_tip_have_no_use_for_a_way_down() -> None:
+    riding = RunConfig(mounting="carriage")
+    above = plan(riding, see_tip=False)
+    assert {s.z for s in above} == {0.0}
+    assert [(s.x, s.y, s.purpose) for s in above] == [(s.x, s.y, s.purpose) for s in plan(riding)]
+
+
 def test_backlash_is_told_by_neighbours_entered_from_both_sides() -> None:
     stops = plan(RunConfig())
     for axis, below, above in (("x", Purpose.X_BELOW, Purpose.X_ABOVE), ("y", Purpose.Y_BELOW, Purpose.Y_ABOVE)):
@@ -221,6 +228,40 @@ def test_a_panel_that_is_too_near_is_not_touched_by_the_calibration(distance_m: 
 
 def test_a_panel_that_is_far_enough_is_no_reason() -> None:
     assert isinstance(machine(face=face_below(0.031)).end, Finished)
+
+
+def test_a_place_that_was_not_seen_from_above_is_looked_at_again_before_the_stylus_is_lowered_there() -> None:
+    def blind_at_the_first(rig: Machine, number: int) -> None:
+        rig.blind = number == 2
+
+    near = machine(fault=blind_at_the_first, face=face_below(0.018))
+    assert isinstance(near.end, Failed) and "the stylus could touch the panel" in near.end.reason
+    assert near.goals == [(0.027, 0.027, 0.0), (0.03, 0.03, 0.0), (0.03, 0.03, 0.0)]
+    far = machine(fault=blind_at_the_first, face=face_below(0.031))
+    assert isinstance(far.end, Finished)
+    assert far.goals[1:4] == [(0.03, 0.03, 0.0), (0.03, 0.03, 0.0), (0.03, 0.03, -0.012)]
+    assert (far.progress[-1].done, far.progress[-1].total, far.progress[-1].note) == (36, 36, "1 missed")
+
+
+def test_the_stylus_is_not_lowered_where_it_is_not_seen_from_above() -> None:
+    def blind_at_the_first(rig: Machine, number: int) -> None:
+        rig.blind = rig.goals[-1][:2] == (0.03, 0.03)
+
+    rig = machine(fault=blind_at_the_first, face=face_below(0.031))
+    assert isinstance(rig.end, Finished)
+    assert rig.goals[1:4] == [(0.03, 0.03, 0.0), (0.03, 0.03, 0.0), (rig.goals[4][0], 0.03, 0.0)]
+    assert [z for _, _, z in rig.goals].count(-0.012) == 11
+    assert (rig.progress[-1].done, rig.progress[-1].total, rig.progress[-1].note) == (36, 36, "2 missed")
+
+
+def test_a_panel_that_leans_is_not_touched_at_the_held_out_places() -> None:
+    lean = np.asarray(cv2.Rodrigues(np.array([0.0, np.radians(3.0), 0.0]))[0], dtype=float)
+    face = POSE @ Transform(lean, np.array([0.02, 0.025, -0.022]))
+    rig = machine(face=face, heights_m=(0.0,), held_out_height_m=-0.012)
+    heights = face.inverse().apply(POSE.apply(np.array(rig.goals)))[:, 2]
+    assert heights[0] < 0.024 and heights.max() > 0.037, "no room on the left, and much on the right"
+    assert heights.min() > 0.017, "above the tallest control"
+    assert isinstance(rig.end, Failed) and "lowered by 12.0 mm the stylus could touch" in rig.end.reason
 
 
 @pytest.mark.parametrize("scale", [2.0, 0.5, 0.0])

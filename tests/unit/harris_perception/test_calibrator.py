@@ -5,14 +5,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from datetime import datetime
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from unit.harris_perception.rectified_pair import camera, stored_calibration
 from unit.harris_perception.test_calibration_run import AXES, POSE
 
 from harris_perception.core.calibration_file import StoredCalibration
-from harris_perception.core.calibration_run import RunConfig, SendGoal, StillConfig
+from harris_perception.core.calibration_run import RunConfig, SendGoal, StillConfig, plan
 from harris_perception.core.calibrator import (
     Action,
     Calibrator,
@@ -23,7 +25,9 @@ from harris_perception.core.calibrator import (
     SetPose,
     SetState,
 )
+from harris_perception.core.carriage_camera import Contact
 from harris_perception.core.drift import DriftConfig
+from harris_perception.core.planar_pose import FacePoints
 from icu_common.core.frames import PANEL
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.results import GoalResult, Outcome
@@ -113,6 +117,78 @@ def test_a_run_lowers_the_stylus_onto_no_control_of_the_panel_that_is_seen() -> 
             goal = next((action for action in actions if isinstance(action, SendGoal)), None)
         assert (goal is None) is bool(said), "lowered only where there is room for it"
         assert said in calibrator.state and calibrator.running is not bool(said)
+
+
+def ride(calibrator: Calibrator, base_from_panel: Transform, unseen: Sequence[int] = ()) -> list[Array]:
+    """Run with cameras on the carriage, to which the panel and the tip show themselves; return the goals (3,)."""
+    now, goals, actions = NOW_NS, list[Array](), calibrator.run(NOW_NS)
+    while sent := [action for action in actions if isinstance(action, SendGoal)]:
+        (goal,) = sent
+        x, y, z = goal.xyz
+        goals.append(np.array(goal.xyz))
+        now += 100 * MS
+        calibrator.take_reading(now, np.array([x, y, -z]))
+        actions = []
+        for outcome in (Outcome.ACCEPTED, Outcome.REACHED):
+            actions += calibrator.take_result(GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome), now)
+        if any(isinstance(action, SendGoal) for action in actions):
+            continue
+        seen = POSE @ Transform(np.eye(3), np.array([-x, -y, 0.0])) @ base_from_panel
+        for stamp in range(now + MS, now + 4 * MS, MS):
+            actions += calibrator.take_panel(stamp, seen, stamp)
+            actions += calibrator.take_points(stamp, FacePoints.joined([]), stamp)
+            if len(goals) not in unseen:
+                actions += calibrator.take_tip(stamp, POSE.apply(np.array([0.0, 0.0, z])), stamp)
+        if not actions:
+            now += 60 * NANO
+            calibrator.take_reading(now, np.array([x, y, -z]))
+            actions = calibrator.tick(now)
+    return goals
+
+
+def riding(**run: Any) -> Calibrator:
+    """Return one with cameras on the carriage, and a panel with a knob of 15 mm, which with the ball is 17 mm."""
+    config = RunConfig(mounting="carriage", **run)
+    calibrator = Calibrator(CalibratorConfig(machine="bench", run=config, still=CONFIG.still))
+    for side, baseline in (("left", 0.0), ("right", 0.12)):
+        calibrator.take_camera(side, camera(baseline_m=baseline), NOW_NS)
+    calibrator.take_driver("idle", NOW_NS)
+    calibrator.take_controls({"KNOB": np.array([0.1, 0.05, 0.015])})
+    return calibrator
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "lean_deg", "lowered"),
+    [(0.0305, 0.0, 10), (0.0305, 1.0, 0), (0.0305, 2.0, 0), (0.0305, -2.0, 10), (0.036, 1.0, 10), (0.036, 2.0, 1)],
+)
+def test_a_panel_that_leans_is_not_touched_with_cameras_on_the_carriage(
+    distance_m: float, lean_deg: float, lowered: int
+) -> None:
+    lean = np.asarray(cv2.Rodrigues(np.array([0.0, np.radians(-lean_deg), 0.0]))[0], dtype=float)
+    panel = Transform(lean, np.array([0.03, 0.03, -distance_m]))
+    calibrator = riding()
+    goals = np.array(ride(calibrator, panel))
+    assert panel.inverse().apply(goals)[:, 2].min() > 0.017, "above the knob and the ball's radius"
+    assert int((goals[:, 2] < 0.0).sum()) == lowered
+    assert ("could touch the panel" in calibrator.state) is (lowered < 10), calibrator.state
+    assert not calibrator.running
+
+
+def test_a_tip_that_is_unseen_from_above_is_not_lowered_with_cameras_on_the_carriage() -> None:
+    calibrator = riding()
+    # The third goal is the first way down: its place is looked at from above first.
+    goals = ride(calibrator, Transform(np.eye(3), np.array([0.03, 0.03, -0.0305])), unseen=(3,))
+    assert [float(goal[2]) for goal in goals[:5]] == [0.0, 0.0, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose([goal[0] for goal in goals[1:4]], (0.03, 0.13, 0.23))
+    assert int((np.array(goals)[:, 2] < 0.0).sum()) == 9
+
+
+def test_cameras_that_see_no_tip_lower_nothing() -> None:
+    calibrator = riding()
+    calibrator.contacts = [Contact(reading=np.array([0.1, 0.1, 0.016]), in_panel=np.array([0.1, 0.1, 0.002]))]
+    goals = ride(calibrator, Transform(np.eye(3), np.array([0.03, 0.03, -0.018])), unseen=range(100))
+    assert len(goals) == len(plan(RunConfig(mounting="carriage"))), "all the way to its end"
+    assert {float(goal[2]) for goal in goals} == {0.0}
 
 
 def test_a_camera_that_changes_ends_the_run_and_withdraws_the_calibration() -> None:

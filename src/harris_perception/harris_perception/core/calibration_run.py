@@ -101,6 +101,8 @@ _PANEL_S = 2.0
 """The panel is seen at least so often where it is looked at; recognition may be slow."""
 CLEAR_M = 0.001
 """So far the ball stays above whatever stands highest on the panel: nothing is to be touched by a calibration."""
+_LEAN = 0.1
+"""No panel leans more (rad): so much nearer than where it was looked at it may be, as a part of the way from there."""
 NEVER_SEEN = (
     "the tip was nowhere seen by both cameras: are left and right swapped, is one upside down, out of focus, or is the "
     "ball another one? The stylus tracker's diagnostics say more"
@@ -201,6 +203,7 @@ class Purpose(str, Enum):
     """Why the run goes to a place."""
 
     APPROACH = "approach"
+    ABOVE = "above"
     FIT = "fit"
     CHECK = "check"
     X_BELOW = "x from below"
@@ -224,8 +227,11 @@ class Stop:
     purpose: Purpose
 
 
-def plan(config: RunConfig) -> list[Stop]:
-    """Return the goals in order: each place is entered towards +x and +y, so that the backlash is always taken up."""
+def plan(config: RunConfig, *, see_tip: bool = True) -> list[Stop]:
+    """Return the goals in order: each place is entered towards +x and +y, so that the backlash is always taken up.
+
+    Where the cameras do not see the tip, a way down tells nothing, and nothing would tell how far it may go.
+    """
     xs = np.linspace(config.x_min_m, config.x_max_m, config.columns)
     ys = np.linspace(config.y_min_m, config.y_max_m, config.rows)
     back = config.approach_m
@@ -236,7 +242,7 @@ def plan(config: RunConfig) -> list[Stop]:
             heights = config.heights_m
             if config.mounting == "carriage":
                 # The panel looks the same from each height, and the tip moves with nothing else.
-                heights = heights[(row + column) % len(heights) :][:1]
+                heights = heights[(row + column) % len(heights) :][:1] if see_tip else (0.0,)
             stops += [Stop(float(x), float(y), z, Purpose.FIT) for z in heights]
     between = [(float(x), float(y)) for y in (ys[1:] + ys[:-1]) / 2 for x in (xs[1:] + xs[:-1]) / 2]
     # Places at the golden ratio's steps are spread evenly however many are wanted.
@@ -244,7 +250,7 @@ def plan(config: RunConfig) -> list[Stop]:
     chosen = list(dict.fromkeys([*spread, *range(len(between))]))[: config.held_out]
     for x, y in (between[i] for i in sorted(chosen)):
         stops.append(Stop(x - back, y - back, 0.0, Purpose.APPROACH))
-        stops.append(Stop(x, y, config.held_out_height_m, Purpose.CHECK))
+        stops.append(Stop(x, y, config.held_out_height_m if see_tip else 0.0, Purpose.CHECK))
     stops += _from_both_sides(config)
     last = stops[-1]
     return [*stops, Stop(last.x, last.y, 0.0, Purpose.PARK)]
@@ -350,7 +356,7 @@ class CalibrationRun:
         self._see_panel = config.mounting == "carriage"
         self._see_tip = not (self._see_panel and contacts)
         self._watch = StillWatch(still)
-        self._stops = plan(config)
+        self._stops = plan(config, see_tip=self._see_tip)
         self._places = sum(s.purpose in _SAMPLED for s in self._stops)
         self._index = -1
         self._goal_id = ""
@@ -362,7 +368,7 @@ class CalibrationRun:
         self._missed: list[str] = []
         self._face: Transform | None = None
         self._proud_m = 0.0
-        self._height_m: float | None = None
+        self._looks: dict[tuple[float, float], tuple[Transform | None, Array, float]] = {}
         self._upper: tuple[Stop, Array] | None = None
         self._wrong_ways = 0
         self.over = False
@@ -421,15 +427,15 @@ class CalibrationRun:
             return []
         stop = self._stops[self._index]
         if sample is not None:
-            self._samples[stop.purpose].append(sample)
             if wrong := self._wrong_way(stop, sample.tip):
                 return self._fail(wrong)
-            face = self._face if panel is None else panel.camera_from_panel
-            if face is not None:
-                self._height_m = float(face.inverse().apply(sample.tip)[2]) - stop.z
-        if panel is not None:
-            self._panels[stop.purpose].append(panel)
-        self._done += 1
+            self._looks[stop.x, stop.y] = None if panel is None else panel.camera_from_panel, sample.tip, stop.z
+        if stop.purpose is not Purpose.ABOVE:
+            if sample is not None:
+                self._samples[stop.purpose].append(sample)
+            if panel is not None:
+                self._panels[stop.purpose].append(panel)
+            self._done += 1
         return list(self._next(now_ns))
 
     def _wrong_way(self, stop: Stop, tip: Array) -> str:
@@ -448,16 +454,30 @@ class CalibrationRun:
             "($102), whether it is stuck, and the camera calibration"
         )
 
-    def _too_low(self, stop: Stop) -> str:
-        """Return why the stylus must not be lowered so far, where panel and tip have been seen."""
-        if stop.z == 0 or self._height_m is None:
-            return ""
-        left_m = self._height_m - self._proud_m + stop.z
-        if left_m >= CLEAR_M:
-            return ""
+    def _height(self, stop: Stop) -> tuple[float, float]:
+        """Return how far the homed tip is above the panel at the nearest place that was looked at, and how far off."""
+        if not self._looks:
+            return -np.inf, np.inf
+        x, y = min(self._looks, key=lambda place: np.hypot(place[0] - stop.x, place[1] - stop.y))
+        seen, tip, z = self._looks[x, y]
+        # Before fixed cameras the panel may have been recognised, or moved, since the tip was seen there.
+        face = self._face if seen is None else seen
+        assert face is not None
+        return float(face.inverse().apply(tip)[2]) - z, float(np.hypot(x - stop.x, y - stop.y))
+
+    def _room(self, stop: Stop) -> bool | str:
+        """Return whether the stylus may be lowered so far, as far as is known; or why it must not be."""
+        if stop.z == 0 or not (self._see_panel or self._face is not None):
+            return True
+        height_m, away_m = self._height(stop)
+        left_m = height_m - self._proud_m + stop.z
+        if left_m >= CLEAR_M + _LEAN * away_m:
+            return True
+        if away_m > 0:
+            return False
         return (
             f"lowered by {-stop.z * 1e3:.1f} mm the stylus could touch the panel, above which its tip is "
-            f"{self._height_m * 1e3:.1f} mm (the tallest control and the ball take {self._proud_m * 1e3:.1f}): put the "
+            f"{height_m * 1e3:.1f} mm (the tallest control and the ball take {self._proud_m * 1e3:.1f}): put the "
             f"instrument {(CLEAR_M - left_m) * 1e3:.1f} mm further away, or let run.heights_m and held_out_height_m go "
             "less far"
         )
@@ -476,7 +496,9 @@ class CalibrationRun:
         self._missed.append(next((why for why in (tip, panel) if isinstance(why, str)), "it was seen too late"))
         if len(self._missed) > self._config.max_missed * self._places:
             missed = f"{len(self._missed)} of {self._places} places gave no sample; last: {self._missed[-1]}"
-            return self._fail(missed if self._done or not self._see_tip else f"{missed}; {NEVER_SEEN}")
+            return self._fail(missed if self._looks or not self._see_tip else f"{missed}; {NEVER_SEEN}")
+        if self._stops[self._index].purpose is Purpose.ABOVE:
+            self._index += 1  # what is missed is the way down after it
         return list(self._next(now_ns))
 
     def _next(self, now_ns: int) -> Iterator[Action]:
@@ -487,9 +509,13 @@ class CalibrationRun:
             yield self._solve()
             return
         stop = self._stops[self._index]
-        if low := self._too_low(stop):
-            yield from self._fail(low)
+        room = self._room(stop)
+        if isinstance(room, str):
+            yield from self._fail(room)
             return
+        if not room:
+            stop = Stop(stop.x, stop.y, 0.0, Purpose.ABOVE)
+            self._stops.insert(self._index, stop)
         self._goal_id, self._accepted, self._arrived = str(now_ns), False, False
         self._deadline_ns = now_ns + int(self._config.accept_timeout_s * 1e9)
         x, y = (float(v) for v in self._axes @ np.array([stop.x, stop.y]))
