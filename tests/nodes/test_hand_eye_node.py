@@ -356,6 +356,10 @@ def test_calibration_in_use_is_withdrawn_when_the_camera_has_none_any_more(ros: 
     )
     rig.say_driver("idle")
     assert rig.call("run") == (False, "no camera_info of the left camera has arrived")
+    ros.spin_until(lambda: not rig.axes[-1].data, 10.0)
+    rig.cameras()
+    ros.spin_until(lambda: rig.state.startswith("calibrated") and rig.axes[-1].data, 10.0, lambda: rig.state)
+    assert list(rig.axes[-1].data) == AXES.ravel().tolist()
 
 
 @pytest.mark.parametrize(

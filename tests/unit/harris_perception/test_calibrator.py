@@ -207,6 +207,90 @@ def test_a_camera_that_changes_ends_the_run_and_withdraws_the_calibration() -> N
     assert calibrator.close() == [], "there is no run any more that could be cut short"
 
 
+def used_again(actions: Sequence[Action], calibrator: Calibrator) -> bool:
+    """Tell whether the stored calibration is in use, and was said to be by these actions."""
+    axes = [action.base_from_reading for action in actions if isinstance(action, SetAxes)]
+    assert (calibrator.stored is STORED) is bool(axes), kinds(actions)
+    if not axes:
+        return False
+    np.testing.assert_array_equal(axes[0], AXES)
+    assert kinds(actions) == ["SetAxes", "SetPose", "SetState"]
+    assert calibrator.state == f"calibrated: {STORED.summary()}" and calibrator.level == "ok"
+    return True
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_withdrawn_calibration_is_used_again_with_the_very_same_camera(side: str) -> None:
+    calibrator, baseline_m = calibrated(), 0.12 * (side == "right")
+    withdrawn = calibrator.lose_camera(side, 640, 360)
+    assert isinstance(withdrawn[0], SetAxes) and withdrawn[0].base_from_reading is None
+    for camera_seen, why in (
+        (camera(1710.0, baseline_m=baseline_m), f"the {side} camera's calibration has changed by"),
+        (
+            dataclasses.replace(camera(baseline_m=baseline_m), width=640),
+            f"a {side} picture of 1280 x 720 px, now it has",
+        ),
+    ):
+        assert not used_again(calibrator.take_camera(side, camera_seen, NOW_NS), calibrator)
+        assert calibrator.state.startswith("failed: the stored calibration is refused: ") and why in calibrator.state
+        assert not used_again(calibrator.take_settings("", NOW_NS), calibrator)
+    assert used_again(calibrator.take_camera(side, camera(baseline_m=baseline_m), NOW_NS + 1), calibrator)
+    changed = calibrator.take_camera("left", camera(1710.0), NOW_NS + 2)
+    assert kinds(changed) == ["SetAxes", "Note", "SetState"]
+    assert (
+        "the calibration in use is refused: the left camera's calibration has changed by 10.00 px" in calibrator.state
+    )
+    assert used_again(calibrator.take_camera("left", camera(), NOW_NS + 3), calibrator)
+
+
+def test_the_file_is_used_once_its_cameras_come_after_others() -> None:
+    calibrator = Calibrator(CONFIG)
+    calibrator.offer(STORED)
+    calibrator.take_camera("left", camera(1710.0), NOW_NS)
+    assert kinds(calibrator.take_camera("right", camera(baseline_m=0.12), NOW_NS)) == ["Note", "SetState"]
+    refused = (
+        "failed: the stored calibration is refused: the left camera's calibration has changed by 10.00 px since it"
+    )
+    assert calibrator.state.startswith(refused)
+    assert calibrator.take_settings("$100=80.000", NOW_NS) == [], "that is said once"
+    assert used_again(calibrator.take_camera("left", camera(), NOW_NS + 1), calibrator)
+
+
+def test_settings_that_come_back_bring_the_calibration_back_but_not_into_a_run() -> None:
+    stored = dataclasses.replace(STORED, settings="$100=80.000")
+    calibrator = calibrated(stored)
+    assert kinds(calibrator.take_settings("$100=40.000", NOW_NS)) == ["SetAxes", "Note", "SetState"]
+    assert "the calibration in use is refused: the machine's settings have changed" in calibrator.state
+    calibrator.take_driver("idle", NOW_NS)
+    calibrator.run(NOW_NS)
+    assert calibrator.take_settings("$100=80.000", NOW_NS) == [], "the run's goals are made for other axes"
+    calibrator.take_driver("alarm: hard limit", NOW_NS)
+    assert calibrator.stored is None and calibrator.state == "failed: the driver says 'alarm: hard limit'"
+    assert kinds(calibrator.take_settings("$100=80.000", NOW_NS)) == ["SetAxes", "SetPose", "SetState"]
+    assert calibrator.stored is stored
+    other = dataclasses.replace(CONFIG, machine="other")
+    assert kinds(calibrator.configure(other, NOW_NS)) == ["SetAxes", "Note", "SetState"]
+    assert kinds(calibrator.configure(CONFIG, NOW_NS)) == ["SetAxes", "SetPose", "SetState"]
+    assert calibrator.stored is stored
+
+
+def test_a_withdrawn_calibration_does_not_replace_the_one_that_was_made_since() -> None:
+    calibrator, now = calibrated(dataclasses.replace(STORED, settings="$100=80.000")), NOW_NS
+    calibrator.take_settings("$100=40.000", now)
+    for x, y in ((0.05, 0.05), (0.15, 0.05), (0.25, 0.05), (0.05, 0.15), (0.15, 0.15), (0.25, 0.15)):
+        now += 1000 * MS
+        look(calibrator, np.array([x, y, 0.0]), now)
+        calibrator.add_sample(now + 4 * MS)
+    calibrator.solve(now)
+    made = calibrator.stored
+    assert made is not None and (made.samples, made.settings) == (6, "$100=40.000")
+    assert kinds(calibrator.take_settings("$100=80.000", now)) == ["SetAxes", "Note", "SetState"]
+    assert calibrator.stored is None and "$100 was 40.000, now 80.000" in calibrator.state
+    assert calibrator.take_settings("$100=80.000", now) == []
+    calibrator.take_settings("$100=40.000", now)
+    assert calibrator.stored is made
+
+
 def test_cameras_on_the_carriage_move_with_every_reading_that_differs() -> None:
     riding = dataclasses.replace(CONFIG, run=dataclasses.replace(CONFIG.run, mounting="carriage"))
     calibrator = calibrated(dataclasses.replace(STORED, mounting="carriage"), riding)
@@ -286,5 +370,5 @@ def test_other_limits_of_drift_do_not_end_what_is_said_of_a_run() -> None:
     assert "drift: the tip" in calibrator.state
     calibrator.take_driver("idle", now)
     calibrator.run(now)
-    assert calibrator.configure(dataclasses.replace(CONFIG, drift=DriftConfig(times=2, max_tip_m=0.01))) == []
+    assert calibrator.configure(dataclasses.replace(CONFIG, drift=DriftConfig(times=2, max_tip_m=0.01)), now) == []
     assert calibrator.state.startswith("calibrating 0/")

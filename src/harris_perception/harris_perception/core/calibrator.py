@@ -127,7 +127,9 @@ class Calibrator:
         self.stored: StoredCalibration | None = None
         self._looked_ns = [0, 0]
         self._solved: HandEye | None = None
+        # From the file, or withdrawn: used as soon as it fits. And why it does not, as was said.
         self._loaded: StoredCalibration | None = None
+        self._refused = ""
         self._run: CalibrationRun | None = None
         self._panel: Transform | None = None
         self._controls: dict[str, Array] = {}
@@ -142,7 +144,7 @@ class Calibrator:
     def _on_carriage(self) -> bool:
         return self.config.run.mounting == "carriage"
 
-    def configure(self, config: CalibratorConfig) -> list[Action]:
+    def configure(self, config: CalibratorConfig, now_ns: int) -> list[Action]:
         """Go on with other settings."""
         self.config, self.watch = config, StillWatch(config.still)
         actions: list[Action] = []
@@ -150,7 +152,7 @@ class Calibrator:
             told, self.drift = self.drift.text, DriftWatch(config.drift, self.stored)
             if told and self._run is None:
                 actions += self._set_state(f"calibrated: {self.stored.summary()}")
-        return actions + self._check_used()
+        return actions + self._check(now_ns)
 
     def close(self) -> list[Action]:
         """Say that a run was cut short; the controller finishes the goal it has and then rests."""
@@ -173,7 +175,7 @@ class Calibrator:
         if side in self.cameras:
             actions = self._forget_seen(f"the {side} camera's calibration has changed meanwhile")
         self.cameras[side] = camera
-        return actions + self._check_used() + self._check_loaded(now_ns)
+        return actions + self._check(now_ns)
 
     def lose_camera(self, side: str, width: int, height: int) -> list[Action]:
         """Use no calibration with a camera that has become another, and does not say which."""
@@ -243,7 +245,7 @@ class Calibrator:
     def take_settings(self, text: str, now_ns: int) -> list[Action]:
         """Take the board's settings."""
         self._settings = text
-        return self._check_used() + self._check_loaded(now_ns)
+        return self._check(now_ns)
 
     def take_contact(self, point: Array, frame: str, now_ns: int) -> list[Action]:
         """Keep that the stylus touches this point (3,) m of the panel now."""
@@ -406,6 +408,7 @@ class Calibrator:
 
     def _use(self, calibration: StoredCalibration, solved: HandEye | None, now_ns: int) -> list[Action]:
         self.stored, self._solved = calibration, solved
+        self._loaded, self._refused = None, ""
         self.drift = DriftWatch(self.config.drift, calibration)
         return [
             SetAxes(calibration.base_from_reading),
@@ -421,35 +424,43 @@ class Calibrator:
         return [SetPose(calibration.camera_from_base_at(reading), stamp_ns)]
 
     def _withdraw(self, why: str) -> list[Action]:
-        """Take the calibration in use back: without axes nothing is touched any more."""
+        """Take the calibration in use back, until it fits again: without axes nothing is touched any more."""
+        self._loaded, self._refused = self.stored, why
         self.stored, self._solved, self.drift = None, None, None
         reason = f"the calibration in use is refused: {why}"
         return [SetAxes(None), Note("error", reason), *self._set_state(f"failed: {reason}")]
 
-    def _check_used(self) -> list[Action]:
+    def _check(self, now_ns: int) -> list[Action]:
+        """Look anew whether the calibration in use, or else the one that waits, fits what is known now."""
+        return self._check_loaded(now_ns) if self.stored is None else self._check_used(self.stored)
+
+    def _check_used(self, used: StoredCalibration) -> list[Action]:
         """Refuse the calibration in use when the camera, the resolution or the machine's settings have changed."""
-        if self.stored is None or "left" not in self.cameras:
+        if "left" not in self.cameras:
             return []
         try:
-            self._check(self.stored)
+            self._check_fit(used)
         except CalibrationFileError as error:
             return self._withdraw(str(error))
         return []
 
     def _check_loaded(self, now_ns: int) -> list[Action]:
-        """Use the file once the cameras are known, unless a newer calibration came first."""
+        """Use what was in the file, or was withdrawn, once it fits the cameras and a run is not made for other axes."""
         loaded, left, right = self._loaded, self.cameras.get("left"), self.cameras.get("right")
-        if loaded is None or left is None or (right is None and loaded.right is not None) or self.stored is not None:
+        if loaded is None or left is None or (right is None and loaded.right is not None) or self._run is not None:
             return []
-        self._loaded = None
         try:
-            self._check(loaded)
+            self._check_fit(loaded)
         except CalibrationFileError as error:
-            note = Note("error", f"{self.config.calibration_file}: {error}")
-            return [note, *self._set_state(f"failed: the stored calibration is refused: {error}")]
+            # Said once: what has been said since, as of a run, is newer.
+            if str(error) == self._refused:
+                return []
+            self._refused = str(error)
+            reason = f"the stored calibration is refused: {error}"
+            return [Note("error", reason), *self._set_state(f"failed: {reason}")]
         return self._use(loaded, None, now_ns)
 
-    def _check(self, calibration: StoredCalibration) -> None:
+    def _check_fit(self, calibration: StoredCalibration) -> None:
         config, cameras = self.config, self.cameras
         mounting = config.run.mounting
         check_fits(calibration, cameras["left"], cameras.get("right"), config.machine, self._settings, mounting)

@@ -101,7 +101,7 @@ class HandEyeNode(Node):
         return int(self.get_clock().now().nanoseconds)
 
     def _on_config(self, config: CalibratorConfig) -> None:
-        self._act(self.calibrator.configure(config))
+        self._act(self.calibrator.configure(config, self._now_ns()))
 
     def _load(self) -> None:
         path = self._live.config.calibration_file
