@@ -110,6 +110,27 @@ def test_a_stem_before_the_ball_is_no_reason_for_doubt(seed: int) -> None:
     assert np.abs(found.tip - tip).max() < 0.0002
 
 
+def test_the_error_is_the_same_at_both_ends_of_the_travel() -> None:
+    """The ball is as much nearer to one camera than to the other as it is farther at the other end."""
+    stereo = stereo_model(1280, 720)
+    look = Look(shaft_from=0.016, shaft_radius=0.0005, noise=1.6, blur_px=0.55)
+    errors_mm, rows_px = [], []
+    for x in (-0.09, 0.21):
+        off, rows = [], []
+        for seed in range(8):
+            rng = np.random.default_rng(100 + seed)
+            tip = np.array([x + rng.uniform(-0.003, 0.003), rng.uniform(-0.06, 0.06), 0.66])
+            found = StylusTracker(StylusConfig(), stereo).find(*render(stereo, tip, rng, look))
+            assert found.tip is not None and found.left is not None and found.right is not None, found.reason
+            off.append((found.tip - tip) * 1e3)
+            rows.append(found.left.centre_px[1] - found.right.centre_px[1])
+        errors_mm.append(np.mean(off, axis=0))
+        rows_px.append(np.mean(rows))
+    print(np.round(errors_mm, 3), np.round(rows_px, 3))
+    assert np.abs(errors_mm[0] - errors_mm[1])[:2].max() < 0.015
+    assert abs(rows_px[0] - rows_px[1]) < 0.06
+
+
 def test_the_ball_is_found_again_after_a_jump_out_of_the_search_window() -> None:
     track = tracker(search_margin_px=20)
     for tip in (TIP, TIP + [0.0005, 0.0, 0.0], TIP + [0.05, 0.04, -0.05]):

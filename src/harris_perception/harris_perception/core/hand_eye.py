@@ -49,7 +49,7 @@ class HandEyeConfig(Config):
         unit="px",
     )
     common_error: float = setting(
-        1.25,
+        1.15,
         "Error that all samples share (the ball's shading) and no number of them reduces, as a part of one sample's",
         minimum=0.0,
         maximum=5.0,

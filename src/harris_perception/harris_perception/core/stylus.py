@@ -8,6 +8,7 @@ is an exact circle, whatever the lens distortion and the place in the picture.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -171,16 +172,19 @@ class StylusTracker:
     def _windows(self) -> Iterator[tuple[Window, Window]]:
         whole = [(0, 0, model.width, model.height) for model in (self.stereo.left, self.stereo.right)]
         if self._last is not None:
-            margin = self.config.search_margin_px + self._radius_px(self._last)
+            margin = self.config.search_margin_px + max(self._radii_px(self._last))
             seen = (self.stereo.left.project(self._last)[0], self.stereo.project_right(self._last)[0])
             near = [_around(at, margin, window) for at, window in zip(seen, whole)]
             yield near[0], near[1]
         yield whole[0], whole[1]
 
-    def _radius_px(self, tip: Array) -> float:
+    def _radii_px(self, tip: Array) -> tuple[float, float]:
+        """Return the ball's radius in either picture: at the ends of the travel they differ by some per cent."""
         # A sphere of radius R at distance D is seen under the angle asin(R / D); its tangent is R / sqrt(D^2 - R^2).
         radius = 0.5 * self.config.ball_diameter_m
-        return float(self.stereo.focal_px * radius / np.sqrt(max(float(tip @ tip) - radius**2, radius**2)))
+        squares = (float(np.sum((tip - (eye, 0.0, 0.0)) ** 2)) for eye in (0.0, self.stereo.baseline))
+        left, right = (self.stereo.focal_px * radius / math.sqrt(max(d - radius**2, radius**2)) for d in squares)
+        return left, right
 
     def _search(self, pictures: tuple[Picture, Picture], windows: tuple[Window, Window]) -> Search:
         models = (self.stereo.left, self.stereo.right)
@@ -240,16 +244,16 @@ class StylusTracker:
     ) -> Search:
         models = (self.stereo.left, self.stereo.right)
         tip: Array = self.stereo.triangulate(blobs[0].centre_px, blobs[1].centre_px)[0]
-        radius = self._radius_px(tip)
         views, circles = zip(
             *(
                 self._outlined(*_surroundings(picture, blob.box, window), model, radius)
-                for picture, blob, window, model in zip(pictures, blobs, windows, models)
+                for picture, blob, window, model, radius in zip(pictures, blobs, windows, models, self._radii_px(tip))
             )
         )
         tip = self.stereo.triangulate(*(self._pixel(fit.ray, model) for fit, model in zip(circles, models)))[0]
         left, right = (
-            self._refined(view, fit, self._radius_px(tip), model) for view, fit, model in zip(views, circles, models)
+            self._refined(view, fit, radius, model)
+            for view, fit, radius, model in zip(views, circles, self._radii_px(tip), models)
         )
         tip = self.stereo.triangulate(left.centre_px, right.centre_px)[0]
         row_error = float(abs(left.centre_px[1] - right.centre_px[1]))
