@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -159,6 +160,79 @@ def test_what_cannot_be_solved_is_refused_with_the_motion_that_helps() -> None:
     one_axis = [turned((0.0, 0.0, 0.2 * k), (0.1 * k, 0.0, 0.02 * k)) for k in range(8)]
     with pytest.raises(DegenerateError, match=r"about one axis, \(.*1\.00\) of the gripper.* 10 degrees or more about"):
         calibrate_wrist(one_axis, [(g @ X).inverse() @ Z for g in one_axis])
+
+
+def half_turned(
+    rng: np.random.Generator, degrees: Sequence[tuple[float, float, float]], reach: float, noise: float = 1.0
+) -> tuple[list[Transform], list[Transform]]:
+    """Return poses turned by these degrees about x, then y, then z; the gripper moves by ``reach`` metres each way."""
+    base = turned(tuple(rng.normal(0, 1, 3)), (0.0, 0.0, 0.0))
+    grippers, targets = [], []
+    for x, y, z in np.radians(degrees):
+        about = [turned(v, (0.0, 0.0, 0.0)) for v in ((0.0, 0.0, z), (0.0, y, 0.0), (x, 0.0, 0.0))]
+        place = Transform(np.eye(3), rng.uniform(-reach, reach, 3))
+        a = place @ base @ about[0] @ about[1] @ about[2]
+        off = turned(tuple(rng.normal(0, 5e-4 * noise, 3)), tuple(rng.normal(0, 3e-4 * noise, 3)))
+        grippers.append(a)
+        targets.append((a @ X).inverse() @ Z @ off)
+    return grippers, targets
+
+
+ROLLED = [(tilt, 0.0, roll) for roll in (0.0, 180.0) for tilt in (-20.0, 0.0, 20.0)]
+"""All turns are about x, or by 180 degrees about axes square to it: they fit X turned by 180 degrees about x, too."""
+HALF_TURNS = [(0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (0.0, 180.0, 0.0)]
+"""They fit X turned by 180 degrees about each of three axes."""
+
+
+@pytest.mark.parametrize(
+    ("degrees", "reach", "seeds"),
+    [(ROLLED, 0.3, 8), (ROLLED, 0.01, 8), (ROLLED[::2], 0.3, 5), (HALF_TURNS, 0.3, 5)],
+)
+def test_shifts_tell_what_half_turns_do_not(
+    degrees: list[tuple[float, float, float]], reach: float, seeds: int
+) -> None:
+    """Half of these sets were refused for a misfit of decimetres, or ended 180 degrees off."""
+    for seed in range(seeds):
+        result = calibrate_wrist(*half_turned(np.random.default_rng(seed), degrees, reach))
+        angle, shift = apart(result.gripper_from_camera, X)
+        allowed = 5 * result.sigmas()[1]
+        assert result.used.all() and angle < 0.005 and shift < allowed < 0.1, (seed, angle, shift, allowed)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "reach", "noise", "fixed", "seeds"),
+    [
+        (ROLLED, 0.0, 1.0, False, 8),
+        (ROLLED, 0.0, 1.0, True, 3),
+        (ROLLED, 0.0, 0.0, False, 3),
+        (ROLLED, 0.0003, 1.0, False, 3),
+        (HALF_TURNS, 0.0, 1.0, False, 3),
+    ],
+)
+def test_half_turns_on_the_spot_are_refused_with_what_to_add(
+    degrees: list[tuple[float, float, float]], reach: float, noise: float, fixed: bool, seeds: int
+) -> None:
+    """Half of these ended 180 degrees off, sure of a tenth of a degree."""
+    advice = (
+        r"turned by 180 degrees against one another fit the poses alike, to 0\.\d\d degrees and 0\.\d\d mm, "
+        r"and 0\.\d\d degrees and 0\.\d\d mm rms: .*; add poses that are turned by about 90 degrees or tilted "
+        "about another axis too, or that are further apart"
+    )
+    for seed in range(seeds):
+        grippers, targets = half_turned(np.random.default_rng(seed), degrees, reach, noise)
+        if fixed:
+            grippers = [g.inverse() for g in grippers]
+            targets = [Z.inverse() @ g.inverse() @ X for g in grippers]
+        with pytest.raises(DegenerateError, match=advice):
+            calibrate_wrist(grippers, targets)
+
+
+@pytest.mark.parametrize("added", [(0.0, 0.0, 90.0), (0.0, 20.0, 0.0)])
+def test_the_pose_that_the_refusal_asks_for_decides(added: tuple[float, float, float]) -> None:
+    for seed in range(4):
+        result = calibrate_wrist(*half_turned(np.random.default_rng(seed), [*ROLLED, added], 0.0))
+        angle, shift = apart(result.gripper_from_camera, X)
+        assert result.used.all() and angle < 0.005 and shift < 0.003, (seed, angle, shift)
 
 
 def test_poses_that_have_nothing_to_do_with_one_another_are_refused() -> None:

@@ -5,6 +5,10 @@ says ``A X B = Z``. Pairs of poses eliminate Z (AX = XB), from which three close
 refined over all poses and both unknowns jointly. A camera that stands still and sees a target on the gripper is the
 same problem with ``gripper_from_base`` in place of A.
 
+Where all turns A' are about one axis v, or by 180 degrees about axes square to it, ``A' D = D A'`` for the turn D by
+180 degrees about v: the turns fit X and D X alike, and noise decides between them. The shifts tell, so both are tried.
+Where the gripper turns on the spot these do not tell either, and the poses are refused.
+
 Sources: F. Park, B. Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group" (1994); R. Horaud,
 F. Dornaika, "Hand-eye calibration" (1995); K. Daniilidis, "Hand-eye calibration using dual quaternions" (1999).
 """
@@ -26,6 +30,15 @@ METHODS = ("park", "horaud", "daniilidis")
 _MAX_PAIRS = 2000
 _SUBSETS = 100
 """Triples of poses that are tried: with three of ten poses wrong, a third of them are right."""
+_TOLD_RAD = 0.3
+"""What half the motions tell against a calibration turned by 180 degrees, so that it need not be tried."""
+_RIVAL_RATIO = 4.0
+"""A second calibration is refuted by so many times the squares, measured in the noise of the first.
+
+Of 540 sets of three to six poses whose gripper moved by 0.3 to 3 mm each way (noise 0.5 mrad and 0.3 mm), 20 had fewer
+squares for the wrong one: one by more than twice, none by four times. By the likelihood four times are odds of 64 to 1
+for three poses (six degrees of freedom), and of 4096 to 1 for four.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,10 +110,13 @@ def calibrate_wrist(
         raise DegenerateError(f"{count} gripper poses and {len(camera_from_target)} target poses do not pair")
     a, b = list(base_from_gripper), list(camera_from_target)
     check_turns(a, config)
-    used = _consensus(a, b, config)
+    used, more = _consensus(a, b, config)
     for _ in range(10):
-        result = _solve([t for t, u in zip(a, used) if u], [t for t, u in zip(b, used) if u], used)
-        again = _fitting(a, b, result, config)
+        result, rivals = _solve([t for t, u in zip(a, used) if u], [t for t, u in zip(b, used) if u], used, more)
+        alike = [result, *rivals]
+        more += [(found.start, found.gripper_from_camera, found.base_from_target) for found in alike if rivals]
+        # Of those that the same poses cannot tell apart, the one that the others fit is right.
+        again = max((_fitting(a, b, found, config) for found in alike), key=np.count_nonzero)
         left_out = np.flatnonzero(~again)
         if len(left_out) > config.max_outliers * count:
             numbers = ", ".join(str(i + 1) for i in left_out)
@@ -117,6 +133,14 @@ def calibrate_wrist(
             f"{np.degrees(config.max_turn_rms_rad):.1f} degrees and {config.max_shift_rms_m * 1e3:.1f} mm are "
             "accepted: check which frame each is given in, that both are of one moment, and that lengths are in metres"
         )
+    if rivals:
+        rival = rivals[0]
+        raise DegenerateError(
+            "two calibrations that are turned by 180 degrees against one another fit the poses alike, to "
+            f"{np.degrees(turn):.2f} degrees and {shift * 1e3:.2f} mm, and {np.degrees(rival.rotation_rms_rad):.2f} "
+            f"degrees and {rival.translation_rms_m * 1e3:.2f} mm rms: all turns are about one axis or by 180 degrees; "
+            "add poses that are turned by about 90 degrees or tilted about another axis too, or that are further apart"
+        )
     return result
 
 
@@ -130,11 +154,14 @@ def closed_form(
     ValueError
         For another method.
     """
-    pairs = _motions(base_from_gripper, camera_from_target)
-    if method == "daniilidis":
-        return _daniilidis(pairs)
     if method not in METHODS:
         raise ValueError(f"method {method!r} is none of {', '.join(METHODS)}")
+    return _closed_form(method, _motions(base_from_gripper, camera_from_target))
+
+
+def _closed_form(method: str, pairs: Sequence[tuple[Transform, Transform]]) -> Transform:
+    if method == "daniilidis":
+        return _daniilidis(pairs)
     rotation = _park(pairs) if method == "park" else _horaud(pairs)
     return Transform(rotation, _translation(pairs, rotation))
 
@@ -252,27 +279,100 @@ def _daniilidis(pairs: Sequence[tuple[Transform, Transform]]) -> Transform:
     return Transform.from_quaternion((*q[1:], q[0]), 2 * (_right(_conjugate(q)) @ d)[1:])
 
 
-def _solve(a: Sequence[Transform], b: Sequence[Transform], used: npt.NDArray[np.bool_]) -> WristCamera:
-    """Refine the best closed form over X and Z together, by Gauss-Newton, with weights from the residuals."""
-    starts = {}
-    for method in METHODS:
-        x = closed_form(method, a, b)
-        z = mean_pose([p @ x @ q for p, q in zip(a, b)])
-        starts[method] = (float(np.sum(_residuals(a, b, x, z) ** 2)), x, z)
-    start = min(starts, key=lambda name: starts[name][0])
-    _, x, z = starts[start]
+def _half_turns(pairs: Sequence[tuple[Transform, Transform]]) -> list[Array]:
+    """Return the turns D by 180 degrees (3, 3), in the gripper, of which most motions cannot tell D X from X.
+
+    A motion's turn A' tells by how far D^-1 A' D is from A': nothing about D's axis v, nor by 180 degrees square to it.
+    """
+    turns = np.array([a.rotation for a, _ in pairs])
+    # v is a principal axis of such turns. With weights that differ, no two axes share an eigenvalue by symmetry.
+    axes = np.linalg.svd(_logs(turns) * np.arange(1, len(turns) + 1)[:, None], full_matrices=False)[2]
+    # D^-1 A' D is a turn by 2 arccos |v . A' v| away from A'.
+    told = 2 * np.arccos(np.minimum(np.abs(np.einsum("vi,nij,vj->vn", axes, turns, axes)), 1.0))
+    return [2 * np.outer(v, v) - np.eye(3) for v in axes[np.median(told, axis=1) < _TOLD_RAD]]
+
+
+def _turned(
+    x: Transform,
+    a: Sequence[Transform],
+    b: Sequence[Transform],
+    pairs: Sequence[tuple[Transform, Transform]],
+    halves: Sequence[Array],
+) -> list[tuple[Transform, Transform]]:
+    """Return X turned by each of ``halves``, with the translation that suits, and Z."""
+    xs = [Transform(r, _translation(pairs, r)) for r in (nearest_rotation(half @ x.rotation) for half in halves)]
+    return [(x, _mean_target(a, b, x)) for x in xs]
+
+
+def _start(
+    method: str,
+    a: Sequence[Transform],
+    b: Sequence[Transform],
+    pairs: Sequence[tuple[Transform, Transform]],
+    halves: Sequence[Array],
+) -> tuple[float, Transform, Transform]:
+    """Return the squares, X and Z of the closed form, or of it turned by one of ``halves`` where these are less."""
+    x = _closed_form(method, pairs)
+    found = [(x, _mean_target(a, b, x)), *_turned(x, a, b, pairs, halves)]
+    return min(((_squares(a, b, x, z), x, z) for x, z in found), key=lambda start: start[0])
+
+
+def _mean_target(a: Sequence[Transform], b: Sequence[Transform], x: Transform) -> Transform:
+    return mean_pose([p @ x @ q for p, q in zip(a, b)])
+
+
+def _squares(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Transform) -> float:
+    return float(np.sum(_residuals(a, b, x, z) ** 2))
+
+
+def _solve(
+    a: Sequence[Transform],
+    b: Sequence[Transform],
+    used: npt.NDArray[np.bool_],
+    more: Sequence[tuple[str, Transform, Transform]],
+) -> tuple[WristCamera, list[WristCamera]]:
+    """Refine the best of the closed forms and of ``more``; return also those a half turn away that fit as well."""
+    pairs = _motions(a, b)
+    halves = _half_turns(pairs)
+    starts = [(*_start(method, a, b, pairs, halves), method) for method in METHODS]
+    # Where some turns of 180 degrees seem to be a little more, some a little less, no closed form need be near.
+    starts += [(_squares(a, b, x, z), x, z, method) for method, x, z in more]
+    _, x, z, start = min(starts, key=lambda start: start[0])
+    found = [_refined(a, b, x, z, start, used)]
+    turned = _turned(found[0][0].gripper_from_camera, a, b, pairs, halves)
+    found += [_refined(a, b, x, z, start, used) for x, z in turned]
+    # Turns and shifts have no common unit: the product of both counts.
+    result, noise = min(found, key=lambda one: float(np.prod(one[1])))
+    rivals = []
+    for other, _ in found:
+        off = result.gripper_from_camera.rotation.T @ other.gripper_from_camera.rotation
+        error = _residuals(a, b, other.gripper_from_camera, other.base_from_target).reshape(-1, 2, 3) / noise[:, None]
+        # The result itself is none, nor one that the refinement brought back to it: at least 90 degrees lie between.
+        if np.trace(off) < 1 and float(np.sum(error**2)) < _RIVAL_RATIO * (6 * len(a) - 12):
+            rivals.append(other)
+    return result, rivals
+
+
+def _refined(
+    a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Transform, start: str, used: npt.NDArray[np.bool_]
+) -> tuple[WristCamera, Array]:
+    """Refine X and Z together, by Gauss-Newton, with weights from the residuals; also return (2,) the noise of both."""
     count = len(a)
     freedom = np.full(2, 3.0 * count - 6.0)  # of turns, and of shifts
+
+    def noise_of(error: Array) -> Array:
+        noise = _rms(error, freedom)
+        if count == 3:
+            noise = lever * np.sqrt(np.mean((noise / lever) ** 2))
+        return np.asarray(np.maximum(noise, 1e-12))
+
     lever = np.array([1.0, np.sqrt(np.mean([q.translation @ q.translation for q in b])) + 1e-9])
     normal = np.eye(12)
     for turn in range(60):
         error = _residuals(a, b, x, z)
         # Turns and shifts have their own noise; both are estimated from what is left. Some turns meet three shifts
         # exactly, which then seem to have none: it is taken to be what the turns' makes at the target's distance.
-        noise = _rms(error, freedom)
-        if count == 3:
-            noise = lever * np.sqrt(np.mean((noise / lever) ** 2))
-        weight = 1 / np.maximum(noise, 1e-12) ** 2
+        weight = 1 / noise_of(error) ** 2
         slope = _slopes(a, b, x, z, error).reshape(count, 2, 3, 12)
         parts = weight[:, None, None] * np.einsum("nkis,nkit->kst", slope, slope)
         normal = parts.sum(axis=0)
@@ -284,8 +384,9 @@ def _solve(a: Sequence[Transform], b: Sequence[Transform], used: npt.NDArray[np.
             freedom = np.maximum(3 * count - np.trace(np.linalg.solve(normal, parts), axis1=1, axis2=2), 1e-3)
         if turn > 2 and np.abs(step).max() < 1e-10:
             break
-    rotation_rms, translation_rms = _rms(_residuals(a, b, x, z), freedom)
-    return WristCamera(
+    error = _residuals(a, b, x, z)
+    rotation_rms, translation_rms = _rms(error, freedom)
+    result = WristCamera(
         gripper_from_camera=x,
         base_from_target=z,
         start=start,
@@ -294,6 +395,7 @@ def _solve(a: Sequence[Transform], b: Sequence[Transform], used: npt.NDArray[np.
         covariance=np.asarray(np.linalg.inv(normal)),
         used=used,
     )
+    return result, np.maximum(noise_of(error), 1e-9)
 
 
 def _rms(error: Array, freedom: Array) -> Array:
@@ -320,13 +422,18 @@ def _slopes(a: Sequence[Transform], b: Sequence[Transform], x: Transform, z: Tra
     return np.column_stack(columns)
 
 
-def _consensus(a: list[Transform], b: list[Transform], config: WristConfig) -> npt.NDArray[np.bool_]:
-    """Return which poses agree with the best of many triples: wrong poses that agree with one another hide in a mean.
+def _consensus(
+    a: list[Transform], b: list[Transform], config: WristConfig
+) -> tuple[npt.NDArray[np.bool_], list[tuple[str, Transform, Transform]]]:
+    """Return which poses agree with the best of many triples, and its method, X and Z.
+
+    Wrong poses that agree with one another hide in a mean.
 
     Least median of squares, as :func:`harris_perception.core.hand_eye._consensus`; of turns and shifts, which have no
     common unit, the product of both medians counts.
     """
     best, used = np.inf, np.ones(len(a), dtype=bool)
+    found: list[tuple[str, Transform, Transform]] = []
     # Any three poses nearly fit themselves, so the middle of five would be one of them, and right poses stick out.
     keep = (len(a) + 4) // 2
     for triple in _some_combinations(len(a), 3, _SUBSETS):
@@ -335,12 +442,14 @@ def _consensus(a: list[Transform], b: list[Transform], config: WristConfig) -> n
             check_turns(some_a, config)
         except DegenerateError:
             continue
-        x = closed_form("park", some_a, some_b)
-        size = _misfit(a, b, x, mean_pose([p @ x @ q for p, q in zip(some_a, some_b)]))
+        pairs = _motions(some_a, some_b)
+        _, x, z = _start("park", some_a, some_b, pairs, _half_turns(pairs))
+        size = _misfit(a, b, x, z)
         middle = np.maximum(np.sort(size, axis=0)[keep - 1], 1e-9)
         if (product := float(np.prod(middle))) < best:
             best, used = product, _near(size, middle * (1 + 5 / max(1, len(a) - 3)), config)
-    return used
+            found = [("park", x, z)]
+    return used, found
 
 
 def _fitting(a: list[Transform], b: list[Transform], result: WristCamera, config: WristConfig) -> npt.NDArray[np.bool_]:
