@@ -329,15 +329,15 @@ def fit_tip(design: Array, samples: Sequence[Sample], places: int, cameras: Ster
     )
 
 
-def tip_place(calibration: HandEye, sample: Sample, cameras: StereoModel) -> Place:
-    """Return where a sample saw the tip, with the covariance that the calibration's residuals show."""
+def tip_place(calibration: HandEye, sample: Sample, cameras: StereoModel, variance: float = 1.0) -> Place:
+    """Return where a sample saw the tip, with ``variance`` times the covariance that all samples' residuals show."""
     by_point = pair_pixels(sample.tip[np.newaxis], cameras)[1][0]
     per_pixel = np.asarray(np.linalg.inv(by_point.T @ by_point))
     return Place(
         reading=sample.reading,
         point=sample.tip,
         per_pixel=per_pixel,
-        covariance=calibration.fit.sigma_px**2 * per_pixel,
+        covariance=variance * calibration.fit.sigma_px**2 * per_pixel,
     )
 
 
