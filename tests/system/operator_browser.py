@@ -107,36 +107,48 @@ class Operator:
         self.page.click("#lease-take")
         self.sees("#lease-text", "You are in control")
 
+    def answer(self, act: Callable[[], object]) -> dict[str, Any]:
+        """Do what asks the page or the bridge for something; return the answer to that: ``ok``, ``code``, ``values``.
+
+        What the page shows may be the answer to what was done before, and is gone after a second.
+        """
+        count = "import('/page/desk.js').then(({ desk }) => desk.answers?.length ?? 0)"
+        self.page.evaluate("""async () => {
+            const { desk } = await import("/page/desk.js");
+            if (desk.answers) return;
+            desk.answers = [];
+            const report = desk.report;
+            desk.report = (answer) => {
+                desk.answers.push(answer);
+                return report.call(desk, answer);
+            };
+        }""")
+        before = self.page.evaluate(count)
+        act()
+        self.until(lambda: self.page.evaluate(count) > before, 15.0, lambda: "an answer")
+        return dict(self.page.evaluate(f"import('/page/desk.js').then(({{ desk }}) => desk.answers[{before}])"))
+
     def selects(self, control: str, label: str) -> None:
         """Click the control; again when the picture happened to be late."""
-        named = lambda: label in self.page.inner_text("#selection-name")  # noqa: E731
         for _ in range(8):
-            self.page.click(f"[data-control={control}]")
-            end = time.monotonic() + 2.0
-            self.until(lambda end=end: named() or time.monotonic() > end, 15.0, lambda: "an answer to the click")
-            if named():
+            answer = self.answer(lambda: self.page.click(f"[data-control={control}]"))
+            if answer["ok"]:
+                self.sees("#selection-name", label)
                 return
-        pytest.fail(f"{control} could not be selected: {self.page.inner_text('#refusal')}")
+        pytest.fail(f"{control} could not be selected: {answer}")
 
     def confirms(self, gesture: str = "press") -> None:
         """Press the button; again when the picture happened to be late."""
         rows = self.page.locator("#log tr:not(.nothing)")
         before = rows.count()
         button = f"[data-act={gesture}] >> nth=0"
-        told = lambda: self.page.evaluate("import('/page/desk.js').then(({ desk }) => desk.problemAt)")  # noqa: E731
         for _ in range(5):
             self.until(lambda: self.page.is_enabled(button), 20.0, lambda: f"off: {self.page.inner_text('#refusal')}")
-            last = told()  # what was refused before this click is no answer to it
-            self.page.click(button)
-            answered = lambda last=last: rows.count() > before or (self.refused() and told() != last)  # noqa: E731
-            self.until(answered, 15.0, lambda: "an answer to the confirmation")
-            if rows.count() > before:
+            answer = self.answer(lambda: self.page.click(button))
+            if answer["ok"]:
+                self.until(lambda: rows.count() > before, 15.0, lambda: "a row of the log")
                 return
-        pytest.fail(f"{gesture} was refused: {self.page.inner_text('#refusal')}")
-
-    def refused(self) -> bool:
-        """Tell whether the last thing done was refused; the page shows why."""
-        return bool(self.page.get_attribute("#refusal", "data-look") == "bad")
+        pytest.fail(f"{gesture} was refused: {answer}")
 
     def logs(self, text: str, within_s: float) -> str:
         """Wait for a row of the log that matches, and return it."""

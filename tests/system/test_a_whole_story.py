@@ -169,11 +169,11 @@ def starts_sequence(operator: Operator) -> None:
     for _ in range(5):  # again when the picture happened to be late
         operator.until(lambda: page.is_enabled("#sequence-start"), 20.0, lambda: page.inner_text("#sequence-said"))
         page.click("#sequence-start")
-        page.click("#sequence-start")
-        operator.until(lambda: rows.count() > before or operator.refused(), 5.0, lambda: "an answer")
-        if rows.count() > before:
+        answer = operator.answer(lambda: page.click("#sequence-start"))
+        if answer["ok"]:
+            operator.until(lambda: rows.count() > before, 15.0, lambda: "a row of the log")
             return
-    pytest.fail(page.inner_text("#refusal"))
+    pytest.fail(f"the sequence was refused: {answer}")
 
 
 def stops(operator: Operator) -> None:

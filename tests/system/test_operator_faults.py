@@ -53,14 +53,9 @@ class Room:
         operator.page.fill("#go-x", "340" if far else "10")
         operator.page.fill("#go-y", "20")
         for _ in range(5):
-            operator.page.click("#go")
-            operator.until(
-                lambda: "Moving" in operator.page.inner_text("#chip-driver") or operator.refused(),
-                15.0,
-                lambda: operator.page.inner_text("#refusal"),
-            )
-            if not operator.refused():
+            if operator.answer(lambda: operator.page.click("#go"))["ok"]:
                 break
+        operator.sees("#chip-driver", "Moving")
         return self.rig.board.mark()
 
     def resets(self, then: str = "Idle") -> None:

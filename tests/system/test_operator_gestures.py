@@ -181,8 +181,9 @@ def begins(operator: Operator) -> None:
         operator.until(lambda: page.is_enabled("#sequence-start"), 60.0, lambda: page.inner_text("#sequence-said"))
         page.click("#sequence-start")
         assert "Confirm: start" in page.inner_text("#sequence-start")
-        page.click("#sequence-start")
-        operator.until(lambda before=before: rows.count() > before or operator.refused(), 15.0, lambda: "an answer")
+        if not operator.answer(lambda: page.click("#sequence-start"))["ok"]:
+            continue  # the picture happened to be late
+        operator.until(lambda before=before: rows.count() > before, 15.0, lambda: "a row of the log")
         operator.until(lambda: "… sent" not in rows.first.inner_text(), 15.0, lambda: rows.first.inner_text())
         if not re.search("no (sequencer|gantry controller) listens", rows.first.inner_text()):
             return

@@ -385,14 +385,12 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     assert not page.is_enabled("[data-act=press]")
     instrument.tell("shift 0.01")
     instrument.tell("confidence 0.97")
-    moved = re.compile("The panel has moved by 10 mm since the selection")
     for _ in range(5):
         operator.until(lambda: page.is_enabled("[data-act=press]"), 20.0, lambda: "ready again")
-        page.click("[data-act=press]")
-        operator.until(operator.refused, 15.0, lambda: "a refusal")
-        if moved.search(page.inner_text("#refusal")):
+        answer = operator.answer(lambda: page.click("[data-act=press]"))
+        if answer.get("code") not in ("picture_late", "press_late"):
             break
-    operator.sees("#refusal", moved)
+    operator.sees("#refusal", "The panel has moved by 10 mm since the selection")
     operator.leaves()
 
 
@@ -405,15 +403,13 @@ def test_a_click_before_the_page_has_drawn_that_it_cannot_be_done_gets_the_reaso
     operator.takes_control()
     operator.selects("MENU", "Menu")
 
-    def repeats(act: Callable[[], object], done: Callable[[], bool]) -> None:
-        """Do it again when the picture happened to be late, which is refused, too."""
+    def repeats(act: Callable[[], object], wanted: str | None) -> None:
+        """Do it again when the picture happened to be late, which is refused, too; None: until it is not refused."""
         for _ in range(5):
-            act()
-            end = time.monotonic() + 2.0
-            operator.until(lambda end=end: done() or time.monotonic() > end, 15.0, lambda: "an answer")
-            if done():
+            answer = operator.answer(act)
+            if (None if answer["ok"] else answer["code"]) == wanted:
                 return
-        pytest.fail(f"the page shows {page.inner_text('#refusal')!r}")
+        pytest.fail(f"{wanted} is awaited, not {answer}")
 
     busy = "button => { const end = performance.now() + 600; while (performance.now() < end); button.click(); }"
 
@@ -421,18 +417,17 @@ def test_a_click_before_the_page_has_drawn_that_it_cannot_be_done_gets_the_reaso
         operator.until(lambda: page.is_enabled("[data-act=press]"), 20.0, lambda: "the button")
         page.eval_on_selector("[data-act=press]", busy)
 
-    late = re.compile(r"The picture is \d{3,} ms old; at most 500 ms")
-    repeats(click_when_it_is_late, lambda: bool(operator.refused() and late.search(page.inner_text("#refusal"))))
+    repeats(click_when_it_is_late, "picture_late")
+    operator.sees("#refusal", r"The picture is \d{3,} ms old; at most 500 ms")
     for key in (">", "Shift+ArrowLeft"):
         operator.until(lambda: page.is_enabled("[data-act=press]"), 20.0, lambda: "ready again")
-        repeats(lambda: page.click("[data-control=RUN_STOP]"), lambda: not operator.refused())
+        repeats(lambda: page.click("[data-control=RUN_STOP]"), None)
         page.click("#freeze")
-        page.keyboard.press(key)
-        operator.until(operator.refused, 15.0, lambda key=key: f"a refusal of {key}")
+        assert operator.answer(lambda key=key: page.keyboard.press(key))["code"] == "frozen_no_action"
         operator.sees("#refusal", "A kept picture lies over the live one")
         page.click("#freeze")
-    sentence = "That cannot be done with this control"
-    repeats(lambda: page.keyboard.press(">"), lambda: sentence in page.inner_text("#refusal"))
+    repeats(lambda: page.keyboard.press(">"), "wrong_gesture")
+    operator.sees("#refusal", "That cannot be done with this control")
     assert "Press" not in page.inner_text("#log")
     operator.leaves()
 
