@@ -58,7 +58,8 @@ def pattern_of(octets: Array, here: int, row: int) -> np.uint8:
     return np.uint8(_NEIGHBOURS[window(octets, here, row)])
 
 
-HOLES, CROWDED, ENDS, NODES = range(4)
+# Not of Python's own type, for each value of which numba would compile all four anew.
+HOLES, CROWDED, ENDS, NODES = np.arange(4)
 
 
 @inlined

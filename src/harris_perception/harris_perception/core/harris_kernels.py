@@ -273,7 +273,9 @@ def ranked(peaks: Array, floor: float, limit: int) -> tuple[Array, Array]:
             order = np.empty(len(equal), np.float64)
             for i in range(len(equal)):
                 order[i] = _reading_order(peaks[equal[i]])
-            places[start:end] = equal[np.argsort(order)]
+            sorted_places = np.argsort(order)
+            for i in range(len(equal)):  # setting a slice takes seconds to compile
+                places[start + i] = equal[sorted_places[i]]
         start = end
     xy, response = np.empty((kept, 2), np.float32), np.empty(kept, np.float32)
     for i in range(kept):

@@ -56,6 +56,7 @@ def structure_of(gray: Array, derivative: Array, smooth: Array, window: Array, a
     gx, gy = np.empty(n, np.float32), np.empty(n, np.float32)
     ring = np.empty((3, size, n), np.float32)
     column = np.empty(n, np.float32)
+    sums = a, b, c
     for y in range(radius, height - radius):
         row = gray[y]
         centre = smooth[0]
@@ -102,9 +103,4 @@ def structure_of(gray: Array, derivative: Array, smooth: Array, window: Array, a
                 p, q = rows[(y - 2 * half) % size], rows[y % size]
                 for x in range(n):
                     column[x] += last * (p[x] + q[x])
-            if which == 0:
-                _smoothed(column, window, a[out], m)
-            elif which == 1:
-                _smoothed(column, window, b[out], m)
-            else:
-                _smoothed(column, window, c[out], m)
+            _smoothed(column, window, sums[which][out], m)
