@@ -84,10 +84,16 @@ class Operator:
         self.page.route_web_socket(re.compile("/control$"), control)
 
     def sees(self, selector: str, text: str | re.Pattern[str], within_s: float = 20.0) -> str:
-        """Wait until the element's text contains ``text``, and return it."""
-        found = lambda: re.search(text, self.page.inner_text(selector))  # noqa: E731
-        self.until(found, within_s, lambda: f"{selector} shows {self.page.inner_text(selector)!r}, {text!r} is awaited")
-        return str(self.page.inner_text(selector))
+        """Wait until the element's text contains ``text``, and return it as it was then: it may change at any time."""
+        shown = ""
+
+        def found() -> Any:
+            nonlocal shown
+            shown = str(self.page.inner_text(selector))
+            return re.search(text, shown)
+
+        self.until(found, within_s, lambda: f"{selector} shows {shown!r}, {text!r} is awaited")
+        return shown
 
     def until(self, condition: Callable[[], Any], within_s: float, what: Callable[[], str]) -> Any:
         deadline = time.monotonic() + within_s
