@@ -116,20 +116,23 @@ class Operator:
     def answer(self, act: Callable[[], object]) -> dict[str, Any]:
         """Do what asks the page or the bridge for something; return the answer to that: ``ok``, ``code``, ``values``.
 
-        What the page shows may be the answer to what was done before, and is gone after a second.
+        What the page shows may be the answer to what was done before, and is gone after a second. Such an answer may
+        even be on its way still, as what came of it is told before it: the bridge answers one after the other.
         """
         count = "import('/page/desk.js').then(({ desk }) => desk.answers?.length ?? 0)"
-        self.page.evaluate("""async () => {
+        before = self.page.evaluate("""async () => {
             const { desk } = await import("/page/desk.js");
-            if (desk.answers) return;
-            desk.answers = [];
-            const report = desk.report;
-            desk.report = (answer) => {
-                desk.answers.push(answer);
-                return report.call(desk, answer);
-            };
+            await desk.link.ask("jog", { dx: 0, dy: 0, step_mm: 1, ...desk.seen }); // lets go of what nobody holds
+            if (!desk.answers) {
+                desk.answers = [];
+                const report = desk.report;
+                desk.report = (answer) => {
+                    desk.answers.push(answer);
+                    return report.call(desk, answer);
+                };
+            }
+            return desk.answers.length;
         }""")
-        before = self.page.evaluate(count)
         act()
         self.until(lambda: self.page.evaluate(count) > before, 15.0, lambda: "an answer")
         return dict(self.page.evaluate(f"import('/page/desk.js').then(({{ desk }}) => desk.answers[{before}])"))
