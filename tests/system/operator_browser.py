@@ -137,27 +137,39 @@ class Operator:
         self.until(lambda: self.page.evaluate(count) > before, 15.0, lambda: "an answer")
         return dict(self.page.evaluate(f"import('/page/desk.js').then(({{ desk }}) => desk.answers[{before}])"))
 
+    def insists(self, act: Callable[[], object], wanted: str = "") -> None:
+        """Do it again until its answer has the code ``wanted``, or is no refusal.
+
+        A picture, or the bridge, that happened to be late is refused as well, for as long as it is.
+        """
+        answer: dict[str, Any] = {}
+
+        def answered() -> bool:
+            nonlocal answer
+            if answer:
+                self.page.wait_for_timeout(100)
+            answer = self.answer(act)
+            return str(answer.get("code", "")) == wanted
+
+        self.until(answered, 20.0, lambda: f"{wanted or 'no refusal'} is awaited, not {answer}")
+
     def selects(self, control: str, label: str) -> None:
         """Click the control; again when the picture happened to be late."""
-        for _ in range(8):
-            answer = self.answer(lambda: self.page.click(f"[data-control={control}]"))
-            if answer["ok"]:
-                self.sees("#selection-name", label)
-                return
-        pytest.fail(f"{control} could not be selected: {answer}")
+        self.insists(lambda: self.page.click(f"[data-control={control}]"))
+        self.sees("#selection-name", label)
 
     def confirms(self, gesture: str = "press") -> None:
         """Press the button; again when the picture happened to be late."""
         rows = self.page.locator("#log tr:not(.nothing)")
         before = rows.count()
         button = f"[data-act={gesture}] >> nth=0"
-        for _ in range(5):
+
+        def press() -> None:
             self.until(lambda: self.page.is_enabled(button), 20.0, lambda: f"off: {self.page.inner_text('#refusal')}")
-            answer = self.answer(lambda: self.page.click(button))
-            if answer["ok"]:
-                self.until(lambda: rows.count() > before, 15.0, lambda: "a row of the log")
-                return
-        pytest.fail(f"{gesture} was refused: {answer}")
+            self.page.click(button)
+
+        self.insists(press)
+        self.until(lambda: rows.count() > before, 15.0, lambda: "a row of the log")
 
     def logs(self, text: str, within_s: float) -> str:
         """Wait for a row of the log that matches, and return it."""

@@ -280,8 +280,7 @@ def test_single_keys_are_typed_in_any_way_and_can_be_switched_off(operator: Oper
         if not turns:
             page.evaluate(typed, keys)
             continue
-        while not operator.answer(lambda keys=keys: page.evaluate(typed, keys))["ok"]:
-            continue  # the picture happened to be late
+        operator.insists(lambda keys=keys: page.evaluate(typed, keys))
         operator.until(lambda before=before: done.count() > before, 15.0, lambda: page.inner_text("#log"))
     assert turned.count() == done.count() == 3, "Ctrl is the browser's"
     page.click("#help-open")

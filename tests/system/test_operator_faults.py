@@ -52,9 +52,7 @@ class Room:
         far = float(operator.page.inner_text("#position-x").split()[0]) < 170
         operator.page.fill("#go-x", "340" if far else "10")
         operator.page.fill("#go-y", "20")
-        for _ in range(5):
-            if operator.answer(lambda: operator.page.click("#go"))["ok"]:
-                break
+        operator.insists(lambda: operator.page.click("#go"))
         operator.sees("#chip-driver", "Moving")
         return self.rig.board.mark()
 

@@ -172,17 +172,22 @@ def sequencer(instrument: Instrument) -> Iterator[None]:
         running.wait(60.0)
 
 
-def begins(operator: Operator) -> None:
+def begins(operator: Operator, refusal: str = "") -> None:
     """Start it with two clicks; again while the bridge and the sequencer have not found each other yet."""
     page = operator.page
     rows = page.locator("#log tr:not(.nothing)")
-    for _ in range(10):
-        before = rows.count()
+
+    def twice() -> None:
         operator.until(lambda: page.is_enabled("#sequence-start"), 60.0, lambda: page.inner_text("#sequence-said"))
         page.click("#sequence-start")
         assert "Confirm: start" in page.inner_text("#sequence-start")
-        if not operator.answer(lambda: page.click("#sequence-start"))["ok"]:
-            continue  # the picture happened to be late
+        page.click("#sequence-start")
+
+    for _ in range(10):
+        before = rows.count()
+        operator.insists(twice, refusal)
+        if refusal:
+            return
         operator.until(lambda before=before: rows.count() > before, 15.0, lambda: "a row of the log")
         operator.until(lambda: "… sent" not in rows.first.inner_text(), 15.0, lambda: rows.first.inner_text())
         if not re.search("no (sequencer|gantry controller) listens", rows.first.inner_text()):
@@ -220,7 +225,7 @@ def test_a_sequence_is_collected_followed_and_stopped(
     person.sees("#sequence-steps [data-state=failed]", "not seen in time")
     clean(person, "sequence_failed")
     page.fill("#sequence-text", "press:RUN_STOP\npoke:SAVE")
-    begins(person)
+    begins(person, "sequence_wrong")
     person.sees("#refusal", "The sequence is wrong: step 2: gesture 'poke' is none of")
 
     instrument.tell("motion 60")

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -385,11 +385,7 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     assert not page.is_enabled("[data-act=press]")
     instrument.tell("shift 0.01")
     instrument.tell("confidence 0.97")
-    for _ in range(5):
-        operator.until(lambda: page.is_enabled("[data-act=press]"), 20.0, lambda: "ready again")
-        answer = operator.answer(lambda: page.click("[data-act=press]"))
-        if answer.get("code") not in ("picture_late", "press_late"):
-            break
+    operator.insists(lambda: page.click("[data-act=press]"), "panel_moved")
     operator.sees("#refusal", "The panel has moved by 10 mm since the selection")
     operator.leaves()
 
@@ -403,30 +399,22 @@ def test_a_click_before_the_page_has_drawn_that_it_cannot_be_done_gets_the_reaso
     operator.takes_control()
     operator.selects("MENU", "Menu")
 
-    def repeats(act: Callable[[], object], wanted: str | None) -> None:
-        """Do it again when the picture happened to be late, which is refused, too; None: until it is not refused."""
-        for _ in range(5):
-            answer = operator.answer(act)
-            if (None if answer["ok"] else answer["code"]) == wanted:
-                return
-        pytest.fail(f"{wanted} is awaited, not {answer}")
-
     busy = "button => { const end = performance.now() + 600; while (performance.now() < end); button.click(); }"
 
     def click_when_it_is_late() -> None:
         operator.until(lambda: page.is_enabled("[data-act=press]"), 20.0, lambda: "the button")
         page.eval_on_selector("[data-act=press]", busy)
 
-    repeats(click_when_it_is_late, "picture_late")
+    operator.insists(click_when_it_is_late, "picture_late")
     operator.sees("#refusal", r"The picture is \d{3,} ms old; at most 500 ms")
     for key in (">", "Shift+ArrowLeft"):
         operator.until(lambda: page.is_enabled("[data-act=press]"), 20.0, lambda: "ready again")
-        repeats(lambda: page.click("[data-control=RUN_STOP]"), None)
+        operator.insists(lambda: page.click("[data-control=RUN_STOP]"))
         page.click("#freeze")
-        assert operator.answer(lambda key=key: page.keyboard.press(key))["code"] == "frozen_no_action"
+        operator.insists(lambda key=key: page.keyboard.press(key), "frozen_no_action")
         operator.sees("#refusal", "A kept picture lies over the live one")
         page.click("#freeze")
-    repeats(lambda: page.keyboard.press(">"), "wrong_gesture")
+    operator.insists(lambda: page.keyboard.press(">"), "wrong_gesture")
     operator.sees("#refusal", "That cannot be done with this control")
     assert "Press" not in page.inner_text("#log")
     operator.leaves()
