@@ -49,7 +49,7 @@ class Room:
         """Begin a long move; return the board's log number and the time at which it is under way."""
         operator = self.operator
         operator.until(lambda: operator.page.is_enabled("#go"), 10.0, lambda: operator.page.inner_text("#move-why"))
-        far = float(operator.page.inner_text("#position-x").split()[0]) < 170
+        far = float(operator.sees("#position-x", r"\d").split()[0]) < 170  # one that is not told is a dash
         operator.page.fill("#go-x", "340" if far else "10")
         operator.page.fill("#go-y", "20")
         operator.insists(lambda: operator.page.click("#go"))
