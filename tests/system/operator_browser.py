@@ -57,6 +57,22 @@ def browser() -> Iterator[Any]:
         running.close()
 
 
+# How many answers the page has had, once it has had those to all that it has asked for.
+_ANSWERS = """async () => {
+    const { desk } = await import("/page/desk.js");
+    await desk.link.ask("jog", { dx: 0, dy: 0, step_mm: 1, ...desk.seen }); // lets go of what nobody holds
+    if (!desk.answers) {
+        desk.answers = [];
+        const report = desk.report;
+        desk.report = (answer) => {
+            desk.answers.push(answer);
+            return report.call(desk, answer);
+        };
+    }
+    return desk.answers.length;
+}"""
+
+
 class Operator:
     """A person at the page: what they see and do, by the words on the screen."""
 
@@ -113,28 +129,17 @@ class Operator:
         self.page.click("#lease-take")
         self.sees("#lease-text", "You are in control")
 
-    def answer(self, act: Callable[[], object]) -> dict[str, Any]:
+    def answer(self, act: Callable[[], object]) -> dict[str, Any] | None:
         """Do what asks the page or the bridge for something; return the answer to that: ``ok``, ``code``, ``values``.
 
         What the page shows may be the answer to what was done before, and is gone after a second. Such an answer may
-        even be on its way still, as what came of it is told before it: the bridge answers one after the other.
+        even be on its way still, as what came of it is told before it: the bridge answers one after the other. None is
+        returned where nothing was asked for, as by a click on a button that was switched off at that very moment.
         """
-        count = "import('/page/desk.js').then(({ desk }) => desk.answers?.length ?? 0)"
-        before = self.page.evaluate("""async () => {
-            const { desk } = await import("/page/desk.js");
-            await desk.link.ask("jog", { dx: 0, dy: 0, step_mm: 1, ...desk.seen }); // lets go of what nobody holds
-            if (!desk.answers) {
-                desk.answers = [];
-                const report = desk.report;
-                desk.report = (answer) => {
-                    desk.answers.push(answer);
-                    return report.call(desk, answer);
-                };
-            }
-            return desk.answers.length;
-        }""")
+        before = self.page.evaluate(_ANSWERS)
         act()
-        self.until(lambda: self.page.evaluate(count) > before, 15.0, lambda: "an answer")
+        if self.page.evaluate(_ANSWERS) == before:
+            return None
         return dict(self.page.evaluate(f"import('/page/desk.js').then(({{ desk }}) => desk.answers[{before}])"))
 
     def insists(self, act: Callable[[], object], wanted: str = "") -> None:
@@ -142,14 +147,14 @@ class Operator:
 
         A picture, or the bridge, that happened to be late is refused as well, for as long as it is.
         """
-        answer: dict[str, Any] = {}
+        answer: dict[str, Any] | None = None
 
         def answered() -> bool:
             nonlocal answer
-            if answer:
+            if answer is not None:
                 self.page.wait_for_timeout(100)
             answer = self.answer(act)
-            return str(answer.get("code", "")) == wanted
+            return answer is not None and str(answer.get("code", "")) == wanted
 
         self.until(answered, 20.0, lambda: f"{wanted or 'no refusal'} is awaited, not {answer}")
 
