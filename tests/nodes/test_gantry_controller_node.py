@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped
 from nodes.gantry_bench import CAMERA, CAMERA_FROM_PANEL, RUN_STOP, GantryBench
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray, Header, String
 
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
 from icu_common.core.results import Outcome
@@ -127,6 +128,19 @@ def test_operator_lost_and_back(ros: Any) -> None:
     bench.heartbeat = True
     bench.spin_until_state("ready")
     assert bench.trajectories == []
+
+
+def test_a_goal_that_waited_is_judged_by_what_came_before_it(ros: Any) -> None:
+    """A controller that was held up finds both waiting; it said that there was no heartbeat yet."""
+    bench = GantryBench(ros, heartbeat=False)
+    bench.spin_until_state("waiting: no operator (heartbeat)")
+    bench.connect_goals()
+    ros.spin_until(lambda: bench.beat.get_subscription_count(), 10.0)
+    bench.beat.publish(Header())
+    assert bench.beat.wait_for_all_acked(Duration(seconds=10))
+    bench.goal.publish(point_message([0.1, 0.1, 0.0], header(bench.now_ns(), BASE)))
+    assert bench.goal.wait_for_all_acked(Duration(seconds=10))
+    assert bench.spin_until_final().outcome is Outcome.REACHED
 
 
 def test_closing_the_node_stops_the_machine(ros: Any) -> None:

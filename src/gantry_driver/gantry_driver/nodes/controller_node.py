@@ -71,8 +71,6 @@ class ControllerNode(Node):
         self._target = self.create_publisher(PointStamped, "target", qos.LATCHED)
         self._stop = self.create_publisher(Empty, "stop_request", qos.RESULTS)
         self._diagnostics = Diagnostics(self, "gantry controller")
-        self._hear(PointStamped, "goal", qos.COMMAND, _point_goal)
-        self._hear(String, "command", qos.COMMAND, lambda m: msg.Command(text=m.data))
         self._hear(String, "driver_state", qos.LATCHED, lambda m: msg.DriverState(text=m.data))
         self._hear(JointState, "joint_states", qos.SENSOR, lambda m: msg.Joints(readings=joint_positions(m, JOINTS)))
         self._hear(
@@ -91,6 +89,9 @@ class ControllerNode(Node):
         self._see(PointStamped, "stylus/tip", qos.SENSOR, _tip)
         self._see(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
         self._hear(Header, "heartbeat", qos.SENSOR, lambda m: msg.Heartbeat())
+        # Last: where several wait after a hold-up, executors other than that of our programs take the first topic first.
+        self._hear(PointStamped, "goal", qos.COMMAND, _point_goal)
+        self._hear(String, "command", qos.COMMAND, lambda m: msg.Command(text=m.data))
         every(self, TICK_S, self._tick)
         every(self, DIAGNOSTICS_S, self._diagnose)
         self._handle(msg.Tick())
