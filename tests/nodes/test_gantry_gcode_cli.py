@@ -115,10 +115,13 @@ def test_a_program_is_run_from_the_background_of_a_terminal(board: GrblBoard, pr
 
 
 def test_a_program_whose_check_takes_longer_than_a_heartbeat_may_is_started(
-    board: GrblBoard, program: Callable[..., Path]
+    board: GrblBoard, program: Callable[..., Path], tmp_path: Path
 ) -> None:
     moves = [f"G1 X{-300 - k % 50} Y{-100 - k % 40} F9000" for k in range(40_000)]
-    terminal = Terminal("run", str(program(*moves)), "--port", str(board.port), patience=())
+    late_board = tmp_path / "late_board.yaml"
+    late_board.write_text("/**: {ros__parameters: {status_timeout_s: 10.0}}")
+    patience = ("--params", str(late_board))  # with the board alone
+    terminal = Terminal("run", str(program(*moves)), "--port", str(board.port), patience=patience)
     terminal.until("   1 %  ", 60.0)
     terminal.process.send_signal(signal.SIGINT)
     terminal.until("interrupted: holding")
