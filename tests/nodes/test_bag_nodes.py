@@ -359,6 +359,7 @@ def test_a_recorded_clock_does_not_run_beside_that_of_the_player(ros: Ros, tmp_p
     output = command("bag_play", str(tmp_path / "bag"), "--clock", "100", "--wait", "60").end()
     assert "not played: /clock\n" in output
     ros.spin_until(lambda: len(words) == 20, 40.0, lambda: len(words))
+    quiet(ros, times, 5)  # more than the words, some wait still
     assert times and all(message.clock.sec < 10 for message in times)
     words.clear()
     times.clear()
