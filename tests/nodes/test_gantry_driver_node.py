@@ -438,7 +438,7 @@ def test_lifecycle_from_unconfigured_to_active_and_back(operator: Callable[..., 
 
 
 def test_a_flood_of_goals_moves_what_the_first_one_says(operator: Callable[..., Operator]) -> None:
-    op = operator().ready()
+    op = operator(time_scale=1.0).ready()  # a quarter of a minute for the first one: it must outlast the flood
     since = op.board.log()[-1]["n"]
     op.go(*[(0.3 - 0.1 * (k % 2), 0.0, 0.0) for k in range(20)], frame_id="first")
     op.until(lambda: op.results)
@@ -446,7 +446,7 @@ def test_a_flood_of_goals_moves_what_the_first_one_says(operator: Callable[..., 
         for _ in range(5):  # only the newest waits, the others are not even answered
             op.go((0.0, 0.001 * number, 0.0), frame_id=f"flood {number}")
         op.until(lambda n=number: op.results[-1].goal_id == f"flood {n}")
-    op.until(lambda: any(r.goal_id == "first" and r.outcome.value == "reached" for r in op.results))
+    op.until(lambda: any(r.goal_id == "first" and r.outcome.value == "reached" for r in op.results), 60.0)
     others = [r for r in op.results if r.goal_id != "first"]
     assert len(others) >= 10 and {r.outcome.value for r in others} == {"rejected"}
     assert {r.reason for r in others} == {"the driver is moving"}
