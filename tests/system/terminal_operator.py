@@ -12,7 +12,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from rclpy.context import Context
-from ros_rig import Ros
+from ros_rig import Ros, keeping_all
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
@@ -34,7 +34,10 @@ class Operator:
         self.goal = self.node.create_publisher(PointStamped, "/gantry/goal", qos.COMMAND)
         self.results: list[GoalResult] = []
         self.node.create_subscription(
-            DiagnosticArray, "/gantry/result", lambda m: self.results.append(result_of_message(m)), qos.RESULTS
+            DiagnosticArray,
+            "/gantry/result",
+            lambda m: self.results.append(result_of_message(m)),
+            keeping_all(qos.RESULTS),
         )
         self.states = ros.collect(self.node, String, "/gantry/state", qos.LATCHED)
         self.driver_states = ros.collect(self.node, String, "/gantry/driver_state", qos.LATCHED)

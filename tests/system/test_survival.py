@@ -20,6 +20,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import Log
+from ros_rig import keeping_all
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from system.terminal_operator import Operator
@@ -99,9 +100,9 @@ class Scene:
         self.well: dict[str, float] = {}
         self.interrupted = False
         """Whether a heartbeat that was held up ended the last row's gesture before anything else could."""
-        node = operator.node
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnostics, qos.RESULTS)
-        node.create_subscription(Log, "/rosout", lambda m: self.heard.append((m.name, m.msg)), qos.RESULTS)
+        node, every = operator.node, keeping_all(qos.RESULTS)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnostics, every)
+        node.create_subscription(Log, "/rosout", lambda m: self.heard.append((m.name, m.msg)), every)
         # The stereo node only works for somebody.
         node.create_subscription(PoseStamped, "/stereo/panel_plane", lambda m: None, qos.RESULTS)
         self._hear("controller", "/gantry/state")
@@ -110,7 +111,7 @@ class Scene:
 
     def _hear(self, who: str, topic: str) -> None:
         take = lambda m: self.heard.append((who, m.data))  # noqa: E731
-        self.operator.node.create_subscription(String, topic, take, qos.LATCHED)
+        self.operator.node.create_subscription(String, topic, take, keeping_all(qos.LATCHED))
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
