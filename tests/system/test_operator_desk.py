@@ -1145,6 +1145,19 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
     assert page.evaluate(plotted, [[30, 40, 0], [580, 410, 0]]) == [[0, 0, 580, 410], [[30, 370], [580, 0]]]
 
 
+# Places along each line, in pixels of the stage, with its colour; corners are dots, lines without length.
+_DRAWN = """() => { const stage = document.getElementById('stage').getBoundingClientRect();
+  return [...document.querySelectorAll('#overlay .over')].filter((p) => getComputedStyle(p.parentElement)
+    .display !== 'none').map((path) => { const length = path.getTotalLength(), m = path.getScreenCTM();
+      const parts = path.parentElement.classList.contains('layer-edges') ? 60 : 5;
+      const dots = [...path.getAttribute('d').matchAll(/M(\\S+) (\\S+)h0/g)];
+      const at = (dots.length ? dots.map(([, x, y]) => new DOMPoint(x, y))
+        : Array.from({ length: parts }, (_, i) => path.getPointAtLength(((i + 0.5) / parts) * length)))
+        .map((p) => p.matrixTransform(m)).map((p) => [p.x - stage.x, p.y - stage.y]);
+      return [path.parentElement.classList[0], at, getComputedStyle(path).stroke.match(/\\d+/g)
+        .map((v) => v / 255)]; }); }"""
+
+
 def test_outlines_edges_and_the_way_are_seen_on_any_picture(
     operator: Operator, instrument: Instrument, tmp_path: Path
 ) -> None:
@@ -1160,36 +1173,35 @@ def test_outlines_edges_and_the_way_are_seen_on_any_picture(
         page.wait_for_selector(f".layer-{layer} .over", state="attached")
     box = page.locator("#stage").bounding_box()
     path = tmp_path / "stage.png"
-    page.screenshot(path=str(path), clip=box)
+    layers = {"layer-edges", "layer-corners", "layer-path", "layer-outline", "layer-controls", "layer-tip"}
+
+    def drawn() -> dict[tuple[str, float, float], list[float]]:
+        return {(layer, *place): colour for layer, places, colour in page.evaluate(_DRAWN) for place in places}
+
+    def shoot() -> dict[tuple[str, float, float], list[float]]:
+        """Return what was drawn before and after the screenshot alike; each new picture brings its own."""
+        before = drawn()
+        page.screenshot(path=str(path), clip=box)
+        after = drawn()
+        kept = {place: colour for place, colour in before.items() if place in after}
+        return kept if {layer for layer, _, _ in kept} >= layers else {}
+
+    lines = operator.until(shoot, 30.0, lambda: "all layers before and after a screenshot")
     operator.shoots("layers")
     picture = cv2.imread(str(path)).astype(float)[:, :, ::-1] / 255
     linear = np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4)
     light = linear @ [0.2126, 0.7152, 0.0722]
-    # Places along each line, in pixels of the stage, with its colour; corners are dots, lines without length.
-    lines = page.evaluate(
-        """() => { const stage = document.getElementById('stage').getBoundingClientRect();
-            return [...document.querySelectorAll('#overlay .over')].filter((p) => getComputedStyle(p.parentElement)
-              .display !== 'none').map((path) => { const length = path.getTotalLength(), m = path.getScreenCTM();
-                const parts = path.parentElement.classList.contains('layer-edges') ? 60 : 5;
-                const dots = [...path.getAttribute('d').matchAll(/M(\\S+) (\\S+)h0/g)].slice(0, 200);
-                const at = (dots.length ? dots.map(([, x, y]) => new DOMPoint(x, y))
-                  : Array.from({ length: parts }, (_, i) => path.getPointAtLength(((i + 0.5) / parts) * length)))
-                  .map((p) => p.matrixTransform(m)).map((p) => [p.x - stage.x, p.y - stage.y]);
-                return [path.parentElement.classList[0], at, getComputedStyle(path).stroke.match(/\\d+/g)
-                  .map((v) => v / 255)]; }); }"""
-    )
     seen: dict[str, list[float]] = {}
-    for layer, places, colour in lines:
-        for x, y in places:
-            inside = 6 <= x < light.shape[1] - 6 and 6 <= y < light.shape[0] - 6
-            if not inside:
-                continue
-            part = np.s_[round(y) - 6 : round(y) + 7, round(x) - 6 : round(x) + 7]
-            off = np.abs(picture[part] - colour[:3]).max(axis=2)
-            bright = light[part].ravel()[off.argmin()]
-            if off.min() < 0.25:  # between the dashes, or under a line that lies above it, there is none
-                seen.setdefault(layer, []).append((bright + 0.05) / (light[part].min() + 0.05))
-    assert seen.keys() >= {"layer-edges", "layer-corners", "layer-path", "layer-outline", "layer-controls", "layer-tip"}
+    for (layer, x, y), colour in lines.items():
+        inside = 6 <= x < light.shape[1] - 6 and 6 <= y < light.shape[0] - 6
+        if not inside:
+            continue
+        part = np.s_[round(y) - 6 : round(y) + 7, round(x) - 6 : round(x) + 7]
+        off = np.abs(picture[part] - colour[:3]).max(axis=2)
+        bright = light[part].ravel()[off.argmin()]
+        if off.min() < 0.25:  # between the dashes, or under a line that lies above it, there is none
+            seen.setdefault(layer, []).append((bright + 0.05) / (light[part].min() + 0.05))
+    assert seen.keys() >= layers
     print({layer: (len(found), round(min(found), 1)) for layer, found in seen.items()})
     assert {layer: min(found) for layer, found in seen.items() if min(found) < 3} == {}
     assert len(seen["layer-controls"]) > 20 and len(seen["layer-path"]) >= 2 and len(seen["layer-corners"]) > 50
