@@ -74,8 +74,17 @@ class TwoHosts:
         self.processes.append(process)
         return process
 
-    def cut(self) -> None:
-        ip("-n", self.robot, "link", "set", self.cable, "down")
+    def ready_to_cut(self) -> Callable[[], None]:
+        """Return what cuts the link at once: a program that starts only then may take long on a busy machine."""
+        knife = subprocess.Popen(["ip", "-n", self.robot, "-batch", "-"], stdin=subprocess.PIPE)
+        self.processes.append(knife)
+
+        def cut() -> None:
+            assert knife.stdin is not None
+            knife.stdin.write(f"link set {self.cable} down\n".encode())
+            knife.stdin.close()
+
+        return cut
 
     def join(self) -> None:
         ip("-n", self.robot, "link", "set", self.cable, "up")
@@ -223,6 +232,7 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
     )
     board = BoardSocket(tmp_path / "run" / "board")
     try:
+        cut = hosts.ready_to_cut()
         desk.until(lambda line: line.get("listeners") == 2, 60.0)  # driver and controller
         desk.ask("gantry/enable", enable=True)
         desk.ask("gantry/home")
@@ -234,7 +244,7 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
         desk.until(lambda line: line.get("state") == "moving", 10.0)
         before = board.holds()
         cut_s = time.monotonic()
-        hosts.cut()
+        cut()
         while (holds := board.holds()) == before:
             assert time.monotonic() < cut_s + 20.0, "the driver did not hold"
             time.sleep(0.01)
