@@ -149,6 +149,16 @@ class Desk:
             assert time.monotonic() < deadline, self.heard[-5:]
             time.sleep(0.1)  # a pause between questions, not a wait for a time
 
+    def homes(self) -> None:
+        """Home; once more where the desk was held up: it was an operator who has gone then, as it should be."""
+        ends = ("idle", "stopped: operator's heartbeat lost")
+        for _ in range(3):
+            self.ask("gantry/home")
+            if self.until(lambda line: str(line.get("state", "")).startswith(ends), 30.0)["state"] == "idle":
+                return
+            self.ask("gantry/reset", 30.0)
+        pytest.fail(f"it does not home: {self.heard[-8:]}")
+
     def go(self, x_m: float, y_m: float) -> str:
         """Send a goal and return its id."""
         self.do(go=[x_m, y_m])
@@ -235,8 +245,7 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
         cut = hosts.ready_to_cut()
         desk.until(lambda line: line.get("listeners") == 2, 60.0)  # driver and controller
         desk.ask("gantry/enable", enable=True)
-        desk.ask("gantry/home")
-        desk.sees("idle", 30.0)
+        desk.homes()
         desk.goes(0.01, 0.01)
         start_mm = board.mpos()
 
