@@ -18,6 +18,7 @@ from typing import Any
 import aiohttp
 import pytest
 from unit.scope_ui_bridge.web_rig import WITHIN_S, Page, Rig, page, until, with_rig
+from yarl import URL
 
 from scope_ui_bridge.adapters import front_door, video_hub
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users, write_secret
@@ -140,6 +141,32 @@ def test_a_flood_of_sign_ins_is_refused_recorded_briefly_and_does_not_delay_a_st
     refused = [entry for entry in records(path) if entry["command"] == "sign-in" and "refused" in entry["result"]]
     assert 1 <= len(refused) <= 5
     assert refused[0]["who"] == "127.0.0.1"
+
+
+def test_a_flood_of_made_up_paths_fills_no_record(tmp_path: Path) -> None:
+    path, many = tmp_path / "audit.jsonl", 300
+
+    async def scenario(rig: Rig) -> None:
+        begin_s = time.monotonic()
+        async with aiohttp.ClientSession(rig.url) as stranger:
+
+            async def send(method: str, where: URL) -> int:
+                async with stranger.request(method, where, headers={"Origin": "http://elsewhere"}) as answer:
+                    return answer.status
+
+            # Any page in any browser that reaches the bridge can send these.
+            posts = [send("POST", URL(f"{rig.url}/made-up-{number}")) for number in range(many)]
+            climbs = [send("GET", URL(f"{rig.url}/%2e%2e/{number}%0aX", encoded=True)) for number in range(many)]
+            assert set(await asyncio.gather(*posts)) == {403}
+            assert set(await asyncio.gather(*climbs)) == {404}
+        begun.append(time.monotonic() - begin_s)
+
+    begun: list[float] = []
+    with_rig(scenario, audit=AuditFile(path))
+    found = records(path)
+    assert {(entry["who"], entry["command"]) for entry in found} == {("127.0.0.1", "request")}
+    assert found[0]["result"] == "refused: '/made-up-0': origin 'http://elsewhere'"
+    assert 1 <= len(found) <= 2 + begun[0], "one a second, of all together"
 
 
 @pytest.fixture

@@ -116,20 +116,27 @@ class FrontDoor:
             response = web.Response(status=414, text="Nothing here has such a long name.\n")
         elif named and request.headers.getall("Origin", []) not in [[origin] for origin in self._origins]:
             found = request.headers.get("Origin")
-            self.turned_away.note(request.remote or "", request.path, f"origin {str(found)[:80]!r}")
+            self._note(request, f"origin {str(found)[:80]!r}")
             response = web.Response(status=403, text="This origin may not do that.\n")
         else:
             try:
                 response = await handler(request)
             except web.HTTPException as error:
                 if error.status in (400, 401, 413) or ".." in unquote(request.raw_path):
-                    self.turned_away.note(request.remote or "", request.path, f"{error.status} {error.reason}")
+                    self._note(request, f"{error.status} {error.reason}")
                 response = web.Response(status=error.status, text=f"{error.status}: {error.reason}\n")
                 if "Allow" in error.headers:
                     response.headers["Allow"] = error.headers["Allow"]
         if not response.prepared:
             response.headers.update(HEADERS)
         return response
+
+    def _note(self, request: web.Request, why: str) -> None:
+        # What is served here is a kind of its own. Each path that somebody makes up would be one, too, with its record.
+        served = request.match_info.route.resource
+        kind = served.canonical if served is not None else "request"
+        named = why if kind == request.path else f"{request.path!r}: {why}"
+        self.turned_away.note(request.remote or "", kind, named)
 
     def sweep(self, server: web.Server) -> None:
         """Call often: ends connections that ask for nothing, so that slow or silent ones cannot use up all places."""
