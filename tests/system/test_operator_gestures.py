@@ -158,6 +158,37 @@ def test_gestures_by_touch_in_german_on_a_tablet(browser: Any, instrument: Instr
         operator.context.close()
 
 
+def test_two_fingers_in_the_picture_zoom_it_and_leave_stop_in_sight(browser: Any, instrument: Instrument) -> None:
+    view = {"width": 820, "height": 1180}
+    operator = Operator(browser, instrument.new_address(), viewport=view, has_touch=True, is_mobile=True)
+    page = operator.page
+    try:
+        operator.takes_control()
+        stage = page.locator("#stage").bounding_box()
+        u, v = stage["x"] + 0.5 * stage["width"], stage["y"] + 0.5 * stage["height"]
+        fingers = operator.context.new_cdp_session(page)
+
+        def touch(kind: str, *apart: float) -> None:
+            points = [{"x": u + side * px, "y": v, "id": side + 1} for side, px in zip((-1, 1), apart)]
+            fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+        def pinch(begin: float, end: float) -> float:
+            touch("touchStart", begin)
+            touch("touchStart", begin, begin)
+            for px in np.linspace(begin, end, 20):
+                touch("touchMove", px, px)
+            touch("touchEnd")
+            return float(page.inner_text("#zoom-fit").removesuffix(" %"))
+
+        operator.until(lambda: pinch(40, 120) > 200, 20.0, lambda: page.inner_text("#zoom-fit"))
+        seen = page.evaluate("[visualViewport.scale, visualViewport.offsetLeft, visualViewport.offsetTop]")
+        assert seen == [1, 0, 0], "a page that is zoomed as a whole shows STOP no more"
+        assert "Nothing" in page.inner_text("#selection-name")
+        operator.until(lambda: pinch(120, 40) == 100, 20.0, lambda: page.inner_text("#zoom-fit"))
+    finally:
+        operator.context.close()
+
+
 # --- sequences, with the real sequencer ---
 
 
