@@ -73,6 +73,12 @@ def test_a_knob_is_set_by_number_dial_and_clicks(person: Operator, instrument: I
     person.sees("#selection-detail", r"at \+10°")
     assert page.input_value("#set-degrees") == "10"
     page.fill("#set-degrees", "60")
+    field = page.locator("#set-degrees").bounding_box()
+    page.mouse.move(field["x"] + 20, field["y"] + 20)
+    page.mouse.wheel(0, 40)  # to bring what is farther down into sight
+    moved = lambda: page.locator("#set-degrees").bounding_box()["y"] < field["y"]  # noqa: E731
+    person.until(moved, 20.0, lambda: f"the desk stands still, the field shows {page.input_value('#set-degrees')}")
+    assert page.input_value("#set-degrees") == "60"
     person.confirms("set")
     person.logs("Set to 60° Channel 1 scale.*done", 20.0)
     person.sees("#selection-detail", r"at \+60°")

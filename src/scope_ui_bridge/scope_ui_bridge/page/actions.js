@@ -137,6 +137,12 @@ function wireKeys() {
   });
 }
 
+/** A wheel over a field scrolls, and counts no number up or down: what was typed is what will be done. */
+function wireNumbers() {
+  const letGo = ({ target }) => target.type === "number" && target.blur();
+  document.addEventListener("wheel", letGo, { capture: true, passive: true });
+}
+
 function shut(on) {
   document.querySelector("main").inert = on;
 }
@@ -168,6 +174,7 @@ export function wireActions() {
     find(`lease-${step}`).addEventListener("click", () => desk.ask("lease", { step, to: find("lease-text").dataset.asking }));
   }
   wireCalls();
+  wireNumbers();
   wireSingleKeys();
   wireKeys();
 }
