@@ -346,6 +346,7 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     lines[-1].send(json.dumps({"type": "facts", "facts": {"calibration": numbers}}))
     person.until(lambda: "checked – mm" in (page.text_content("#guide-numbers") or ""), 15.0, lambda: "a dash")
     assert page.get_attribute("#guide-result", "data-done") == "no", "nobody knows how good it is"
+    person.sees("#seen", "lamp green")
     whole, hung = False, len(pictures)
     page.route("**/stop*", lambda route: route.abort())
     lines[-1].close()
@@ -354,6 +355,12 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
         person.sees(f"#chip-{part}", "unknown")
         assert page.get_attribute(f"#chip-{part}", "data-look") == "none", "what was last heard may hold no more"
     assert page.inner_text("#position-x") == page.inner_text("#position-stylus") == "–"
+    label = lambda: str(page.get_attribute("[data-control=RUN_STOP]", "aria-label"))  # noqa: E731
+    assert (page.inner_text("#seen"), label()) == ("", "Run / Stop, Button"), "nor is a lamp lit that was lit then"
+    assert page.inner_text("#seen-none") == "There is no link to the bridge."
+    page.click("#tab-plots")
+    person.sees("#plot-position .values", "X – · Y – · Stylus down – mm")
+    page.click("#tab-machine")
     page.click("#stop")
     person.sees("#banner", "STOP has not got through. Use the wired emergency stop")
     page.unroute("**/stop*")
@@ -363,6 +370,8 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     person.until(lambda: len(pictures) > hung, 60.0, lambda: "the picture is asked for anew")
     before = person.picture_sum()
     person.until(lambda: person.picture_sum() != before, 20.0, lambda: "the picture is live again")
+    person.sees("#seen", "lamp green")
+    assert label() == "Run / Stop, Button, lamp green"
     page.click("#lease-take")
     person.until(lambda: page.is_enabled("#reset"), 15.0, lambda: page.inner_text("#lease-text"))
     page.click("#reset")

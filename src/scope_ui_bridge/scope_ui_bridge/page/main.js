@@ -36,6 +36,7 @@ const log = new CommandLog(find("log"));
 const lines = new Console(find("console-lines"));
 let instrument = ""; // its name
 let known = false; // what the bridge tells at the beginning has come before
+let labelled = false; // whether the controls bear what was seen of them, while there was a link
 let lostControl = false;
 let wasMine = false;
 let turnedAway = "";
@@ -240,6 +241,8 @@ function render() {
   renderSelection();
   renderMachine();
   renderPanel(overlay.controls);
+  if (labelled === link.silent) overlay.relabel();
+  labelled = !link.silent;
   renderMove();
   renderSequence();
   renderTeach();

@@ -1,6 +1,7 @@
 // What recognition sees of the panel: lit lamps, knobs' angles, screens that changed, and what hides a control.
 
 import { timeText } from "./clock.js";
+import { desk } from "./desk.js";
 import { find, put } from "./dom.js";
 import { has, t } from "./strings.js";
 
@@ -11,13 +12,14 @@ export function setPanel(list) {
   controls = new Map(list.map((control) => [control.name, control]));
 }
 
+/** What is seen of a control now; without a link nobody knows. */
 export function seenOf(name) {
-  return controls.get(name);
+  return desk.link.silent ? undefined : controls.get(name);
 }
 
 /** What is seen of a control, in words; empty where there is nothing to say. */
 export function seenText(name) {
-  const seen = controls.get(name);
+  const seen = seenOf(name);
   if (!seen) return "";
   if (seen.hidden_by) return t(`hidden_${seen.hidden_by}`);
   if (seen.lamp) return t("lamp", { colour: has(`lamp_${seen.lamp}`) ? t(`lamp_${seen.lamp}`) : seen.lamp });
@@ -55,6 +57,7 @@ export function renderPanel(shown) {
     put(item.querySelector("dd span:last-child"), text);
   }
   find("seen-none").hidden = said.length > 0;
+  put(find("seen-none"), t(desk.link.silent ? "link_down" : "seen_none"));
 }
 
 function row(name) {

@@ -5,13 +5,15 @@ import { find, put, svg } from "./dom.js";
 import { t } from "./strings.js";
 
 const SPAN_MS = 60_000;
+const NOW_MS = 1000; // what is older is drawn, and not told as what is now
 const [WIDTH, HEIGHT] = [340, 84];
 const series = { x: [], y: [], stylus: [], picture: [], link: [] };
 const errors = []; // mm
 
 export function sample(now) {
-  const [x, y, stylus] = desk.state?.position_mm ?? [];
-  const values = { x, y, stylus, picture: desk.video.ageMs, link: desk.link.rttMs ?? undefined };
+  const { state, link, video } = desk;
+  const [x, y, stylus] = (!link.silent && state?.position_mm) || [];
+  const values = { x, y, stylus, picture: video.ageMs, link: link.silent ? undefined : link.rttMs };
   for (const [name, points] of Object.entries(series)) {
     if (Number.isFinite(values[name])) points.push([now, values[name]]);
     while (points.length && points[0][0] < now - SPAN_MS) points.shift();
@@ -36,8 +38,8 @@ function draw(id, lines, unit, digits) {
   );
   drawing.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
   drawing.replaceChildren(...paths);
-  const last = ({ label, points }) => `${label} ${points.length ? points.at(-1)[1].toFixed(digits) : "–"}`;
-  put(figure.querySelector(".values"), `${lines.map(last).join(" · ")} ${unit}`);
+  const told = ({ label, last }) => `${label} ${last?.toFixed(digits) ?? "–"}`;
+  put(figure.querySelector(".values"), `${lines.map(told).join(" · ")} ${unit}`);
   put(figure.querySelector(".range"), all.length ? `${low.toFixed(digits)} … ${high.toFixed(digits)} ${unit}` : t("plot_empty"));
 }
 
@@ -45,11 +47,12 @@ export function renderPlots(now) {
   const line = (name, label) => ({
     name,
     label,
+    last: series[name].findLast(([at]) => at > now - NOW_MS)?.[1],
     points: series[name].map(([at, value]) => [WIDTH * (1 - (now - at) / SPAN_MS), value]),
   });
   draw("plot-position", [line("x", "X"), line("y", "Y"), line("stylus", t("axis_stylus"))], "mm", 1);
   draw("plot-latency", [line("picture", t("chip_video")), line("link", t("chip_link"))], "ms", 0);
   const step = WIDTH / Math.max(errors.length - 1, 1);
   const points = errors.map((value, index) => [index * step, value]);
-  draw("plot-error", [{ name: "error", label: t("log_error"), points }], "mm", 2);
+  draw("plot-error", [{ name: "error", label: t("log_error"), last: errors.at(-1), points }], "mm", 2);
 }
