@@ -615,6 +615,55 @@ def test_a_picture_that_hangs_alone_stops_the_motion_and_comes_back(browser: Any
     person.leaves()
 
 
+SLOW_TO_DRAW = """
+window.came = { left: 0, right: 0 };
+window.atWork = 0;
+let gate = Promise.resolve();
+window.hold = () => {
+  gate = new Promise((go) => (window.go = go));
+};
+const draw = createImageBitmap;
+window.createImageBitmap = async (...picture) => {
+  atWork += 1;
+  await gate;
+  atWork -= 1;
+  return draw(...picture);
+};
+window.WebSocket = class extends WebSocket {
+  constructor(address) {
+    super(address);
+    this.addEventListener("message", ({ data }) => {
+      if (typeof data === "string") return;
+      const about = new Uint8Array(data, 4, new DataView(data).getUint32(0));
+      came[JSON.parse(new TextDecoder().decode(about)).camera] += 1;
+    });
+  }
+};
+"""
+
+
+def test_the_outlines_are_those_of_the_camera_that_is_shown_also_when_pictures_are_passed_over(
+    operator: Operator,
+) -> None:
+    page = operator.page
+    page.add_init_script(SLOW_TO_DRAW)
+    page.reload()
+    operator.sees_controls()
+    place = lambda: page.evaluate("document.querySelector('[data-control=RUN_STOP]').style.left")  # noqa: E731
+    places = [place()]
+    for camera in ("right", "left", "right", "left"):
+        page.evaluate("hold()")
+        operator.until(lambda: page.evaluate("atWork"), 20.0, lambda: "a picture is drawn")
+        page.evaluate(f"came.{camera} = 0")
+        page.click(f"[data-camera={camera}]")
+        come = lambda camera=camera: page.evaluate(f"came.{camera}")  # noqa: E731
+        operator.until(lambda come=come: come() > 1, 20.0, lambda: "two pictures, the first of which is passed over")
+        page.evaluate("go()")
+        operator.until(lambda: place() != places[-1], 20.0, lambda: f"the outlines are where they were: {places}")
+        places.append(place())
+    assert places[0] == places[2] == places[4] and places[1] == places[3]
+
+
 def test_a_picture_that_was_long_on_its_way_is_shown_as_old_as_it_is(browser: Any, instrument: Instrument) -> None:
     """The connection of the pictures alone is slow, so that round trips on the other one do not tell."""
     person = Operator(browser, instrument.new_address())

@@ -14,8 +14,9 @@ export class Video extends EventTarget {
   #heard = 0;
   #waitsAwakeMs = 0; // since when a picture is waited for, in the link's time in which the page could look
   #patienceMs = PATIENCE_MS[0];
-  #pending = null;
+  #pending = null; // {about, jpeg, arrived, socket}
   #decoding = false;
+  #passedOver = null; // what was said with the last picture that brought outlines and was not shown
   #link;
   shown = null; // {camera, stamp, age_ms, sent_ms, light, arrived}; age_ms: when it was sent, by the bridge's clock
 
@@ -54,7 +55,8 @@ export class Video extends EventTarget {
       this.#heard = performance.now();
       this.#waitsAwakeMs = this.#link.awakeMs;
       this.#patienceMs = PATIENCE_MS[0];
-      this.#pending = { data: event.data, arrived: performance.now(), socket };
+      if (this.#pending) this.#passOver(this.#pending.about);
+      this.#pending = { ...parts(event.data), arrived: performance.now(), socket };
       this.#decode();
     });
     socket.addEventListener("close", () => {
@@ -97,23 +99,32 @@ export class Video extends EventTarget {
     if (this.#decoding) return;
     this.#decoding = true;
     while (this.#pending) {
-      const { data, arrived, socket } = this.#pending;
+      const { about, jpeg, arrived, socket } = this.#pending;
       this.#pending = null;
-      const length = new DataView(data).getUint32(0);
-      const about = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
       try {
-        const bitmap = await createImageBitmap(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }));
+        const bitmap = await createImageBitmap(new Blob([jpeg], { type: "image/jpeg" }));
         if (about.camera === this.#wish.camera) this.#show(about, bitmap, arrived);
         bitmap.close();
       } catch (error) {
         console.error("a picture could not be decoded", error);
+        this.#passOver(about);
       }
       if (socket === this.#socket) await this.#drawn(about.seq);
     }
     this.#decoding = false;
   }
 
+  /** The panel's outlines come once, until it moves: a picture that is not shown leaves them to the next one. */
+  #passOver(about) {
+    if (about.panel) this.#passedOver = about;
+  }
+
   #show(about, bitmap, arrived) {
+    const left = this.#passedOver;
+    if (left?.camera === about.camera && left.seq < about.seq) {
+      about.panel ??= left.panel;
+      this.#passedOver = null;
+    }
     if (this.#canvas.width !== about.width || this.#canvas.height !== about.height) {
       this.#canvas.width = about.width;
       this.#canvas.height = about.height;
@@ -135,4 +146,11 @@ export class Video extends EventTarget {
       }),
     );
   }
+}
+
+/** Take a message apart: four bytes (the JSON's length), what is said of the picture, and the picture. */
+function parts(data) {
+  const length = new DataView(data).getUint32(0);
+  const about = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  return { about, jpeg: new Uint8Array(data, 4 + length) };
 }
