@@ -355,3 +355,43 @@ def test_a_parameter_file_that_cannot_be_read_ends_it_with_one_line(
     assert main(["run", str(program(*GOOD)), "--params", str(params)]) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"error: {params}") and said.count("\n") == 1
+
+
+CONFIG = Path(__file__).parents[2] / "config" / "params"
+SMALL = "--set=130=200", "--set=131=150", "--set=132=40"
+"""Settings of a board on a stage that is smaller than the bench's."""
+
+
+def test_the_machine_of_a_lab_is_that_of_its_drivers_files(tmp_path: Path) -> None:
+    """Of the profile "hardware" they are two, and the second has entries for other nodes."""
+    own = tmp_path / "hardware.yaml"
+    text = (CONFIG / "hardware.yaml").read_text(encoding="utf-8")
+    assert "travel_mm: [360.0, 220.0, 60.0]" in text
+    own.write_text(text.replace("travel_mm: [360.0, 220.0, 60.0]", "travel_mm: [200.0, 150.0, 40.0]"))
+    files = ("--params", str(CONFIG / "serial_driver.yaml"), "--params", str(own))
+    board = GrblBoard(tmp_path, *SMALL)
+    try:
+        code, output = run(*files, "--port", str(board.port), "--write", what="settings")
+        assert code == 0 and output.splitlines()[-1] == "all 17 settings are as they should be"
+        assert not [e["text"] for e in board.lines() if "=" in e["text"]]
+    finally:
+        board.close()
+
+
+def test_no_machine_is_written_to_a_board_that_nobody_has_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = GrblBoard(tmp_path, *SMALL)
+    try:
+        assert main(["settings", "--port", str(board.port), "--write"]) == 2
+        assert "--write: the configured machine is named by --params" in capsys.readouterr().err
+        assert not [e["text"] for e in board.lines() if "=" in e["text"]]
+    finally:
+        board.close()
+
+
+def test_a_file_without_the_driver_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    params = tmp_path / "params.yaml"
+    params.write_text("/**/camera: {ros__parameters: {baud: 9600}}\n/**/hand_eye: {ros__parameters: {baud: 9600}}\n")
+    assert main(["settings", "--params", str(params), "--port", "no-such-port"]) == 2
+    assert capsys.readouterr().err == f"error: {params}: ros__parameters for serial_driver are needed\n"

@@ -1,12 +1,13 @@
 """Run a G-code program directly on the board's port, without ROS: checked first, paused and resumed by keys.
 
-``gantry_gcode settings --port /dev/ttyUSB0`` compares the board's settings with the configured machine, keeps them in a
-file, or writes those of the configuration or of a file to the board and reads them back; nothing moves.
+``gantry_gcode settings --params serial_driver.yaml --params hardware.yaml`` compares the board's settings with the
+machine that these files configure (without any: that of the driver's defaults), keeps them in a file, or writes those
+of the configuration or of a file to the board and reads them back; nothing moves.
 
-``gantry_gcode run FILE --port /dev/ttyUSB0`` checks the whole file against the machine, says how long it takes, opens
-the port for itself alone (a driver that has it makes that fail), homes, and streams. Space pauses (the stylus stays
-where it is) and resumes; Ctrl-C holds, lifts the stylus, keeps the position, and ends, and so do Ctrl-Z and a terminal
-that is closed. ``--dry-run`` lets the board's own parser check the lines in ``$C`` mode; nothing moves. ``--check``
+``gantry_gcode run FILE`` with the same files checks all of FILE against the machine, says how long it takes, opens the
+port for itself alone (a driver that has it makes that fail), homes, and streams. Space pauses (the stylus stays where
+it is) and resumes; Ctrl-C holds, lifts the stylus, keeps the position, and ends, and so do Ctrl-Z and a terminal that
+is closed. ``--dry-run`` lets the board's own parser check the lines in ``$C`` mode; nothing moves. ``--check``
 does not open the port at all.
 """
 
@@ -20,10 +21,8 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 import serial
-import yaml
 
 from gantry_driver.adapters.check_mode import CheckFailed, dry_run
 from gantry_driver.adapters.serial_link import SerialLink
@@ -39,8 +38,8 @@ from gantry_driver.core.trajectory_gcode import TrajectoryError
 from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.config import ConfigError, from_mapping
+from icu_common.core.parameter_file import values_for
 from icu_common.core.results import GoalResult, Outcome
-from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
 DONE, FAILED, USAGE = 0, 1, 2
 """Exit codes."""
@@ -52,35 +51,15 @@ class Failed(Exception):
     """The program cannot go on; the message says why."""
 
 
-def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings with dotted names."""
-    result: dict[str, Any] = {}
-    for name, value in values.items():
-        result.update(flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value})
-    return result
-
-
-def read_config(params: Path | None, port: str | None) -> DriverConfig:
-    """Return the driver's configuration, from a ROS parameter file if there is one.
+def read_config(params: Sequence[Path], port: str | None) -> DriverConfig:
+    """Return the driver's configuration, from ROS parameter files, the later on top, as its node reads them.
 
     Raises
     ------
     ConfigError
-        Also for a file without ``ros__parameters``.
+        Also for a file without ``ros__parameters`` of the driver.
     """
-    values: dict[str, Any] = {}
-    if params is not None:
-        try:
-            document = yaml.load(params.read_text(encoding="utf-8"), Loader)
-        except UNREADABLE as error:
-            raise ConfigError(f"{params}:{mistake(error)}") from error
-        except UnicodeDecodeError as error:
-            raise ConfigError(f"{params}: {error}") from error
-        try:
-            ((_, node),) = document.items()
-            values = flat(node["ros__parameters"])
-        except (AttributeError, KeyError, TypeError, ValueError):
-            raise ConfigError(f"{params}: one node with ros__parameters is needed") from None
+    values = {name: value for path in params for name, value in values_for("serial_driver", path).items()}
     if port is not None:
         values["port"] = port
     return from_mapping(DriverConfig, {**values, "enabled_at_start": True})
@@ -321,7 +300,14 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="gantry_gcode", description=__doc__)
     board = argparse.ArgumentParser(add_help=False)
     board.add_argument("--port", help="device of the board (from --params, else /dev/ttyUSB0)")
-    board.add_argument("--params", type=Path, metavar="YAML", help="ROS parameter file of the serial driver")
+    board.add_argument(
+        "--params",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="YAML",
+        help="ROS parameter file of the serial driver; again for another one on top of it",
+    )
     commands = parser.add_subparsers(required=True, metavar="run | settings", dest="command")
     run = commands.add_parser("run", parents=[board], help="check and run a program")
     run.add_argument("file", type=Path, metavar="FILE")
@@ -352,6 +338,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = make_parser().parse_args(arguments)
     try:
         config = read_config(given.params, given.port)
+        if given.command == "settings" and given.write and not given.params:
+            raise ConfigError("--write: the configured machine is named by --params, once for each of its files")
         name = given.file if given.command == "run" else given.write_file
         # To a board only these are ends of lines; what splitlines() takes for one besides may stand in a comment.
         source = name.read_text(encoding="utf-8-sig", errors="replace").split("\n") if name else []
@@ -362,6 +350,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # A shell that starts a program in the background lets it ignore SIGINT; one that moves a machine must not.
     _on_signals(_interrupt)
     if given.command == "settings":
+        if not given.params and name is None and given.save is None:
+            print("no --params: the machine is that of the driver's defaults", flush=True)
         if given.write:
             profile = config.expected_settings()
         return run_settings(config, save=given.save, profile=profile)
