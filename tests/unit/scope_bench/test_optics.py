@@ -70,6 +70,27 @@ def test_the_command_writes_the_committed_files(tmp_path: Path) -> None:
         assert (written["image_width"], written["image_height"]) == (kept["image_width"], kept["image_height"])
 
 
+def test_the_command_writes_the_cameras_of_a_changed_bench(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "config/params/bench.yaml").read_text(encoding="utf-8")
+    assert "focal_px: 1700.0" in text and "baseline_m: 0.12\n" in text
+    (tmp_path / "params").mkdir()
+    changed, folder = tmp_path / "params" / "bench.yaml", tmp_path / "cameras"
+    changed.write_text(
+        text.replace("focal_px: 1700.0", "focal_px: 1500.0").replace("baseline_m: 0.12", "baseline_m: 0.1")
+    )
+    assert write_calibration.main([str(folder)]) == 2
+    assert str(folder) in capsys.readouterr().err
+    folder.mkdir()
+    assert write_calibration.main([str(folder)]) == 0
+    assert str(changed) in capsys.readouterr().out
+    pair = [CameraModel.load(folder / f"bench_{side}.yaml") for side in ("left", "right")]
+    assert [model.k[0, 0] for model in pair] == [1500.0, 1500.0]
+    assert -pair[1].p[0, 3] / pair[1].p[0, 0] == pytest.approx(0.1, abs=1e-9)
+    changed.write_text("/**: {ros__parameters: {camera: {focal_px: wide}}}")
+    assert write_calibration.main([str(folder)]) == 2
+    assert "focal_px = 'wide'" in capsys.readouterr().err
+
+
 def test_panel_and_workspace_are_in_both_pictures() -> None:
     layout = load_layout(ROOT / "config/scopes/dso_bench_4.yaml")
     width, height = (side / 1000 for side in layout.size_mm)
