@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -14,7 +15,9 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from unit.harris_perception.rendered_stylus import stereo_model
 
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.nodes.stereo_node import StereoNode
+from harris_perception.core.stereo_matching import MatchConfig
+from harris_perception.nodes.stereo_node import Matcher, StereoConfig, StereoNode
+from icu_common.core.camera_model import StereoModel
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     camera_info_message,
@@ -32,7 +35,7 @@ NORMAL = np.array([0.0, -np.sin(np.deg2rad(25.0)), -np.cos(np.deg2rad(25.0))])
 CENTRE = np.array([0.07, 0.0, 0.62])
 
 
-def panel_pictures(seed: int = 1) -> list[Any]:
+def panel_pictures(seed: int = 1, stereo: StereoModel = STEREO) -> list[Any]:
     """Return raw grey pictures of a textured plane through CENTRE with NORMAL: every raw pixel's ray meets it."""
     rng = np.random.default_rng(seed)
     texture = np.full((900, 1200), 150.0, np.float32)
@@ -42,7 +45,7 @@ def panel_pictures(seed: int = 1) -> list[Any]:
     texture = cv2.GaussianBlur(texture, (0, 0), 1.5)
     up = np.cross(NORMAL, [1.0, 0.0, 0.0])
     pictures = []
-    for model, eye in ((STEREO.left, 0.0), (STEREO.right, STEREO.baseline)):
+    for model, eye in ((stereo.left, 0.0), (stereo.right, stereo.baseline)):
         v, u = np.mgrid[0 : model.height, 0 : model.width]
         rays = model.rays(np.column_stack([u.ravel(), v.ravel()]))
         origin = np.array([eye, 0.0, 0.0])
@@ -56,6 +59,24 @@ def panel_pictures(seed: int = 1) -> list[Any]:
 
 PICTURES = panel_pictures()
 CORNERS = [HarrisDetector(HarrisConfig(max_corners=800)).detect(picture).xy for picture in PICTURES]
+
+
+@pytest.mark.parametrize("finer", [0.5, 0.8, 1.25])
+def test_points_are_those_of_the_whole_left_picture_whatever_the_right_sensor(finer: float) -> None:
+    right = STEREO.right
+    size = {"width": round(right.width * finer), "height": round(right.height * finer)}
+    sensor = replace(right, **size, k=np.diag([finer, finer, 1.0]) @ right.k)
+    stereo = StereoModel(left=STEREO.left, right=sensor)
+    detector = HarrisDetector(HarrisConfig(max_corners=800))
+    pictures = panel_pictures(stereo=stereo)
+    images = [image_message(picture, "mono8", header(1, "")) for picture in pictures]
+    clouds = [cloud_message(("u", "v"), detector.detect(picture).xy, header(1, "")) for picture in pictures]
+    config = StereoConfig(matching=MatchConfig(min_depth_m=0.5, max_depth_m=0.8))
+    points = Matcher(stereo, config).points((images[0], images[1]), (clouds[0], clouds[1]))
+    rows = STEREO.left.project(points[:, :3])[:, 1]
+    print(f"{finer} times as fine: {len(points)} points, {(rows > 400).sum()} of them in the lowest sixth")
+    assert len(points) > 80 and (rows > 400).sum() > 10
+    assert np.median(np.abs((points[:, :3] - CENTRE) @ NORMAL)) < 0.0005
 
 
 class Rig:

@@ -112,6 +112,15 @@ def test_no_corners_no_matches(side: int) -> None:
     assert len(match_corners(flat, flat, *corners(left, right), LIMITS, MatchConfig())) == 0
 
 
+@pytest.mark.parametrize("cut", [np.s_[:120], np.s_[:, :200]])
+def test_pictures_of_different_sizes_are_refused_and_nothing_beside_them_is_read(cut: Any) -> None:
+    left, right = shifted(texture(), np.full((240, 360), 25.0), np.random.default_rng(5))
+    smaller = np.ascontiguousarray(right[cut])
+    a, b = corners(left, smaller)
+    with pytest.raises(ValueError, match=rf"\(240, 360\) and \({smaller.shape[0]}, {smaller.shape[1]}\)"):
+        match_corners(left, smaller, a, b, LIMITS, MatchConfig())
+
+
 def test_points_are_metric_and_their_uncertainty_grows_with_depth() -> None:
     stereo = stereo_model()
     left, right = shifted(texture(shape=(480, 800)), np.full((480, 800), 300.0), np.random.default_rng(6))
@@ -137,6 +146,8 @@ def test_rectified_pictures_and_rectified_corners_agree() -> None:
         rows, columns = np.mgrid[-10:11, -10:11]
         assert (box * columns).sum() / box.sum() + round(u) == pytest.approx(u, abs=0.1)
         assert (box * rows).sum() / box.sum() + round(v) == pytest.approx(v, abs=0.1)
+    smaller = Rectifier(stereo.left, (700, 400))(raw)
+    assert smaller.shape == (400, 700) and np.abs(smaller - rectified[:400, :700] - 40).max() <= 1
     with pytest.raises(ValueError, match=r"\(480, 800\)"):
         Rectifier(stereo.left)(raw[:100])
     with pytest.raises(ValueError, match=r"\(480, 800\) uint16: \(480, 800\) uint8 is calibrated"):

@@ -107,14 +107,22 @@ class Matches:
 
 
 class Rectifier:
-    """Makes rectified grey pictures of raw ones and keeps the maps for it."""
+    """Makes rectified grey pictures of raw ones and keeps the maps for it.
 
-    def __init__(self, model: CameraModel) -> None:
+    Parameters
+    ----------
+    model
+        The camera.
+    size
+        (width, height) of the rectified pictures: of a pair the left camera's for both. None: the raw ones'.
+    """
+
+    def __init__(self, model: CameraModel, size: tuple[int, int] | None = None) -> None:
         self._model = model
-        self._maps = model.rectification_maps()
+        self._maps = model.rectification_maps(size)
 
     def __call__(self, gray: Gray) -> Gray:
-        """Rectify (H, W) uint8.
+        """Rectify (H, W) uint8 into a picture of the size told above.
 
         Raises
         ------
@@ -155,7 +163,14 @@ def match_corners(
         Least and largest disparity.
     config
         Limits of what is a match.
+
+    Raises
+    ------
+    ValueError
+        If the pictures are of different sizes: beside or below the smaller one there is nothing to compare with.
     """
+    if left.shape != right.shape:
+        raise ValueError(f"rectified pictures of {left.shape} and {right.shape} px: two of one size are needed")
     half = config.window_px // 2
     left_fine, right_fine = left.astype(np.float32), right.astype(np.float32)
     left_place, left_at = _inside(left_px, left, half + 2)

@@ -63,7 +63,7 @@ class Matcher:
 
     def __init__(self, stereo: StereoModel, config: StereoConfig) -> None:
         self._stereo, self._config = stereo, config
-        self._rectify = Rectifier(stereo.left), Rectifier(stereo.right)
+        self._rectify = [Rectifier(model, stereo.left.size) for model in (stereo.left, stereo.right)]
         self._limits = disparity_range(stereo, config.matching)
 
     def points(self, images: tuple[Image, Image], corners: tuple[PointCloud2, PointCloud2]) -> Array:
