@@ -6,6 +6,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
@@ -80,10 +81,12 @@ class Rig:
             self.out[name].publish(camera_info_message(model, header(1, "")))
         self.ros.spin_until(lambda: self.node._stereo is not None, WITHIN_S)
 
-    def show(self, stamp: int, *, right_late_ns: int = 0, encoding: str = "bgr8") -> None:
+    def show(
+        self, stamp: int, *, right_late_ns: int = 0, encoding: str = "bgr8", pictures: list[Any] = PICTURES
+    ) -> None:
         for i, side in enumerate(("left", "right")):
             head = header(stamp + right_late_ns * i, f"camera_{side}_optical_frame")
-            self.out[f"{side}/image_raw"].publish(image_message(PICTURES[i], encoding, head))
+            self.out[f"{side}/image_raw"].publish(image_message(pictures[i], encoding, head))
 
     def status(self) -> Any:
         found = [s for d in self.diagnostics for s in d.status if s.name == "dense_stereo"]
@@ -156,6 +159,20 @@ def test_nothing_is_computed_and_no_picture_taken_without_a_reader(ros: Any, mon
     ros.spin_until(lambda: clouds, WITHIN_S)
     assert [stamp_ns(c.header.stamp) for c in clouds] == [4_000_000_000]
     assert worked == ["disparity", "disparity", "points"]
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_glint_in_one_picture_of_12_bits_costs_no_disparity(ros: Any, side: int) -> None:
+    rig = Rig(ros)
+    rig.calibrate()
+    disparities = rig.read(DisparityImage, "disparity")
+    deep = [np.minimum(picture, 250).astype(np.uint16) * 4 for picture in PICTURES]  # a quarter of the full light
+    for number, brightest in enumerate((1000, 1100), start=1):
+        deep[side][0, 0] = brightest
+        rig.show(number * 1_000_000_000, encoding="bgr16", pictures=deep)
+        ros.spin_until(lambda n=number: len(disparities) == n, WITHIN_S, rig.status)
+    before, with_glint = (np.frombuffer(d.image.data, np.float32) >= d.min_disparity for d in disparities)
+    assert with_glint.mean() > 0.8 * before.mean() > 0.4
 
 
 def test_pairs_by_near_stamps_and_what_stays_alone_is_counted(ros: Any) -> None:

@@ -126,6 +126,20 @@ def test_lamps_are_told_by_colour_only(ros: Any) -> None:
     assert set(grey.values()) == {""}, "of a picture without colour nobody knows whether they shine"
 
 
+def test_a_glint_in_pictures_of_12_bits_is_no_change_of_a_screen(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1})
+    states: list[DiagnosticArray] = ros.collect(rig.probe, DiagnosticArray, "state", qos.RESULTS)
+    ros.spin_until(lambda: rig.probe.count_publishers("state"), 10.0)
+    dark = picture().astype(np.uint16) * 4  # a quarter of the full light
+    # Of 10 bits, as far as a single picture tells; with the glint of 11.
+    for number, glint in enumerate([1000] * 6 + [1100] * 3 + [1000] * 3, start=1):
+        dark[0, 0] = glint
+        rig.show(dark, number, encoding="bgr16")
+        ros.spin_until(lambda n=number: len(states) == n, 10.0)
+    changed = [max(c.changed_ns for c in panel_state_of_message(state).controls) for state in states]
+    assert changed == [0] * 12
+
+
 def test_a_camera_that_loses_its_calibration_ends_the_poses(ros: Any) -> None:
     rig = Rig(ros, **{"recognition.agreement.frames": 1})
     assert rig.show(picture(seed=1), 1) > 0.85

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harris_perception.core.gray import bgr_of, eight_bits, gray_of, grey_level_of, has_color
+from harris_perception.core.gray import GreyLevels, bgr_of, eight_bits, gray_of, grey_level_of, has_color
 
 BGR = np.array([(200, 30, 60), (10, 255, 90)], np.uint8)
 """Two pixels; the largest value is that of 8 bits, so that deep pictures are the same."""
@@ -49,6 +49,17 @@ def test_a_hot_pixel_leaves_the_rest_of_a_deep_picture_as_bright_as_it_was(bits:
     np.testing.assert_array_equal(eight_bits(hot), [[255, 51], [77, 80]])
     np.testing.assert_array_equal(eight_bits(seen), [[0, 51], [77, 80]])
     assert grey_level_of(seen) == grey_level_of(hot) == 2 ** (bits - 8)
+
+
+def test_pictures_that_are_compared_have_one_grey_level() -> None:
+    levels, dark = GreyLevels(), np.array([[300, 1000]], np.uint16)
+    glint, damaged = np.array([[300, 1100]], np.uint16), np.array([[300, 65535]], np.uint16)
+    assert levels.of(dark) == 4 and levels.of(dark, glint) == levels.of(glint, dark) == levels.of(dark) == 16
+    np.testing.assert_array_equal(eight_bits(dark, 16), [[18, 62]])
+    np.testing.assert_array_equal(bgr_of(dark, "mono16", levels)[:, :, 0], [[18, 62]])
+    assert levels.of(damaged) == 256 and {levels.of(glint) for _ in range(60)} == {16, 256} and levels.of(glint) == 16
+    assert levels.of(dark.astype(np.uint8)) == 16 and GreyLevels().of(dark.astype(np.uint8)) == 1
+    assert eight_bits(BGR, 16) is BGR, "what has 8 bits stays as it is"
 
 
 def test_what_is_grey_is_repeated_and_what_is_unknown_refused() -> None:

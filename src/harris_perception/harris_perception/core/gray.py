@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+
+_REMEMBERED = 50
+"""Moments in which the most bits count, some seconds at least: longer than a lamp that blinks is dark."""
 
 # OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
 _BAYER_TO_GRAY = {
@@ -63,10 +67,10 @@ _TO_BGR = {
 }
 
 
-def bgr_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[np.uint8]:
+def bgr_of(picture: npt.NDArray[Any], encoding: str, levels: GreyLevels | None = None) -> npt.NDArray[np.uint8]:
     """Return the picture in colour, (H, W, 3) uint8, of what :func:`gray_of` takes.
 
-    Of more than 8 bits as in :func:`eight_bits`.
+    Of more than 8 bits as in :func:`eight_bits`; with ``levels`` as bright as those before.
 
     Raises
     ------
@@ -76,12 +80,14 @@ def bgr_of(picture: npt.NDArray[Any], encoding: str) -> npt.NDArray[np.uint8]:
     if encoding == "bgr8":
         return picture
     if not has_color(encoding):
-        return bgr_of_gray(gray_of(picture, encoding))
+        gray = gray_of(picture, encoding)
+        return bgr_of_gray(eight_bits(gray, None if levels is None else levels.of(gray)))
     native = np.ascontiguousarray(picture, picture.dtype.newbyteorder("="))
     if native.size == 0:
         return np.zeros((*picture.shape[:2], 3), np.uint8)
     name = _witheight_bits(encoding)
-    return eight_bits(native if name == "bgr8" else cv2.cvtColor(native, _TO_BGR[name]))
+    color = native if name == "bgr8" else cv2.cvtColor(native, _TO_BGR[name])
+    return eight_bits(color, None if levels is None else levels.of(color))
 
 
 def has_color(encoding: str) -> bool:
@@ -94,17 +100,19 @@ def _witheight_bits(encoding: str) -> str:
     return encoding.removesuffix("16") + "8" if encoding.endswith("16") else encoding
 
 
-def eight_bits(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+def eight_bits(picture: npt.NDArray[Any], level: float | None = None) -> npt.NDArray[np.uint8]:
     """Return the upper 8 bits of each value that a camera fills; of floats the largest becomes 255, not finite ones 0.
 
     How many of the 16 a camera fills is not told: the fewest of 8, 10, 12, 14 and 16 that hold the picture's largest
     value. So a glint or a hot pixel leaves the rest as it was, as long as the brightest place has a quarter of the full
-    light; a darker scene comes out brighter by the bits that it leaves free.
+    light; a darker scene comes out brighter by the bits that it leaves free. Pictures that are compared are given one
+    ``level``, of :class:`GreyLevels`.
     """
     if picture.dtype == np.uint8:
         return picture
     finite = np.nan_to_num(picture.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    return np.asarray(np.clip(finite / np.float32(grey_level_of(picture)), 0.0, 255.0), np.uint8)
+    level = grey_level_of(picture) if level is None else level
+    return np.asarray(np.clip(finite / np.float32(level), 0.0, 255.0), np.uint8)
 
 
 def bgr_of_gray(gray: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
@@ -121,3 +129,19 @@ def grey_level_of(gray: npt.NDArray[Any]) -> float:
         return next(2.0 ** (bits - 8) for bits in (8, 10, 12, 14, 16) if largest < 2**bits)
     top = float(np.max(gray, where=np.isfinite(gray), initial=0.0))
     return top / 255.0 if top > 0.0 else 1.0
+
+
+class GreyLevels:
+    """What one grey level is in pictures that are compared: of one camera in turn, or of both of a pair.
+
+    Each for itself could come out four times as bright as its neighbour: its brightest place may lie just below a power
+    of two, and the neighbour's just above. What a damaged picture shows is forgotten after a while.
+    """
+
+    def __init__(self) -> None:
+        self._levels: deque[float] = deque(maxlen=_REMEMBERED)
+
+    def of(self, *pictures: npt.NDArray[Any]) -> float:
+        """Return it for pictures of one moment, by these and by those of the last moments."""
+        self._levels.append(max(grey_level_of(picture) for picture in pictures))
+        return max(self._levels)

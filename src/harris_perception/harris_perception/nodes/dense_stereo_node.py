@@ -13,7 +13,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from harris_perception.core.dense_stereo import DELTA_PX, F32, DenseConfig, DenseStereo, SemiGlobalConfig, warm
-from harris_perception.core.gray import bgr_of, eight_bits, gray_of
+from harris_perception.core.gray import GreyLevels, bgr_of, eight_bits, gray_of
 from harris_perception.core.pairing import Pairing
 from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
 from icu_common.core import frames
@@ -57,7 +57,7 @@ class DenseStereoNode(Node):
         super().__init__("dense_stereo", **options)
         self._live = LiveParameters(self, DenseStereoConfig, lambda config: self._configure())
         self._calibration = StereoCalibration(self, self._configure)
-        self._pairs = Pairing(2)
+        self._pairs, self._levels = Pairing(2), GreyLevels()
         self._stereo: DenseStereo | None = None
         self._listening: list[Subscription] = []
         self._matched = self._reported_ns = 0
@@ -108,7 +108,9 @@ class DenseStereoNode(Node):
 
     def _match(self, stereo: DenseStereo, left: Image, right: Image) -> None:
         start = time.perf_counter()
-        disparity = stereo.disparity(*(eight_bits(gray_of(image_array(i), i.encoding)) for i in (left, right)))
+        grays = [gray_of(image_array(i), i.encoding) for i in (left, right)]
+        level = self._levels.of(*grays)
+        disparity = stereo.disparity(*(eight_bits(gray, level) for gray in grays))
         head = header(stamp_ns(left.header.stamp), frames.CAMERA_LEFT)
         if self._disparity.get_subscription_count() > 0:
             searched = stereo.least_px, stereo.largest_px

@@ -21,7 +21,7 @@ from visualization_msgs.msg import MarkerArray
 
 from harris_perception.core.face_depth import FaceDepth, height_above_face_m
 from harris_perception.core.fiducials import MarkerFinder, SeenMarker
-from harris_perception.core.gray import bgr_of, eight_bits, gray_of, has_color
+from harris_perception.core.gray import GreyLevels, bgr_of, eight_bits, gray_of, has_color
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, with_plane
@@ -128,6 +128,7 @@ class RecognitionNode(Node):
         self._frames = self._with_corners = self._found = 0
         self._busy_s, self._seen, self._refusal = 0.0, (0, 0, 0), ""
         self._sighting: Sighting | None = None
+        self._levels = GreyLevels()
         self._tip: tuple[int, Array] | None = None
         self._plane: tuple[int, Transform, Array] | None = None
         self._improved = 0
@@ -332,7 +333,8 @@ class RecognitionNode(Node):
 
     def _read(self, message: Image, sighting: Sighting, pose: Transform) -> None:
         assert self._camera is not None
-        picture, stamp = bgr_of(image_array(message), message.encoding), stamp_ns(message.header.stamp)
+        picture = bgr_of(image_array(message), message.encoding, self._levels)
+        stamp = stamp_ns(message.header.stamp)
         fresh = self._tip is not None and abs(stamp - self._tip[0]) <= 1e9 * self._live.config.tip_max_age_s
         tip = self._tip[1] if fresh and self._tip is not None else None
         coloured = has_color(message.encoding)
