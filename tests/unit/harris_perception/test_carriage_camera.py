@@ -138,6 +138,16 @@ def test_one_to_five_contacts_place_a_stylus_that_is_not_seen(count: int, bound:
     assert np.percentile(errors, 95) < bound
 
 
+@pytest.mark.parametrize("machine", [np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0]), np.eye(3)[[1, 0, 2]]])
+@pytest.mark.parametrize("touched", [True, False])
+def test_an_axis_that_runs_backwards_or_two_that_are_swapped_are_refused(machine: np.ndarray, touched: bool) -> None:
+    told = places() * (1.0, 1.0, 0.0)
+    found = [replace(panel(q @ machine), reading=q) for q in told]
+    seen = [] if touched else tips(told)
+    with pytest.raises(DegenerateError, match="one of them runs backwards, or the two are swapped"):
+        calibrate_on_carriage(found, seen, CAMERAS, contacts(1) if touched else [])
+
+
 def test_contacts_measure_the_offset_of_what_is_seen_from_what_touches() -> None:
     result = calibrate_on_carriage(panels(places()), tips(places()), CAMERAS)
     shift = np.array([0.0004, -0.0002, 0.0001])

@@ -238,6 +238,14 @@ def test_an_axis_that_runs_backwards_or_two_that_are_swapped_are_refused_as_such
         calibrate(mirrored, CAMERAS)
 
 
+@pytest.mark.parametrize("machine", [np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0]), np.eye(3)[[1, 0, 2]]])
+def test_they_are_also_where_the_stylus_was_at_one_extension(machine: np.ndarray) -> None:
+    readings = grid(stylus=(0.0,))
+    mirrored = [Sample(reading=q, tip=tip, covariance=NOISE) for q, tip in zip(readings, true_tips(readings @ machine))]
+    with pytest.raises(DegenerateError, match="one of them runs backwards, or the two are swapped"):
+        calibrate(mirrored, CAMERAS)
+
+
 def test_noise_beyond_the_limit_is_refused() -> None:
     rng = np.random.default_rng(0)
     data = [Sample(reading=s.reading, tip=s.tip + rng.normal(0, 0.001, 3), covariance=NOISE) for s in samples(grid())]

@@ -22,6 +22,7 @@ from harris_perception.core.hand_eye import (
     HandEyeConfig,
     Place,
     Sample,
+    check_side,
     check_stylus,
     checked,
     extension_design,
@@ -161,6 +162,8 @@ def calibrate_on_carriage(
         raise DegenerateError(
             "nothing tells where the stylus is: let the cameras see its tip, or touch one to five known points"
         )
+    if len(tip.regression) == 1:
+        check_side(camera_from_axes, points[fit.used].mean(axis=0))
     return HandEye(
         camera_from_base=Transform(camera_from_axes, origin),
         base_from_reading=axes,

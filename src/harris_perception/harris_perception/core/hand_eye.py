@@ -265,6 +265,7 @@ def calibrate(samples: Sequence[Sample], cameras: StereoModel, config: HandEyeCo
         stylus = rotation.T @ fit.regression[2]
         check_stylus(stylus, config)
     else:
+        check_side(rotation, tips[fit.used].mean(axis=0))
         origin = origin + rotation[:, 2] * readings[fit.used, 2].mean()  # all were taken at this extension
     return HandEye(
         camera_from_base=Transform(rotation, origin), base_from_reading=axes, stylus_direction=stylus, fit=fit
@@ -554,6 +555,23 @@ def check_axes(axes: Array, config: HandEyeConfig) -> None:
         raise DegenerateError(
             f"the axes miss a right angle by {np.degrees(skew):.1f} degrees, {np.degrees(config.max_skew):.1f} are "
             "plausible"
+        )
+
+
+def check_side(camera_from_axes: Array, seen: Array) -> None:
+    """Refuse axes (3, 3) that are a mirror's; where no stylus was fitted nothing else tells.
+
+    Their z is made of x and y, and points out of the panel: towards the cameras, which see its face at ``seen`` (3,) m.
+
+    Raises
+    ------
+    DegenerateError
+        With what may be the wrong way round.
+    """
+    if not camera_from_axes[:, 2] @ seen < 0:
+        raise DegenerateError(
+            "x and y do not go as they should: one of them runs backwards, or the two are swapped: move each a little "
+            "and look which it is, before motors or settings are changed"
         )
 
 
