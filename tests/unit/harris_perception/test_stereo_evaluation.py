@@ -95,6 +95,20 @@ def test_folders_give_the_pair_with_its_truth(tmp_path: Path, form: str) -> None
     assert half.left.shape == (60, 120) and np.nanmax(half.truth) == 7.5
 
 
+@pytest.mark.parametrize("which", ["m_right.png", "m_disp.npz"])
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_a_file_of_another_size_is_refused_also_where_all_are_made_smaller(
+    tmp_path: Path, which: str, scale: float
+) -> None:
+    write_scene(tmp_path / "one", "npz", scene())
+    if which == "m_disp.npz":  # of half the size, its unit is a pixel of its own
+        np.savez(tmp_path / "one" / which, scene().truth[::2, ::2] / 2)
+    else:
+        cv2.imwrite(str(tmp_path / "one" / which), scene().right[::2, ::2])
+    with pytest.raises(ValueError, match=r"one: .*\(60, 120\).*; they must be equal"):
+        list(scenes(tmp_path, scale=scale))
+
+
 @pytest.mark.parametrize(("scale", "order"), [("-1", "<"), ("-0.003922", "<"), ("1.0", ">")])
 def test_the_size_of_a_float_map_s_scale_means_nothing(tmp_path: Path, scale: str, order: str) -> None:
     """Middlebury's files of 2014 have -0.003922, and their values are pixels."""

@@ -38,7 +38,7 @@ def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterat
     Raises
     ------
     ValueError
-        If there is none, or a file cannot be read.
+        If there is none, a file cannot be read, or its size is not that of the other two.
     """
     if not 0.05 <= scale <= 1.0:
         raise ValueError(f"scale {scale:g}: from 0.05 to 1 is possible")
@@ -68,12 +68,14 @@ def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterat
 def _scene(name: str, left: Path, right: Path, truth: Path, truth_scale: float, scale: float) -> StereoScene:
     pictures = [read_gray(path) for path in (left, right)]
     disparity = _disparity(truth) * np.float32(truth_scale)
-    if scale < 1.0:
-        size = round(pictures[0].shape[1] * scale), round(pictures[0].shape[0] * scale)
-        factor = np.float32(size[0] / pictures[0].shape[1])
-        pictures = [np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.uint8) for p in pictures]
-        disparity = np.asarray(cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST), np.float32) * factor
-    return StereoScene(name=name, left=pictures[0], right=pictures[1], truth=disparity)
+    whole = StereoScene(name=name, left=pictures[0], right=pictures[1], truth=disparity)  # also when made smaller
+    if scale == 1.0:
+        return whole
+    height, width = disparity.shape
+    size = round(width * scale), round(height * scale)
+    pictures = [np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.uint8) for p in pictures]
+    disparity = np.asarray(cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST), np.float32)
+    return StereoScene(name=name, left=pictures[0], right=pictures[1], truth=disparity * np.float32(size[0] / width))
 
 
 def _disparity(path: Path) -> npt.NDArray[np.float32]:
