@@ -1223,6 +1223,25 @@ def test_a_g92_that_a_board_may_have_kept_is_not_cancelled_by_a_program(
     assert ("G92.1 moves all targets" in run("G92.1")) is keeps, "what a reset does to it, each firmware knows"
 
 
+@pytest.mark.parametrize("ended_by", ["G49", "G54"])
+def test_a_program_is_checked_with_the_offset_that_it_will_have_where_a_board_keeps_another_over_a_reset(
+    ended_by: str, monkeypatch: Any
+) -> None:
+    """A grblHAL keeps a tool's length, or G55; the lines before a program end both, and it went 20 mm deeper."""
+    monkeypatch.setattr(protocol_board, "BANNER", b"\r\nGrblHAL 1.1f ['$' for help]\r\n")
+    rig = Rig()
+    report = rig.board.report
+
+    def with_what_was_kept() -> str:
+        return report() if ended_by in rig.board.executed else report().replace("WCO:0,0,0", "WCO:0,0,20")
+
+    rig.board.report = with_what_was_kept  # type: ignore[method-assign]
+    rig.homed()
+    reason = rig.machine.run_program("p", ["G1 Z-70 F300"], rig.now).reason
+    assert "Z = -70.000 mm (machine) is outside -60 to -1 mm" in reason
+    assert rig.board.received[-3:] == ["$H", "G49", "G54"], "nothing of it was sent"
+
+
 def test_every_machine_that_can_be_configured_has_settings_that_fit_their_lines() -> None:
     """A line that is too long ended the driver, in the service that was to write it."""
     with pytest.raises(ConfigError, match=r"steps_per_mm = 1e\+90 is above its maximum"):

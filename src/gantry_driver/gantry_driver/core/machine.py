@@ -173,7 +173,11 @@ class Machine(Connection):
             # The stylus may be down and a locked board takes no M3 or M9: unlock, lift, and only then travel.
             for text in ("$X", *lift_lines(self.config)):
                 self.session.queue(text, answer_within_s=self.config.homing_timeout_s)
-        self._marker = self.session.queue("$H", answer_within_s=self.config.homing_timeout_s).number
+        # Only GRBL is known to forget a tool's length and a chosen system at a reset; what others report as their work
+        # offset is the sum of all, and is G54's, with which a program is checked, only once both are ended.
+        ends = () if self.dialect is Dialect.GRBL else ("G49", "G54")
+        for text in ("$H", *ends):
+            self._marker = self.session.queue(text, answer_within_s=self.config.homing_timeout_s).number
         return ""
 
     def _unlock_refusal(self) -> str:
