@@ -584,6 +584,7 @@ def test_moved_panel_while_pushing_stops_at_once(phase: Phase, command: str) -> 
 
 
 ALARM = "by marker 4X4_50 7 the panel is 6.0 mm from where its print is, 2 mm are allowed"
+WITHDRAWN = msg.Axes(base_from_reading=None)
 
 
 def test_panel_in_doubt_refuses_every_goal_until_the_alarm_ends() -> None:
@@ -603,6 +604,36 @@ def test_panel_in_doubt_ends_a_touch(phase: Phase) -> None:
     bench.on_phase[phase] = lambda b: b.tell(msg.PanelAlarm(text=ALARM))
     aborted(bench, bench.do("press:RUN_STOP"), ALARM)
     assert bench.readings[2] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("phase", "command"),
+    [
+        (Phase.TOUCH, "press:RUN_STOP"),
+        (Phase.TURN, "turn:CH1_SCALE:90"),
+        (Phase.TURN, "drag:0.05,0.06@panel_link:0.15,0.06@panel_link"),
+    ],
+)
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_panel_or_calibration_in_doubt_while_pushing_stops_at_once(
+    calibrated: bool, phase: Phase, command: str
+) -> None:
+    """The stylus pressed first, or drew to the end, what was known not to be there, and only then went up."""
+    bench = Bench().start()
+    bench.on_phase[phase] = lambda b: b.tell(msg.PanelAlarm(text=ALARM) if calibrated else WITHDRAWN)
+    aborted(bench, bench.do(command), ALARM if calibrated else "the calibration was withdrawn", "told to stop")
+    assert bench.stops == 1 and bench.controller.state == "stopped: on request"
+    assert len(bench.paths) == {Phase.TOUCH: 2, Phase.TURN: 3}[phase], "the driver lifts"
+
+
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK, Phase.CONTACT])
+def test_a_calibration_that_is_withdrawn_ends_a_touch(phase: Phase) -> None:
+    """It was touched, measured and answered `reached` by a calibration that was known not to fit."""
+    bench = Bench().start()
+    bench.on_phase[phase] = lambda b: b.tell(WITHDRAWN)
+    aborted(bench, bench.do("press:RUN_STOP"), "the calibration was withdrawn", "the stylus is up")
+    stylus_is_up(bench)
+    assert min(z for _, _, z in bench.lowest) >= (RUN_STOP[2] + 0.009 if phase is not Phase.CONTACT else -1)
 
 
 def test_small_shift_and_dip_of_confidence_are_tolerated() -> None:

@@ -650,13 +650,13 @@ class Controller:
 
     def _fault(self, job: Job) -> Fault | None:
         """Return what ends the goal early, if anything; asked after every event."""
-        fault = self._world.machine_fault(self.config)
+        pushing, crossing = self.phase in PUSHING, self.phase not in STANDING
+        fault = self._world.machine_fault(self.config, pushing=pushing)
         if fault is not None or job.touch is None or self.phase in UP:
             return fault
         assert job.scene is not None
         if self.phase in FREE_VIEW and (fault := self._world.view_fault(self.config, job.touch.control)) is not None:
             return fault
-        pushing, crossing = self.phase in PUSHING, self.phase not in STANDING
         return self._world.sight_fault(self.config, job.scene, job.touch.in_panel, pushing=pushing, crossing=crossing)
 
     def _break_off(self, job: Job, fault: Fault) -> None:

@@ -58,7 +58,7 @@ FREE_VIEW = (Phase.APPROACH, Phase.LOOK, Phase.CORRECT, Phase.RETURN)
 STANDING = (Phase.LOOK, Phase.TOUCH, Phase.CONTACT)
 """Here x and y rest: what cameras on the carriage see belongs to what is read."""
 PUSHING = (Phase.TOUCH, Phase.TURN)
-"""Here a moved panel stops the machine at once; elsewhere the stylus is in the air and goes up."""
+"""Here a panel that has moved or is in doubt stops the machine at once; elsewhere the stylus is in the air, goes up."""
 # What /gantry/state shows; every other phase is OTHERWISE.
 STATES = {
     Phase.LOOK: "looking",

@@ -82,8 +82,8 @@ class World:
         assert self.readings is not None
         return self.readings
 
-    def machine_fault(self, config: ControllerConfig) -> Fault | None:
-        """Return what ends every goal: a driver that is not at work, or an operator who has gone."""
+    def machine_fault(self, config: ControllerConfig, *, pushing: bool) -> Fault | None:
+        """Return what ends every goal: a driver not at work, an operator who has gone, a panel that is in doubt."""
         state = self.driver.partition(":")[0]
         if state not in ("idle", "moving"):
             return Fault(cause=f"the driver is {self.driver!r}", lift=False)
@@ -94,13 +94,18 @@ class World:
             age = since(self.age_s(self.heartbeat_ns))
             return Fault(cause=f"lost the operator: no heartbeat {age}")
         if self.panel_alarm:
-            return Fault(cause=self.panel_alarm)
+            return Fault(cause=self.panel_alarm, stop=pushing)
         return None
 
     def sight_fault(
         self, config: ControllerConfig, scene: Scene, in_panel: Array, *, pushing: bool, crossing: bool
     ) -> Fault | None:
-        """Return what ends a touch at ``in_panel`` (3,): a stalled camera, a panel that has moved since ``scene``."""
+        """Return what ends a touch at ``in_panel`` (3,).
+
+        A calibration that does not fit any more, a stalled camera, or a panel that has moved since ``scene``.
+        """
+        if self.base_from_reading is None:
+            return Fault(cause="the calibration was withdrawn", stop=pushing)
         if self.age_s(self.camera_stamp_ns) > config.camera_timeout_s:
             age = since(self.age_s(self.camera_stamp_ns))
             return Fault(cause=f"the camera has stalled: no picture {age}")

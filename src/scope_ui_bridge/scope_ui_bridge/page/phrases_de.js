@@ -219,6 +219,7 @@ export const PHRASES_DE = [
   ["no operator (heartbeat)", "kein Bediener (Herzschlag)"],
   ["no operator heartbeat {}, at most {} s are allowed", "{} kein Herzschlag des Bedieners, höchstens {} s sind erlaubt"],
   ["the camera has stalled: no picture {}", "die Kamera steht: {} kein Bild"],
+  ["the calibration was withdrawn", "die Kalibrierung wurde zurückgezogen"],
   ["no picture from the left camera", "kein Bild von der linken Kamera"],
   ["no picture from the left camera {}, at most {} s are allowed", "{} kein Bild von der linken Kamera, höchstens {} s sind erlaubt"],
   ["the panel is not recognised {}, at most {} s are allowed: is something before it, or too little light?", "die Front ist {} nicht erkannt, höchstens {} s sind erlaubt: steht etwas davor, ist zu wenig Licht?"],
