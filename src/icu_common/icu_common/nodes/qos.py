@@ -41,10 +41,13 @@ LATCHED = QoSProfile(
 """State that a late subscriber needs at once."""
 
 COMMAND = QoSProfile(
-    depth=1,
+    depth=10,
     history=HistoryPolicy.KEEP_LAST,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
     lifespan=Duration(seconds=1),
 )
-"""What moves the machine: never late, never twice. Commands older than a second die on the way."""
+"""What moves the machine: never late, never twice. Commands older than a second die on the way.
+
+Of several that come at once the first is obeyed and the others are refused; at a depth of one the last drove the others
+out, and nobody answered them."""
