@@ -63,6 +63,7 @@ def test_an_offset_that_is_no_g92_may_stay_and_one_that_is_none_may_be_cancelled
         (["G1 X-10 F100 I5"], 1, 14, "I is of no use here (error:36)"),
         (["G0 X-10 P1"], 1, 9, "P is of no use here (error:36)"),
         (["G2 X-90 R6 J1 F100"], 1, 12, "J is of no use here (error:36)"),
+        (["G2 X-90 I5 F100", "G92 X0 I5"], 2, 8, "I is of no use here (error:36)"),
         (["L2"], 1, 1, "L is of no use here (error:36)"),
         (["T256"], 1, 1, "T256 is above 255 (error:38)"),
         (["(a comment", "G0"], 1, 1, "the comment has no end"),

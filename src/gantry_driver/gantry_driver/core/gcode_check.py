@@ -335,7 +335,7 @@ class ProgramChecker:
         used = "FNSTXYZ"
         if commands.get("non-modal") == "G4":
             used += "P"
-        elif self._modes.motion in ("G2", "G3") and not values.keys().isdisjoint("XYZ"):
+        elif "non-modal" not in commands and self._modes.motion in ("G2", "G3") and not values.keys().isdisjoint("XYZ"):
             used += "R" if "R" in values else "IJK"
         for letter, word in values.items():
             if letter not in used:
