@@ -583,6 +583,22 @@ def test_moved_panel_while_pushing_stops_at_once(phase: Phase, command: str) -> 
     assert bench.stops == 1 and bench.controller.state == "stopped: on request"
 
 
+def test_moved_panel_stops_at_once_also_a_stylus_that_is_to_go_up_for_another_reason_at_the_end_of_its_way() -> None:
+    """The camera stalls while something is drawn, and shows a panel that has moved when it is back."""
+    bench = Bench().start()
+    bench.on_phase[Phase.TURN] = silence("camera")
+    bench.tell(msg.Command(text="drag:0.02,0.06@panel_link:0.18,0.06@panel_link"))
+    while bench.controller.phase is not Phase.TURN:
+        bench.run(0.02)
+    bench.run(1.3)
+    assert bench.controller.phase is Phase.TURN and bench.stops == 0
+    bench.talking.add("camera")
+    shift_panel(bench)
+    cause = "the camera has stalled: no picture for 1.0 s; then the panel has moved by 3.0 mm"
+    aborted(bench, bench.run_goal(), cause, "told to stop")
+    assert bench.stops == 1 and bench.controller.state == "stopped: on request"
+
+
 ALARM = "by marker 4X4_50 7 the panel is 6.0 mm from where its print is, 2 mm are allowed"
 WITHDRAWN = msg.Axes(base_from_reading=None)
 

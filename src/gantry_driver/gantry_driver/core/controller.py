@@ -120,7 +120,7 @@ class Controller:
         if self._job is not None:
             fault = self._fault(self._job)
             # On the way out after one fault only those count that forbid the rest of the way.
-            if fault is not None and (self._job.fault is None or not fault.lift):
+            if fault is not None and (self._job.fault is None or not fault.lift or fault.stop):
                 self._break_off(self._job, fault)
         self._advance()
         self._show_state()
