@@ -443,7 +443,7 @@ def test_a_flood_of_goals_moves_what_the_first_one_says(operator: Callable[..., 
     op.go(*[(0.3 - 0.1 * (k % 2), 0.0, 0.0) for k in range(20)], frame_id="first")
     op.until(lambda: op.results)
     for number in range(10):
-        for _ in range(5):  # only the newest waits, the others are not even answered
+        for _ in range(5):
             op.go((0.0, 0.001 * number, 0.0), frame_id=f"flood {number}")
         op.until(lambda n=number: op.results[-1].goal_id == f"flood {n}")
     op.until(lambda: any(r.goal_id == "first" and r.outcome.value == "reached" for r in op.results), 60.0)

@@ -145,7 +145,8 @@ class Operator:
     def insists(self, act: Callable[[], object], wanted: str = "") -> None:
         """Do it again until its answer has the code ``wanted``, or is no refusal.
 
-        A picture, or the bridge, that happened to be late is refused as well, for as long as it is.
+        A picture, or the bridge, that happened to be late is refused as well, for as long as it is. What is to be
+        refused must not be done once.
         """
         answer: dict[str, Any] | None = None
 
@@ -154,6 +155,8 @@ class Operator:
             if answer is not None:
                 self.page.wait_for_timeout(100)
             answer = self.answer(act)
+            if wanted and answer is not None and answer["ok"]:
+                pytest.fail(f"{wanted} is awaited, and it was done")
             return answer is not None and str(answer.get("code", "")) == wanted
 
         self.until(answered, 20.0, lambda: f"{wanted or 'no refusal'} is awaited, not {answer}")
