@@ -89,7 +89,7 @@ class ControllerNode(Node):
         self._see(PointStamped, "stylus/tip", qos.SENSOR, _tip)
         self._see(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
         self._hear(Header, "heartbeat", qos.SENSOR, lambda m: msg.Heartbeat())
-        # Last: where several wait after a hold-up, executors other than that of our programs take the first topic first.
+        # Last: after a hold-up executors other than that of our programs take what waits in this order.
         self._hear(PointStamped, "goal", qos.COMMAND, _point_goal)
         self._hear(String, "command", qos.COMMAND, lambda m: msg.Command(text=m.data))
         every(self, TICK_S, self._tick)

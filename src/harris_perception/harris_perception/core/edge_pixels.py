@@ -59,7 +59,7 @@ def pattern_of(octets: Array, here: int, row: int) -> np.uint8:
 
 
 # Not of Python's own type, for each value of which numba would compile all four anew.
-HOLES, CROWDED, ENDS, NODES = np.arange(4)
+HOLES, CROWDED, ENDS, NODES = np.arange(4, dtype=np.int64)
 
 
 @inlined
@@ -70,7 +70,7 @@ def _counted(one: Any, other: Any, third: Any, fourth: Any) -> tuple[Any, Any, A
 
 
 @inlined
-def _classified_words(above: Any, here: Any, below: Any, kind: int, result: Any, n: int) -> None:
+def _classified_words(above: Any, here: Any, below: Any, kind: Any, result: Any, n: int) -> None:
     first, last = np.uint64(1), np.uint64(63)
     for i in range(1, n - 1):
         north, middle, south = above[i], here[i], below[i]
@@ -96,7 +96,7 @@ def _classified_words(above: Any, here: Any, below: Any, kind: int, result: Any,
 
 
 @called
-def classified(bits: Array, row: int, kind: int, result: Array) -> None:
+def classified(bits: Array, row: int, kind: np.int64, result: Array) -> None:
     """Set ``result`` to the pixels of a kind, 64 of them at a time; ``row`` is the words of one, the first is margin.
 
     Holes are empty ones between four; crowded ones have three neighbours or more, or are needless; ends have at most
