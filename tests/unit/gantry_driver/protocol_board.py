@@ -73,11 +73,12 @@ class Board:
         self.drop_answers = 0
         self.stubborn: set[int] = set()
         self.hold_s = 0.05
+        self.overrides = [100, 100, 100]
         self._hold_done = math.inf
 
     def write(self, data: bytes) -> None:
         for byte in data:
-            if byte in b"?!~\x18":
+            if byte in b"?!~\x18\x90\x99":
                 self.realtime.append((self.now, byte))
                 self._realtime(byte)
             elif len(self.rx) >= 128:
@@ -99,11 +100,14 @@ class Board:
                 self.state = "Hold:0"
         elif byte == ord("~") and self.state == "Hold:0":
             self.state = "Run" if self.blocks else "Idle"
+        elif byte in (0x90, 0x99):
+            self.overrides[0 if byte == 0x90 else 2] = 100
 
     def report(self) -> str:
         x, y, z = self.mpos
         room = f"Bf:{15 - len(self.blocks)},{128 - len(self.rx)}"
-        return f"<{self.state}|MPos:{x:.3f},{y:.3f},{z:.3f}|{room}|FS:0,0|WCO:0,0,0>"
+        overrides = "" if self.overrides == [100, 100, 100] else "|Ov:{},{},{}".format(*self.overrides)
+        return f"<{self.state}|MPos:{x:.3f},{y:.3f},{z:.3f}|{room}|FS:0,0|WCO:0,0,0{overrides}>"
 
     def say(self, text: str) -> None:
         """Send a line, or noise in its place as often as ``spoilt`` says."""

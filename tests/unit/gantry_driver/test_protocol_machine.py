@@ -1242,6 +1242,32 @@ def test_a_program_is_checked_with_the_offset_that_it_will_have_where_a_board_ke
     assert rig.board.received[-3:] == ["$H", "G49", "G54"], "nothing of it was sent"
 
 
+@pytest.mark.parametrize(
+    ("kind", "told", "kept"),
+    [
+        ("z_axis", [200, 100, 100], [100, 100, 100]),
+        ("z_axis", [110, 25, 130], [100, 25, 100]),
+        ("z_axis", [50, 25, 130], [50, 25, 130]),  # who slows it down does so with care
+        ("servo_m3", [100, 100, 130], [100, 100, 100]),  # the pulse, and with it how deep the stylus goes
+        ("servo_m3", [100, 100, 90], [100, 100, 100]),
+    ],
+)
+@pytest.mark.parametrize("moving", [False, True])
+def test_no_pendant_makes_a_touch_faster_or_a_servo_go_elsewhere(
+    kind: str, told: list[int], kept: list[int], moving: bool
+) -> None:
+    rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind))).homed()
+    if moving:
+        rig.go((0.3, 0.0, 0.0))
+        rig.run_for(0.3)
+    rig.board.overrides = list(told)
+    rig.run_for(0.5)
+    assert rig.board.overrides == kept and rig.state == ("moving" if moving else "idle")
+    notes = [event.text for event in rig.events if isinstance(event, Note)]
+    said = f"the board's overrides were {told[0]} % of the feed and {told[2]} % of the spindle: both set back to 100 %"
+    assert [note for note in notes if "override" in note] == ([] if kept == told else [said])
+
+
 def test_every_machine_that_can_be_configured_has_settings_that_fit_their_lines() -> None:
     """A line that is too long ended the driver, in the service that was to write it."""
     with pytest.raises(ConfigError, match=r"steps_per_mm = 1e\+90 is above its maximum"):

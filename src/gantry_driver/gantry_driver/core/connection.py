@@ -115,6 +115,8 @@ class Connection:
         self._lift_barred = False
         self._lift_timeout_s = 0.0
         self._left_down = False
+        self._raised = False
+        """Whether the last report of the board's overrides was one to be set back."""
         self._critical = False
         self._reset_not_before = 0.0
         self._hold_sent = 0.0

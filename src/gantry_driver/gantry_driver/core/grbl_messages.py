@@ -69,6 +69,8 @@ class Report(Message):
         Machine position, work position and the offset between them; None where the report has none.
     planner_free, rx_free
         From ``Bf``; -1 where the report has none.
+    overrides_percent
+        Feed, rapid and spindle, from ``Ov``; None where the report has none.
     """
 
     state: str
@@ -78,6 +80,7 @@ class Report(Message):
     wco_mm: tuple[float, ...] | None = None
     planner_free: int = -1
     rx_free: int = -1
+    overrides_percent: tuple[float, ...] | None = None
 
     @property
     def state_text(self) -> str:
@@ -256,6 +259,9 @@ def _report(text: str) -> Report | None:
     if points["MPos"] is None and points["WPos"] is None:
         return None
     buffers = _numbers(found.get("Bf", "-1,-1"), 2)
+    overrides = _numbers(found["Ov"], 3) if "Ov" in found else None
+    if ("Ov" in found) != (overrides is not None):
+        return None
     if buffers is None or _numbers(found.get("FS", found.get("F", "0")), 1) is None:
         return None
     return Report(
@@ -266,6 +272,7 @@ def _report(text: str) -> Report | None:
         wco_mm=points["WCO"],
         planner_free=int(buffers[0]),
         rx_free=int(buffers[1]),
+        overrides_percent=overrides,
     )
 
 

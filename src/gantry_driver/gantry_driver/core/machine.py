@@ -39,6 +39,8 @@ from gantry_driver.core.machine_states import (
     Position,
 )
 from gantry_driver.core.session import (
+    FULL_FEED,
+    FULL_SPINDLE,
     HOLD,
     RESUME,
     Acknowledged,
@@ -561,6 +563,8 @@ class Machine(Connection):
         if self.homed and report.mpos_mm is not None:
             self.reading_m = reading_m(report.mpos_mm, self._stylus_down, self.config)
             self._events.append(Position(reading_m=self.reading_m))
+        if report.overrides_percent is not None:
+            self._set_overrides_back(*report.overrides_percent)
         handler = {
             Phase.SYNCHRONISE: self._report_synchronise,
             Phase.IDENTIFY: self._report_connecting,
@@ -578,6 +582,22 @@ class Machine(Connection):
         }.get(self.phase)
         if handler is not None:
             handler(report, now)
+
+    def _set_overrides_back(self, feed: float, _rapid: float, spindle: float) -> None:
+        """End what a pendant has raised: no touch is faster, and no servo elsewhere, than it is configured.
+
+        Somebody who slows the machine down does so with care, and is let.
+        """
+        raised = feed > 100.0 or (spindle != 100.0 and self.config.stylus.kind == "servo_m3")
+        if raised:
+            self.session.realtime(FULL_FEED)
+            self.session.realtime(FULL_SPINDLE)
+            if not self._raised:
+                told = f"{feed:g} % of the feed and {spindle:g} % of the spindle"
+                self._events.append(
+                    Note(level="warn", text=f"the board's overrides were {told}: both set back to 100 %")
+                )
+        self._raised = raised
 
     def _report_homing(self, report: Report, now: float) -> None:
         if not self._marker_done or report.state == "Home":

@@ -30,6 +30,8 @@ HOLD = b"!"
 RESUME = b"~"
 STATUS = b"?"
 SOFT_RESET = b"\x18"
+FULL_FEED, FULL_SPINDLE = b"\x90", b"\x99"
+"""Set the overrides back to 100 %."""
 
 DEFAULT_RX_BYTES = 128
 MAX_LINE_BYTES = 80
