@@ -122,7 +122,7 @@ def test_a_program_whose_check_takes_longer_than_a_heartbeat_may_is_started(
     late_board.write_text("/**: {ros__parameters: {status_timeout_s: 10.0}}")
     patience = ("--params", str(late_board))  # with the board alone
     terminal = Terminal("run", str(program(*moves)), "--port", str(board.port), patience=patience)
-    terminal.until("   1 %  ", 60.0)
+    terminal.until("   1 %  ", 100.0)
     terminal.process.send_signal(signal.SIGINT)
     terminal.until("interrupted: holding")
     assert terminal.end() == 1
