@@ -166,17 +166,17 @@ class Operator:
         self.insists(lambda: self.page.click(f"[data-control={control}]"))
         self.sees("#selection-name", label)
 
+    def hits(self, button: str) -> None:
+        """Click a button once it is on."""
+        why = lambda: f"off: {self.page.inner_text('#selection-card')!r}"  # noqa: E731
+        self.until(lambda: self.page.is_enabled(button), 20.0, why)
+        self.page.click(button)
+
     def confirms(self, gesture: str = "press") -> None:
         """Press the button; again when the picture happened to be late."""
         rows = self.page.locator("#log tr:not(.nothing)")
         before = rows.count()
-        button = f"[data-act={gesture}] >> nth=0"
-
-        def press() -> None:
-            self.until(lambda: self.page.is_enabled(button), 20.0, lambda: f"off: {self.page.inner_text('#refusal')}")
-            self.page.click(button)
-
-        self.insists(press)
+        self.insists(lambda: self.hits(f"[data-act={gesture}] >> nth=0"))
         self.until(lambda: rows.count() > before, 15.0, lambda: "a row of the log")
 
     def logs(self, text: str, within_s: float) -> str:
