@@ -358,6 +358,8 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     page.keyboard.press("Enter")
     assert "Press" not in page.inner_text("#log")
     operator.sees("#banner", "picture is old")
+    # None has come to the bridge for a second, be it that the last one was late: else it stops what begins.
+    operator.sees("#stale", r"STALE · ([3-9]|\d\d)")
     instrument.tell("driver homing")  # which needs no picture
     operator.sees("#banner", "Moving, and the live picture is old. STOP or Esc stops it")
     instrument.tell("driver idle")
