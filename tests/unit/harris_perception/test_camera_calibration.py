@@ -263,6 +263,22 @@ def test_swapped_and_stacked_cameras_are_refused() -> None:
         calibrate_stereo(BOARD, stacked, CONFIG)
 
 
+@pytest.mark.parametrize("beside_m", [-0.02, 0.001])
+def test_cameras_behind_each_other_are_refused_and_those_that_converge_are_not(beside_m: float) -> None:
+    rng = np.random.default_rng(7)
+    where = poses(rng, BOARD, 8)
+
+    def seen(turn: np.ndarray, shift: np.ndarray) -> list[tuple[BoardView, BoardView]]:
+        right = pair_poses(where, turn, shift)
+        return list(zip(exact(BOARD, camera(), where, rng, 0.1), exact(BOARD, camera("right"), right, rng, 0.1)))
+
+    with pytest.raises(CalibrationError, match=r"one camera is 0\.1\d\d m ahead of the other and 0\.0\d\d m beside it"):
+        calibrate_stereo(BOARD, seen(np.eye(3), np.array([beside_m, 0.0, -0.1])), CONFIG)
+    turn = np.asarray(cv2.Rodrigues(np.array([0.0, 0.9, 0.0]))[0])
+    found = calibrate_stereo(BOARD, seen(turn, -turn @ (0.4, 0.0, 0.15)), CONFIG)  # 50 degrees
+    assert found.stereo.baseline == pytest.approx(np.hypot(0.4, 0.15), rel=0.005) and found.rows_rms_px < 1.0
+
+
 def test_order_of_a_pair_is_settled() -> None:
     left, right = pairs(8)[0]
     turned = replaced(right, xy=right.xy[::-1].copy())

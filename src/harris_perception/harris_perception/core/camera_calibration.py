@@ -194,17 +194,23 @@ def _unfit(rms_px: float, views: Sequence[ViewError], config: CalibrationConfig)
 
 
 def _without_outliers(
-    views: Sequence[_V], once: Callable[[Sequence[_V], tuple[ViewError, ...]], _R], config: CalibrationConfig
+    views: Sequence[_V],
+    once: Callable[[Sequence[_V], tuple[ViewError, ...]], _R | tuple[ViewError, ...]],
+    config: CalibrationConfig,
 ) -> _R:
-    """Calibrate; then, if asked, leave the worst outlier out and calibrate again, until there is none."""
+    """Calibrate; then, if asked, leave the worst outlier out and calibrate again, until there is none.
+
+    ``once`` may give the views' errors alone while one will be left out.
+    """
     kept = list(views)
     left_out: list[ViewError] = []
     while True:
         result = once(kept, tuple(left_out))
-        worst = max(result.views, key=lambda view: view.rms_px)
-        if not _may_drop(worst, len(kept), config):
+        errors = result if isinstance(result, tuple) else result.views
+        worst = max(errors, key=lambda view: view.rms_px)
+        if not (isinstance(result, tuple) or _may_drop(worst, len(kept), config)):
             return result
-        del kept[result.views.index(worst)]
+        del kept[errors.index(worst)]
         left_out.append(worst)
 
 
@@ -303,7 +309,8 @@ def calibrate_stereo(
     Raises
     ------
     CalibrationError
-        If the pairs cannot be calibrated from or miss by too much, or the cameras are swapped or above each other.
+        If the pairs cannot be calibrated from or miss by too much, or the cameras are swapped, or above or behind each
+        other.
     """
     matched = [common_corners(board, left, right) for left, right in pairs]
     matched = [pair for pair in matched if are_enough(board, pair[0].ids)]
@@ -313,7 +320,9 @@ def calibrate_stereo(
             f"least {config.min_views} are needed: hold the board where both see most of it"
         )
 
-    def once(kept: Sequence[tuple[BoardView, BoardView]], left_out: tuple[ViewError, ...]) -> StereoCalibration:
+    def once(
+        kept: Sequence[tuple[BoardView, BoardView]], left_out: tuple[ViewError, ...]
+    ) -> StereoCalibration | tuple[ViewError, ...]:
         alone = CalibrationConfig(
             radial_terms=config.radial_terms,
             min_views=config.min_views,
@@ -354,7 +363,9 @@ def calibrate_stereo(
                 "right; were both pictures of each pair taken at the same moment, by cameras that do not move against "
                 "each other?"
             )
-        _require_side_by_side(shift)
+        if any(_may_drop(view, len(judged), config) for view in judged):
+            return judged  # with a pair of two moments the cameras may be anywhere
+        _require_side_by_side(turn, shift)
         stereo = _rectified(left.model, right.model, cameras, turn, shift, config.alpha)
         rows = [stereo.left.rectify(a.xy)[:, 1] - stereo.right.rectify(b.xy)[:, 1] for a, b in kept]
         return StereoCalibration(
@@ -371,7 +382,7 @@ def calibrate_stereo(
     return _without_outliers(matched, once, config)
 
 
-def _require_side_by_side(shift: Array) -> None:
+def _require_side_by_side(turn: Any, shift: Array) -> None:
     x, y, _ = shift
     apart = float(np.linalg.norm(shift))
     if apart < _LEAST_BASELINE_M:
@@ -383,6 +394,13 @@ def _require_side_by_side(shift: Array) -> None:
         raise CalibrationError(
             f"the right camera is {abs(y):.3f} m above or below the left one and {abs(x):.3f} m beside it: "
             "the cameras must be side by side; turn the bar"
+        )
+    # As rectification does: from half way between the directions in which the two look.
+    beside, _, ahead = np.abs(cv2.Rodrigues(-0.5 * cv2.Rodrigues(turn)[0])[0] @ shift).tolist()
+    if ahead > beside:
+        raise CalibrationError(
+            f"one camera is {ahead:.3f} m ahead of the other and {beside:.3f} m beside it: the cameras must be side by "
+            "side"
         )
     if x > 0:
         raise CalibrationError(
