@@ -1016,7 +1016,9 @@ def test_the_picture_before_is_compared_and_nothing_moves_meanwhile(operator: Op
     still, live = page.evaluate(held), operator.picture_sum()
     operator.until(lambda: operator.picture_sum() != live, 15.0, lambda: "the live picture goes on below")
     assert page.evaluate(held) == still
-    page.click("#freeze")
+    page.click("[data-camera=right]")  # whose outlines are not those of a picture of the left one
+    assert not page.is_visible("#before") and page.get_attribute("#freeze", "aria-pressed") == "false"
+    page.click("[data-camera=left]")
     operator.until(lambda: page.is_enabled("[data-act=press]"), 15.0, lambda: page.inner_text("#refusal"))
     with page.expect_download() as saved:
         page.click("#snapshot")

@@ -21,7 +21,7 @@ import { stopBanner } from "./stop_cause.js";
 import { keepLanguage, language, startLanguage, t } from "./strings.js";
 import { wireTabs } from "./tabs.js";
 import { relabelTeach, renderTeach, setHeld, taught, wireTeach } from "./teach.js";
-import { renderTools, wireTools } from "./tools.js";
+import { renderTools, showLive, wireTools } from "./tools.js";
 import { COMPUTED } from "./video.js";
 
 const KEEP_ALIVE_MS = 200;
@@ -157,6 +157,7 @@ function setSelection(next) {
 
 for (const button of document.querySelectorAll("[data-camera]")) {
   button.addEventListener("click", () => {
+    if (button.dataset.camera !== video.camera) showLive(); // no outlines of one camera over a kept picture of the other
     video.look({ camera: button.dataset.camera });
     overlay.forget(...COMPUTED);
     press(button, true);

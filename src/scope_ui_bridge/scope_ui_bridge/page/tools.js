@@ -111,6 +111,11 @@ function hold(on) {
   desk.changed();
 }
 
+/** Take a kept picture away. */
+export function showLive() {
+  if (desk.frozen) hold(false);
+}
+
 function wipe() {
   find("before").style.clipPath = `inset(0 ${100 - Number(find("wipe").value)}% 0 0)`;
 }
