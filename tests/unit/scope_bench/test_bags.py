@@ -28,6 +28,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as OfficialWriter
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX, PictureCodec
@@ -522,6 +523,49 @@ def test_a_compressed_bag_is_repaired_as_far_as_it_unpacks(tmp_path: Path, stora
             said = [bag.decode(d, STRING).data.partition(" ")[0] for _, _, d in bag.messages()]
         assert said == [f"{i}" for i in range(count)]
     assert not list(tmp_path.glob("*.unpacked*")), "nothing is left beside the new bag"
+
+
+@both
+def test_messages_that_were_compressed_one_by_one_are_saved_as_they_were(tmp_path: Path, storage: str) -> None:
+    """As ``ros2 bag record --compression-mode message`` has them; only metadata.yaml says so, and may be missing."""
+    plugin = StoragePlugin.SQLITE3 if storage == "sqlite3" else StoragePlugin.MCAP
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=plugin)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    rows = [("/a", i + 1, text(f"{i} " + "x" * i)) for i in range(50)]
+    with writer:
+        connection = writer.add_connection("/a", STRING, typestore=TYPES)
+        for _, stamp_ns, data in rows:
+            writer.write(connection, stamp_ns, data)
+    file = storage_file(tmp_path / "bag")
+    assert rows[20][2] not in file.read_bytes()
+
+    def read(path: Path) -> list[tuple[str, int, bytes]]:
+        with BagReader(path) as bag:
+            return list(bag.messages())
+
+    assert read(tmp_path / "bag") == read(file) == rows
+    assert repair(tmp_path / "bag", tmp_path / "whole") == (50, "")
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    assert repair(tmp_path / "bag", tmp_path / "cut off") == (50, "")
+    assert read(tmp_path / "whole") == read(tmp_path / "cut off") == rows
+
+
+def test_a_compressed_message_that_is_damaged_costs_no_other(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/a", STRING, typestore=TYPES)
+        for i in range(5):
+            writer.write(connection, i + 1, text("x" * 100))
+    with contextlib.closing(sqlite3.connect(storage_file(tmp_path / "bag"))) as database:
+        database.execute("UPDATE messages SET data = substr(data, 1, length(data) - 5) WHERE timestamp = 3")
+        database.commit()
+    count, end = repair(tmp_path / "bag", tmp_path / "new")
+    assert count == 4 and end.endswith("1 messages cannot be unpacked"), end
+    with BagReader(tmp_path / "new") as bag:
+        assert [stamp_ns for _, stamp_ns, _ in bag.messages()] == [1, 2, 4, 5]
+    with pytest.raises(BagError, match=r"broken after 2 messages.*--repair"), BagReader(tmp_path / "bag") as bag:
+        list(bag.messages())
 
 
 def test_damage_in_the_middle_is_named_and_the_rest_is_saved(tmp_path: Path) -> None:

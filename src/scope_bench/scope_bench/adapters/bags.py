@@ -48,6 +48,9 @@ _READ_ERRORS = (
     *(_ZSTD.ZstdError, RuntimeError, struct.error, OverflowError, MemoryError),
 )
 _ZIPPED, _PIECE = ".zstd", 1 << 16
+_ZSTD_FRAME = b"\x28\xb5\x2f\xfd"
+"""What begins so is no CDR, of which the first byte is 0: a message that was compressed by itself. Only metadata.yaml
+says that messages are, which a single file and a recording that was cut off have not."""
 T = TypeVar("T")
 
 
@@ -315,14 +318,15 @@ class BagReader:
         done = 0
         while True:
             try:
-                connection, stamp_ns, data = next(rows)
+                connection, stamp_ns, stored = next(rows)
+                data = _message(bytes(stored))
             except StopIteration:
                 return
             except _READ_ERRORS as error:
                 where = f"{self.path} is broken after {done} messages"
                 raise BagError(f"{where}: {_reason(error)}; {_advice(self.path)}") from error
             done += 1
-            yield connection.topic, stamp_ns, bytes(data)
+            yield connection.topic, stamp_ns, data
 
     def check(self) -> int:
         """Read every message, and return how many there are.
@@ -464,6 +468,25 @@ def _fill_up(plain: Path) -> None:
 
 def _salvaged(file: Path, missing: list[str]) -> Iterator[tuple[BagTopic, int, bytes]]:
     """Yield the messages; ``missing`` gets what was left out, and why."""
+    damaged = 0
+    try:
+        for topic, stamp_ns, stored in _stored(file, missing):
+            try:
+                data = _message(stored)
+            except (_ZSTD.ZstdError, MemoryError):  # of a length that is damaged
+                damaged += 1
+                continue
+            yield topic, stamp_ns, data
+    finally:
+        if damaged:
+            missing.append(f"{damaged} messages cannot be unpacked")
+
+
+def _message(stored: bytes) -> bytes:
+    return bytes(_ZSTD.decompress(stored)) if stored.startswith(_ZSTD_FRAME) else stored
+
+
+def _stored(file: Path, missing: list[str]) -> Iterator[tuple[BagTopic, int, bytes]]:
     if file.suffix == ".mcap":
         with file.open("rb") as stream:
             for channel, stamp_ns, data in whole_messages(stream, _UNPACK, missing):
