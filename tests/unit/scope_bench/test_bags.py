@@ -525,6 +525,41 @@ def test_a_compressed_bag_is_repaired_as_far_as_it_unpacks(tmp_path: Path, stora
     assert not list(tmp_path.glob("*.unpacked*")), "nothing is left beside the new bag"
 
 
+def test_of_a_sqlite_file_that_was_cut_off_the_pages_before_are_saved(tmp_path: Path) -> None:
+    """As a copy leaves it that did not fit on the stick; the file itself stays as it is."""
+    rows = write(tmp_path / "bag", "sqlite3", 3000)
+    file = storage_file(tmp_path / "bag")
+    data = file.read_bytes()
+    file.write_bytes(data[: len(data) // 2])
+    for given, new in ((tmp_path / "bag", "new"), (file, "again")):
+        count, end = repair(given, tmp_path / new)
+        assert 300 < count < 3000 and f"{file.name} was cut off" in end, (count, end)
+        with BagReader(tmp_path / new) as bag:
+            saved = list(bag.messages())
+        assert len(saved) == count and set(saved) <= set(rows)
+    assert file.read_bytes() == data[: len(data) // 2]
+    assert not list(tmp_path.glob("*.unpacked*"))
+
+
+def test_no_message_of_a_sqlite_file_that_was_cut_off_is_made_up(tmp_path: Path) -> None:
+    """The end of one that is longer than a page may be missing while all else of it is there."""
+    rows = [("/a", i + 1, text(f"{i} " + "x" * (4000 + 150 * i))) for i in range(30)]
+    with BagWriter(tmp_path / "bag", "sqlite3", keep_free=0) as bag:
+        bag.add_topic(BagTopic(name="/a", type=STRING))
+        for row in rows:
+            bag.write(*row)
+    file = storage_file(tmp_path / "bag")
+    data = file.read_bytes()
+    counts = []
+    for cut in range(9 * 4096, len(data), 4 * 4096 + 1000):
+        file.write_bytes(data[:cut])
+        count, _ = repair(file, tmp_path / f"{cut}")
+        counts.append(count)
+        with BagReader(tmp_path / f"{cut}") as bag:
+            assert set(bag.messages()) <= set(rows), cut
+    assert 0 < counts[-1] < 30 and counts == sorted(counts), counts
+
+
 @both
 def test_messages_that_were_compressed_one_by_one_are_saved_as_they_were(tmp_path: Path, storage: str) -> None:
     """As ``ros2 bag record --compression-mode message`` has them; only metadata.yaml says so, and may be missing."""

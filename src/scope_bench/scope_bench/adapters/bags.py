@@ -435,9 +435,9 @@ def _plain_name(file: Path) -> str:
 
 
 def _unpacked(file: Path, folder: Path, ends: list[str]) -> Path:
-    """Return the file, or what can be unpacked of a compressed one; ``ends`` gets why that is not all."""
+    """Return the file in its full size, or what can be unpacked of it; ``ends`` gets why that is not all."""
     if file.suffix != _ZIPPED:
-        return file
+        return _filled_up(file, folder, ends)
     plain = folder / _plain_name(file)
     unzip = _ZSTD.ZstdDecompressor()
     with file.open("rb") as source, plain.open("wb") as target:
@@ -451,19 +451,58 @@ def _unpacked(file: Path, folder: Path, ends: list[str]) -> Path:
             if not unzip.eof:
                 ends.append(f"{file.name} was cut off")
     if not unzip.eof:
-        _fill_up(plain)
+        try:
+            _fill_up(plain)
+        except OSError as error:
+            raise BagError(f"{file} cannot be unpacked: {error}") from error
     return plain
 
 
-def _fill_up(plain: Path) -> None:
-    """Give a sqlite file that is too short the size in its header: the pages that are there can then be read."""
-    with plain.open("r+b") as file:
+def _sqlite_size(plain: Path) -> tuple[int, int]:
+    """Return the size of a page, and the whole that a sqlite file says it has; zeros for any other file."""
+    with plain.open("rb") as file:
         head = file.read(32)
-        if head.startswith(b"SQLite format 3\0") and len(head) == 32:
-            page = int.from_bytes(head[16:18], "big")
-            file.truncate(
-                max(plain.stat().st_size, (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big"))
-            )
+    if not head.startswith(b"SQLite format 3\0") or len(head) < 32:
+        return 0, 0
+    page = int.from_bytes(head[16:18], "big")
+    page = 65536 if page == 1 else page
+    return page, page * int.from_bytes(head[28:32], "big")
+
+
+def _fill_up(plain: Path) -> None:
+    """Give a sqlite file that is too short the size in its header: the pages that are there can then be read.
+
+    A second one beside it has other bytes in place of those that are missing: what differs between both is made up.
+    """
+    page, size = _sqlite_size(plain)
+    if size <= (there := plain.stat().st_size):
+        return
+    there -= there % page
+    with plain.open("r+b") as file:
+        file.truncate(there)
+    with Path(shutil.copyfile(plain, _twin(plain))).open("ab") as file:
+        for begin in range(there, size, _PIECE):
+            file.write(b"\xff" * min(_PIECE, size - begin))
+    with plain.open("r+b") as file:
+        file.truncate(size)
+
+
+def _twin(plain: Path) -> Path:
+    return plain.with_name(f"twin of {plain.name}")
+
+
+def _filled_up(file: Path, folder: Path, ends: list[str]) -> Path:
+    """Return the file, or a copy in its full size of a sqlite file that was cut off."""
+    journals = (file.with_name(file.name + end) for end in ("-journal", "-wal"))
+    if _sqlite_size(file)[1] <= file.stat().st_size or any(path.exists() for path in journals):
+        return file
+    ends.append(f"{file.name} was cut off")
+    try:
+        copy = Path(shutil.copyfile(file, folder / file.name))
+        _fill_up(copy)
+    except OSError as error:
+        raise BagError(f"{file} cannot be copied: {error}") from error
+    return copy
 
 
 def _salvaged(file: Path, missing: list[str]) -> Iterator[tuple[BagTopic, int, bytes]]:
@@ -493,12 +532,21 @@ def _stored(file: Path, missing: list[str]) -> Iterator[tuple[BagTopic, int, byt
                 yield _topic(channel.topic, channel.msgtype, channel.qos), stamp_ns, data
         return
     with contextlib.closing(_rolled_back(file)) as database:
-        rows = database.execute(
-            "SELECT name, type, offered_qos_profiles, timestamp, data "
-            "FROM messages JOIN topics ON topics.id = messages.topic_id ORDER BY messages.id"
-        )
-        for name, kind, qos, stamp_ns, data in rows:
-            yield _topic(name, kind, qos), stamp_ns, data
+        rows = _rows(database)
+        if _twin(file).exists():
+            with contextlib.closing(_rolled_back(_twin(file))) as other:
+                yield from (row for row, again in zip(rows, _rows(other)) if row == again)
+        else:
+            yield from rows
+
+
+def _rows(database: sqlite3.Connection) -> Iterator[tuple[BagTopic, int, bytes]]:
+    rows = database.execute(
+        "SELECT name, type, offered_qos_profiles, timestamp, data "
+        "FROM messages JOIN topics ON topics.id = messages.topic_id ORDER BY messages.id"
+    )
+    for name, kind, qos, stamp_ns, data in rows:
+        yield _topic(name, kind, qos), stamp_ns, data
 
 
 @functools.cache
