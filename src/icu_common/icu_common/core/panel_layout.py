@@ -15,7 +15,7 @@ import yaml
 
 from icu_common.core.fiducial import DICTIONARIES, Fiducial, count_of
 from icu_common.core.gesture import is_mark, is_name
-from icu_common.core.yaml_text import UNREADABLE, Loader, mistake, refuse_repeated_keys
+from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
 CONTROL_KINDS = ("button", "knob", "touch_area", "connector")
 SHAPES = ("rectangle", "circle")
@@ -145,7 +145,6 @@ class _LineLoader(Loader):
 
 
 def _mapping_with_line(loader: _LineLoader, node: yaml.MappingNode) -> dict[str, Any]:
-    refuse_repeated_keys(node)
     build = loader.construct_object
     mapping: dict[str, Any] = {build(key, deep=True): build(value, deep=True) for key, value in node.value}
     mapping["__line__"] = node.start_mark.line + 1

@@ -18,7 +18,7 @@ import yaml
 
 from icu_common.core.gesture import TURNING, Gesture, GestureError, is_mark, parse_gesture
 from icu_common.core.panel_state import LAMPS, ControlSeen, PanelSeen
-from icu_common.core.yaml_text import UNREADABLE, Loader, mistake, refuse_repeated_keys
+from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
 MAX_STEPS = 100
 _CHECK = re.compile(r"(?:(effect|screen)|(lamp|angle):([A-Za-z][A-Za-z0-9_]*)=([^\s=]+))\Z")
@@ -156,7 +156,6 @@ def _missing(name: str, seen: PanelSeen) -> str:
 def _sequence_of(root: yaml.Node | None, file_name: str) -> Sequence:
     if not isinstance(root, yaml.MappingNode):
         raise SequenceError(f"{file_name}:1: a mapping with steps is needed")
-    refuse_repeated_keys(root)
     entries: list[tuple[str, Any]] = []
     name = ""
     for key, value in root.value:

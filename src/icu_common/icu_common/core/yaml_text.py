@@ -12,25 +12,25 @@ UNREADABLE = (yaml.YAMLError, RecursionError)
 """What reading with :class:`Loader` can raise."""
 
 
-def refuse_repeated_keys(node: yaml.MappingNode) -> None:
-    """Raise ``yaml.constructor.ConstructorError`` for a key that stands twice in a mapping.
+class RepeatedKey(yaml.composer.ComposerError):
+    """A key stands twice in a mapping: the last one would count, and what the others say be missing."""
 
-    Else the last of equal keys would count, and what the others say be missing.
-    """
-    seen = set()
-    for key, _ in node.value:
-        if isinstance(key, yaml.ScalarNode):
-            if key.value in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key.value!r} stands twice", key.start_mark)
-            seen.add(key.value)
+    def __init__(self, key: yaml.ScalarNode) -> None:
+        super().__init__(None, None, f"key {key.value!r} stands twice", key.start_mark)
+        self.key = key
 
 
 class Loader(yaml.SafeLoader):
     """Safe YAML; what cannot be built (a 13th month, a list as a key) or stands twice is an error with its line."""
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        refuse_repeated_keys(node)
-        return super().construct_mapping(node, deep)
+    def compose_mapping_node(self, anchor: dict[Any, yaml.Node]) -> yaml.MappingNode:
+        node = super().compose_mapping_node(anchor)
+        seen = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in seen:
+                raise RepeatedKey(key)
+            seen.add(key.value)
+        return node
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:

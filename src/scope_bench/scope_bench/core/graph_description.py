@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
+from icu_common.core.yaml_text import UNREADABLE, Loader, RepeatedKey, mistake
 
 _PROFILE_KEYS = {"about", "extends", "set"}
 _KEYS = {"package", "executable", "namespace", "only", "ros", "ends_last", "when"}
@@ -115,7 +115,6 @@ def load_graph(
         For what is no YAML, unknown and repeated keys, unknown profiles and scopes, and parameter files that do not
         exist or have values for a node that does not read them.
     """
-    _refuse_repeated_keys("graph.yaml", _read(config / "graph.yaml", yaml.compose))
     document = _read(config / "graph.yaml", yaml.load)
     _check_form(document)
     profiles = list(document["profiles"])
@@ -165,6 +164,10 @@ def load_graph(
 def _read(path: Path, parse: Callable[..., Any]) -> Any:
     try:
         return parse(path.read_text(encoding="utf-8"), Loader)
+    except RepeatedKey as error:
+        # Other loaders, rcl's too, keep the last of equal keys and say nothing.
+        line, name = error.key.start_mark.line + 1, error.key.value
+        raise GraphError(f"{path.name}:{line}: {name!r} stands here a second time") from error
     except UNREADABLE as error:
         raise GraphError(f"{path.name}:{mistake(error)}") from error
     except UnicodeDecodeError as error:
@@ -178,7 +181,6 @@ def _refuse_unread_values(programs: Sequence[Program]) -> None:
         root = _read(path, yaml.compose)
         if root is not None and not isinstance(root, yaml.MappingNode):
             raise GraphError(f"{path.name}:1: a mapping of nodes to their ros__parameters is needed")
-        _refuse_repeated_keys(path.name, root)
         for key, _ in root.value if root is not None else ():
             if not any(_pattern(key.value).fullmatch(reader) for reader in readers):
                 raise GraphError(
@@ -191,21 +193,6 @@ def _pattern(node: str) -> re.Pattern[str]:
     """Return what a node's name in a parameter file stands for, as rcl reads it: * is one name, ** any number."""
     forms = {"*": r"/\w+", "**": r"(/\w+)*"}
     return re.compile("".join(forms.get(part, "/" + re.escape(part)) for part in node.removeprefix("/").split("/")))
-
-
-def _refuse_repeated_keys(file: str, node: Any) -> None:
-    """YAML's loaders, rcl's too, keep the last of equal keys and say nothing; what the others set would be missing."""
-    if isinstance(node, yaml.MappingNode):
-        seen = set()
-        for key, value in node.value:
-            name = str(key.value)  # of a list as a key, which others refuse
-            if name in seen:
-                raise GraphError(f"{file}:{key.start_mark.line + 1}: {name!r} stands here a second time")
-            seen.add(name)
-            _refuse_repeated_keys(file, value)
-    elif isinstance(node, yaml.SequenceNode):
-        for value in node.value:
-            _refuse_repeated_keys(file, value)
 
 
 def _chain(profiles: Mapping[str, Any], profile: str, above: tuple[str, ...] = ()) -> list[str]:
