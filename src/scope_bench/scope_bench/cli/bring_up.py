@@ -145,8 +145,6 @@ class BringUp:
             if not _SETTING.fullmatch(text):
                 raise GraphError(f"--set {text}: PROGRAM.PARAMETER=VALUE is needed")
         names = {p.name for p in programs}
-        if self.options.prepare and "serial_driver" not in names:
-            raise GraphError(f"--prepare moves the machine; profile {self.options.profile} has none")
         given = {*self.options.only, *self.options.without, *(text.partition(".")[0] for text in self.options.set)}
         if given - names:
             raise GraphError(f"no program {', '.join(sorted(given - names))}; there are {', '.join(sorted(names))}")
@@ -157,10 +155,14 @@ class BringUp:
 
     def _check_preparation(self, programs: list[Program]) -> None:
         """Refuse to move what may be a machine with nobody at the page: a board in software is started here, too."""
+        if not self.options.prepare:
+            return
+        if "serial_driver" not in {p.name for p in programs}:
+            raise GraphError(f"--prepare moves the machine; profile {self.options.profile} has none")
         chosen = self._chosen(programs)
         ports = [p.parameters.get("port") for p in chosen if p.name == "serial_driver"]
         boards = [p.arguments for p in chosen if p.executable == "mock_grbl"]
-        if self.options.prepare and not any(port in arguments for port in ports for arguments in boards):
+        if not any(port in arguments for port in ports for arguments in boards):
             raise GraphError(
                 "--prepare moves the machine by itself, so it is for the board in software (mock_grbl) that is started "
                 "with it; on hardware use the page"
