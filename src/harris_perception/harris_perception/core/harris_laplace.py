@@ -110,12 +110,13 @@ class HarrisLaplaceDetector:
                 if 0 <= beside < len(laplacians):
                     kept &= _values(laplacians[level], xy, gray) > _values(laplacians[beside], xy, gray)
             places, scale, quota = np.flatnonzero(kept), self.config.factor**level, self._quota(level)
-            # A share is of what is strong on its level; no weak ones are taken before others' strong ones.
-            late = (np.arange(len(places)) >= quota) | (places >= (detector.max_corners or len(xy)))
             if detector.even_spread:
                 if len(places) > quota:
                     places = places[spread(xy[places], detector.suppression_radius_px * scale, quota)]
                 late = np.zeros(len(places), bool)
+            else:
+                # A share is of what is strong on its level; no weak ones are taken before others' strong ones.
+                late = (np.arange(len(places)) >= quota) | (places >= (detector.max_corners or len(xy)))
             xys.append(xy[places])
             scales.append(np.full(len(places), scale))
             responses.append(corners.response[places])
