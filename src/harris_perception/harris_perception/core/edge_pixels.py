@@ -25,7 +25,8 @@ DY = np.array([0, 1, 1, 1, 0, -1, -1, -1], np.int32)
 
 
 def _tables() -> tuple[npt.NDArray[Any], ...]:
-    """Return for each pattern of neighbours (bit i is the i-th) their number, the first, and two properties.
+    """Return for each pattern of neighbours (bit i is the i-th) their number, the first, whether the pixel is
+    needless, whether it certainly is, and to which neighbours a line goes on.
 
     A pixel is needless when at least two neighbours are set and they stay in one piece without it (Yokoi's number,
     8-connected), so that no connection is lost. It is certain to be so when it is not the end of a line that is wider
