@@ -16,9 +16,10 @@ import numpy as np
 from rows import Row, bound, row, write
 from simulated_robot import LAYOUT, Robot, Studio
 
-from harris_perception.core.calibration_run import RunConfig, StillConfig
+from harris_perception.core.calibration_plan import RunConfig
 from harris_perception.core.carriage_camera import shifted
 from harris_perception.core.hand_eye import HandEye, HandEyeConfig
+from harris_perception.core.still_watch import StillConfig
 from icu_common.adapters.memory import keep_large_blocks
 from icu_common.core.geometry import Array
 from scope_bench.core.configuration import BenchConfig, CameraConfig

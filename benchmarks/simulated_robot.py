@@ -17,18 +17,12 @@ import numpy.typing as npt
 
 from gantry_driver.core import motion_plan
 from gantry_driver.core.motion_plan import MotionConfig
-from harris_perception.core.calibration_run import (
-    Action,
-    CalibrationRun,
-    Failed,
-    Finished,
-    RunConfig,
-    SendGoal,
-    StillConfig,
-)
+from harris_perception.core.calibration_plan import RunConfig
+from harris_perception.core.calibration_run import Action, CalibrationRun, Failed, Finished, SendGoal
 from harris_perception.core.hand_eye import HandEyeConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.recognition import PanelRecogniser, Sighting
+from harris_perception.core.still_watch import StillConfig
 from harris_perception.core.stylus import StylusConfig, StylusTracker
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry import Array, Transform

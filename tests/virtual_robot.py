@@ -30,12 +30,14 @@ from gantry_driver.core.targets import PanelMap
 from gantry_driver.core.trajectory_gcode import Waypoint
 from gantry_driver.mock.machine import Machine as MockMachine
 from gantry_driver.mock.settings import make_eeprom
-from harris_perception.core.calibration_run import CalibrationRun, Failed, Finished, RunConfig, SendGoal, StillConfig
+from harris_perception.core.calibration_plan import RunConfig
+from harris_perception.core.calibration_run import CalibrationRun, Failed, Finished, SendGoal
 from harris_perception.core.hand_eye import HandEyeConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.pose_agreement import PoseAgreement
 from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig
+from harris_perception.core.still_watch import StillConfig
 from harris_perception.core.stylus import StylusConfig, StylusTracker
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import from_mapping

@@ -27,8 +27,8 @@ from virtual_robot import VirtualRobot
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import LOOKING
-from harris_perception.core.calibration_run import StillConfig, StillWatch
 from harris_perception.core.hand_eye import HandEyeConfig, Sample, calibrate
+from harris_perception.core.still_watch import StillConfig, StillWatch
 from harris_perception.core.stylus import StylusConfig, StylusTracker
 from icu_common.core.config import from_mapping
 from icu_common.core.frames import BASE, CAMERA_LEFT, CAMERA_RIGHT, JOINTS

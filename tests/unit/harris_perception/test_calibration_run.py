@@ -11,23 +11,12 @@ import numpy as np
 import pytest
 from unit.harris_perception.rectified_pair import PAIR as CAMERAS
 
-from harris_perception.core.calibration_run import (
-    Action,
-    CalibrationRun,
-    Failed,
-    Finished,
-    Progress,
-    Purpose,
-    RunConfig,
-    SendGoal,
-    StillConfig,
-    StillWatch,
-    check_plan,
-    plan,
-)
+from harris_perception.core.calibration_plan import Purpose, RunConfig, check_plan, plan
+from harris_perception.core.calibration_run import Action, CalibrationRun, Failed, Finished, Progress, SendGoal
 from harris_perception.core.carriage_camera import PanelSample
 from harris_perception.core.hand_eye import DegenerateError, HandEyeConfig, Sample
 from harris_perception.core.planar_pose import FacePoints
+from harris_perception.core.still_watch import StillConfig, StillWatch
 from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Transform
 from icu_common.core.results import GoalResult, Outcome

@@ -14,7 +14,8 @@ from unit.harris_perception.rectified_pair import camera, stored_calibration
 from unit.harris_perception.test_calibration_run import AXES, POSE
 
 from harris_perception.core.calibration_file import StoredCalibration
-from harris_perception.core.calibration_run import RunConfig, SendGoal, StillConfig, plan
+from harris_perception.core.calibration_plan import RunConfig, plan
+from harris_perception.core.calibration_run import SendGoal
 from harris_perception.core.calibrator import (
     Action,
     Calibrator,
@@ -28,6 +29,7 @@ from harris_perception.core.calibrator import (
 from harris_perception.core.carriage_camera import Contact
 from harris_perception.core.drift import DriftConfig
 from harris_perception.core.planar_pose import FacePoints
+from harris_perception.core.still_watch import StillConfig
 from icu_common.core.frames import PANEL
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.results import GoalResult, Outcome

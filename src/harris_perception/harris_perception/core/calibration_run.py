@@ -6,14 +6,13 @@ whatever goes wrong ends the run with a reason; it never starts again by itself.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
 from harris_perception.core.backlash import Backlash, measure_backlash
+from harris_perception.core.calibration_plan import BACKLASH, SAMPLED, Purpose, RunConfig, Stop, plan
 from harris_perception.core.carriage_camera import (
     Contact,
     PanelSample,
@@ -28,77 +27,14 @@ from harris_perception.core.hand_eye import (
     Place,
     Sample,
     calibrate,
-    checked,
     tip_place,
 )
 from harris_perception.core.planar_pose import FacePoints
+from harris_perception.core.still_watch import StillConfig, StillWatch
 from icu_common.core.camera_model import StereoModel
-from icu_common.core.config import Config, ConfigError, setting
-from icu_common.core.geometry import Array, Transform, mean_pose
+from icu_common.core.geometry import Array, Transform
 from icu_common.core.results import GoalResult, Outcome
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StillConfig(Config):
-    """When the machine stands still and its tip is seen well."""
-
-    settle_s: float = setting(0.3, "Rest before the tip is looked at", minimum=0.0, maximum=10.0, unit="s")
-    moved_m: float = setting(0.00001, "Readings that differ more are motion", minimum=0.0, maximum=0.01, unit="m")
-    fresh_s: float = setting(
-        1.0, "Readings and tips older than this count no more", minimum=0.1, maximum=60.0, unit="s"
-    )
-    tips: int = setting(8, "Sightings that make one sample", minimum=3, maximum=200)
-    scatter_m: float = setting(0.0008, "Their greatest rms scatter", minimum=1e-6, maximum=0.05, unit="m")
-    panels: int = setting(3, "Poses of the panel that make one sample", minimum=1, maximum=200)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunConfig(Config):
-    """Where the run goes and how long it waits."""
-
-    mounting: str = setting("fixed", "Where the cameras are mounted", choices=("fixed", "carriage"), read_only=True)
-    x_min_m: float = setting(0.03, "Least x reading", minimum=0.0, maximum=5.0, unit="m")
-    x_max_m: float = setting(0.33, "Greatest x reading", minimum=0.0, maximum=5.0, unit="m")
-    y_min_m: float = setting(0.03, "Least y reading", minimum=0.0, maximum=5.0, unit="m")
-    y_max_m: float = setting(0.18, "Greatest y reading", minimum=0.0, maximum=5.0, unit="m")
-    columns: int = setting(4, "Places along x", minimum=2, maximum=20)
-    rows: int = setting(3, "Places along y", minimum=2, maximum=20)
-    heights_m: tuple[float, ...] = setting(
-        (0.0, -0.012),
-        "Heights in base_link at each place; with cameras on the carriage one of them at each, in turn",
-        minimum=-0.5,
-        maximum=0.0,
-        unit="m",
-    )
-    held_out: int = setting(4, "Places between the others, if there are so many, that check it", minimum=2, maximum=50)
-    held_out_height_m: float = setting(-0.006, "Their height", minimum=-0.5, maximum=0.0, unit="m")
-    backlash_places: int = setting(
-        2, "Places at the lower end of each axis, entered from above, that tell the backlash", minimum=0, maximum=20
-    )
-    approach_m: float = setting(
-        0.003, "Each row is entered from so far left and below, which takes up the backlash", minimum=0.0, maximum=0.05
-    )
-    accept_timeout_s: float = setting(3.0, "A goal is answered within", minimum=0.1, maximum=60.0, unit="s")
-    move_timeout_s: float = setting(30.0, "A goal is reached within", minimum=1.0, maximum=600.0, unit="s")
-    look_timeout_s: float = setting(6.0, "A still tip is seen within", minimum=0.5, maximum=120.0, unit="s")
-    max_missed: float = setting(0.25, "Part of the places where the tip may stay unseen", minimum=0.0, maximum=0.9)
-    max_held_out_m: float = setting(0.001, "Greatest error at the held-out places", minimum=1e-6, maximum=0.1, unit="m")
-
-    def __post_init__(self) -> None:
-        Config.__post_init__(self)
-        for axis, low, high in (("x", self.x_min_m, self.x_max_m), ("y", self.y_min_m, self.y_max_m)):
-            if low < self.approach_m:
-                raise ConfigError(f"{axis}_min_m = {low}: at least approach_m = {self.approach_m} is needed")
-            if high <= low:
-                raise ConfigError(f"{axis}_max_m = {high} is not above {axis}_min_m = {low}")
-        if not self.heights_m:
-            raise ConfigError("heights_m = (): at least one height is needed")
-        if self.columns == self.rows == 2:
-            raise ConfigError("columns = 2, rows = 2: at least 3 of one are needed, for two held-out places between")
-
-
-_PANEL_S = 2.0
-"""The panel is seen at least so often where it is looked at; recognition may be slow."""
 CLEAR_M = 0.001
 """So far the ball stays above whatever stands highest on the panel: nothing is to be touched by a calibration."""
 _EDGE = 1.4
@@ -112,181 +48,6 @@ NEVER_SEEN = (
 )
 _WRONG_WAYS = 2
 """So many ways down in a row that are seen to be others than they should be are the stylus and not a wrong sighting."""
-
-
-class StillWatch:
-    """Collects sightings of the tip, and of the panel, while the readings do not change."""
-
-    def __init__(self, config: StillConfig) -> None:
-        self._config = config
-        self._reading: Array | None = None
-        self._reading_ns = self._since_ns = 0
-        self._tips: deque[tuple[int, Array]] = deque(maxlen=config.tips)
-        self._panels: deque[tuple[int, Transform, FacePoints]] = deque(maxlen=config.panels)
-
-    def restart(self, now_ns: int) -> None:
-        """Forget what was seen before ``now_ns``."""
-        self._since_ns = now_ns
-        self.forget()
-
-    def forget(self) -> None:
-        """Forget what was seen; the machine stands as still as before."""
-        self._tips.clear()
-        self._panels.clear()
-
-    def reading(self, stamp_ns: int, reading: Array) -> None:
-        """Take the readings (3,) m of ``stamp_ns``."""
-        if stamp_ns < self._reading_ns - self._config.fresh_s * 1e9:
-            # The clock was set back, or a recording has started anew: what was seen is of another time.
-            self._reading, self._reading_ns, self._since_ns = None, 0, 0
-        if self._reading is None or np.abs(reading - self._reading).max() > self._config.moved_m:
-            self._reading = np.array(reading, dtype=np.float64)
-            self.restart(max(stamp_ns, self._since_ns))
-        self._reading_ns = max(stamp_ns, self._reading_ns)
-
-    def unrest(self, now_ns: int) -> str:
-        """Return why the machine is not known to stand still, empty when it is."""
-        settle_s = self._config.settle_s
-        if self._reading is None or now_ns - self._reading_ns > self._config.fresh_s * 1e9:
-            return "no joint_states arrive"
-        return (
-            "" if now_ns - self._since_ns >= settle_s * 1e9 else f"the machine has not stood still for {settle_s:g} s"
-        )
-
-    def tip(self, stamp_ns: int, tip: Array) -> None:
-        """Take a sighting (3,) m of ``stamp_ns``; those of a moving or settling machine are dropped."""
-        if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
-            self._tips.append((stamp_ns, np.array(tip, dtype=np.float64)))
-
-    def panel(self, stamp_ns: int, camera_from_panel: Transform, points: FacePoints) -> None:
-        """Take a pose of the panel of ``stamp_ns``, and what was measured for it; as for the tip."""
-        if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
-            self._panels.append((stamp_ns, camera_from_panel, points))
-
-    @property
-    def newest_ns(self) -> tuple[int, int]:
-        """The stamps of the newest sighting of the tip and of the panel, 0 before the first."""
-        return self._tips[-1][0] if self._tips else 0, self._panels[-1][0] if self._panels else 0
-
-    def panel_sample(self, now_ns: int, after_ns: int = 0) -> PanelSample | str:
-        """Return the mean of the poses after ``after_ns`` and all their points, or why there is none yet."""
-        config = self._config
-        if self._reading is None or now_ns - self._reading_ns > config.fresh_s * 1e9:
-            return "no joint_states arrive"
-        oldest_ns = now_ns - int((config.fresh_s + config.panels * _PANEL_S) * 1e9)
-        fresh = [(pose, points) for stamp, pose, points in self._panels if stamp >= oldest_ns and stamp > after_ns]
-        if len(fresh) < config.panels:
-            return f"the panel was seen {len(fresh)} of {config.panels} times while the machine stood still"
-        pose = mean_pose([pose for pose, _ in fresh])
-        points = FacePoints.joined([points for _, points in fresh])
-        return PanelSample(reading=self._reading, camera_from_panel=pose, points=points)
-
-    def sample(self, now_ns: int, after_ns: int = 0) -> Sample | str:
-        """Return a sample of what was seen after ``after_ns``, or why there is none yet."""
-        config = self._config
-        if self._reading is None or now_ns - self._reading_ns > config.fresh_s * 1e9:
-            return "no joint_states arrive"
-        oldest_ns = now_ns - (config.fresh_s + config.tips / 5.0) * 1e9
-        fresh = [tip for stamp, tip in self._tips if stamp >= oldest_ns and stamp > after_ns]
-        if len(fresh) < config.tips:
-            return f"the tip was seen {len(fresh)} of {config.tips} times while the machine stood still"
-        tips = np.array(fresh)
-        centre = np.median(tips, axis=0)
-        distance = np.linalg.norm(tips - centre, axis=1)
-        # A single wrong sighting must not spoil the mean: beyond three times the middle distance it is left out.
-        near = tips[distance <= 3.0 * max(float(np.median(distance)), 1e-6)]
-        scatter = float(np.sqrt(np.mean(distance**2)))
-        if scatter > config.scatter_m:
-            return f"the tip scatters by {scatter * 1e3:.2f} mm, {config.scatter_m * 1e3:.2f} mm are accepted"
-        covariance = np.cov(near.T) / len(near)
-        return Sample(reading=self._reading, tip=near.mean(axis=0), covariance=covariance)
-
-
-class Purpose(str, Enum):
-    """Why the run goes to a place."""
-
-    APPROACH = "approach"
-    ABOVE = "above"
-    FIT = "fit"
-    CHECK = "check"
-    X_BELOW = "x from below"
-    X_ABOVE = "x from above"
-    Y_BELOW = "y from below"
-    Y_ABOVE = "y from above"
-    PARK = "park"
-
-
-_BACKLASH = ((Purpose.X_BELOW, Purpose.X_ABOVE), (Purpose.Y_BELOW, Purpose.Y_ABOVE))
-_SAMPLED = (Purpose.FIT, Purpose.CHECK, *_BACKLASH[0], *_BACKLASH[1])
-
-
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """One goal of the run: readings x and y, and the height z in base_link; metres."""
-
-    x: float
-    y: float
-    z: float
-    purpose: Purpose
-
-
-def plan(config: RunConfig, *, see_tip: bool = True) -> list[Stop]:
-    """Return the goals in order: each place is entered towards +x and +y, so that the backlash is always taken up.
-
-    Where the cameras do not see the tip, a way down tells nothing, and nothing would tell how far it may go.
-    """
-    xs = np.linspace(config.x_min_m, config.x_max_m, config.columns)
-    ys = np.linspace(config.y_min_m, config.y_max_m, config.rows)
-    back = config.approach_m
-    stops: list[Stop] = []
-    for row, y in enumerate(ys):
-        stops.append(Stop(float(xs[0]) - back, float(y) - back, 0.0, Purpose.APPROACH))
-        for column, x in enumerate(xs):
-            heights = config.heights_m
-            if config.mounting == "carriage":
-                # The panel looks the same from each height, and the tip moves with nothing else.
-                heights = heights[(row + column) % len(heights) :][:1] if see_tip else (0.0,)
-            stops += [Stop(float(x), float(y), z, Purpose.FIT) for z in heights]
-    between = [(float(x), float(y)) for y in (ys[1:] + ys[:-1]) / 2 for x in (xs[1:] + xs[:-1]) / 2]
-    # Places at the golden ratio's steps are spread evenly however many are wanted.
-    spread = [int(i * 0.618034 * len(between)) % len(between) for i in range(config.held_out)]
-    chosen = list(dict.fromkeys([*spread, *range(len(between))]))[: config.held_out]
-    for x, y in (between[i] for i in sorted(chosen)):
-        stops.append(Stop(x - back, y - back, 0.0, Purpose.APPROACH))
-        stops.append(Stop(x, y, config.held_out_height_m if see_tip else 0.0, Purpose.CHECK))
-    stops += _from_both_sides(config)
-    last = stops[-1]
-    return [*stops, Stop(last.x, last.y, 0.0, Purpose.PARK)]
-
-
-def check_plan(config: RunConfig, solver: HandEyeConfig) -> None:
-    """Refuse a plan from which nothing could be solved, before anything moves.
-
-    Raises
-    ------
-    DegenerateError
-        As the solver would at the end of the run.
-    """
-    readings = [np.array([s.x, s.y, -s.z]) for s in plan(config) if s.purpose is Purpose.FIT]
-    checked([Sample(reading=r, tip=r, covariance=np.zeros((3, 3))) for r in readings], "the tip", solver)
-
-
-def _from_both_sides(config: RunConfig) -> list[Stop]:
-    """Return the places that tell the backlash, in pairs: close together, entered from below and from above.
-
-    The controller enters every place from below, except at the lower end of an axis, where there is no room for it:
-    reading 0 is entered from above. There the carriage lags the other way.
-    """
-    stops = []
-    back = config.approach_m
-    for share in (np.arange(config.backlash_places) + 1.0) / (config.backlash_places + 1):
-        y = float(config.y_min_m + share * (config.y_max_m - config.y_min_m))
-        stops.append(Stop(back, y - back, 0.0, Purpose.APPROACH))
-        stops += [Stop(2 * back, y, 0.0, Purpose.X_BELOW), Stop(0.0, y, 0.0, Purpose.X_ABOVE)]
-        x = float(config.x_min_m + share * (config.x_max_m - config.x_min_m))
-        stops.append(Stop(x - back, back, 0.0, Purpose.APPROACH))
-        stops += [Stop(x, 2 * back, 0.0, Purpose.Y_BELOW), Stop(x, 0.0, 0.0, Purpose.Y_ABOVE)]
-    return stops
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,13 +121,13 @@ class CalibrationRun:
         self._see_tip = not (self._see_panel and contacts)
         self._watch = StillWatch(still)
         self._stops = plan(config, see_tip=self._see_tip)
-        self._places = sum(s.purpose in _SAMPLED for s in self._stops)
+        self._places = sum(s.purpose in SAMPLED for s in self._stops)
         self._index = -1
         self._goal_id = ""
         self._accepted = self._arrived = False
         self._deadline_ns = now_ns
-        self._samples: dict[Purpose, list[Sample]] = {purpose: [] for purpose in _SAMPLED}
-        self._panels: dict[Purpose, list[PanelSample]] = {purpose: [] for purpose in _SAMPLED}
+        self._samples: dict[Purpose, list[Sample]] = {purpose: [] for purpose in SAMPLED}
+        self._panels: dict[Purpose, list[PanelSample]] = {purpose: [] for purpose in SAMPLED}
         self._done = 0
         self._missed: list[str] = []
         self._face: Transform | None = None
@@ -546,7 +307,7 @@ class CalibrationRun:
         return calibration, held_out_errors(calibration, self._samples[Purpose.CHECK])
 
     def _on_carriage(self) -> tuple[HandEye, Array]:
-        tips = [sample for purpose in _SAMPLED for sample in self._samples[purpose]]
+        tips = [sample for purpose in SAMPLED for sample in self._samples[purpose]]
         calibration = calibrate_on_carriage(
             self._panels[Purpose.FIT], tips, self._cameras, self._contacts, self._solver
         )
@@ -554,7 +315,7 @@ class CalibrationRun:
 
     def _backlash(self, calibration: HandEye, axis: int) -> Backlash | None:
         """Compare where the carriage is after coming from above with where it is, close by, after coming from below."""
-        below, above = (self._seen(calibration, purpose) for purpose in _BACKLASH[axis])
+        below, above = (self._seen(calibration, purpose) for purpose in BACKLASH[axis])
         # A place where nothing was seen leaves its neighbour alone.
         near = 3 * self._config.approach_m
         pairs = [(a, b) for a in below for b in above if np.abs(a.reading - b.reading).max() < near]

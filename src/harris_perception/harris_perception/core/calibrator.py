@@ -15,17 +15,8 @@ import numpy as np
 
 from harris_perception.core import calibration_run
 from harris_perception.core.calibration_file import CalibrationFileError, StoredCalibration, check_fits
-from harris_perception.core.calibration_run import (
-    CalibrationRun,
-    Failed,
-    Finished,
-    Progress,
-    RunConfig,
-    SendGoal,
-    StillConfig,
-    StillWatch,
-    check_plan,
-)
+from harris_perception.core.calibration_plan import RunConfig, check_plan
+from harris_perception.core.calibration_run import CalibrationRun, Failed, Finished, Progress, SendGoal
 from harris_perception.core.carriage_camera import (
     MAX_CONTACTS,
     Contact,
@@ -45,6 +36,7 @@ from harris_perception.core.hand_eye import (
 )
 from harris_perception.core.pairing import Pairing
 from harris_perception.core.planar_pose import FacePoints
+from harris_perception.core.still_watch import StillConfig, StillWatch
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import Config, nested, setting
 from icu_common.core.frames import PANEL

@@ -1,0 +1,119 @@
+"""What is seen of the tip, and of the panel, while the machine stands still."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from harris_perception.core.carriage_camera import PanelSample
+from harris_perception.core.hand_eye import Sample
+from harris_perception.core.planar_pose import FacePoints
+from icu_common.core.config import Config, setting
+from icu_common.core.geometry import Array, Transform, mean_pose
+
+_PANEL_S = 2.0
+"""The panel is seen at least so often where it is looked at; recognition may be slow."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StillConfig(Config):
+    """When the machine stands still and its tip is seen well."""
+
+    settle_s: float = setting(0.3, "Rest before the tip is looked at", minimum=0.0, maximum=10.0, unit="s")
+    moved_m: float = setting(0.00001, "Readings that differ more are motion", minimum=0.0, maximum=0.01, unit="m")
+    fresh_s: float = setting(
+        1.0, "Readings and tips older than this count no more", minimum=0.1, maximum=60.0, unit="s"
+    )
+    tips: int = setting(8, "Sightings that make one sample", minimum=3, maximum=200)
+    scatter_m: float = setting(0.0008, "Their greatest rms scatter", minimum=1e-6, maximum=0.05, unit="m")
+    panels: int = setting(3, "Poses of the panel that make one sample", minimum=1, maximum=200)
+
+
+class StillWatch:
+    """Collects sightings of the tip, and of the panel, while the readings do not change."""
+
+    def __init__(self, config: StillConfig) -> None:
+        self._config = config
+        self._reading: Array | None = None
+        self._reading_ns = self._since_ns = 0
+        self._tips: deque[tuple[int, Array]] = deque(maxlen=config.tips)
+        self._panels: deque[tuple[int, Transform, FacePoints]] = deque(maxlen=config.panels)
+
+    def restart(self, now_ns: int) -> None:
+        """Forget what was seen before ``now_ns``."""
+        self._since_ns = now_ns
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what was seen; the machine stands as still as before."""
+        self._tips.clear()
+        self._panels.clear()
+
+    def reading(self, stamp_ns: int, reading: Array) -> None:
+        """Take the readings (3,) m of ``stamp_ns``."""
+        if stamp_ns < self._reading_ns - self._config.fresh_s * 1e9:
+            # The clock was set back, or a recording has started anew: what was seen is of another time.
+            self._reading, self._reading_ns, self._since_ns = None, 0, 0
+        if self._reading is None or np.abs(reading - self._reading).max() > self._config.moved_m:
+            self._reading = np.array(reading, dtype=np.float64)
+            self.restart(max(stamp_ns, self._since_ns))
+        self._reading_ns = max(stamp_ns, self._reading_ns)
+
+    def unrest(self, now_ns: int) -> str:
+        """Return why the machine is not known to stand still, empty when it is."""
+        settle_s = self._config.settle_s
+        if self._reading is None or now_ns - self._reading_ns > self._config.fresh_s * 1e9:
+            return "no joint_states arrive"
+        return (
+            "" if now_ns - self._since_ns >= settle_s * 1e9 else f"the machine has not stood still for {settle_s:g} s"
+        )
+
+    def tip(self, stamp_ns: int, tip: Array) -> None:
+        """Take a sighting (3,) m of ``stamp_ns``; those of a moving or settling machine are dropped."""
+        if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
+            self._tips.append((stamp_ns, np.array(tip, dtype=np.float64)))
+
+    def panel(self, stamp_ns: int, camera_from_panel: Transform, points: FacePoints) -> None:
+        """Take a pose of the panel of ``stamp_ns``, and what was measured for it; as for the tip."""
+        if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
+            self._panels.append((stamp_ns, camera_from_panel, points))
+
+    @property
+    def newest_ns(self) -> tuple[int, int]:
+        """The stamps of the newest sighting of the tip and of the panel, 0 before the first."""
+        return self._tips[-1][0] if self._tips else 0, self._panels[-1][0] if self._panels else 0
+
+    def panel_sample(self, now_ns: int, after_ns: int = 0) -> PanelSample | str:
+        """Return the mean of the poses after ``after_ns`` and all their points, or why there is none yet."""
+        config = self._config
+        if self._reading is None or now_ns - self._reading_ns > config.fresh_s * 1e9:
+            return "no joint_states arrive"
+        oldest_ns = now_ns - int((config.fresh_s + config.panels * _PANEL_S) * 1e9)
+        fresh = [(pose, points) for stamp, pose, points in self._panels if stamp >= oldest_ns and stamp > after_ns]
+        if len(fresh) < config.panels:
+            return f"the panel was seen {len(fresh)} of {config.panels} times while the machine stood still"
+        pose = mean_pose([pose for pose, _ in fresh])
+        points = FacePoints.joined([points for _, points in fresh])
+        return PanelSample(reading=self._reading, camera_from_panel=pose, points=points)
+
+    def sample(self, now_ns: int, after_ns: int = 0) -> Sample | str:
+        """Return a sample of what was seen after ``after_ns``, or why there is none yet."""
+        config = self._config
+        if self._reading is None or now_ns - self._reading_ns > config.fresh_s * 1e9:
+            return "no joint_states arrive"
+        oldest_ns = now_ns - (config.fresh_s + config.tips / 5.0) * 1e9
+        fresh = [tip for stamp, tip in self._tips if stamp >= oldest_ns and stamp > after_ns]
+        if len(fresh) < config.tips:
+            return f"the tip was seen {len(fresh)} of {config.tips} times while the machine stood still"
+        tips = np.array(fresh)
+        centre = np.median(tips, axis=0)
+        distance = np.linalg.norm(tips - centre, axis=1)
+        # A single wrong sighting must not spoil the mean: beyond three times the middle distance it is left out.
+        near = tips[distance <= 3.0 * max(float(np.median(distance)), 1e-6)]
+        scatter = float(np.sqrt(np.mean(distance**2)))
+        if scatter > config.scatter_m:
+            return f"the tip scatters by {scatter * 1e3:.2f} mm, {config.scatter_m * 1e3:.2f} mm are accepted"
+        covariance = np.cov(near.T) / len(near)
+        return Sample(reading=self._reading, tip=near.mean(axis=0), covariance=covariance)
