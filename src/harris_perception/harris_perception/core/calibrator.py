@@ -36,7 +36,7 @@ from harris_perception.core.hand_eye import (
 )
 from harris_perception.core.pairing import Pairing
 from harris_perception.core.planar_pose import FacePoints
-from harris_perception.core.still_watch import StillConfig, StillWatch
+from harris_perception.core.still_watch import NO_READINGS, StillConfig, StillWatch
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import Config, nested, setting
 from icu_common.core.frames import PANEL
@@ -244,7 +244,7 @@ class Calibrator:
         if frame != PANEL or not np.isfinite(point).all():
             why = f"{point.tolist()} in {frame!r}: a finite point in {PANEL!r} is needed"
         elif self.reading is None:
-            why = "no joint_states arrive"
+            why = NO_READINGS
         elif unrest := self.watch.unrest(now_ns):
             why = unrest
         elif self._run is not None:

@@ -13,6 +13,7 @@ from harris_perception.core.planar_pose import FacePoints
 from icu_common.core.config import Config, setting
 from icu_common.core.geometry import Array, Transform, mean_pose
 
+NO_READINGS = "no joint_states arrive"
 _PANEL_S = 2.0
 """The panel is seen at least so often where it is looked at; recognition may be slow."""
 
@@ -63,21 +64,26 @@ class StillWatch:
 
     def unrest(self, now_ns: int) -> str:
         """Return why the machine is not known to stand still, empty when it is."""
+        if self._fresh_reading(now_ns) is None:
+            return NO_READINGS
         settle_s = self._config.settle_s
-        if self._reading is None or now_ns - self._reading_ns > self._config.fresh_s * 1e9:
-            return "no joint_states arrive"
-        return (
-            "" if now_ns - self._since_ns >= settle_s * 1e9 else f"the machine has not stood still for {settle_s:g} s"
-        )
+        settled = now_ns - self._since_ns >= settle_s * 1e9
+        return "" if settled else f"the machine has not stood still for {settle_s:g} s"
+
+    def _fresh_reading(self, now_ns: int) -> Array | None:
+        return self._reading if now_ns - self._reading_ns <= self._config.fresh_s * 1e9 else None
+
+    def _settled_at(self, stamp_ns: int) -> bool:
+        return self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9
 
     def tip(self, stamp_ns: int, tip: Array) -> None:
         """Take a sighting (3,) m of ``stamp_ns``; those of a moving or settling machine are dropped."""
-        if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
+        if self._settled_at(stamp_ns):
             self._tips.append((stamp_ns, np.array(tip, dtype=np.float64)))
 
     def panel(self, stamp_ns: int, camera_from_panel: Transform, points: FacePoints) -> None:
         """Take a pose of the panel of ``stamp_ns``, and what was measured for it; as for the tip."""
-        if self._reading is not None and stamp_ns >= self._since_ns + self._config.settle_s * 1e9:
+        if self._settled_at(stamp_ns):
             self._panels.append((stamp_ns, camera_from_panel, points))
 
     @property
@@ -87,22 +93,22 @@ class StillWatch:
 
     def panel_sample(self, now_ns: int, after_ns: int = 0) -> PanelSample | str:
         """Return the mean of the poses after ``after_ns`` and all their points, or why there is none yet."""
-        config = self._config
-        if self._reading is None or now_ns - self._reading_ns > config.fresh_s * 1e9:
-            return "no joint_states arrive"
+        config, reading = self._config, self._fresh_reading(now_ns)
+        if reading is None:
+            return NO_READINGS
         oldest_ns = now_ns - int((config.fresh_s + config.panels * _PANEL_S) * 1e9)
         fresh = [(pose, points) for stamp, pose, points in self._panels if stamp >= oldest_ns and stamp > after_ns]
         if len(fresh) < config.panels:
             return f"the panel was seen {len(fresh)} of {config.panels} times while the machine stood still"
         pose = mean_pose([pose for pose, _ in fresh])
         points = FacePoints.joined([points for _, points in fresh])
-        return PanelSample(reading=self._reading, camera_from_panel=pose, points=points)
+        return PanelSample(reading=reading, camera_from_panel=pose, points=points)
 
     def sample(self, now_ns: int, after_ns: int = 0) -> Sample | str:
         """Return a sample of what was seen after ``after_ns``, or why there is none yet."""
-        config = self._config
-        if self._reading is None or now_ns - self._reading_ns > config.fresh_s * 1e9:
-            return "no joint_states arrive"
+        config, reading = self._config, self._fresh_reading(now_ns)
+        if reading is None:
+            return NO_READINGS
         oldest_ns = now_ns - (config.fresh_s + config.tips / 5.0) * 1e9
         fresh = [tip for stamp, tip in self._tips if stamp >= oldest_ns and stamp > after_ns]
         if len(fresh) < config.tips:
@@ -116,4 +122,4 @@ class StillWatch:
         if scatter > config.scatter_m:
             return f"the tip scatters by {scatter * 1e3:.2f} mm, {config.scatter_m * 1e3:.2f} mm are accepted"
         covariance = np.cov(near.T) / len(near)
-        return Sample(reading=self._reading, tip=near.mean(axis=0), covariance=covariance)
+        return Sample(reading=reading, tip=near.mean(axis=0), covariance=covariance)
