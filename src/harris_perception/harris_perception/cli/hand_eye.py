@@ -15,10 +15,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from harris_perception.core.hand_eye import DegenerateError
 from harris_perception.core.wrist_camera import WristCamera, WristConfig, calibrate_wrist
 from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Array, Transform
 
 COLUMNS = 14
@@ -116,14 +114,9 @@ def report(result: WristCamera, names: tuple[str, str]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command."""
     options = parser().parse_args(arguments)
-    names = (
-        ("base_from_camera", "gripper_from_target")
-        if options.fixed_camera
-        else (
-            "gripper_from_camera",
-            "base_from_target",
-        )
-    )
+    names = ("gripper_from_camera", "base_from_target")
+    if options.fixed_camera:
+        names = ("base_from_camera", "gripper_from_target")
     try:
         if options.output is not None and options.output.resolve() == options.poses.resolve():
             raise ValueError(f"--output {options.output}: the same file is read, another name is needed")
@@ -136,7 +129,7 @@ def main(arguments: list[str] | None = None) -> int:
             max_shift_rms_m=options.max_misfit_mm * 1e-3,
         )
         result = calibrate_wrist(grippers, targets, config)
-    except (DegenerateError, ConfigError, ValueError, OSError) as error:
+    except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     if options.output is not None:

@@ -20,7 +20,7 @@ from harris_perception.core.panel_teaching import Lesson, TeachingError, parse_p
 from harris_perception.core.panel_template import draw_panel
 from harris_perception.core.recognition import PanelRecogniser
 from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.panel_layout import LayoutError, PanelLayout, load_layout
+from icu_common.core.panel_layout import PanelLayout, load_layout
 
 
 @ends_quietly
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         return _check(given) if given.command == "check" else _picture(given)
-    except (OSError, LayoutError, ValueError) as error:
+    except (OSError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
 

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, TextIO
 import numpy as np
 
 from icu_common.adapters.frame_link import FrameServer
-from icu_common.core.config import ConfigError, from_mapping, to_mapping
+from icu_common.core.config import from_mapping, to_mapping
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import PanelLayout
 from scope_bench.adapters.motion_client import MotionClient
@@ -294,11 +294,7 @@ class Simulation:
         }
 
     def _do_set(self, request: dict[str, Any]) -> None:
-        values = {**to_mapping(self._config), **request["values"]}
-        try:
-            self._reconfigure(from_mapping(BenchConfig, values))
-        except ConfigError as error:
-            raise ValueError(str(error)) from error
+        self._reconfigure(from_mapping(BenchConfig, {**to_mapping(self._config), **request["values"]}))
 
     def _do_hide(self, request: dict[str, Any]) -> None:
         given = request.get("rectangle_mm")
