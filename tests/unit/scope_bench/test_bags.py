@@ -32,8 +32,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX, PictureCodec
+from scope_bench.adapters.bag_repair import repair
 from scope_bench.adapters.bag_sink import BagSink
-from scope_bench.adapters.bags import BagError, BagReader, BagTopic, BagWriter, repair
+from scope_bench.adapters.bags import BagError, BagReader, BagTopic, BagWriter
 from scope_bench.cli import bag_info
 from scope_bench.core.mcap_records import MAGIC, whole_messages
 from scope_bench.core.play_clock import PlayClock, progress_bar

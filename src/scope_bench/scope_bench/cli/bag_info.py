@@ -10,7 +10,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from icu_common.adapters.program_end import ends_quietly
-from scope_bench.adapters.bags import BagError, BagReader, repair
+from scope_bench.adapters.bag_repair import repair
+from scope_bench.adapters.bags import BagError, BagReader
 
 
 def parser() -> argparse.ArgumentParser:
