@@ -26,7 +26,7 @@ from gantry_driver.core.goal_job import LOOKING, UP, Phase
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Position, StateChanged
-from gantry_driver.core.targets import PanelMap
+from gantry_driver.core.scene import PanelMap
 from gantry_driver.core.trajectory_gcode import Waypoint
 from gantry_driver.mock.machine import Machine as MockMachine
 from gantry_driver.mock.settings import make_eeprom

@@ -12,7 +12,7 @@ from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller import Controller
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import Phase
-from gantry_driver.core.targets import PanelControl, PanelMap
+from gantry_driver.core.scene import PanelControl, PanelMap
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome

@@ -11,7 +11,7 @@ from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, PANEL, 
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller import Controller, Phase
-from gantry_driver.core.targets import PanelControl
+from gantry_driver.core.scene import PanelControl
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.results import Outcome
 

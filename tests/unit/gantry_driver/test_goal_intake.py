@@ -13,7 +13,7 @@ from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.effects import Knob
 from gantry_driver.core.goal_intake import find_touch
 from gantry_driver.core.motion_plan import MotionConfig, OutOfReach
-from gantry_driver.core.targets import Scene
+from gantry_driver.core.scene import Scene
 from icu_common.core.gesture import parse_gesture
 
 AXES = np.array([[1.01, 0.0], [0.0, 1.0]])

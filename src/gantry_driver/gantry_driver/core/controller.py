@@ -36,8 +36,8 @@ from gantry_driver.core.goal_job import (
     Step,
 )
 from gantry_driver.core.motion_plan import OutOfReach, Path
+from gantry_driver.core.scene import Refused
 from gantry_driver.core.servo import NO_LOOK, Look, contact_complaint, judge, misplaced, places_beside
-from gantry_driver.core.targets import Refused
 from gantry_driver.core.world import CROSSED_M, EXTENDED_M, World
 from icu_common.core.geometry import Array
 from icu_common.core.gesture import GestureError, parse_gesture

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gantry_driver.core.motion_plan import Path
-from gantry_driver.core.targets import PanelMap
+from gantry_driver.core.scene import PanelMap
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_state import PanelSeen

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gantry_driver.core.targets import MOST_BIAS_DEG, Refused
+from gantry_driver.core.scene import Refused
+from gantry_driver.core.targets import MOST_BIAS_DEG
 from icu_common.core.gesture import Gesture
 from icu_common.core.panel_state import ControlSeen, PanelSeen, angle_between
 

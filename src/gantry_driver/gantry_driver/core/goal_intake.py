@@ -15,7 +15,8 @@ from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.controller_messages import PointGoal
 from gantry_driver.core.effects import Knob, knob_of
 from gantry_driver.core.goal_job import NANO, Aim, Job
-from gantry_driver.core.targets import Refused, Scene, Touch
+from gantry_driver.core.scene import Refused, Scene
+from gantry_driver.core.targets import Touch
 from gantry_driver.core.world import World, since
 from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.geometry import Array

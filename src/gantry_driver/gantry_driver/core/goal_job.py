@@ -9,7 +9,8 @@ from enum import Enum
 import numpy as np
 
 from gantry_driver.core.effects import Knob
-from gantry_driver.core.targets import Scene, Touch
+from gantry_driver.core.scene import Scene
+from gantry_driver.core.targets import Touch
 from icu_common.core.geometry import Array
 from icu_common.core.gesture import Gesture
 from icu_common.core.panel_state import PanelSeen

@@ -15,7 +15,8 @@ import numpy as np
 from gantry_driver.core import motion_plan, targets
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import Aim, Fault
-from gantry_driver.core.targets import Scene, Touch
+from gantry_driver.core.scene import Scene
+from gantry_driver.core.targets import Touch
 from icu_common.core.geometry import Array, Transform
 
 FAR_NS = 2**63

@@ -11,7 +11,7 @@ import numpy as np
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import NANO, Fault
-from gantry_driver.core.targets import PanelMap, Scene
+from gantry_driver.core.scene import PanelMap, Scene
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_state import PanelSeen

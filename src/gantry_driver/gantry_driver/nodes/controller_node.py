@@ -24,7 +24,7 @@ from visualization_msgs.msg import MarkerArray
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller import Controller
 from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.targets import PanelMap
+from gantry_driver.core.scene import PanelMap
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.nodes import qos
