@@ -7,7 +7,7 @@ what is added is the judgement: outliers, uncertainties of a pair, and input tha
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -323,13 +323,7 @@ def calibrate_stereo(
     def once(
         kept: Sequence[tuple[BoardView, BoardView]], left_out: tuple[ViewError, ...]
     ) -> StereoCalibration | tuple[ViewError, ...]:
-        alone = CalibrationConfig(
-            radial_terms=config.radial_terms,
-            min_views=config.min_views,
-            outlier_factor=config.outlier_factor,
-            max_rms_px=_ANY_RMS_PX,  # the pair's own tells
-            alpha=config.alpha,
-        )
+        alone = replace(config, drop_outliers=False, max_rms_px=_ANY_RMS_PX)  # the pair's own tells
         left, right = (calibrate_camera(board, [pair[side] for pair in kept], alone, names[side]) for side in (0, 1))
         if left.model.size != right.model.size:
             raise CalibrationError(
