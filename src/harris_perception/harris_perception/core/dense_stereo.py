@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.compiled import called, compiled
+from harris_perception.core.depth_range import DepthRange
 from icu_common.core.camera_model import StereoModel
 from icu_common.core.config import Config, ConfigError, setting
 
@@ -256,17 +257,10 @@ def fill_holes(disparity: F32) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DenseConfig(Config):
+class DenseConfig(DepthRange):
     """Limits and size of a calibrated pair's dense disparity."""
 
-    min_depth_m: float = setting(0.2, "Nothing is nearer.", minimum=0.01, maximum=100.0, unit="m")
-    max_depth_m: float = setting(1.5, "Nothing is farther.", minimum=0.02, maximum=1000.0, unit="m")
     binning: int = setting(1, "Pictures are made smaller by this before matching.", minimum=1, maximum=8)
-
-    def __post_init__(self) -> None:
-        Config.__post_init__(self)
-        if self.max_depth_m <= self.min_depth_m:
-            raise ConfigError(f"max_depth_m = {self.max_depth_m} is not above min_depth_m = {self.min_depth_m}")
 
 
 class DenseStereo:

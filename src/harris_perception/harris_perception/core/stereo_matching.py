@@ -18,9 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core import stereo_kernels as kernels
+from harris_perception.core.depth_range import DepthRange
 from harris_perception.core.sampling import sampled
 from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.core.config import Config, ConfigError, setting
+from icu_common.core.config import ConfigError, setting
 from icu_common.core.geometry import Array
 
 Gray = npt.NDArray[np.uint8]
@@ -33,11 +34,9 @@ _FLOOR_PX = 0.06
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MatchConfig(Config):
+class MatchConfig(DepthRange):
     """Settings of the matcher."""
 
-    min_depth_m: float = setting(0.2, "Nothing is nearer.", minimum=0.01, maximum=100.0, unit="m")
-    max_depth_m: float = setting(1.5, "Nothing is farther.", minimum=0.02, maximum=1000.0, unit="m")
     row_tolerance_px: float = setting(
         1.5, "Rectified rows of a match differ by at most this.", minimum=0.1, maximum=10.0, unit="px"
     )
@@ -70,9 +69,7 @@ class MatchConfig(Config):
     )
 
     def __post_init__(self) -> None:
-        Config.__post_init__(self)
-        if self.max_depth_m <= self.min_depth_m:
-            raise ConfigError(f"max_depth_m = {self.max_depth_m} is not above min_depth_m = {self.min_depth_m}")
+        DepthRange.__post_init__(self)
         if self.window_px % 2 == 0:
             raise ConfigError(f"window_px = {self.window_px}: an odd number is needed")
 

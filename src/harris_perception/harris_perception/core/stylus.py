@@ -28,8 +28,9 @@ from harris_perception.core.ball_view import (
     mixed_chroma_of,
     without_pairs,
 )
+from harris_perception.core.depth_range import DepthRange
 from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.core.config import Config, ConfigError, setting
+from icu_common.core.config import setting
 from icu_common.core.geometry import Array
 
 Window = tuple[int, int, int, int]
@@ -45,7 +46,7 @@ _BESIDE_PX = ((2.0, 2.75), (2.5, 3.25, 4.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StylusConfig(Config):
+class StylusConfig(DepthRange):
     """Settings of the stylus tracker."""
 
     ball_diameter_m: float = setting(
@@ -78,11 +79,6 @@ class StylusConfig(Config):
     pair_tolerance_s: float = setting(
         0.004, "Left and right stamps of a pair differ by at most this.", minimum=0.0, maximum=0.1, unit="s"
     )
-
-    def __post_init__(self) -> None:
-        Config.__post_init__(self)
-        if self.max_depth_m <= self.min_depth_m:
-            raise ConfigError(f"max_depth_m = {self.max_depth_m} is not above min_depth_m = {self.min_depth_m}")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -1,0 +1,20 @@
+"""Between which depths something is looked for: what stereo, sparse or dense, and the stylus tracker have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from icu_common.core.config import Config, ConfigError, setting
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthRange(Config):
+    """The depths; who knows more of them declares them anew."""
+
+    min_depth_m: float = setting(0.2, "Nothing is nearer.", minimum=0.01, maximum=100.0, unit="m")
+    max_depth_m: float = setting(1.5, "Nothing is farther.", minimum=0.02, maximum=1000.0, unit="m")
+
+    def __post_init__(self) -> None:
+        Config.__post_init__(self)
+        if self.max_depth_m <= self.min_depth_m:
+            raise ConfigError(f"max_depth_m = {self.max_depth_m} is not above min_depth_m = {self.min_depth_m}")
