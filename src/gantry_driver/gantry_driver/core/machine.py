@@ -71,6 +71,7 @@ HOMING_WANTED = {Dialect.GRBLHAL: 11, Dialect.FLUIDNC: 14}
 """The alarm with which a firmware says after each reset that it has not been homed."""
 QUEUED_LINES = 600
 """Of a goal, ahead of the board: more than the shortest lines that any receive buffer holds."""
+LOCKED = "the board is locked by an alarm whose number was not received"
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """What a program may rely on at its first line."""
 
@@ -625,7 +626,7 @@ class Machine(Connection):
         if report.state == "Idle" or (report.state == "Alarm" and not self.homed):
             return
         if report.state == "Alarm":
-            self._to_alarm("the board is locked by an alarm whose number was not received", now)
+            self._to_alarm(LOCKED, now)
         elif self.phase is Phase.STOPPED and report.state == "Door" and report.substate != 0:
             return
         elif self.phase is Phase.STOPPED and report.state in ("Hold", "Door"):
@@ -635,7 +636,7 @@ class Machine(Connection):
 
     def _report_moving(self, report: Report, now: float) -> None:
         if report.state == "Alarm":
-            self._to_alarm("the board is locked by an alarm whose number was not received", now)
+            self._to_alarm(LOCKED, now)
         elif (self._pausing or self._resuming) and report.state in ("Idle", "Run", "Hold"):
             self._report_paused(report, now)
         elif report.state in ("Hold", "Door", "Check", "Sleep", "Tool", "Home", "Jog"):
@@ -675,7 +676,7 @@ class Machine(Connection):
             self._old_holds -= 1
             self.session.poll_now()
         elif report.state == "Alarm" and self.homed:
-            self._to_alarm("the board is locked by an alarm whose number was not received", now)
+            self._to_alarm(LOCKED, now)
         elif report.state in ("Idle", "Check"):
             # Older than the hold, or a firmware that does not hold while idle: give the hold time to show.
             if now - self._since > 1.5 * HOLD_REPEAT_S:
@@ -713,7 +714,7 @@ class Machine(Connection):
 
     def _report_lifting(self, report: Report, now: float) -> None:
         if report.state == "Alarm":
-            self._to_alarm("the board is locked by an alarm whose number was not received", now)
+            self._to_alarm(LOCKED, now)
         elif report.state == "Idle" and self._marker_done:
             self.session.executed_all()
             self._stylus_down = self._lowers = False

@@ -19,6 +19,7 @@ from harris_perception.adapters.picture_files import read_sensor_gray, write_pic
 from harris_perception.core.board import PAPERS_MM, Board, board_pdf, board_svg
 from harris_perception.core.board_detection import BoardDetector, BoardView, size_shown
 from harris_perception.core.camera_calibration import (
+    INTRINSICS,
     CalibrationConfig,
     CameraCalibration,
     StereoCalibration,
@@ -157,7 +158,7 @@ def _say_views(views: Sequence[ViewError], left_out: Sequence[ViewError], say: S
 
 def _say_camera(model: CameraModel, sigma: dict[str, float], say: Say, prefix: str = "") -> None:
     values = (*model.k[[0, 1, 0, 1], [0, 1, 2, 2]], *model.d)
-    for name, value in zip(("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3"), values):
+    for name, value in zip(INTRINSICS, values):
         known = f"+- {sigma[prefix + name]:.5f}" if prefix + name in sigma else "(not estimated)"
         say(f"  {name:<6} {value:12.5f} {known}")
     loose = sigma[prefix + "fx_px"] / model.k[0, 0]
