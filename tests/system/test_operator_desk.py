@@ -10,7 +10,7 @@ import signal
 import subprocess
 import time
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -307,6 +307,18 @@ def test_single_keys_are_typed_in_any_way_and_can_be_switched_off(operator: Oper
     operator.sees("#chip-driver", "Idle")
 
 
+def passing_on(routes: list[Any], hung: Callable[[], int]) -> Callable[[Any], None]:
+    """Pass pictures on, but for the first connections: once these hang, they do so for ever."""
+
+    def video(route: Any) -> None:
+        routes.append(route)
+        number, server = len(routes), route.connect_to_server()
+        route.on_message(server.send)
+        server.on_message(lambda m: route.send(m) if number > hung() else None)
+
+    return video
+
+
 def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrument: Instrument) -> None:
     person = Operator(browser, instrument.new_address())
     page = person.page
@@ -321,17 +333,10 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
         route.send(json.dumps(full))
         route.close()
 
-    def video(route: Any) -> None:
-        """Pass pictures on, but for the first connections: once these hang, they do so for ever."""
-        pictures.append(route)
-        number, server = len(pictures), route.connect_to_server()
-        route.on_message(server.send)
-        server.on_message(lambda m: route.send(m) if number > hung else None)
-
     lines: list[Any] = []
     pictures: list[Any] = []
     page.route_web_socket(re.compile("/control$"), control)
-    page.route_web_socket(re.compile("/video$"), video)
+    page.route_web_socket(re.compile("/video$"), passing_on(pictures, lambda: hung))
     page.reload()
     person.sees("#banner", "All 24 places are taken")
     whole = True
@@ -587,14 +592,7 @@ def test_a_picture_that_hangs_alone_stops_the_motion_and_comes_back(browser: Any
     connections: list[Any] = []
     hung = 0
 
-    def video(route: Any) -> None:
-        """Pass pictures on, but for the first connections: once these hang, they do so for ever."""
-        connections.append(route)
-        number, server = len(connections), route.connect_to_server()
-        route.on_message(server.send)
-        server.on_message(lambda m: route.send(m) if number > hung else None)
-
-    page.route_web_socket(re.compile("/video$"), video)
+    page.route_web_socket(re.compile("/video$"), passing_on(connections, lambda: hung))
     page.reload()
     person.takes_control()
     instrument.tell("motion 60")
