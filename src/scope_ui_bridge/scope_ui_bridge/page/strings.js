@@ -24,11 +24,11 @@ export function has(key) {
 }
 
 /** Fill in the texts that the HTML names. */
-export function fillTexts(root = document) {
-  for (const element of root.querySelectorAll("[data-text]")) element.textContent = t(element.dataset.text);
-  for (const element of root.querySelectorAll("[data-label]")) element.setAttribute("aria-label", t(element.dataset.label));
-  for (const element of root.querySelectorAll("[data-title]")) element.title = t(element.dataset.title);
-  for (const element of root.querySelectorAll("[data-placeholder]")) element.placeholder = t(element.dataset.placeholder);
+function fillTexts() {
+  for (const element of document.querySelectorAll("[data-text]")) element.textContent = t(element.dataset.text);
+  for (const element of document.querySelectorAll("[data-label]")) element.setAttribute("aria-label", t(element.dataset.label));
+  for (const element of document.querySelectorAll("[data-title]")) element.title = t(element.dataset.title);
+  for (const element of document.querySelectorAll("[data-placeholder]")) element.placeholder = t(element.dataset.placeholder);
 }
 
 export function language() {
@@ -40,7 +40,7 @@ export function startLanguage() {
   setLanguage(localStorage.getItem(KEPT) ?? navigator.language.slice(0, 2));
 }
 
-export function setLanguage(name) {
+function setLanguage(name) {
   const known = name in LANGUAGES ? name : "en";
   table = LANGUAGES[known];
   document.documentElement.lang = known;
