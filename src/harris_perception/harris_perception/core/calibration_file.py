@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 
 from harris_perception.core.carriage_camera import shifted
+from harris_perception.core.hand_eye import axes_skew
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 
@@ -265,11 +266,6 @@ def _difference_px(old: CameraModel, new: CameraModel) -> float:
 def axes_scale(base_from_reading: Array) -> Array:
     """Return (2,) how many metres the x and the y axis move per metre of reading."""
     return np.asarray(np.linalg.norm(base_from_reading, axis=0))
-
-
-def axes_skew(base_from_reading: Array) -> float:
-    """Return the angle, rad, that the axes miss at 90 degrees; positive where y leans towards x."""
-    return float(np.arctan2(base_from_reading[0, 1], base_from_reading[1, 1]))
 
 
 def _measured(value_m: float, sigma_m: float) -> str:

@@ -535,6 +535,11 @@ def _check_left_out(used: npt.NDArray[np.bool_], config: HandEyeConfig) -> None:
         )
 
 
+def axes_skew(base_from_reading: Array) -> float:
+    """Return the angle, rad, that the axes miss at 90 degrees; positive where y leans towards x."""
+    return float(np.arctan2(base_from_reading[0, 1], base_from_reading[1, 1]))
+
+
 def check_axes(axes: Array, config: HandEyeConfig) -> None:
     """Refuse base_from_reading (2, 2) that no such machine has.
 
@@ -543,9 +548,8 @@ def check_axes(axes: Array, config: HandEyeConfig) -> None:
     DegenerateError
         With the axis and what is plausible.
     """
-    x, y = axes[0, 0], axes[1, 1]
-    skew = float(np.arctan2(axes[0, 1], y))
-    for name, scale in (("x", x), ("y", y)):
+    skew = axes_skew(axes)
+    for name, scale in (("x", axes[0, 0]), ("y", axes[1, 1])):
         if abs(scale - 1) > config.max_scale_error:
             raise DegenerateError(
                 f"the {name} axis moves {scale:.3f} m per metre of reading, {1 - config.max_scale_error:.2f} to "
