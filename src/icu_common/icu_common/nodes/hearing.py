@@ -57,7 +57,7 @@ class Hearing:
             self._ears.append((node, ear))
             return ear.made
 
-        Node.create_subscription = subscription  # type: ignore[method-assign]
+        Node.create_subscription = subscription
 
     def deaf(self, now_s: float) -> str:
         """Return a topic on which a camera is there and was never heard for too long, empty without one."""

@@ -91,8 +91,8 @@ class Tally:
             if not self._busy:
                 self.tell()
 
-        Node.create_publisher, Node.create_subscription = publisher, subscription  # type: ignore[method-assign]
-        Publisher.publish = publish  # type: ignore[method-assign]
+        Node.create_publisher, Node.create_subscription = publisher, subscription
+        Publisher.publish = publish
 
     def tell(self) -> None:
         """Publish the counts."""
