@@ -526,6 +526,20 @@ def test_a_compressed_bag_is_repaired_as_far_as_it_unpacks(tmp_path: Path, stora
     assert not list(tmp_path.glob("*.unpacked*")), "nothing is left beside the new bag"
 
 
+@pytest.mark.parametrize("listed", ["bag_1.mcap", "bag/bag_1.mcap", "bag_1.mcap.zstd"])
+def test_a_file_of_a_bag_that_is_missing_is_told_by_the_repair(listed: str, tmp_path: Path) -> None:
+    write(tmp_path / "bag", "mcap")
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    described = yaml.safe_load(metadata.read_text())
+    described["rosbag2_bagfile_information"]["relative_file_paths"].append(listed)
+    metadata.write_text(yaml.safe_dump(described))
+    assert repair(tmp_path / "bag", tmp_path / "new") == (20, f"{Path(listed).name} is missing")
+    shutil.copyfile(storage_file(tmp_path / "bag"), tmp_path / "bag" / "bag_1.mcap")
+    assert repair(tmp_path / "bag", tmp_path / "whole") == (40, "")
+    metadata.write_text("rosbag2_bagfile_information: [1")
+    assert repair(tmp_path / "bag", tmp_path / "again") == (40, "")
+
+
 def test_of_a_sqlite_file_that_was_cut_off_the_pages_before_are_saved(tmp_path: Path) -> None:
     """As a copy leaves it that did not fit on the stick; the file itself stays as it is."""
     rows = write(tmp_path / "bag", "sqlite3", 3000)

@@ -10,10 +10,12 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import yaml
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 from rosbags.typesys.store import Typestore
 
+from icu_common.core.yaml_text import UNREADABLE
 from scope_bench.adapters.bags import (
     READ_ERRORS,
     ZIPPED,
@@ -60,7 +62,11 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
     files = [p for p in found if p.suffix != ZIPPED or p.with_suffix("") not in found]
     if not files:
         raise BagError(f"{path} has no .db3 or .mcap file, compressed (.zstd) or not")
-    ends: list[str] = []
+    ends = [
+        f"{name} is missing"
+        for name in _listed(path)
+        if not {name, name.removesuffix(ZIPPED)} & {p.name for p in found}
+    ]
     place = next(folder for folder in out.absolute().parents if folder.is_dir())
     try:
         unpacked = tempfile.TemporaryDirectory(prefix=f"{out.name}.unpacked", dir=place)
@@ -88,6 +94,15 @@ def repair(path: Path, out: Path) -> tuple[int, str]:
                 ends += [f"{name}: {reason}" for reason in missing]
             count = writer.messages
     return count, "; ".join(ends)
+
+
+def _listed(path: Path) -> list[str]:
+    """Return the names of the files that a bag's metadata.yaml says it has; none where it cannot be read."""
+    try:
+        described = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))
+        return [Path(name).name for name in described["rosbag2_bagfile_information"]["relative_file_paths"]]
+    except (OSError, ValueError, LookupError, TypeError, *UNREADABLE):
+        return []
 
 
 def _unpacked(file: Path, folder: Path, ends: list[str]) -> Path:
