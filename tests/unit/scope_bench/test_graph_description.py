@@ -130,6 +130,7 @@ def test_errors(config: Path, old: str, new: str, message: str) -> None:
         ("/**:\n  ros__parameters:\n\ta: 1", r"eye\.yaml:3: found character '\\t' that cannot start any token"),
         ("# für das Gerät", r"eye\.yaml: 'utf-8' codec can't decode"),
         ("[a]", r"eye\.yaml:1: a mapping of nodes to their ros__parameters is needed"),
+        ("/**/eye: {}\n[/**/eye]: {ros__parameters: {a: 1}}", r"eye\.yaml:2: a node's name is needed, not a list or"),
     ],
 )
 def test_a_parameter_file_that_is_wrong_or_would_be_ignored_in_part_is_refused(

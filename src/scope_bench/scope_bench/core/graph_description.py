@@ -182,11 +182,11 @@ def _refuse_unread_values(programs: Sequence[Program]) -> None:
         if root is not None and not isinstance(root, yaml.MappingNode):
             raise GraphError(f"{path.name}:1: a mapping of nodes to their ros__parameters is needed")
         for key, _ in root.value if root is not None else ():
+            at = f"{path.name}:{key.start_mark.line + 1}"
+            if not isinstance(key, yaml.ScalarNode):
+                raise GraphError(f"{at}: a node's name is needed, not a list or mapping")
             if not any(_pattern(key.value).fullmatch(reader) for reader in readers):
-                raise GraphError(
-                    f"{path.name}:{key.start_mark.line + 1}: {key.value} is none of the nodes that read this file: "
-                    f"{', '.join(readers)}"
-                )
+                raise GraphError(f"{at}: {key.value} is none of the nodes that read this file: {', '.join(readers)}")
 
 
 def _pattern(node: str) -> re.Pattern[str]:
