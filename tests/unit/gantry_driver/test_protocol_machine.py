@@ -1264,7 +1264,7 @@ def test_no_pendant_makes_a_touch_faster_or_a_servo_go_elsewhere(
     rig.run_for(0.5)
     assert rig.board.overrides == kept and rig.state == ("moving" if moving else "idle")
     notes = [event.text for event in rig.events if isinstance(event, Note)]
-    said = f"the board's overrides were {told[0]} % of the feed and {told[2]} % of the spindle: both set back to 100 %"
+    said = f"the board's overrides were {told[0]} % (feed) and {told[2]} % (spindle): set back to 100 %"
     assert [note for note in notes if "override" in note] == ([] if kept == told else [said])
 
 

@@ -594,10 +594,8 @@ class Machine(Connection):
             self.session.realtime(FULL_FEED)
             self.session.realtime(FULL_SPINDLE)
             if not self._raised:
-                told = f"{feed:g} % of the feed and {spindle:g} % of the spindle"
-                self._events.append(
-                    Note(level="warn", text=f"the board's overrides were {told}: both set back to 100 %")
-                )
+                told = f"the board's overrides were {feed:g} % (feed) and {spindle:g} % (spindle): set back to 100 %"
+                self._events.append(Note(level="warn", text=told))
         self._raised = raised
 
     def _report_homing(self, report: Report, now: float) -> None:

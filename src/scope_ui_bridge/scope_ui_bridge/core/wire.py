@@ -376,9 +376,11 @@ class _Reader:
 
     def texts(self, name: str) -> tuple[str, ...]:
         value = self._raw.pop(name, None)
-        good = isinstance(value, list) and 0 < len(value) <= MAX_STEPS
-        if not good or not all(isinstance(v, str) and len(v) <= 300 and v.isprintable() for v in value):
-            self.wrong(name, value, f"1 to {MAX_STEPS} texts of up to 300 characters")
+        if not isinstance(value, list) or not 0 < len(value) <= MAX_STEPS:
+            self.wrong(name, len(value) if isinstance(value, list) else value, f"1 to {MAX_STEPS} texts")
+        for number, text in enumerate(value, 1):
+            if not (isinstance(text, str) and len(text) <= 300 and text.isprintable()):
+                self.wrong(f"{name} {number}", text, "a text of up to 300 characters, each of which can be seen,")
         return tuple(value)
 
     def rows(self, name: str, length: int, *, texts: int = 0, single: bool = False) -> list[Any]:
