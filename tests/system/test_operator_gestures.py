@@ -190,6 +190,8 @@ def test_two_fingers_in_the_picture_zoom_it_and_leave_stop_in_sight(browser: Any
         seen = page.evaluate("[visualViewport.scale, visualViewport.offsetLeft, visualViewport.offsetTop]")
         assert seen == [1, 0, 0], "a page that is zoomed as a whole shows STOP no more"
         assert "Nothing" in page.inner_text("#selection-name")
+        pulled = "getComputedStyle(document.documentElement).overscrollBehaviorY"
+        assert page.evaluate(pulled) == "none", "a pull would load the page anew"
         operator.until(lambda: pinch(120, 40) == 100, 20.0, lambda: page.inner_text("#zoom-fit"))
     finally:
         operator.context.close()
