@@ -374,6 +374,8 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     }""")
     ages = [text for text in spoken if "ms old" in text]
     assert len(ages) <= 2, f"a screen reader would speak of each: {spoken}"
+    others = {text for text in spoken if text not in ages}
+    assert others <= {"There is no link to the bridge."}, "which is so for a moment where the bridge is held up"
     instrument.tell("resume")
     operator.until(lambda: page.is_hidden("#stale"), 15.0, lambda: "the picture is live again")
     focused = lambda: page.evaluate("document.activeElement.dataset.control")  # noqa: E731
