@@ -120,6 +120,19 @@ def test_a_calibration_of_another_size_is_refused_and_said(ros: Any, tmp_path: P
     server.close()
 
 
+def test_a_camera_that_has_fallen_silent_is_no_running_one(ros: Any, tmp_path: Path) -> None:
+    """It is opened anew much later; until then the diagnostics said that all was well."""
+    server = FrameServer(tmp_path / "bench.sock")
+    path = calibration(tmp_path / "left.yaml")
+    rig = Rig(ros, tmp_path, read_timeout_s=60.0, left_calibration=path, right_calibration=path)
+    rig.serve_until(server, lambda: rig.got["left/image_raw"] and "running" in rig.texts())
+    ros.spin_until(lambda: "running; no picture for 2 s" in rig.texts(), WITHIN_S, rig.texts)
+    last = rig.diagnostics[-1].status[0]
+    assert last.level == DiagnosticStatus.WARN
+    rig.serve_until(server, lambda: rig.texts()[-1] == "running")
+    server.close()
+
+
 def test_waits_that_are_changed_hold_at_once(ros: Any, tmp_path: Path) -> None:
     server = FrameServer(tmp_path / "bench.sock")
     rig = Rig(ros, tmp_path, read_timeout_s=60.0)

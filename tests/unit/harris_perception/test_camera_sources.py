@@ -237,6 +237,23 @@ def test_v4l2_stamps_are_the_drivers_on_the_ros_clock() -> None:
     assert left.asked[cv2.CAP_PROP_FOURCC] == cv2.VideoWriter.fourcc(*"MJPG")
 
 
+def test_opencv_is_told_how_long_a_device_may_be_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of its own it waits ten seconds, in which nothing says that the camera has fallen silent."""
+    name = "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"
+    told: list[str] = []
+
+    def open_device(device: Any, api: int) -> ScriptedDevice:
+        told.append(os.environ[name])
+        return ScriptedDevice(0.0)
+
+    for own, silence_s, expected in (("", 2.0, "2"), ("", 0.1, "1"), ("", 2.5, "3"), ("7", 2.0, "7")):
+        monkeypatch.setenv(name, own)
+        if not own:
+            monkeypatch.delenv(name)
+        V4l2Source(["0"], now_ns=lambda: 0, silence_s=silence_s, open_device=open_device)
+        assert told.pop() == expected
+
+
 @pytest.mark.parametrize("driver_ms", [0.0, -1.0, 1000.0, 6000.0, 1.7e12])
 def test_v4l2_without_a_usable_driver_stamp_takes_the_time_of_the_grab(driver_ms: float) -> None:
     assert v4l2(ScriptedDevice(driver_ms)).read(1.0).stamps_ns == (1_700_000_000_000_000_000,)

@@ -6,6 +6,8 @@ is the business of :mod:`harris_perception.adapters.capture`.
 
 from __future__ import annotations
 
+import math
+import os
 import re
 import threading
 import time
@@ -28,6 +30,8 @@ Clock = Callable[[], int]
 SIDES = ("left", "right")
 _DRIVER_STAMP_MAX_AGE_NS = 1_000_000_000
 _FROZEN_NS = 1_000_000_000
+_PATIENCE_VARIABLE = "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"
+"""So many whole seconds OpenCV waits for a device's picture (else ten); it looks once in a process."""
 _SAMPLED = (slice(None, None, 16), slice(None, None, 16))
 """Of two pictures of a sensor already these pixels differ, by its noise; only those that do not are compared whole."""
 
@@ -74,7 +78,11 @@ class CameraConfig(Config):
     left_calibration: str = setting("", "YAML file of the left camera's calibration; empty: none.", read_only=True)
     right_calibration: str = setting("", "YAML file of the right camera's calibration; empty: none.", read_only=True)
     read_timeout_s: float = setting(
-        2.0, "A live source that is silent for longer is opened again.", minimum=0.1, maximum=60.0, unit="s"
+        2.0,
+        "A live source that is silent for longer is opened again; a device after whole seconds, as asked at the start.",
+        minimum=0.1,
+        maximum=60.0,
+        unit="s",
     )
     retry_min_s: float = setting(0.5, "First pause before opening again.", minimum=0.01, maximum=60.0, unit="s")
     retry_max_s: float = setting(5.0, "Longest pause before opening again.", minimum=0.01, maximum=60.0, unit="s")
@@ -143,6 +151,8 @@ class V4l2Source:
         Paths or numbers, left first.
     width, height, rate_hz, fourcc
         What is asked of the devices; 0 or empty leaves their own.
+    silence_s
+        A device without pictures for so long has failed, in whole seconds.
     now_ns
         ROS time in nanoseconds.
     monotonic_ns
@@ -160,6 +170,7 @@ class V4l2Source:
         height: int = 0,
         rate_hz: float = 0.0,
         fourcc: str = "",
+        silence_s: float = 2.0,
         monotonic_ns: Clock = time.monotonic_ns,
         open_device: Callable[..., Any] = cv2.VideoCapture,
     ) -> None:
@@ -168,6 +179,7 @@ class V4l2Source:
         self._captures: list[Any] = []
         self._changed: dict[str, tuple[Picture, int]] = {}
         self._monotonic: set[str] = set()
+        os.environ.setdefault(_PATIENCE_VARIABLE, str(math.ceil(silence_s)))
         wanted = (
             (cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*fourcc) if fourcc else 0),
             (cv2.CAP_PROP_FRAME_WIDTH, width),
@@ -386,6 +398,7 @@ def open_source(config: CameraConfig, *, now_ns: Clock, stop: threading.Event) -
             height=config.height,
             rate_hz=config.rate_hz,
             fourcc=config.fourcc,
+            silence_s=config.read_timeout_s,
         )
     if config.source == "video":
         return _videos(places, config.rate_hz, **recorded)

@@ -83,12 +83,13 @@ class CameraNode(Node):
         config = LiveParameters(self, CameraConfig, self._on_config).config
         require_settings(config)
         self._source = config.source
+        self._quiet_after_s = max(1.0, 2.0 / config.rate_hz if config.rate_hz else 0.0)
         self._eyes = [
             Eye(self, "left", frame_names.CAMERA_LEFT, config.left_calibration),
             Eye(self, "right", frame_names.CAMERA_RIGHT, config.right_calibration),
         ]
         self._ages_ms: deque[float] = deque(maxlen=100)
-        self._seen = 0
+        self._seen, self._quiet_s = 0, 0.0
         clock = self.get_clock()
         self._now_ns = lambda: int(clock.now().nanoseconds)
         self._capture = Capture(
@@ -113,7 +114,10 @@ class CameraNode(Node):
     def _report(self) -> None:
         status = self._capture.status
         rate_hz, self._seen = (status.pictures - self._seen) / self._period_s, status.pictures
+        self._quiet_s = 0.0 if rate_hz or status.state != "running" else self._quiet_s + self._period_s
         complaints = [eye.complaint for eye in self._eyes if eye.complaint]
+        if self._quiet_s >= self._quiet_after_s:
+            complaints.insert(0, f"no picture for {self._quiet_s:.0f} s")
         text = "; ".join([f"{status.state}: {status.reason}" if status.reason else status.state, *complaints])
         failing = status.reason and status.state in ("waiting", "opening")
         level = "error" if failing else "warn" if complaints or status.state != "running" else "ok"
