@@ -10,7 +10,7 @@ import pytest
 
 from harris_perception.core import harris_laplace
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, ScaledCorners
 from harris_perception.core.repeatability import Pair, repeatability
 
 GAUSSIAN = HarrisConfig(gradient="gaussian", window="gaussian", relative_threshold=0.001, max_corners=300)
@@ -117,6 +117,39 @@ def test_an_even_spread_covers_the_picture_at_all_scales_together(select: bool) 
 
     assert quarters(False, 100)[0] > 0.8 * sum(quarters(False, 100))
     assert sum(quarters(True)) == 200 and min(quarters(True)) >= 40, quarters(True)
+
+
+def squares() -> np.ndarray:
+    """Return a grid of squares of 7 px, which have a corner each on some level, and none on others."""
+    picture = np.full((300, 400), 40, np.uint8)
+    for x in range(20, 380, 18):
+        for y in range(20, 280, 18):
+            picture[y : y + 7, x : x + 7] = 200
+    return picture
+
+
+@pytest.mark.parametrize("select", [True, False])
+@pytest.mark.parametrize("levels", [3, 30])
+@pytest.mark.parametrize("radius_px", [1.0, 3.0])
+@pytest.mark.parametrize("count", [1, 50, 1000, 5000])
+def test_an_even_spread_gives_as_many_as_asked_for_where_there_are(
+    select: bool, levels: int, radius_px: float, count: int
+) -> None:
+    """However few a level has: what it leaves of its share, others give."""
+    for picture in (squares(), scene(3)):
+
+        def found(most: int, even_spread: bool, picture: np.ndarray = picture) -> ScaledCorners:
+            detector = HarrisConfig(max_corners=most, even_spread=even_spread, suppression_radius_px=radius_px)
+            config = HarrisLaplaceConfig(select=select, levels=levels, detector=detector)
+            return HarrisLaplaceDetector(config).detect(picture)
+
+        there, even = found(0, False), found(count, True)
+        assert len(even) == min(count, len(there)) and (np.diff(even.response) <= 0).all()
+        known = {(*map(float, xy), float(scale)) for xy, scale in zip(there.xy, there.scale)}
+        chosen = {(*map(float, xy), float(scale)) for xy, scale in zip(even.xy, even.scale)}
+        assert chosen <= known and len(chosen) == len(even)
+        levels_there, levels_chosen = (len(np.unique(corners.scale)) for corners in (there, even))
+        assert levels_chosen >= min(levels_there, count // 100), "coarse levels have their share"
 
 
 def test_corners_may_be_more_than_opencv_takes_at_once() -> None:

@@ -7,6 +7,7 @@ levels of a pyramid instead of wider kernels: derivatives in px of a level are t
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -100,25 +101,26 @@ class HarrisLaplaceDetector:
         pictures, detector = self._pyramid(gray), self.config.detector
         found = [self._detector.detect(picture) for picture in pictures]
         laplacians = [self._laplacian(picture) for picture in pictures] if self.config.select else []
-        xys: list[F32] = []
-        scales, responses, beyond = [], [], []
-        for level, corners in enumerate(found):
-            ratio = _ratio(gray, pictures[level])
-            xy = np.asarray((corners.xy + 0.5) * ratio - 0.5, np.float32)
+        xys = [np.asarray((c.xy + 0.5) * _ratio(gray, p) - 0.5, np.float32) for c, p in zip(found, pictures)]
+        selected = []
+        for level, xy in enumerate(xys):
             kept = np.ones(len(xy), bool)
             for beside in (level - 1, level + 1):
                 if 0 <= beside < len(laplacians):
                     kept &= _values(laplacians[level], xy, gray) > _values(laplacians[beside], xy, gray)
-            places, scale, quota = np.flatnonzero(kept), self.config.factor**level, self._quota(level)
+            selected.append(np.flatnonzero(kept))
+        quotas = self._quotas([len(places) for places in selected])
+        responses, scales, beyond = [], [], []
+        for level, (corners, places, quota) in enumerate(zip(found, selected, quotas)):
             if detector.even_spread:
                 if len(places) > quota:
-                    places = places[spread(xy[places], detector.suppression_radius_px * scale, quota)]
+                    places = places[spread(corners.xy[places], detector.suppression_radius_px, quota)]
                 late = np.zeros(len(places), bool)
             else:
                 # A share is of what is strong on its level; no weak ones are taken before others' strong ones.
-                late = (np.arange(len(places)) >= quota) | (places >= (detector.max_corners or len(xy)))
-            xys.append(xy[places])
-            scales.append(np.full(len(places), scale))
+                late = (np.arange(len(places)) >= quota) | (places >= (detector.max_corners or len(xys[level])))
+            xys[level] = xys[level][places]
+            scales.append(np.full(len(places), self.config.factor**level))
             responses.append(corners.response[places])
             beyond.append(late)
         response = np.concatenate(responses)
@@ -144,11 +146,23 @@ class HarrisLaplaceDetector:
         soft = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), self.config.laplacian_px)
         return np.abs(cv2.Laplacian(soft, cv2.CV_32F, ksize=1))
 
-    def _quota(self, level: int) -> int:
-        """Return how many corners a level may give: their number falls as the number of places."""
-        count = self.config.detector.max_corners
-        shares = self.config.factor ** (-2.0 * np.arange(self.config.levels))
-        return int(np.ceil(count * shares[level] / shares.sum())) if count else sys.maxsize
+    def _quotas(self, there: Sequence[int]) -> list[int]:
+        """Return how many corners each level may give: their number falls as the number of places.
+
+        Of an even spread at most those that are ``there``: what a level leaves of its share, others give.
+        """
+        count, even = self.config.detector.max_corners, self.config.detector.even_spread
+        if count == 0:
+            return [sys.maxsize] * len(there)
+        if not even:
+            shares = self.config.factor ** (-2.0 * np.arange(self.config.levels))
+            return [int(np.ceil(count * share / shares.sum())) for share in shares[: len(there)]]
+        room, given = np.array(there), np.zeros(len(there), np.int64)
+        while (left := min(count, int(room.sum())) - int(given.sum())) > 0:
+            shares = np.where(given < room, self.config.factor ** (-2.0 * np.arange(len(there))), 0.0)
+            ends = np.rint(np.cumsum(shares) * (left / shares.sum())).astype(np.int64)  # together exactly as many
+            given += np.minimum(np.diff(ends, prepend=0), room - given)
+        return [int(number) for number in given]
 
 
 def _ratio(gray: npt.NDArray[Any], picture: npt.NDArray[Any]) -> F32:
