@@ -76,6 +76,19 @@ def test_each_encoding_gives_the_same_corners_with_stamp_and_frame(ros: Any) -> 
             assert distance.min(axis=0).max() < 1.1, encoding
 
 
+@pytest.mark.parametrize("gain", [1e-30, 1e30])
+@pytest.mark.parametrize("method", ["fast", "scales", "repeatable"])
+def test_no_unit_of_floats_loses_corners_and_what_float32_does_not_hold_is_its_limit(
+    ros: Any, gain: float, method: str
+) -> None:
+    rig = Rig(ros, {"corner_method": method, "scales.levels": 1})
+    picture = np.float32(gain) * (square().astype(np.float32) + np.float32(1.0))
+    cloud = rig.cloud_of(image_message(picture, "32FC1", header(1, "c")))
+    found = cloud_array(cloud, ("u", "v", "response"))
+    assert pixels(found) == SQUARE and cloud.is_dense
+    assert (found[:, 2] >= np.finfo(np.float32).tiny).all() and np.isfinite(found[:, 2]).all()
+
+
 def test_bayer_patterns_are_told_apart(ros: Any) -> None:
     # A red square on black: only the sites under the red filter are bright, and every pattern must show one square
     # whose grey value is red's weight (0.299), which a wrong pattern would take for green or blue.

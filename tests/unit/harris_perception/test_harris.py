@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -288,6 +289,48 @@ def test_positions_do_not_depend_on_the_unit_of_the_grey_levels(seed: int, gain:
     assert len(plain) == len(lit) > 5
     ours = sorted(map(tuple, plain.xy.round(2).tolist()))
     np.testing.assert_allclose(sorted(map(tuple, lit.xy.round(2).tolist())), ours, atol=0.02)
+
+
+@pytest.mark.parametrize("doublings", [-140, -100, -40, 13, 22, 30, 60, 119])
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        {},
+        {"gradient": "sobel", "window_px": 5, "response": "noble"},
+        {"gradient": "gaussian", "window": "gaussian", "response": "shi_tomasi"},
+        {"gradient": "deriche", "window": "deriche"},
+        {"response": "geometric"},
+    ],
+)
+def test_no_unit_of_a_picture_of_floats_loses_corners(doublings: int, chosen: dict[str, Any]) -> None:
+    """Responses are of the fourth power of the values, and beyond what float32 holds with them."""
+    picture = (texture(2, 60, 70) // 16 * 16).astype(np.float32)  # few bits, which the smallest floats hold, too
+    degree = 4 if chosen.get("response", "harris") == "harris" else 2
+    scaled, gain = np.ldexp(picture, doublings), 2.0 ** (doublings * degree)
+    for relative in (0.0, 0.01):
+        usual = HarrisConfig(max_corners=0, relative_threshold=relative, **chosen)
+        plain = HarrisDetector(usual).detect(picture)
+        weaker = float(np.median(plain.response))
+        detector = HarrisDetector(replace(usual, absolute_threshold=weaker * gain))
+        found, strong = HarrisDetector(usual).detect(scaled), detector.detect(scaled)
+        assert len(plain) > 5
+        np.testing.assert_allclose(found.xy, plain.xy, atol=1e-4)
+        np.testing.assert_allclose(found.response.astype(np.float64) / gain, plain.response, rtol=1e-5)
+        assert len(strong) == (plain.response > weaker).sum()
+        strengths = HarrisDetector(usual).strengths_of(found.response)
+        ours = HarrisDetector(usual).strengths_of(plain.response)
+        np.testing.assert_allclose(np.ldexp(strengths.astype(np.float64), -doublings), ours, rtol=1e-5, atol=2**-7)
+
+
+@pytest.mark.parametrize("value", [-3.4e38, 1e30])
+def test_values_that_stand_for_what_is_unknown_only_hide_their_surroundings(value: float) -> None:
+    detector = HarrisDetector(HarrisConfig(relative_threshold=0.0))
+    picture = texture(1, 60, 80, np.float32)
+    whole = detector.detect(picture)
+    picture[:, :20] = value
+    holed = detector.detect(picture)
+    ours, theirs = ({(float(x), float(y)) for x, y in c.xy if x > 23} for c in (whole, holed))
+    assert len(theirs) > 20 and theirs == ours
 
 
 @pytest.mark.parametrize("value", [0.1, 7.0, 65535.0])

@@ -631,6 +631,19 @@ def test_outlines_of_16_bits_are_those_of_8_in_their_grey_levels() -> None:
     np.testing.assert_allclose(EdgeDetector().thinned(deep, 257.0), EdgeDetector().thinned(deep) / 257.0, rtol=1e-6)
 
 
+@pytest.mark.parametrize("doublings", [-100, -40, 40, 100])
+@pytest.mark.parametrize("config", [HarrisConfig(), HarrisConfig(gradient="gaussian", window="gaussian")])
+def test_combined_edges_do_not_depend_on_the_unit_of_the_grey_levels(doublings: int, config: HarrisConfig) -> None:
+    picture = np.where(np.indices((120, 160)).sum(axis=0) // 30 % 2, 150, 60).astype(np.float32)
+    picture[40:80, 50:110] = 240
+    picture += np.random.default_rng(8).integers(0, 6, picture.shape)
+    _, one = CombinedDetector(config).detect(picture)
+    _, other = CombinedDetector(config).detect(np.ldexp(picture, doublings), grey_level=2.0**doublings)
+    assert len(one.chains) > 8 and (one.labels == CORNER).sum() > 4
+    np.testing.assert_array_equal(other.labels, one.labels)
+    np.testing.assert_array_equal(other.points, one.points)
+
+
 @pytest.mark.parametrize("lowest", [10.0, 1010.0, 10_010.0])
 def test_unknown_pixels_change_no_outlines_elsewhere_however_far_from_zero_the_values_lie(lowest: float) -> None:
     rng = np.random.default_rng(9)

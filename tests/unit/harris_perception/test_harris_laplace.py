@@ -159,6 +159,16 @@ def test_corners_may_be_more_than_opencv_takes_at_once() -> None:
     assert len(HarrisLaplaceDetector(everything).detect(picture)) > 1000
 
 
+@pytest.mark.parametrize("doublings", [-100, 40, 100])
+def test_no_unit_of_a_picture_of_floats_loses_corners(doublings: int) -> None:
+    picture = scene(4).astype(np.float32)
+    plain, found = DETECTOR.detect(picture), DETECTOR.detect(np.ldexp(picture, doublings))
+    assert len(found) == len(plain) > 100
+    np.testing.assert_allclose(found.xy, plain.xy, atol=1e-3)
+    np.testing.assert_array_equal(found.scale, plain.scale)
+    np.testing.assert_allclose(found.response * 2.0 ** (-4 * doublings), plain.response, rtol=1e-5)
+
+
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (30, 7), (60, 60)])
 def test_pictures_without_corners(shape: tuple[int, int]) -> None:
     for value in (9.0, np.nan):

@@ -95,12 +95,12 @@ def test_noise_alone_and_a_noisy_straight_edge_have_no_corner() -> None:
             assert len(least) == 30, "however weak"
 
 
-@pytest.mark.parametrize("gain", [0.1, 0.5, 100.0])
+@pytest.mark.parametrize("gain", [2.0**-100, 0.1, 0.5, 100.0, 2.0**60, 2.0**100])
 def test_gain_and_offset_change_nothing(gain: float) -> None:
     rng = np.random.default_rng(2)
     blocks = np.kron(rng.uniform(20.0, 220.0, (20, 22)), np.ones((11, 12)))
     picture = np.asarray(cv2.GaussianBlur(blocks, (0, 0), 0.8) + rng.normal(0.0, 1.0, blocks.shape), np.float32)
-    plain, lit = ABOVE_NOISE.detect(picture), ABOVE_NOISE.detect(np.float32(gain) * picture + np.float32(7.0))
+    plain, lit = ABOVE_NOISE.detect(picture), ABOVE_NOISE.detect(np.float32(gain) * (picture + np.float32(7.0)))
     assert len(plain) > 50 and abs(len(lit) - len(plain)) <= 1
     distance = np.linalg.norm(plain.xy[:, None] - lit.xy[None], axis=2)
     assert (distance.min(axis=1) < 0.05).sum() >= len(plain) - 1

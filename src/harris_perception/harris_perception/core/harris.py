@@ -36,6 +36,12 @@ _NO_EDGES = (0.0, 0.0, np.empty((2, 0, 0), np.uint8))
 # By the bytes of a pixel: responses to 16 bits are 2^32 times as large as those to 8, those to float32 are anything.
 _HALF = {1: np.float32(0.5), 2: np.float32(2.0**-33)}
 
+_FAINT, _BRIGHT = 2.0**-16, 2.0**20
+"""Float32 holds the responses to values in between, which are of their fourth power, whatever the window."""
+
+_SPAN = 2.0**-24
+"""Values as small as this beside one of 16 bits have no response that float32 holds beside that one's."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HarrisConfig(Config):
@@ -108,7 +114,7 @@ class Corners:
     xy
         (N, 2) float32 px, x right, y down, the centre of the first pixel is (0, 0).
     response
-        (N,) float32, greater than zero.
+        (N,) float32, greater than zero; float64 where float32 does not hold those to a picture of floats.
     """
 
     xy: F32
@@ -152,6 +158,7 @@ class HarrisDetector:
         x = np.arange(len(self._derivative)) - len(self._derivative) // 2
         self._gain = float((self._derivative * x).sum() * self._smooth.sum() * self._window.sum())
         fusable = self.config.window == "box" and self.config.window_px == 3 and self.config.response == "harris"
+        self._degree = 4 if self.config.response == "harris" else 2
         self._fused = fusable and self.config.gradient in ("harris", "sobel")
 
     @property
@@ -168,6 +175,8 @@ class HarrisDetector:
 
     def response(self, gray: npt.NDArray[Any]) -> F32:
         """Return the response of every pixel, (H, W) float32; zero within ``margin_px`` of the edge.
+
+        Float32 may not hold it where the largest value is below 1e-5 or beyond 1e6; ``detect`` does not mind.
 
         Parameters
         ----------
@@ -275,8 +284,7 @@ class HarrisDetector:
         Parameters
         ----------
         gray
-            (H, W) uint8, uint16 or float32, or a sequence of such. Of floats beyond 1e9 the fourth power, which the
-            response is of, is none any more, and corners are lost.
+            (H, W) uint8, uint16 or float32, or a sequence of such.
 
         Raises
         ------
@@ -316,38 +324,41 @@ class HarrisDetector:
         if self.config.border_px > self.margin_px + 1:  # which is for corners alone
             whole = HarrisDetector(replace(self.config, border_px=0), bands=self._bands, run=self._run)
             return self.detect(gray), whole.detect_with_edges(gray, low, high)[1]
+        picture, unit = in_range(checked(gray))
         # On a straight edge R = -k trace^2, and the trace is the squared gradient times the gain of kernels and window.
-        weak, strong = (-self.response_of(max(least, 1e-6)) for least in (low, max(low, high)))
-        picture = checked(gray)
+        weak, strong = (-self.response_of(max(least / unit, 1e-6)) for least in (low, max(low, high)))
         bits = bitmap.blank(2, *picture.shape)
         if self._fused:
-            found = list(self._run(_call, self._tasks(picture, self._bands, (weak, strong, bits))))
+            found = list(self._run(_call, self._tasks(picture, self._bands, unit, (weak, strong, bits))))
         else:
             response, a, b = self._response(picture)
-            found = list(self._run(_call, self._tasks(picture, self._bands, response=response)))
+            found = list(self._run(_call, self._tasks(picture, self._bands, unit, response=response)))
             kernels.minima_of(response, a, b, self.margin_px + 1, weak, strong, bits)
-        return self._selected(found), bits
+        return self._selected(found, unit), bits
 
     def _detect(self, pictures: Sequence[npt.NDArray[Any]]) -> list[Corners]:
         each = -(-self._bands // max(len(pictures), 1))  # as many at a time as for one picture, not more
-        tasks = [task for picture in pictures for task in self._tasks(checked(picture), each)]
+        scaled = [in_range(checked(picture)) for picture in pictures]
+        tasks = [task for picture, unit in scaled for task in self._tasks(picture, each, unit)]
         found = list(self._run(_call, tasks))
-        return [self._selected(found[i * each : (i + 1) * each]) for i in range(len(pictures))]
+        return [self._selected(found[i * each : (i + 1) * each], unit) for i, (_, unit) in enumerate(scaled)]
 
     def _tasks(
         self,
         picture: npt.NDArray[Any],
         bands: int,
+        unit: float,
         edges: tuple[float, float, npt.NDArray[np.uint8]] = _NO_EDGES,
         response: F32 | None = None,
     ) -> list[Callable[[], Band]]:
-        """Return one task for each band of rows."""
+        """Return one task for each band of rows of a picture in this unit."""
         config = self.config
         border = max(self.margin_px + 1, config.border_px)
         height, width = picture.shape
         if width <= 2 * border or height <= 2 * border:
             return [_nothing] * bands
-        thresholds: tuple[Any, ...] = (config.absolute_threshold, config.relative_threshold, config.subpixel)
+        absolute = config.absolute_threshold / unit**self._degree
+        thresholds: tuple[Any, ...] = (absolute, config.relative_threshold, config.subpixel)
         if self._fused:
             rows = np.ascontiguousarray(picture, np.uint8 if picture.dtype == np.uint8 else np.float32)
             centre = self._smooth[1:2].astype(np.int16 if rows.dtype == np.uint8 else np.float32)
@@ -359,7 +370,7 @@ class HarrisDetector:
         limits = [*(border + (height - 2 * border) * i // bands // 2 * 2 for i in range(bands)), height - border]
         return [partial(find, first, last, *thresholds) for first, last in pairwise(limits)]
 
-    def _selected(self, bands: Sequence[Band]) -> Corners:
+    def _selected(self, bands: Sequence[Band], unit: float = 1.0) -> Corners:
         config = self.config
         peaks = bands[0][0] if len(bands) == 1 else np.concatenate([band[0] for band in bands])
         spaced = config.even_spread or config.suppression_radius_px > 1.0
@@ -370,7 +381,7 @@ class HarrisDetector:
             find = spread if even else kernels.apart
             kept = find(xy, config.suppression_radius_px, limit)
             xy, response = xy[kept], response[kept]
-        return Corners(xy, response)
+        return Corners(xy, in_unit(response, unit**self._degree))
 
 
 def _call(task: Callable[[], Band]) -> Band:
@@ -391,6 +402,36 @@ def checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
     if gray.dtype.newbyteorder("=") not in (np.uint8, np.uint16, np.float32):
         raise ValueError(f"uint8, uint16 or float32 is needed, not {gray.dtype}")
     return gray if gray.flags.writeable else gray.copy()
+
+
+def in_range(gray: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float]:
+    """Return a picture (H, W) that ``checked`` has passed in a unit in which float32 holds responses, and that unit.
+
+    The unit is a power of two, so nothing is rounded: 1 for all but floats of which the largest is tiny or huge. It
+    is 1, too, where few values are huge beside the others, as those that stand for what is not known.
+    """
+    if gray.dtype.kind != "f" or gray.size == 0:
+        return gray, 1.0
+    top = max(-float(np.fmin.reduce(gray, axis=None)), float(np.fmax.reduce(gray, axis=None)))
+    if not math.isfinite(top):
+        top = float(np.where(np.isfinite(gray), np.abs(gray), np.float32(0.0)).max())
+    if top == 0.0 or _FAINT <= top <= _BRIGHT:
+        return gray, 1.0
+    exponent = math.frexp(top)[1] - 16
+    if top > _BRIGHT:
+        sizes = np.abs(gray[np.isfinite(gray) & (gray != 0.0)])
+        if math.ldexp(float(np.median(sizes)), -exponent) < _SPAN:
+            return gray, 1.0
+    return np.ldexp(gray, -exponent), math.ldexp(1.0, exponent)
+
+
+def in_unit(response: F32, unit: float) -> F32:
+    """Return positive responses times a unit, float32 if that holds all of them, else float64."""
+    if unit == 1.0:
+        return response
+    values = response.astype(np.float64) * unit
+    held = np.finfo(np.float32)
+    return values if ((values < held.tiny) | (values > held.max)).any() else values.astype(np.float32)
 
 
 def from_lowest(gray: npt.NDArray[Any]) -> F32:

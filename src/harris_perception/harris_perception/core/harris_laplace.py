@@ -50,12 +50,12 @@ class ScaledCorners:
     scale
         (N,) float32, 1 for the picture's own resolution, larger for coarser levels.
     response
-        (N,) float32 of the level.
+        (N,) float32 of the level; float64 as in ``Corners``.
     """
 
     xy: F32
     scale: F32
-    response: F32
+    response: npt.NDArray[Any]
 
     def __len__(self) -> int:
         return len(self.response)
@@ -85,7 +85,7 @@ class HarrisLaplaceDetector:
         """Compile, or load from the cache, all that is needed, so that no picture waits for it."""
         self._detector.warm()
 
-    def strengths_of(self, response: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def strengths_of(self, response: npt.NDArray[Any]) -> F32:
         """Return how strong corners of this response are, as ``HarrisDetector.strengths_of``."""
         return self._detector.strengths_of(response)
 
@@ -127,8 +127,8 @@ class HarrisLaplaceDetector:
         # Shares are rounded up, so together they may be a few too many; what a level leaves of its own, others get.
         order = np.lexsort((-response, np.concatenate(beyond)))[: detector.max_corners or None]
         order = order[np.argsort(-response[order], kind="stable")]
-        parts = (np.concatenate(xys)[order], np.concatenate(scales)[order], response[order])
-        return ScaledCorners(*(np.asarray(p, np.float32) for p in parts))
+        xy, scale = (np.asarray(np.concatenate(parts)[order], np.float32) for parts in (xys, scales))
+        return ScaledCorners(xy, scale, response[order])
 
     def _pyramid(self, gray: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
         pictures = [gray]

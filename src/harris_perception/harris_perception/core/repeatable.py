@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.diffusion import diffused
-from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked
+from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked, in_range, in_unit
 from harris_perception.core.noise import noise_of
 from harris_perception.core.sampling import mean_around
 from icu_common.core.config import Config, setting
@@ -104,7 +104,8 @@ class RepeatableDetector:
         ValueError
             For another shape or dtype.
         """
-        config, noise = self.config, noise_of(checked(gray))
+        gray, unit = in_range(checked(gray))
+        config, noise = self.config, noise_of(gray)
         response = self._detector.response(diffused(gray, config.diffusion_steps, noise))
         corners = self._detector.corners_of(response)
         x, y = np.rint(corners.xy).astype(np.intp).T
@@ -117,7 +118,7 @@ class RepeatableDetector:
         # By the geometric mean of how far they stand out from the noise, which is one for all, and from what is around.
         others = _best(~clear, corners.response / np.sqrt(around), max(missing, 0))
         kept = np.union1d(kept, others)
-        return Corners(corners.xy[kept], corners.response[kept])
+        return Corners(corners.xy[kept], in_unit(corners.response[kept], unit**2))
 
 
 def _light(gray: npt.NDArray[Any]) -> npt.NDArray[np.float32]:

@@ -133,7 +133,8 @@ class CornersNode(Node):
         return corners, self._outlines.detect(gray, corners.xy, strengths, level)
 
     def _publish(self, corners: Corners | ScaledCorners, gray: npt.NDArray[Any], message: Image) -> None:
-        columns, values = [*COLUMNS], [corners.xy, corners.response]
+        held = np.finfo(np.float32)
+        columns, values = [*COLUMNS], [corners.xy, np.clip(corners.response, held.tiny, held.max)]
         if isinstance(corners, ScaledCorners):
             columns, values = [*columns, SCALE], [*values, corners.scale]
         self._corners.publish(cloud_message(columns, np.column_stack(values), message.header))
