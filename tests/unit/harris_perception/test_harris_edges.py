@@ -16,6 +16,7 @@ from harris_perception.core import edges as edges_module
 from harris_perception.core.edges import CORNER, EDGE, FLAT, CombinedDetector, EdgeConfig, EdgeDetector
 from harris_perception.core.harris import HarrisConfig, HarrisDetector, gaussian_taps
 from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
+from harris_perception.core.noise import noise_above
 from harris_perception.core.repeatable import RepeatableDetector
 
 
@@ -642,6 +643,27 @@ def test_combined_edges_do_not_depend_on_the_unit_of_the_grey_levels(doublings: 
     assert len(one.chains) > 8 and (one.labels == CORNER).sum() > 4
     np.testing.assert_array_equal(other.labels, one.labels)
     np.testing.assert_array_equal(other.points, one.points)
+
+
+@pytest.mark.parametrize("doublings", [-100, -40, -20, -16, 16, 30, 100])
+def test_outlines_do_not_depend_on_the_unit_of_the_grey_levels(doublings: int) -> None:
+    picture = np.where(np.indices((120, 160)).sum(axis=0) // 30 % 2, 150, 60).astype(np.float32)
+    picture[40:80, 50:110] = 240
+    picture += np.random.default_rng(8).normal(0.0, 4.0, picture.shape).astype(np.float32)
+    detector, unit = HarrisDetector(), 2.0**doublings
+    corners = detector.detect(picture)
+    strengths = detector.strengths_of(corners.response)
+    one = EdgeDetector().detect(picture, corners.xy, strengths)
+    other = EdgeDetector().detect(np.ldexp(picture, doublings), corners.xy, strengths * np.float32(unit), unit)
+    assert len(one.chains) > 8 and (one.labels == EDGE).sum() > 500
+    np.testing.assert_array_equal(other.labels, one.labels)
+    np.testing.assert_array_equal(other.points, one.points)
+
+
+def test_noise_is_told_in_any_unit() -> None:
+    picture = (100.0 + np.random.default_rng(3).normal(0.0, 4.0, (200, 300))).astype(np.float32)
+    assert noise_above(picture, 1.0) == pytest.approx(4.0, rel=0.15)
+    assert noise_above(np.ldexp(picture, -30), 2.0**-30) == pytest.approx(2.0**-30 * noise_above(picture, 1.0))
 
 
 @pytest.mark.parametrize("lowest", [10.0, 1010.0, 10_010.0])

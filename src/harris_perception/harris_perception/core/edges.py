@@ -19,7 +19,7 @@ from harris_perception.core import bitmap
 from harris_perception.core import edge_kernels as kernels
 from harris_perception.core import edge_tracing as tracing
 from harris_perception.core.edge_sides import SHRUNK, Sides, structure
-from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked, from_lowest
+from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector, checked, from_lowest, in_range
 from harris_perception.core.noise import noise_above
 from harris_perception.core.sampling import mean_around
 from icu_common.core.config import Config, setting
@@ -38,6 +38,9 @@ _ABOVE_START = 1.5
 _ABOVE_NOISE = 3.0
 """And no edge ends at those that are not so many times as strong as the noise; its own seldom are."""
 
+
+_DIM = 16.0
+"""Floats below are taken in another unit: strengths of a thousandth count as none where regions are told by them."""
 
 _STARTS = "Strength that starts an edge, in grey levels, of 8 bits also where a message or file has more"
 
@@ -172,7 +175,7 @@ class EdgeDetector:
 
         Picture and ``grey_level`` are as for ``detect``; strengths are in grey levels per px.
         """
-        channels = self._channels(picture)
+        channels, unit = self._channels(picture)
         if 0 in picture.shape[:2]:
             return np.zeros(picture.shape[:2], np.float32)
         config = self.config
@@ -189,7 +192,7 @@ class EdgeDetector:
             weighed = strength.copy()
             kernels.weigh(weighed, sides.of_regions(maxima, config.region_px))
             maxima = self._maxima(weighed, tensor)
-        return maxima if grey_level == 1.0 else maxima / np.float32(grey_level)
+        return maxima if grey_level == unit else maxima * np.float32(unit / grey_level)
 
     def _maxima(
         self, strength: npt.NDArray[np.float32], tensor: tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]
@@ -201,17 +204,17 @@ class EdgeDetector:
             kernels.mean_along(maxima, strength, *tensor, self.config.along_px)
         return np.asarray(maxima, np.float32)
 
-    def _channels(self, picture: npt.NDArray[Any]) -> list[tuple[npt.NDArray[Any], float]]:
-        """Return grey, or the three of Lab, each with the weight of its squared gradient."""
+    def _channels(self, picture: npt.NDArray[Any]) -> tuple[list[tuple[npt.NDArray[Any], float]], float]:
+        """Return grey, or the three of Lab, each with the weight of its squared gradient, and the unit they are in."""
         if picture.ndim == 3 and picture.shape[2] == 3 and picture.dtype == np.uint8:
             if picture.size == 0:
-                return []
+                return [], 1.0
             light, a, b = cv2.split(cv2.cvtColor(picture, cv2.COLOR_BGR2LAB))
-            return [(light, 1.0), (a, self.config.color**2), (b, self.config.color**2)]
+            return [(light, 1.0), (a, self.config.color**2), (b, self.config.color**2)], 1.0
         if picture.ndim != 2:
             raise ValueError(f"a grey picture (H, W) or BGR (H, W, 3) uint8 is needed, not shape {picture.shape}")
-        dtype = np.uint8 if picture.dtype == np.uint8 else np.float32
-        return [(np.ascontiguousarray(checked(picture), dtype), 1.0)]
+        gray, unit = in_range(checked(picture), _DIM)
+        return [(np.ascontiguousarray(gray, np.uint8 if gray.dtype == np.uint8 else np.float32), 1.0)], unit
 
     def detect(
         self,

@@ -404,18 +404,18 @@ def checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return gray if gray.flags.writeable else gray.copy()
 
 
-def in_range(gray: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float]:
+def in_range(gray: npt.NDArray[Any], least: float = _FAINT) -> tuple[npt.NDArray[Any], float]:
     """Return a picture (H, W) that ``checked`` has passed in a unit in which float32 holds responses, and that unit.
 
-    The unit is a power of two, so nothing is rounded: 1 for all but floats of which the largest is tiny or huge. It
-    is 1, too, where few values are huge beside the others, as those that stand for what is not known.
+    The unit is a power of two, so nothing is rounded: 1 for all but floats of which the largest is below ``least`` or
+    huge. It is 1, too, where few values are huge beside the others, as those that stand for what is not known.
     """
     if gray.dtype.kind != "f" or gray.size == 0:
         return gray, 1.0
     top = max(-float(np.fmin.reduce(gray, axis=None)), float(np.fmax.reduce(gray, axis=None)))
     if not math.isfinite(top):
         top = float(np.where(np.isfinite(gray), np.abs(gray), np.float32(0.0)).max())
-    if top == 0.0 or _FAINT <= top <= _BRIGHT:
+    if top == 0.0 or least <= top <= _BRIGHT:
         return gray, 1.0
     exponent = math.frexp(top)[1] - 16
     if top > _BRIGHT:

@@ -79,7 +79,7 @@ def _noise_above(picture: npt.NDArray[Any], least: float) -> float:
     if count - even < _LEAST * count:
         return 0.0
     # Comparing all with rising limits is quicker than sorting, which no processor foretells.
-    limit = start = max(least, 1e-3)
+    limit = start = least if least > 0.0 else 1e-3
     while limit < np.inf:
         above, bound = 0, np.float32(6.0 * _MIDDLE * limit)
         for j in range(_STRIPS * _STRIP_PX):
