@@ -12,7 +12,6 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from ros_rig import Ros, domain_of_worker
 
-from gantry_driver.core import session
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import prepare_transport
 
@@ -21,12 +20,6 @@ from icu_common.nodes.runtime import prepare_transport
 def domain() -> int:
     """The ROS domain of a test; a file may have one of its own."""
     return domain_of_worker()
-
-
-@pytest.fixture(autouse=True)
-def late_banner(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a board that is held up answer a reset late: of a second one the driver says that it came by itself."""
-    monkeypatch.setattr(session, "RESET_RETRY_S", 4.0)
 
 
 @pytest.fixture

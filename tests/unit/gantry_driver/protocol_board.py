@@ -66,6 +66,8 @@ class Board:
         self.speed_scale = 1.0
         self.hooks: dict[str, Callable[[], None]] = {}
         self.mute = False
+        self.held_up_until = -1.0
+        self.waiting = bytearray()
         self.critical_until = -1.0
         self.homing_until = -1.0
         self.feed = 1000.0
@@ -77,6 +79,13 @@ class Board:
         self._hold_done = math.inf
 
     def write(self, data: bytes) -> None:
+        """Take bytes; those that come while it is held up wait, and are then read one by one."""
+        if self.now < self.held_up_until or self.waiting:
+            self.waiting += data
+            return
+        self._take(data)
+
+    def _take(self, data: bytes) -> None:
         for byte in data:
             if byte in b"?!~\x18\x90\x99":
                 self.realtime.append((self.now, byte))
@@ -148,6 +157,10 @@ class Board:
 
     def step(self, now: float) -> None:
         dt, self.now = now - self.now, now
+        if now < self.held_up_until:
+            return
+        if self.waiting:
+            self._take(bytes([self.waiting.pop(0)]))
         if 0 <= self.critical_until <= now and self.critical_until > now - dt:
             self.say("[MSG:Reset to continue]")
         if 0 <= self.homing_until <= now:

@@ -665,6 +665,63 @@ def test_trap_2_reset_after_a_critical_alarm_waits_for_the_message() -> None:
     assert not rig.machine.homed
 
 
+def reset_while_held_up(seconds: float) -> Rig:
+    """Return a machine that was stopped while it pressed, with its board held up from the reset on."""
+    rig = pressing()
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "RESETTING")
+    # The reset is on the wire already; what it has set off was not to be.
+    rig.board.state, rig.board.resets = "Hold:0", 0
+    rig.board.out.clear()
+    rig.board.held_up_until = rig.now + seconds
+    rig.board.write(b"\x18")
+    return rig
+
+
+@pytest.mark.parametrize("seconds", [1.5, 2.5, 4.5])
+def test_a_board_that_was_held_up_answers_a_reset_and_its_retries_without_losing_its_place(seconds: float) -> None:
+    rig = reset_while_held_up(seconds)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED", 20.0)
+    assert rig.board.resets == 1 + int(seconds), "one for each reset that was sent"
+    assert rig.states[-1] == "stopped: stop requested" and rig.machine.homed
+    assert rig.board.mpos == pytest.approx([HOMED[0] + 100.0, HOMED[1] + 100.0, HOMED[2]])
+    assert rig.machine.reset(rig.now) == "" and rig.state == "idle"
+
+
+def test_a_reset_of_the_board_itself_is_none_that_answers_a_retry_once_it_has_answered_anything_else() -> None:
+    rig = reset_while_held_up(1.5)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED", 20.0)
+    rig.board.reset()
+    rig.until(lambda: any("reset by itself" in state for state in rig.states), 1.0)
+    assert not rig.machine.homed
+
+
+@pytest.mark.parametrize("locks", [True, False])
+@pytest.mark.parametrize("resets", [0, 1], ids=["of the reset", "of its retry"])
+def test_a_loss_of_power_is_not_hidden_by_a_reset_that_was_expected(locks: bool, resets: int) -> None:
+    """Its banner comes instead of the other; a board that does not lock itself tells by its place."""
+    rig = reset_while_held_up(0.5 + resets)
+    rig.until(lambda: rig.now > rig.board.held_up_until - 0.01)
+    rig.until(lambda: rig.board.resets == resets)
+    rig.board.waiting.clear()
+    rig.board.power_cycle()
+    if not locks:
+        rig.board.state = "Idle"
+    rig.until(lambda: rig.state == "alarm", 5.0)
+    assert not rig.machine.homed and "its position is lost" in rig.states[-1]
+    x, y = rig.board.mpos[:2]
+    rig.run_for(2.0)
+    assert rig.board.mpos == [x, y, 0.0], "nothing moves by a position that is none"
+
+
+def test_noise_in_a_report_after_a_reset_does_not_leave_the_stylus_down() -> None:
+    rig = reset_while_held_up(0.0)
+    rig.until(lambda: rig.board.resets == 1)
+    rig.machine.receive(b"<Idle|MPos:-25.000,-119.000,-21.000|Bf:15,128|FS:0,0|WCO:0,0,0>\r\n", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == "stopped: stop requested" and rig.board.mpos[2] == pytest.approx(HOMED[2])
+
+
 def test_a_stop_while_an_alarm_is_left_is_remembered() -> None:
     rig = Rig().homed()
     rig.board.alarm(1)

@@ -127,6 +127,10 @@ class Connection:
         """Whether a program has left a G92; None after a reset, which only some firmwares keep it over."""
         self._pausing = self._resuming = False
         self._old_holds = 0
+        self._stood_mm: tuple[float, ...] | None = None
+        """Where the board stood in the last report of a hold, None where it did not say."""
+        self._moved_mm: tuple[float, ...] | None = None
+        """The other place that it reported after the reset."""
 
     def configure(self, config: DriverConfig, now: float) -> None:
         """Go on with other parameters."""

@@ -69,6 +69,7 @@ HOMING_FIRST = 22, 4
 """The setting, and its bit, with which a grblHAL that has not been homed is not unlocked by ``$X`` either."""
 HOMING_WANTED = {Dialect.GRBLHAL: 11, Dialect.FLUIDNC: 14}
 """The alarm with which a firmware says after each reset that it has not been homed."""
+SAME_PLACE_MM = 0.05
 QUEUED_LINES = 600
 """Of a goal, ahead of the board: more than the shortest lines that any receive buffer holds."""
 LOCKED = "the board is locked by an alarm whose number was not received"
@@ -433,6 +434,7 @@ class Machine(Connection):
             self.session.realtime(HOLD)
 
     def _reset_after_hold(self, now: float) -> None:
+        self._moved_mm = None
         self._enter(Phase.RESETTING, now, self.reason)
         self.session.soft_reset(now)
 
@@ -608,7 +610,7 @@ class Machine(Connection):
             return  # A work position; its offset comes with one of the next reports.
         # A stage whose stylus is no Z axis need not have one, and its Z stays where it was at power-up.
         expected = self.config.machine.homed_mpos_mm()[: 3 if self.config.stylus.kind == "z_axis" else 2]
-        if any(abs(a - e) > 0.05 for a, e in zip(report.mpos_mm, expected)):
+        if _elsewhere(report.mpos_mm, expected):
             found = ", ".join(f"{v:.3f}" for v in report.mpos_mm[:3])
             text = f"homed at MPos {found} mm, the configuration says {', '.join(f'{v:g}' for v in expected)} mm"
             self._enter(Phase.MISMATCH, now, text)
@@ -669,6 +671,7 @@ class Machine(Connection):
         self._finish(Outcome.REACHED, "", now, error)
 
     def _report_holding(self, report: Report, now: float) -> None:
+        self._stood_mm = report.mpos_mm
         if report.state == "Hold" and self._old_holds:
             # Older than the resume, perhaps: a reset now could find the board moving, and lose its position.
             self._old_holds -= 1
@@ -693,6 +696,14 @@ class Machine(Connection):
             self._enter(Phase.STOPPED, now, self.reason)
         elif report.state == "Alarm" and self.homed:
             self._to_alarm("the reset left the board locked, its position is lost", now)
+        elif self.homed and self._stood_mm and report.mpos_mm and _elsewhere(report.mpos_mm, self._stood_mm):
+            # A reset keeps the place; this was a loss of power. Noise spoils one report, hardly two alike.
+            found, stood = (", ".join(f"{v:.3f}" for v in place[:3]) for place in (report.mpos_mm, self._stood_mm))
+            if self._moved_mm == report.mpos_mm:
+                text = f"after the reset the board reports MPos {found} mm instead of {stood} mm, its position is lost"
+                self._to_alarm(text, now)
+            self._moved_mm = report.mpos_mm
+            self.session.poll_now()
         elif report.state in ("Idle", "Alarm"):
             self._after_reset(report, now)
 
@@ -726,6 +737,11 @@ class Machine(Connection):
 def _three(values: Sequence[float]) -> Reading:
     x, y, z = values
     return x, y, z
+
+
+def _elsewhere(mpos_mm: Sequence[float], place_mm: Sequence[float]) -> bool:
+    """Whether a board stands elsewhere, on the axes that both name."""
+    return any(abs(a - b) > SAME_PLACE_MM for a, b in zip(mpos_mm, place_mm))
 
 
 def _metres(reading: tuple[float, float, float]) -> str:

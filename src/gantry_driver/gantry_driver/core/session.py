@@ -46,7 +46,8 @@ SPARE_LINES = 2
 """Room left in the board's buffer while motion is the limit: there it fills up, and an answer too many would make a
 line overflow it. Streaming is not slower for it."""
 RESET_RETRY_S = 1.0
-"""A reset without a banner was swallowed (GRBL does that for about 500 ms after ALARM:1 and 2) and is sent again."""
+"""A reset without a banner may have been swallowed (GRBL does that for about 500 ms after ALARM:1 and 2), and is sent
+again; a board that was only held up answers both, see docs/decisions/stopping.md."""
 
 _ACTS = re.compile(r"[$F]|M0*[3478](?!\d)|G0*(?:28|30)(?!\d)|[XYZ](?!.*G0*(?:[123]|92)\Z)", re.IGNORECASE)
 """What a board that has just been reset would obey: see docs/decisions/lines-after-a-reset.md."""
@@ -115,7 +116,7 @@ class WasReset(Message):
     banner
         As received.
     expected
-        Whether this side had asked for the reset.
+        Whether this side had asked for the reset, be it by a retry that a board which was held up answers, too.
     lost
         Lines sent and not answered: the board may have executed none, some or all of them.
     unsent
@@ -186,6 +187,8 @@ class GrblSession:
         self._quiet_until = 0.0
         self._next_poll = 0.0
         self._reset_at = 0.0
+        self._resets_unanswered = 0
+        """Resets written whose banners may still come: all but one of them was a retry."""
         self.wco_mm: tuple[float, ...] | None = None
         """The work offset that the board has reported since its reset: its memory's G54 and what was added."""
         self._unanswered_since: float | None = None
@@ -200,6 +203,7 @@ class GrblSession:
         self._reader.clear()
         self._realtime.clear()
         self.awaiting_banner = False
+        self._resets_unanswered = 0
         self.paused = False
         self.polling = False
         self.rx_bytes = DEFAULT_RX_BYTES
@@ -271,6 +275,9 @@ class GrblSession:
             yield from self._interpret(parse_line(raw), now)
 
     def _interpret(self, message: Message, now: float) -> list[Message]:
+        if isinstance(message, (OkAnswer, ErrorAnswer, Report)) and not self.awaiting_banner:
+            # What it answers was sent behind every reset, so that those have been obeyed or swallowed.
+            self._resets_unanswered = 0
         if isinstance(message, (OkAnswer, ErrorAnswer)):
             return self._answer(message, now)
         if isinstance(message, Report):
@@ -354,7 +361,9 @@ class GrblSession:
         return ""
 
     def _banner(self, banner: Banner, now: float) -> list[Message]:
-        expected = self.awaiting_banner
+        # A board that was held up answers the reset and its retry, one after the other.
+        expected = self.awaiting_banner or self._resets_unanswered > 0
+        self._resets_unanswered = max(0, self._resets_unanswered - 1)
         self.counts.resets += 1
         lost, unsent = self._drop_lines()
         # A reset that has not left yet is not needed any more.
@@ -397,7 +406,8 @@ class GrblSession:
         if self.awaiting_banner and now - self._reset_at >= RESET_RETRY_S:
             out += SOFT_RESET
             self._reset_at = now
-        if self.polling and now >= self._next_poll and not self._deaf() and now >= self._quiet_until:
+        self._resets_unanswered += out.count(SOFT_RESET)
+        if self._may_poll() and now >= self._next_poll and now >= self._quiet_until:
             out += STATUS
             rare = bool(self._queue) and self._wire_bound and not self.paused
             self._next_poll = now + (max(self.poll_interval_s, WIRE_BOUND_POLL_S) if rare else self.poll_interval_s)
@@ -414,9 +424,10 @@ class GrblSession:
     def _wire_bound(self) -> bool:
         return self._roomy_reports >= WIRE_BOUND_REPORTS
 
-    def _deaf(self) -> bool:
-        """Whether the board is writing to its EEPROM and would not take a byte."""
-        return bool(self._in_flight) and self._in_flight[0][0].eeprom
+    def _may_poll(self) -> bool:
+        """Whether the board would take a `?`, and no report to one from before a reset is told from one after it."""
+        deaf = bool(self._in_flight) and self._in_flight[0][0].eeprom  # it is writing to its EEPROM
+        return self.polling and not deaf and not self.awaiting_banner
 
     def _may_send(self, now: float) -> bool:
         if not self._queue or self.awaiting_banner or self.paused or now < self._quiet_until:
@@ -435,7 +446,7 @@ class GrblSession:
     def deadline(self, now: float) -> float:
         """Return when :meth:`output`, just called at ``now``, has something to do even if nothing is received."""
         times = [float("inf")]
-        if self.polling and not self._deaf():
+        if self._may_poll():
             times.append(max(self._next_poll, self._quiet_until))
         # Lines that wait for room wait for an answer; only those that wait for a pause have a time.
         if self._queue and now < self._quiet_until:

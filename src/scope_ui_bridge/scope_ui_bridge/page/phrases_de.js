@@ -133,6 +133,7 @@ export const PHRASES_DE = [
   ["the stylus was not lifted, it may still press", "der Stift wurde nicht gehoben, er drückt vielleicht noch"],
   ["the board is in {} without a command from here", "die Platine ist ohne einen Befehl von hier in {}"],
   ["the board went to {}", "die Platine ging in {}"],
+  ["after the reset the board reports MPos {} mm instead of {} mm, its position is lost", "nach dem Zurücksetzen meldet die Platine MPos {} mm statt {} mm, ihre Position ist verloren"],
   ["the reset left the board locked, its position is lost", "nach dem Zurücksetzen ist die Platine gesperrt, ihre Position ist verloren"],
   ["homing took longer than {} s", "die Referenzfahrt dauerte länger als {} s"],
   ["{} was refused: {}", "{} wurde verweigert: {}"],
