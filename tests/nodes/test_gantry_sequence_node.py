@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
-from std_msgs.msg import String
+from std_msgs.msg import Empty, String
 
 from gantry_driver.nodes.sequence_node import SequenceNode
 from icu_common.core.panel_state import ControlSeen, PanelSeen
@@ -33,9 +33,11 @@ class Rig:
         self.result = self.probe.create_publisher(DiagnosticArray, "result", qos.RESULTS)
         self.panel = self.probe.create_publisher(DiagnosticArray, "panel/state", qos.RESULTS)
         self.state = self.probe.create_publisher(String, "state", qos.LATCHED)
-        for publisher in (self.sequence, self.result, self.panel, self.state):
+        self.driver = self.probe.create_publisher(String, "driver_state", qos.LATCHED)
+        self.stops: list[Empty] = ros.collect(self.probe, Empty, "stop_request", qos.RESULTS)
+        for publisher in (self.sequence, self.result, self.panel, self.state, self.driver):
             ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 10.0)
-        for topic in ("command", "sequence_result", "sequence_state"):
+        for topic in ("command", "sequence_result", "sequence_state", "stop_request"):
             ros.spin_until(lambda t=topic: self.probe.count_publishers(t) == 1, 10.0)
         ros.spin_until(lambda: self.states, 10.0)
         ros.spin_until(lambda: not self.node.hindrance(), 10.0)
@@ -247,10 +249,36 @@ def test_a_controller_that_was_started_anew_in_a_step_ends_the_sequence(ros: Any
     begun_ns = rig.now_ns()
     ros.spin_until(lambda: rig.now_ns() > begun_ns + 2_000_000_000, 10.0)
     assert rig.states[-1].data == "step 1/2: press:RUN_STOP", "it works on it"
+    assert rig.stops == []
+    rig.driver.publish(String(data="idle"))
     rig.state.publish(String(data=state))
+    ros.spin_until(lambda: rig.stops, 10.0)
+    rig.driver.publish(String(data="stopped: stop requested"))
     ended = rig.final("mine")
     assert ended.outcome is Outcome.ABORTED and "at rest for 1 s without an answer to it" in ended.reason
-    assert len(rig.commands) == 1
+    assert ended.reason.endswith("; the machine was told to stop and is 'stopped: stop requested'")
+    assert len(rig.commands) == 1 and len(rig.stops) == 1
+
+
+def test_a_gesture_that_takes_longer_than_the_time_without_a_sign_is_followed(ros: Any) -> None:
+    rig = Rig(ros, answer_timeout_s=2.0)
+    rig.sequence.publish(String(data="id: mine\nsteps: ['press:RUN_STOP', 'press:SAVE']"))
+    rig.wait_for_command(1)
+    taken = GoalResult(goal_id="mine.1", goal="", outcome=Outcome.ACCEPTED)
+    rig.state.publish(String(data="moving"))
+    rig.result.publish(result_message(taken, rig.now_ns()))
+    rig.driver.publish(String(data="moving"))
+    begun_ns = rig.now_ns()
+    ros.spin_until(lambda: rig.now_ns() > begun_ns + 5_000_000_000, 15.0)
+    assert rig.states[-1].data == "step 1/2: press:RUN_STOP" and rig.stops == []
+    rig.driver.publish(String(data="idle"))
+    ros.spin_until(lambda: rig.stops, 10.0)
+    rig.driver.publish(String(data="stopped: stop requested"))
+    ended = rig.final("mine")
+    assert "no sign of work on it for 2 s; the machine was told to stop" in ended.reason
+    rig.reach("mine.1")
+    ros.spin_until(lambda: rig.states[-1].data == "idle", 10.0)
+    assert len(rig.commands) == 1, "an answer that comes late starts no next step"
 
 
 def test_a_clock_that_jumps_back_ends_a_sequence(ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from gantry_driver.core.sequence import Report, SendCommand, SequenceConfig, SequenceRun
+from gantry_driver.core.sequence import Report, SendCommand, SequenceConfig, SequenceRun, StopMachine
 from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import SequenceError, parse_file, parse_steps, unfit
@@ -204,14 +204,26 @@ def test_a_step_that_fails_stops_it(outcome: Outcome, reason: str) -> None:
     assert dict(end.result.details)["steps_done"] == "0"
 
 
+def ended_with_a_stop(run: SequenceRun, now_ns: int, driver: str = "stopped: stop requested") -> str:
+    """Return why it ended, once it has asked for a stop and heard of it."""
+    assert run.tick(now_ns, driver="idle") == [StopMachine()] and not run.done
+    assert run.tick(now_ns + S, driver="moving") == [], "asked for once"
+    number = run.state.partition("/")[0].removeprefix("step ")
+    assert run.result(answer(f"r.{number}"), now_ns + 2 * S) == [], "an answer that comes now starts no next step"
+    (end,) = run.tick(now_ns + 3 * S, driver=driver)
+    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
+    return end.result.reason
+
+
 def test_a_step_that_reached_nobody_does_not_hold_the_sequence_up() -> None:
     run = run_of("steps: ['press:MENU', 'press:SAVE']")
     run.start(0)
     run.result(answer("r.1"), 2 * S)
     assert run.tick(7 * S) == []
-    (end,) = run.tick(7 * S + 1)
-    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
-    assert end.result.reason == ("step 2 of 2, press:SAVE: the controller has neither taken nor refused it within 5 s")
+    assert ended_with_a_stop(run, 7 * S + 1) == (
+        "step 2 of 2, press:SAVE: the controller has neither taken nor refused it within 5 s; "
+        "the machine was told to stop and is 'stopped: stop requested'"
+    )
 
 
 def test_a_step_that_a_controller_at_rest_no_longer_knows_ends_the_sequence() -> None:
@@ -222,10 +234,13 @@ def test_a_step_that_a_controller_at_rest_no_longer_knows_ends_the_sequence() ->
     assert run.tick(9 * S, at_rest=True) == []
     assert run.tick(10 * S, at_rest=False) == [], "it works"
     assert run.tick(15 * S, at_rest=True) == []
-    (end,) = run.tick(15 * S + 1, at_rest=True)
+    assert run.tick(15 * S + 1, at_rest=True, driver="idle") == [StopMachine()]
+    assert run.tick(20 * S + 1, at_rest=True, driver="idle") == [], "the stop may be under way"
+    (end,) = run.tick(20 * S + 2, at_rest=True, driver="idle")
     assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
     assert end.result.reason == (
-        "step 1 of 3, press:AUTO_SET: the controller has been at rest for 5 s without an answer to it"
+        "step 1 of 3, press:AUTO_SET: the controller has been at rest for 5 s without an answer to it; "
+        "the machine was told to stop, but says 'idle': look at it"
     )
     waits = run_of()
     waits.start(0)
@@ -233,13 +248,35 @@ def test_a_step_that_a_controller_at_rest_no_longer_knows_ends_the_sequence() ->
     assert waits.tick(3 * S, at_rest=True) == [], "what is waited for now is the check"
 
 
-def test_silence_and_an_effect_that_is_missing_stop_it() -> None:
+def test_a_gesture_that_takes_long_is_followed_for_as_long_as_somebody_is_at_work_on_it() -> None:
     run = run_of()
     run.start(0)
     run.result(answer("r.1", Outcome.ACCEPTED), S)
-    assert run.tick(90 * S) == []
-    (end,) = run.tick(90 * S + 1)
-    assert isinstance(end, Report) and "no answer within 90 s" in end.result.reason
+    for second in range(2, 400):  # many corrections: each look and each way is a change of the controller's state
+        assert run.tick(second * S, driver="idle") == []
+        if second % 60 == 0:
+            run.sign(second * S)
+    for second in range(400, 800):  # one slow way
+        assert run.tick(second * S, driver="moving") == []
+    assert run.result(answer("r.1", effect="screen changed"), 800 * S) == [
+        SendCommand(text="click:CH1_SCALE:2.0 id=r.2")
+    ]
+
+
+def test_a_controller_that_hangs_in_a_step_is_given_up_and_the_machine_stopped() -> None:
+    run = run_of()
+    run.start(0)
+    run.result(answer("r.1", Outcome.ACCEPTED), S)
+    assert run.tick(5 * S, driver="moving") == []
+    assert run.tick(95 * S, driver="idle") == []
+    assert ended_with_a_stop(run, 95 * S + 1, "alarm: ALARM:1") == (
+        "step 1 of 3, press:AUTO_SET: no sign of work on it for 90 s; "
+        "the machine was told to stop and is 'alarm: ALARM:1'"
+    )
+    assert run.done and run.tick(200 * S) == []
+
+
+def test_an_effect_that_is_missing_stops_it() -> None:
     strict = run_of("steps: ['press:SAVE => effect']")
     strict.start(0)
     strict.result(answer("r.1"), S)

@@ -22,12 +22,19 @@ class SequenceConfig(Config):
 
     accept_timeout_s: float = setting(
         5.0,
-        "Time in which the controller has to take or refuse a step, and to answer it when it is at rest",
+        "Time in which the controller has to take or refuse a step, and to answer it when it is at rest; time for the "
+        "machine to say that it has stopped when it has not",
         minimum=1.0,
         maximum=60.0,
         unit="s",
     )
-    answer_timeout_s: float = setting(90.0, "Time for a step's final answer", minimum=1.0, maximum=600.0, unit="s")
+    answer_timeout_s: float = setting(
+        90.0,
+        "Time without a sign of work on a step: a change of the controller's state or of the driver's, or motion",
+        minimum=1.0,
+        maximum=600.0,
+        unit="s",
+    )
     check_s: float = setting(
         3.0, "Time for what a check wants to be seen, where the step names none", minimum=0.1, maximum=60.0, unit="s"
     )
@@ -47,7 +54,14 @@ class Report:
     result: GoalResult
 
 
-Action = SendCommand | Report
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StopMachine:
+    """Ask the driver for a stop: nobody is known to be at work on what was begun, and it may still press."""
+
+
+Action = SendCommand | StopMachine | Report
+STOPPED = ("stopped", "alarm", "disconnected", "connecting", "mismatch", "unhomed")
+"""States of the driver in which it takes no motion before a person has done something."""
 
 
 class SequenceRun:
@@ -69,7 +83,8 @@ class SequenceRun:
         self._number = 0
         self._started_ns = self._step_ns = self._deadline_ns = self._ticked_ns = 0
         self._taken = False
-        self._worked_ns = 0
+        self._worked_ns = self._sign_ns = 0
+        self._given_up = ""
         self._answer: GoalResult | None = None
         self._answered_ns = 0
         self._seen: PanelSeen | None = None
@@ -89,9 +104,10 @@ class SequenceRun:
 
     def result(self, answer: GoalResult, now_ns: int) -> list[Action]:
         """Hear an answer of the controller."""
-        if self.done or self._answer is not None or answer.goal_id != f"{self.run_id}.{self._number}":
+        unasked = self.done or self._given_up or self._answer is not None
+        if unasked or answer.goal_id != f"{self.run_id}.{self._number}":
             return []
-        self._taken, self._worked_ns = True, now_ns
+        self._taken, self._worked_ns, self._sign_ns = True, now_ns, now_ns
         if not answer.outcome.final:
             return []
         if answer.outcome is not Outcome.REACHED:
@@ -106,23 +122,39 @@ class SequenceRun:
         self._seen = seen
         return self._look(now_ns)
 
-    def tick(self, now_ns: int, *, at_rest: bool = False) -> list[Action]:
-        """Let time pass; ``at_rest`` says that the controller works on nothing, or is not there."""
+    def sign(self, now_ns: int) -> None:
+        """Hear that something goes on: the controller's state, or the driver's, has changed."""
+        self._sign_ns = now_ns
+
+    def tick(self, now_ns: int, *, at_rest: bool = False, driver: str = "") -> list[Action]:
+        """Let time pass; ``at_rest`` says that the controller works on nothing, or is not there.
+
+        ``driver`` is what the driver says of itself, empty without one.
+        """
         jumped_back_s, self._ticked_ns = (self._ticked_ns - now_ns) / NANO, now_ns
         if jumped_back_s > CLOCK_JUMP_S:
             return self.abort(f"the clock jumped back by {jumped_back_s:.1f} s", now_ns)
-        accept_s = self._config.accept_timeout_s
+        accept_s, state = self._config.accept_timeout_s, driver.partition(":")[0]
+        if self._given_up:
+            if state in STOPPED:
+                return self.abort(f"{self._given_up}; the machine was told to stop and is {driver!r}", now_ns)
+            late = now_ns > self._deadline_ns
+            text = f"{self._given_up}; the machine was told to stop, but says {driver or 'nothing'!r}: look at it"
+            return self.abort(text, now_ns) if late else []
         if not self._taken and now_ns - self._step_ns > accept_s * NANO:
-            return self.abort(f"the controller has neither taken nor refused it within {accept_s:g} s", now_ns)
+            return self._give_up(f"the controller has neither taken nor refused it within {accept_s:g} s", now_ns)
         if not at_rest:
             self._worked_ns = now_ns
         if self._taken and self._answer is None and now_ns - self._worked_ns > accept_s * NANO:
             # One that died and was started anew knows nothing of the step.
-            return self.abort(f"the controller has been at rest for {accept_s:g} s without an answer to it", now_ns)
-        if self.done or now_ns <= self._deadline_ns:
+            return self._give_up(f"the controller has been at rest for {accept_s:g} s without an answer to it", now_ns)
+        if state == "moving":
+            self._sign_ns = now_ns
+        if self._answer is None and now_ns - self._sign_ns > self._config.answer_timeout_s * NANO:
+            # A controller that hangs still "works" by its latched state.
+            return self._give_up(f"no sign of work on it for {self._config.answer_timeout_s:g} s", now_ns)
+        if self.done or self._answer is None or now_ns <= self._deadline_ns:
             return []
-        if self._answer is None:
-            return self._fail(f"no answer within {self._config.answer_timeout_s:g} s", now_ns)
         missing = ", ".join(self._missing(self._answer))
         return self._fail(f"not seen in time: {missing}", now_ns)
 
@@ -134,13 +166,20 @@ class SequenceRun:
         """End it from outside."""
         return [] if self.done else self._fail(cause, now_ns)
 
+    def _give_up(self, cause: str, now_ns: int) -> list[Action]:
+        """Stop the machine, and end when it says that it has: who takes the step only now finds it stopped."""
+        if self.done:
+            return []
+        self._given_up, self._deadline_ns = cause, now_ns + round(self._config.accept_timeout_s * NANO)
+        return [StopMachine()]
+
     def _next(self, now_ns: int) -> list[Action]:
         if self._number == len(self.sequence.steps):
             self.done = True
             return [Report(result=self._result(Outcome.REACHED, now_ns))]
         self._number += 1
-        self._taken, self._answer, self._step_ns = False, None, now_ns
-        self._deadline_ns = now_ns + round(self._config.answer_timeout_s * NANO)
+        self._taken, self._answer = False, None
+        self._step_ns = self._sign_ns = now_ns
         return [SendCommand(text=f"{self._step.gesture} id={self.run_id}.{self._number}")]
 
     def _look(self, now_ns: int) -> list[Action]:

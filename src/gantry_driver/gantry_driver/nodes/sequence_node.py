@@ -14,10 +14,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from std_msgs.msg import String
+from std_msgs.msg import Empty, String
 
 from gantry_driver.core.goal_job import WORKING
-from gantry_driver.core.sequence import Action, SendCommand, SequenceConfig, SequenceRun
+from gantry_driver.core.sequence import Action, SendCommand, SequenceConfig, SequenceRun, StopMachine
 from gantry_driver.core.world import AT_AN_END
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import Sequence, SequenceError, parse_file, unfit
@@ -39,7 +39,10 @@ HELD_UP_S = 3.0
 
 
 class SequenceNode(Node):
-    """Hears ``sequence``, ``result``, ``state`` and ``panel/state``; publishes ``command`` and ``sequence_result``."""
+    """Hears ``sequence``, ``result``, ``state``, ``driver_state`` and ``panel/state``.
+
+    Publishes ``command``, ``stop_request``, ``sequence_result`` and ``sequence_state``.
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__("sequencer", **options)
@@ -48,9 +51,10 @@ class SequenceNode(Node):
         self._steady_s = time.monotonic
         self._awake_s = self._steady_s()
         self._panel: DiagnosticArray | None = None
-        self._controller = ""
+        self._controller = self._driver = ""
         self._count = 0
         self._command = self.create_publisher(String, "command", qos.COMMAND)
+        self._stop = self.create_publisher(Empty, "stop_request", qos.RESULTS)
         self._answers = self.create_publisher(DiagnosticArray, "sequence_result", qos.RESULTS)
         self._state = self.create_publisher(String, "sequence_state", qos.LATCHED)
         self.create_subscription(String, "sequence", self._on_sequence, qos.COMMAND)
@@ -58,6 +62,7 @@ class SequenceNode(Node):
         self.create_subscription(DiagnosticArray, "panel/state", self._on_panel, qos.SENSOR)
         self._diagnostics = Diagnostics(self)
         self.create_subscription(String, "state", self._on_controller, qos.LATCHED)
+        self._drivers = self.create_subscription(String, "driver_state", self._on_driver, qos.LATCHED)
         every(self, TICK_S, self._on_tick)
         every(self, 1.0, self._report)
         self._state.publish(String(data="idle"))
@@ -140,14 +145,25 @@ class SequenceNode(Node):
         self._act(run.panel(seen, self._now_ns()))
 
     def _on_controller(self, message: String) -> None:
-        self._controller = message.data.partition(":")[0]
-        if (run := self._at_work()) is not None and message.data.startswith(AT_AN_END):
+        changed, self._controller = message.data != self._controller, message.data
+        if (run := self._at_work()) is None:
+            return
+        if changed:
+            run.sign(self._now_ns())
+        if message.data.startswith(AT_AN_END):
             self._act(run.stopped(message.data, self._now_ns()))
+
+    def _on_driver(self, message: String) -> None:
+        changed, self._driver = message.data != self._driver, message.data
+        if (run := self._at_work()) is not None and changed:
+            run.sign(self._now_ns())
 
     def _on_tick(self) -> None:
         if (run := self._at_work()) is not None:
-            at_rest = self._controller not in WORKING or bool(self.hindrance())
-            self._act(run.tick(self._now_ns(), at_rest=at_rest))
+            at_rest = self._controller.partition(":")[0] not in WORKING or bool(self.hindrance())
+            # One that died in the middle of a motion still "moves" by its latched state.
+            driver = self._driver if self._drivers.get_publisher_count() else ""
+            self._act(run.tick(self._now_ns(), at_rest=at_rest, driver=driver))
 
     def _report(self) -> None:
         hindrance = self.hindrance()
@@ -160,6 +176,9 @@ class SequenceNode(Node):
         for action in actions:
             if isinstance(action, SendCommand):
                 self._command.publish(String(data=action.text))
+            elif isinstance(action, StopMachine):
+                self.get_logger().error("stop: nobody is known to be at work on a step")
+                self._stop.publish(Empty())
             else:
                 self.get_logger().info(f"{action.result.goal}: {action.result.outcome.value} {action.result.reason}")
                 self._answers.publish(result_message(action.result, self._now_ns()))
