@@ -1533,6 +1533,96 @@ def test_a_servo_that_was_up_is_not_left_limp_over_the_panel_by_a_stop(lift: boo
     assert lines[0] == "M3S200" and "X" in lines[-1]
 
 
+SINKS = "; the servo may be without pulses and sink, the stylus may press"
+
+
+def servo() -> Rig:
+    return Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind="servo_m3", dwell_s=0.1))).homed()
+
+
+@pytest.mark.parametrize("code", [1, 3])
+def test_an_alarm_tells_that_a_servo_may_be_limp_until_homing_lifts_it(code: int) -> None:
+    """GRBL ends the pulses at the alarm, grblHAL at the reset after it: also a stylus that was up may sink."""
+    rig = servo()
+    rig.go((0.25, 0.0, 0.0))
+    rig.run_for(0.3)
+    rig.board.alarm(code)
+    rig.until(lambda: rig.state == "alarm")
+    assert rig.states[-1].startswith(f"alarm: ALARM:{code}") and rig.states[-1].endswith(SINKS)
+    rig.run_for(1.0)
+    rig.machine.reset(rig.now)
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.states[-1] == f"unhomed: {SINKS[2:]}"
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle")
+    assert rig.states[-1] == "idle"
+    assert rig.go((0.1, 0.0, 0.0)).outcome.value == "accepted"
+
+
+@pytest.mark.parametrize("kind", ["servo_m3", "solenoid_m8", "z_axis"])
+def test_an_alarm_tells_that_a_stylus_which_was_down_has_not_been_lifted(kind: str) -> None:
+    rig = pressing(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1)))
+    rig.board.alarm(1)
+    rig.until(lambda: rig.state == "alarm")
+    assert rig.states[-1].endswith(NOT_LIFTED)
+
+
+def test_a_link_that_is_lost_tells_of_a_servo_that_the_opened_port_leaves_limp() -> None:
+    rig = servo()
+    rig.machine.closed("the device has gone", rig.now)
+    rig.board.power_cycle()
+    rig.board.out.clear()
+    rig.machine.opened(rig.now)
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.states[-1] == f"unhomed: {SINKS[2:]}"
+
+
+@pytest.mark.parametrize("kind", ["servo_m3", "solenoid_m8"])
+def test_a_stylus_counts_as_down_until_it_has_been_lifted_and_not_from_the_order_on(kind: str) -> None:
+    """An alarm on that way leaves it anywhere, and the last reading is all that the controller can tell of it."""
+    rig = pressing(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1)))
+    rig.positions.clear()
+    assert rig.go((0.3, 0.1, 0.02), (0.3, 0.1, 0.0), (0.1, 0.1, 0.0)).outcome.value == "accepted"
+    rig.until(lambda: rig.board.mpos[0] > HOMED[0] + 250.0)  # it draws
+    assert rig.positions and {stylus for _, _, stylus in rig.positions} == {0.02}
+    rig.until(lambda: rig.board.executed[-1] == "G4P0.1")
+    rig.run_for(0.2)
+    assert rig.state == "moving" and rig.positions[-1][2] == 0.0, "it has gone up, though the motion goes on"
+    rig.until(lambda: rig.outcomes()[-1] == "reached")
+    rig.go((0.1, 0.1, 0.02))
+    rig.until(lambda: rig.state == "idle")
+    rig.go((0.3, 0.1, 0.02), (0.3, 0.1, 0.0))
+    rig.until(lambda: rig.board.mpos[0] > HOMED[0] + 250.0)
+    rig.board.alarm(1)
+    rig.until(lambda: rig.state == "alarm")
+    assert rig.positions[-1][2] == 0.02 and rig.states[-1].endswith(NOT_LIFTED)
+
+
+@pytest.mark.parametrize("kind", ["servo_m3", "solenoid_m8"])
+def test_a_goal_just_after_a_lift_knows_that_the_stylus_is_up(kind: str) -> None:
+    down = {"servo_m3": "M3S800", "solenoid_m8": "M8"}[kind]
+    rig = pressing(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1)))
+    for stylus in (0.0, 0.02):
+        rig.board.received.clear()
+        rig.results.clear()
+        assert rig.go((0.1, 0.1, stylus)).outcome.value == "accepted"
+        rig.until(lambda: len(rig.results) == 2)
+        assert rig.outcomes()[-1] == "reached"
+    assert down in rig.board.received
+
+
+@pytest.mark.parametrize(
+    ("banner", "again"), [(b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n", True), (None, False)]
+)
+def test_a_servo_is_lifted_once_more_after_a_homing_that_switches_the_spindle_off(
+    banner: bytes | None, again: bool, monkeypatch: Any
+) -> None:
+    if banner is not None:
+        monkeypatch.setattr(protocol_board, "BANNER", banner)
+    rig = servo()
+    assert ("M3S200" in rig.board.received[rig.board.received.index("$H") :]) is again
+
+
 def test_a_pause_that_presses_for_longer_than_a_rest_may_is_a_stop() -> None:
     rig = Rig(DriverConfig(enabled_at_start=True, max_rest_extended_s=3.0)).homed()
     rig.go((0.1, 0.1, 0.0), (0.3, 0.1, 0.0))

@@ -115,6 +115,8 @@ class Connection:
         self._lift_barred = False
         self._lift_timeout_s = 0.0
         self._left_down = False
+        self._limp = False
+        """Whether a servo may have lost its pulses: some boards end them at an alarm, all at a reset."""
         self._raised = False
         """Whether the last report of the board's overrides was one to be set back."""
         self._critical = False
@@ -123,6 +125,8 @@ class Connection:
         self._probed = 0.0
         self._probe_from = 0.0
         self._stylus_down = self._lowers = False
+        self._stylus_line = 0
+        """The last line queued that moves a stylus without a Z axis."""
         self._has_g92: bool | None = None
         """Whether a program has left a G92; None after a reset, which only some firmwares keep it over."""
         self._pausing = self._resuming = False
@@ -226,6 +230,7 @@ class Connection:
     def closed(self, reason: str, now: float) -> None:
         """The port has gone; whatever was under way is aborted and the position is not trusted any more."""
         self._finish(Outcome.ABORTED, f"link lost: {reason}", now)
+        self._limp = self._limp or (self._is_servo() and self.homed)
         self._forget_position()
         self._unanswered = ""
         self.session.start(now)
@@ -414,8 +419,7 @@ class Connection:
         before = self.state_text
         self.phase, self.reason, self._since = phase, reason, now
         self._misplaced = False
-        text = self._still_down_text() if not_lifted is None else not_lifted
-        self._not_lifted, self._suspended = text if phase is Phase.STOPPED else "", ""
+        self._not_lifted, self._suspended = self._not_lifted_text(phase, not_lifted), ""
         if phase is not Phase.MOVING:
             self._pausing = self._resuming = False
         self._poll_at_rate()
@@ -476,10 +480,20 @@ class Connection:
         """Return the reason, and what may end before it: that the stylus is not lifted, or the board suspended."""
         return "; ".join(text for text in (self.reason, self._not_lifted, self._suspended) if text)
 
-    def _still_down_text(self) -> str:
+    def _not_lifted_text(self, phase: Phase, not_lifted: str | None) -> str:
         """Say that nothing has lifted the stylus, for who reads ``stopped`` takes it for lifted; empty if it is up."""
-        down = self.config.lift_on_stop and (self._stylus_is_down() or self._left_down)
-        return "the stylus was not lifted, it may still press" if down else ""
+        if phase is Phase.STOPPED and not_lifted is not None:
+            return not_lifted
+        # After an alarm nothing was decided about the stylus, and nobody lifts it.
+        tells = self.config.lift_on_stop if phase is Phase.STOPPED else phase in (Phase.ALARM, Phase.ALARM_RESET)
+        if tells and (self._stylus_is_down() or self._left_down):
+            return "the stylus was not lifted, it may still press"
+        if self._limp and phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED):
+            return "the servo may be without pulses and sink, the stylus may press"
+        return ""
+
+    def _is_servo(self) -> bool:
+        return self.config.stylus.kind == "servo_m3"
 
     def _rests_extended(self) -> bool:
         return self.phase is Phase.IDLE and self._stylus_is_down()

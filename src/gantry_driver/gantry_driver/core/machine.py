@@ -45,6 +45,7 @@ from gantry_driver.core.session import (
     RESUME,
     Acknowledged,
     CountBroken,
+    Line,
     Refused,
     WasReset,
 )
@@ -56,6 +57,7 @@ from gantry_driver.core.trajectory_gcode import (
     may_be_down_after,
     mpos_mm,
     reading_m,
+    stylus_dwell,
     write_motion,
 )
 from icu_common.core.results import GoalResult, Outcome
@@ -179,7 +181,9 @@ class Machine(Connection):
                 self.session.queue(text, answer_within_s=self.config.homing_timeout_s)
         # Only GRBL is known to forget a tool's length and a chosen system at a reset; what others report as their work
         # offset is the sum of all, and is G54's, with which a program is checked, only once both are ended.
-        ends = () if self.dialect is Dialect.GRBL else ("G49", "G54")
+        ends: tuple[str, ...] = () if self.dialect is Dialect.GRBL else ("G49", "G54")
+        if ends and self._is_servo():
+            ends = (*ends, *lift_lines(self.config))  # grblHAL switches the spindle off before it homes
         for text in ("$H", *ends):
             self._marker = self.session.queue(text, answer_within_s=self.config.homing_timeout_s).number
         return ""
@@ -278,7 +282,10 @@ class Machine(Connection):
         try:
             if refusal := self._goal_refusal(age_s, now):
                 raise TrajectoryError(refusal)
-            start = self.reading_m or (0.0, 0.0, 0.0)
+            x, y, z = self.reading_m or (0.0, 0.0, 0.0)
+            if self.config.stylus.kind != "z_axis":
+                z = self.config.stylus.stroke_m if self._stylus_down else 0.0  # the reading may be of a moment ago
+            start = x, y, z
             motion = write_motion(names, points, start, self.config)
         except TrajectoryError as error:
             return self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=str(error)))
@@ -336,11 +343,11 @@ class Machine(Connection):
     def _refuse_program(self, goal_id: str, error: Exception) -> GoalResult:
         return self._answer(GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error)))
 
-    def _may_lower(self, line: str) -> None:
+    def _may_lower(self, line: Line) -> None:
         """Note where a line leaves a stylus without a Z axis, and that it may be down before that."""
-        if self.config.stylus.kind != "z_axis" and (down := may_be_down_after(line, self.config)) is not None:
+        if self.config.stylus.kind != "z_axis" and (down := may_be_down_after(line.text, self.config)) is not None:
             self._lowers = self._lowers or self._stylus_down or down
-            self._stylus_down = down
+            self._stylus_down, self._stylus_line = down, line.number
 
     def _start(
         self, goal_id: str, text: str, lines: Iterator[tuple[str, float]], count: int, end_m: Reading, now: float
@@ -362,11 +369,11 @@ class Machine(Connection):
         while goal.left and self.session.unsent < QUEUED_LINES:
             text, seconds = next(goal.rest)
             goal.left -= 1
-            self._may_lower(text)
             if "G92" in text:
                 self._has_g92 = "G92.1" not in text
-            number = self.session.queue(text, answer_within_s=self._answer_time() + seconds).number
-            goal.marker = 0 if goal.left else number
+            line = self.session.queue(text, answer_within_s=self._answer_time() + seconds)
+            self._may_lower(line)
+            goal.marker = 0 if goal.left else line.number
 
     def bounds(self) -> Bounds:
         """Return the travel in machine coordinates and the rates of rapid moves."""
@@ -476,7 +483,8 @@ class Machine(Connection):
             self._identify(now, self.reason if self.phase is Phase.SYNCHRONISE else "")
         elif event.expected and self.phase in (Phase.RESETTING, Phase.ALARM):
             # It has switched spindle and coolant off: a solenoid is up, but a servo without pulses may sink.
-            self._stylus_down, self._lowers = self.config.stylus.kind == "servo_m3", False
+            self._stylus_down, self._lowers = self._is_servo(), False
+            self._limp = self._limp or (self._is_servo() and not self.homed)
             self.session.poll_now()
         elif self.phase in (Phase.ALARM, Phase.ALARM_RESET):
             # GRBL resets itself after most alarms, which are still the reason; what is on the wire must not run.
@@ -486,6 +494,7 @@ class Machine(Connection):
             self._identify(now, self.reason)
         else:
             reason = "the board was reset by itself, its position is lost"
+            self._limp = self._limp or (self._is_servo() and self.homed)
             self._finish(Outcome.ABORTED, reason, now)
             self._forget_position()
             self._events.append(Note(level="error", text=f"{reason}; {len(event.lost)} lines unanswered"))
@@ -495,6 +504,8 @@ class Machine(Connection):
 
     def _on_acknowledged(self, event: Acknowledged, now: float) -> None:
         number = event.line.number
+        if number > self._stylus_line and event.line.text == stylus_dwell(self.config):
+            self._lowers = False  # it has had the time for its way
         if self._goal is not None and number == self._goal.marker:
             self._goal.acknowledged = True
             self.session.poll_now()
@@ -548,6 +559,7 @@ class Machine(Connection):
             text = f"{text}, after: {self._whole_reason()}"
         self._finish(Outcome.ABORTED, text, now)
         self._forget_position()
+        self._limp = self._is_servo()
         self.session.last_report_at = now  # In a homing cycle it is the first that the board says.
         self._latched = ""  # The alarm is latched itself, and its reset is the same call.
         if self.phase is Phase.ALARM_RESET:  # an emergency stop is still pressed: no banner comes
@@ -564,7 +576,8 @@ class Machine(Connection):
 
     def _on_report(self, report: Report, now: float) -> None:
         if self.homed and report.mpos_mm is not None:
-            self.reading_m = reading_m(report.mpos_mm, self._stylus_down, self.config)
+            # On its way up it counts as down: should an alarm end that way, this is the last that anybody hears of it.
+            self.reading_m = reading_m(report.mpos_mm, self._stylus_down or self._lowers, self.config)
             self._events.append(Position(reading_m=self.reading_m))
         if report.overrides_percent is not None:
             self._set_overrides_back(*report.overrides_percent)
@@ -591,7 +604,7 @@ class Machine(Connection):
 
         Somebody who slows the machine down does so with care, and is let.
         """
-        raised = feed > 100.0 or (spindle != 100.0 and self.config.stylus.kind == "servo_m3")
+        raised = feed > 100.0 or (spindle != 100.0 and self._is_servo())
         if raised:
             self.session.realtime(FULL_FEED)
             self.session.realtime(FULL_SPINDLE)
@@ -617,6 +630,7 @@ class Machine(Connection):
             self._misplaced = True
             return
         self.homed, self._stylus_down, self._lowers, self._left_down = True, False, False, False
+        self._limp = False
         self.session.executed_all()
         self.reading_m = reading_m(report.mpos_mm, False, self.config)
         self._events.append(Position(reading_m=self.reading_m))

@@ -106,13 +106,18 @@ def write_motion(
     return Motion(lines=(*lines, SYNCHRONISE), end_m=here, seconds=total)
 
 
+def stylus_dwell(config: DriverConfig) -> str:
+    """Return the line that gives a stylus without a Z axis the time for its way."""
+    return f"G4P{plain(config.stylus.dwell_s)}"
+
+
 def lift_lines(config: DriverConfig) -> tuple[str, ...]:
     """Return the lines that take the stylus off the panel and move nothing else."""
     stylus = config.stylus
     if stylus.kind == "servo_m3":
-        return (MODES, f"M3S{plain(stylus.servo_up)}", f"G4P{plain(stylus.dwell_s)}", SYNCHRONISE)
+        return (MODES, f"M3S{plain(stylus.servo_up)}", stylus_dwell(config), SYNCHRONISE)
     if stylus.kind == "solenoid_m8":
-        return (MODES, "M9", f"G4P{plain(stylus.dwell_s)}", SYNCHRONISE)
+        return (MODES, "M9", stylus_dwell(config), SYNCHRONISE)
     top = config.machine.homed_mpos_mm()[2]
     return (MODES, f"F{plain(config.stylus_feed_m_s * 60_000.0)}Z{plain(top)}G53G1", SYNCHRONISE)
 
@@ -241,4 +246,4 @@ def _stylus(down: bool, config: DriverConfig) -> list[tuple[str, str]]:
         word = f"M3S{plain(stylus.servo_down if down else stylus.servo_up)}"
     else:
         word = "M8" if down else "M9"
-    return [("", word), ("", f"G4P{plain(stylus.dwell_s)}")]
+    return [("", word), ("", stylus_dwell(config))]

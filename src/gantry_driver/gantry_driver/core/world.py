@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -32,6 +33,8 @@ _DRIVER_TEXT = {
 _NO_OPERATOR = "waiting: no operator (heartbeat)"
 AT_AN_END = ("stopped", "alarm", _NO_OPERATOR, *(f"waiting: {t}" for s, t in _DRIVER_TEXT.items() if s != "moving"))
 """How ``/gantry/state`` begins while the machine cannot go on, or nobody is there who wants it to."""
+_TOLD = re.compile(r"may (still )?press\b")
+"""The driver says itself that the stylus may be down."""
 _LIFTS_NOTHING = ("disconnected", "connecting", "unhomed", "mismatch", "alarm")
 """Driver states in which the stylus stays where it was: its position is not known any more, or nobody moves it."""
 
@@ -233,7 +236,7 @@ class World:
                 shown += f": {reason.strip()}"
             if self.left_behind:
                 shown += f"; {self.left_behind}"
-            elif state in _LIFTS_NOTHING or (state == "stopped" and silent):
+            elif not _TOLD.search(shown) and (state in _LIFTS_NOTHING or (state == "stopped" and silent)):
                 shown += self._left_down_text()
             yield Obstacle(state=shown, reason=f"the driver is {self.driver!r}, 'idle' is needed", every_goal=True)
         elif self.readings is None or silent:
