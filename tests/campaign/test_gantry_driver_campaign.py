@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 
 import pytest
-from campaign.faults import CONFIG, FAULTS, config_of, fault_of, run_seed
+from campaign.faults import CONFIG, FAULTS, SERVO, config_of, fault_of, run_seed
 from campaign.port_rig import PortRig
 from campaign.run import main
 from campaign.virtual_link import VirtualRig
@@ -24,6 +24,67 @@ LINK_FAULTS = ("unplug", "full", "vanishes", "operator stop")
 def test_promises_hold_under_a_fault(seed: int) -> None:
     print(f"seed {seed}: {fault_of(seed).name}")
     run_seed(seed, VirtualRig(config_of(seed), seed))
+
+
+ELSEWHERE = [
+    (seed, dialect)
+    for seed in range(2 * len(FAULTS))
+    for dialect in ("grblHAL", "FluidNC")
+    if (fault_of(seed).name, dialect) != ("EEPROM pause", "FluidNC")  # which keeps its settings in a file
+]
+
+
+@pytest.mark.parametrize(("seed", "dialect"), ELSEWHERE)
+def test_promises_hold_under_a_fault_of_another_firmware(seed: int, dialect: str) -> None:
+    run_seed(seed, VirtualRig(CONFIG, seed, dialect))
+
+
+def test_programs_go_where_they_were_checked_though_the_board_keeps_offsets_over_resets() -> None:
+    rig = VirtualRig(CONFIG, 0, "grblHAL")
+    rig.until(lambda: rig.machine.phase.state == "unhomed", 20.0)
+    rig.board.parser.g92, rig.board.parser.tool_length, rig.board.parser.modes.system = [10.0, 0.0, 0.0], 5.0, 1
+    rig.board.eeprom.systems[1][:] = [50.0, 50.0, 0.0]
+    rig.home()
+
+    def program(*lines: str) -> tuple[float, float, float]:
+        rig.results.clear()
+        rig.run_for(1.5)  # the offset comes with a report
+        accepted = rig.machine.run_program("p", lines, rig.now)
+        assert accepted.outcome is Outcome.ACCEPTED, accepted.reason
+        rig.until(lambda: rig.results and rig.results[-1].outcome.final, 20.0)
+        assert rig.results[-1].outcome is Outcome.REACHED, rig.results[-1]
+        return rig.mpos()
+
+    assert program("G0 X-110 Y-100") == pytest.approx((-100.0, -100.0, -1.0), abs=0.02)
+    rig.board.parser.g92 = rig.board.eeprom.g92 = [20.0, 0.0, 0.0]  # another sender
+    rig.stop("operator")
+    rig.until(lambda: rig.machine.phase.name == "STOPPED", 20.0)
+    assert rig.board.parser.g92 == [20.0, 0.0, 0.0], "the reset has kept it"
+    rig.machine.reset(rig.now)
+    assert program("G0 X-110 Y-100") == pytest.approx((-90.0, -100.0, -1.0), abs=0.02)
+    assert rig.board.parser.tool_length == 0.0 and rig.board.parser.modes.system == 0
+    refused = rig.machine.run_program("p", ["G92.1", "G0 X-100"], rig.now)
+    assert refused.outcome is Outcome.REJECTED and "G92" in refused.reason
+
+
+def test_a_servo_is_held_up_after_homing_on_a_board_that_switches_it_off() -> None:
+    rig = VirtualRig(SERVO, 0, "grblHAL")
+    rig.home()
+    assert rig.servo() == SERVO.stylus.servo_up
+
+
+@pytest.mark.parametrize("dialect", ["GRBL", "FluidNC"])
+def test_an_alarm_over_a_touch_tells_that_the_servo_was_not_lifted(dialect: str) -> None:
+    rig = VirtualRig(SERVO, 0, dialect)
+    rig.until(lambda: rig.machine.phase.state in ("unhomed", "mismatch"), 20.0)
+    rig.machine.accept_settings(rig.now)  # FluidNC has no $31
+    rig.home()
+    rig.go([(0.1, 0.1, 0.02)], "down")
+    rig.until(lambda: len(rig.results) == 2, 20.0)
+    rig.fault("alarm", number=1)
+    rig.until(lambda: rig.machine.phase.state == "alarm", 5.0)
+    assert rig.servo() == (800.0 if dialect == "FluidNC" else 0.0)
+    assert rig.states[-1].endswith("; the stylus was not lifted, it may still press")
 
 
 @pytest.mark.parametrize("seed", [s for s in range(len(FAULTS)) if fault_of(s).name in LINK_FAULTS])

@@ -16,6 +16,7 @@ from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, CloseRequested, Note, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
 from gantry_driver.mock.machine import Machine as MockMachine
+from gantry_driver.mock.processor import BoardOptions
 from gantry_driver.mock.settings import make_eeprom
 from icu_common.core.frames import JOINTS
 from icu_common.core.results import GoalResult
@@ -28,8 +29,8 @@ KERNEL_BYTES = 4096
 class VirtualRig:
     """One run; ``now`` is the only clock, in seconds for both sides."""
 
-    def __init__(self, config: DriverConfig, seed: int) -> None:
-        self.mock = MockMachine(make_eeprom({}), seed=seed)
+    def __init__(self, config: DriverConfig, seed: int, dialect: str = "GRBL") -> None:
+        self.mock = MockMachine(make_eeprom({}), board=BoardOptions(dialect=dialect), seed=seed)
         self.board = self.mock.board
         self.machine = Machine(config)
         self.machine.heartbeat(math.inf)

@@ -27,12 +27,15 @@ class Rig:
     latency_s: float = 0.0
     seed: int = 0
     mist: bool = False
+    dialect: str = "GRBL"
     mechanics: MechanicsOptions = field(default_factory=MechanicsOptions)
 
     def __post_init__(self) -> None:
         self.machine = Machine(
             make_eeprom(self.settings),
-            board=BoardOptions(baud=self.baud, line_s=self.line_s, latency_s=self.latency_s, mist=self.mist),
+            board=BoardOptions(
+                baud=self.baud, line_s=self.line_s, latency_s=self.latency_s, mist=self.mist, dialect=self.dialect
+            ),
             mechanics=self.mechanics,
             seed=self.seed,
         )

@@ -361,3 +361,25 @@ def test_hard_limits_look_from_where_the_motors_are_when_a_block_begins() -> Non
     rig = Rig.homed(settings={21: 1})
     assert rig.send(b"G53G1Z-11F1800\nG53G1Z-1\n", 5.0) == b"ok\r\nok\r\n"
     assert rig.report()[1][2] == -1.0
+
+
+@pytest.mark.parametrize(("dialect", "pulses"), [("GRBL", 0.0), ("grblHAL", 0.0), ("FluidNC", 800.0)])
+def test_an_alarm_ends_the_pulses_of_a_servo_and_a_reset_does_on_each(dialect: str, pulses: float) -> None:
+    rig = Rig.homed(dialect=dialect)
+    rig.send(b"M3S800\n", 0.5)
+    assert rig.machine.mechanics.spindle_rpm == 800.0
+    rig.machine.inject("alarm", {"number": 1})
+    rig.run(1.0)
+    assert rig.machine.mechanics.spindle_rpm == pulses
+    rig.send(b"\x18", 0.1)
+    assert rig.machine.mechanics.spindle_rpm == 0.0
+
+
+@pytest.mark.parametrize(("dialect", "pulses"), [("GRBL", 200.0), ("grblHAL", 0.0), ("FluidNC", 200.0)])
+def test_only_one_switches_a_servo_off_before_it_homes(dialect: str, pulses: float) -> None:
+    rig = Rig(dialect=dialect)
+    rig.send(b"$X\nM3S200\n", 0.5)
+    rig.send(b"$H\n", 1.0)
+    assert rig.machine.mechanics.spindle_rpm == pulses
+    rig.run(60.0)
+    assert rig.machine.mechanics.spindle_rpm == pulses

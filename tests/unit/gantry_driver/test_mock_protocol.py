@@ -347,6 +347,25 @@ def test_parameters() -> None:
     assert b"[G92:0.000,0.000,0.000]\r\n[TLO:0.000]" in answer  # not kept
 
 
+@pytest.mark.parametrize(
+    ("dialect", "after_reset", "after_power"),
+    [("GRBL", (0.0, 0.0), 0.0), ("FluidNC", (0.0, 0.0), 0.0), ("grblHAL", (-7.0, 1.5), -7.0)],
+)
+def test_what_a_reset_leaves_of_offsets(dialect: str, after_reset: tuple[float, float], after_power: float) -> None:
+    """grblHAL's gc_init clears its state up to the offsets, and loads G92 at power-up; the others clear all."""
+    rig = Rig.free(dialect=dialect)
+    for line in (b"G0Z-3\n", b"G92Z4\n", b"G55\n", b"G43.1Z1.5\n"):
+        assert rig.send(line, 2.0) == OK
+    rig.send(b"\x18", 0.1)
+    z, tool = after_reset
+    answer = rig.send(b"$#\n$G\n", 0.2)
+    assert b"[G92:0.000,0.000,%.3f]\r\n[TLO:%.3f]" % (z, tool) in answer and b" G54 " in answer
+    assert b"|WCO:0.000,0.000,%.3f" % (z + tool) in rig.send(b"?")
+    rig.board.power_on(rig.now)
+    rig.run(0.5)
+    assert b"[G92:0.000,0.000,%.3f]\r\n[TLO:0.000]" % after_power in rig.send(b"$#\n", 0.2)
+
+
 def test_modes_are_reported_and_end_with_the_program() -> None:
     rig = Rig.free(mist=True)
     assert rig.send(b"G1F250G55G18G20G91G93M4S500M7T3\nG94\nM8\n", 0.5) == OK * 3

@@ -165,10 +165,10 @@ class Execution(RealTime):
             here = list(p.position)
             yield from self._write_eeprom(lambda: places.__setitem__(index, here))
         elif block.action == 92:
-            p.g92 = list(block.place)
+            p.g92 = self.eeprom.g92 = list(block.place)
             yield from self._offset_changed()
         elif block.action == 92.1:
-            p.g92 = [0.0, 0.0, 0.0]
+            p.g92 = self.eeprom.g92 = [0.0, 0.0, 0.0]
             yield from self._offset_changed()
 
     def _move(self, block: CheckedBlock) -> Firmware:
@@ -275,6 +275,10 @@ class Execution(RealTime):
         if rest != "H":
             return ERROR_BAD_STATEMENT
         self.state = State.HOME
+        if self.options.dialect == "grblHAL":
+            self._stop_tools()
+            modes = self.parser.modes
+            modes.spindle, modes.flood, modes.mist, self.parser.speed = 5, False, False, 0.0
         for axes in ((2,), (0, 1)):  # the stylus is lifted before the carriage moves
             yield from self._home_axes(axes)
         self._flags.discard(Flag.STOPPED)

@@ -107,7 +107,8 @@ class BoardOptions:
     mist: bool = False
     """Built with M7."""
     dialect: str = "GRBL"
-    """One of :data:`RX_BYTES`; of the others only banner, build information, buffer and what is told of settings."""
+    """One of :data:`RX_BYTES`; of the others only banner, build information, buffer, what is told of settings, and what
+    reset, homing and alarm do to offsets and tools (grblHAL's gcode.c, motion_control.c; FluidNC's Protocol.cpp)."""
 
     @property
     def rx_bytes(self) -> int:
@@ -265,7 +266,11 @@ class Processor(ABC):
 
     def raise_alarm(self, number: int) -> None:
         """Stop at once and enter an alarm, as a limit switch does."""
+        m = self.mechanics
+        tools = m.spindle, m.spindle_rpm, m.flood, m.mist
         self.soft_reset()
+        if self.options.dialect == "FluidNC":  # with off_on_alarm as it is, they run on until the reset
+            m.spindle, m.spindle_rpm, m.flood, m.mist = tools
         self._alarm = number
         self._woken = True
 
@@ -440,6 +445,9 @@ class Processor(ABC):
         self.motion = Motion(self._limits())
         self.motion.watch = self._watch
         self._probing = None
+        self.parser = ParserState()
+        if self.options.dialect == "grblHAL":
+            self.parser.g92 = list(self.eeprom.g92)
         self._reset_variables()
 
     def _reset_variables(self) -> None:
@@ -459,7 +467,10 @@ class Processor(ABC):
         self._probing = None
         self._probed_at = (0, 0, 0)
         self._probe_ok = False
+        kept = self.parser
         self.parser = ParserState()
+        if self.options.dialect == "grblHAL":
+            self.parser.g92, self.parser.tool_length = kept.g92, kept.tool_length
         self.motion.halt(self.now)
         self.motion.override(self.now, feed=1.0, rapid=1.0)
         self._sync_parser()
@@ -476,7 +487,8 @@ class Processor(ABC):
         self.mechanics.renumber((0, 0, 0))
 
     def _start_firmware(self) -> None:
-        self.state = State.ALARM if self.eeprom.flag(22) else State.IDLE
+        locks = self.eeprom.flag(22) and self.options.dialect != "grblHAL"  # its lock is a bit of its own, 4
+        self.state = State.ALARM if locks else State.IDLE
         self._booting = True
         self._firmware = self._main()
         self._woken = True
@@ -526,6 +538,7 @@ class Processor(ABC):
                 yield from self._session()
             except Abort:
                 self._lose(len(self._ring), "reset")
+                self._stop_tools()
                 self._reset_variables()
                 self.journal.count("resets")
 

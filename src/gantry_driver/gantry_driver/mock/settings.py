@@ -53,6 +53,8 @@ class Eeprom:
     systems: list[list[float]] = field(init=False)
     startup: list[str] = field(default_factory=lambda: ["", ""])
     build_info: str = ""
+    g92: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    """The last ``G92``, in mm, which grblHAL alone loads at power-up."""
 
     def __post_init__(self) -> None:
         self.values = dict(self.defaults)
