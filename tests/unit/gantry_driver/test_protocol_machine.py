@@ -1577,6 +1577,26 @@ def test_a_link_that_is_lost_tells_of_a_servo_that_the_opened_port_leaves_limp()
     assert rig.states[-1] == f"unhomed: {SINKS[2:]}"
 
 
+@pytest.mark.parametrize("kind", ["servo_m3", "z_axis"])
+def test_a_link_that_is_lost_on_the_way_down_tells_of_a_stylus_that_no_report_has_shown_there(kind: str) -> None:
+    """What the board has in its buffer goes on: the last that was heard of it was that it is up."""
+    rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1))).homed()
+    rig.go((0.3, 0.1, 0.0), (0.3, 0.1, 0.02))
+    rig.step()
+    assert rig.positions[-1][2] == 0.0
+    rig.machine.closed("the device has gone", rig.now)
+    rig.collect()
+    assert rig.states[-1] == f"disconnected: the device has gone{NOT_LIFTED}"
+    rig.machine.opened(rig.now)
+    rig.board.reset()
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.states[-1] == f"unhomed: {NOT_LIFTED[2:]}"
+    rig.run_for(0.1)
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle")
+    assert rig.states[-1] == "idle"
+
+
 @pytest.mark.parametrize("kind", ["servo_m3", "solenoid_m8"])
 def test_a_stylus_counts_as_down_until_it_has_been_lifted_and_not_from_the_order_on(kind: str) -> None:
     """An alarm on that way leaves it anywhere, and the last reading is all that the controller can tell of it."""

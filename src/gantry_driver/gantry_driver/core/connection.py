@@ -114,7 +114,8 @@ class Connection:
         self._lift = True
         self._lift_barred = False
         self._lift_timeout_s = 0.0
-        self._left_down = False
+        self._left_down = self._left_unseen = False
+        """Whether the stylus may be down with its position not known; and no reading has told so."""
         self._limp = False
         """Whether a servo may have lost its pulses: some boards end them at an alarm, all at a reset."""
         self._raised = False
@@ -440,7 +441,10 @@ class Connection:
         self.closed(reason, now)
 
     def _forget_position(self) -> None:
-        self._left_down = self._left_down or self._stylus_is_down()
+        if self._stylus_is_down() or self._lowers:
+            self._left_down = True
+            # What was under way may have lowered it since the last report, and may still.
+            self._left_unseen = self.reading_m is None or self.reading_m[2] <= STYLUS_DOWN_M
         self.homed = False
         self.reading_m = None
 
@@ -486,6 +490,7 @@ class Connection:
             return not_lifted
         # After an alarm nothing was decided about the stylus, and nobody lifts it.
         tells = self.config.lift_on_stop if phase is Phase.STOPPED else phase in (Phase.ALARM, Phase.ALARM_RESET)
+        tells = tells or (self._left_unseen and phase in (Phase.CLOSED, Phase.UNHOMED))
         if tells and (self._stylus_is_down() or self._left_down):
             return "the stylus was not lifted, it may still press"
         if self._limp and phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED):

@@ -344,8 +344,10 @@ class Machine(Connection):
         return self._answer(GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error)))
 
     def _may_lower(self, line: Line) -> None:
-        """Note where a line leaves a stylus without a Z axis, and that it may be down before that."""
-        if self.config.stylus.kind != "z_axis" and (down := may_be_down_after(line.text, self.config)) is not None:
+        """Note that the stylus may go down by a line, or be down before it; without a Z axis, where that leaves it."""
+        if self.config.stylus.kind == "z_axis":
+            self._lowers = self._lowers or "Z" in line.text  # where it is, only the reports tell
+        elif (down := may_be_down_after(line.text, self.config)) is not None:
             self._lowers = self._lowers or self._stylus_down or down
             self._stylus_down, self._stylus_line = down, line.number
 
@@ -476,7 +478,7 @@ class Machine(Connection):
             return
         self._critical, self._has_g92 = False, None
         if self.config.stylus.kind == "solenoid_m8":
-            self._stylus_down = self._lowers = self._left_down = False  # it is switched off
+            self._stylus_down = self._lowers = self._left_down = self._left_unseen = False  # it is switched off
         if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):
             # Also after an alarm: it may have come before the settings were known, or the board is another one.
             self.dialect, self.firmware = banner.dialect, banner.version
@@ -504,7 +506,8 @@ class Machine(Connection):
 
     def _on_acknowledged(self, event: Acknowledged, now: float) -> None:
         number = event.line.number
-        if number > self._stylus_line and event.line.text == stylus_dwell(self.config):
+        z_axis = self.config.stylus.kind == "z_axis"
+        if not z_axis and number > self._stylus_line and event.line.text == stylus_dwell(self.config):
             self._lowers = False  # it has had the time for its way
         if self._goal is not None and number == self._goal.marker:
             self._goal.acknowledged = True
@@ -629,8 +632,8 @@ class Machine(Connection):
             self._enter(Phase.MISMATCH, now, text)
             self._misplaced = True
             return
-        self.homed, self._stylus_down, self._lowers, self._left_down = True, False, False, False
-        self._limp = False
+        self.homed, self._stylus_down, self._lowers = True, False, False
+        self._left_down = self._left_unseen = self._limp = False
         self.session.executed_all()
         self.reading_m = reading_m(report.mpos_mm, False, self.config)
         self._events.append(Position(reading_m=self.reading_m))
