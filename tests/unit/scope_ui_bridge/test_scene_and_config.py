@@ -125,6 +125,33 @@ def test_the_way_is_planned_to_the_selection_and_then_the_one_that_is_driven() -
     assert desk.path("left")["path"] == [], "the way of the last motion is not shown for the next"
 
 
+def test_a_way_that_is_told_before_its_motion_is_drawn_with_it() -> None:
+    """As in a recording, and of who orders without the page: nothing says beforehand that something will move."""
+    rig = Rig()
+    desk = rig.desk
+    desk.machine.set_position(0.1, 0.05, 0.02, rig.now)
+    desk.scene.camera_from_base = Transform(pose().rotation, pose().apply(np.array([0.0, 0.0, 0.03])))
+    way = np.array([[0.1, 0.05, 0.0], [0.19, 0.11, 0.0]])
+    rig.wait(0.1)
+    desk.set_path(way)
+    assert desk.path("left") == {"path": [], "planned": True}, "a picture comes between the way and its motion"
+    rig.wait(0.5)
+    desk.path("left")
+    desk.machine.set_state("controller", "moving")
+    shown = desk.path("left")
+    assert (len(shown["path"]), shown["planned"]) == (3, False)
+    desk.machine.set_state("controller", "ready")
+    desk.path("left")
+    desk.machine.set_state("controller", "moving")
+    assert desk.path("left")["path"] == [], "the way of the last motion is not shown for the next"
+    desk.machine.set_state("controller", "ready")
+    desk.set_path(way)
+    rig.wait(1.1)
+    desk.path("left")
+    desk.machine.set_state("controller", "moving")
+    assert desk.path("left")["path"] == [], "nor one that nobody has set out on"
+
+
 def test_without_a_calibration_or_a_pose_nothing_is_drawn() -> None:
     assert Scene().panel("left") == {"version": 0, "outline": [], "controls": []}
     blind = Scene(left=camera(), faces=FACES)

@@ -55,6 +55,8 @@ _SAME_STOP_S = 0.5
 _WATCHDOG, _RECORDER = "Watchdog", "bag_record"
 _TIP_SEEN_NS = 1_000_000_000
 _CLOCK_JUMP_NS = 100_000_000
+_SETS_OUT_S = 1.0
+"""A way is told before the state of what moves along it, at most so long: then no driver takes it any more."""
 _MAX_LINES = 40  # in one tick
 _KEPT_LINES = 100  # for engineers who come later
 _FOR_ENGINEERS = ("accept_settings",)
@@ -102,6 +104,7 @@ class Desk:
         self._wanted_stop_s = -math.inf
         self._presses: deque[str] = deque(maxlen=64)
         self._last_heartbeat_s = -math.inf
+        self._sets_out_until_s = -math.inf
         self._last_state: tuple[float, dict[str, Any]] = (-math.inf, {})
         empty: dict[str, Any] = {"facts": {}, "panel": [], "sequence": {}, "recordings": []}
         self._told = {"limits": self._limits(), **empty}
@@ -628,6 +631,7 @@ class Desk:
         """Take the way that the tip is sent along now, (N, 3) m in base_link; it begins where the tip is."""
         start = self._tip()
         self.scene.path = path if start is None else np.vstack([start, path])
+        self._sets_out_until_s = self._now_s + _SETS_OUT_S
 
     def _tip(self) -> Array | None:
         position = self.machine.position
@@ -641,8 +645,10 @@ class Desk:
         While a goal waits for its first path, nothing is shown rather than the last one.
         """
         if self.moving:
+            self._sets_out_until_s = -math.inf
             return {"path": self.scene.base_line(camera, self.scene.path), "planned": False}
-        self.scene.path = None
+        if self._now_s >= self._sets_out_until_s:
+            self.scene.path = None
         selection, start, points = self._selection, self._tip(), None
         if selection is not None and start is not None:
             points = self.scene.way_to(start, selection.anchors)
