@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import queue
+import re
 import sys
 import time
 from pathlib import Path
@@ -63,6 +64,26 @@ def test_an_end_that_is_asked_before_the_program_listens_still_leaves_a_whole_ba
     with pytest.raises(GraphError, match="nothing is being recorded"):
         recorder.end(lambda ok, text: None)
     recorder.close()
+
+
+def test_nothing_is_computed_for_a_recording_that_the_page_does_not_show(tmp_path: Path) -> None:
+    """What is made from the pictures while somebody listens can be made from a recording's."""
+    script = "import pathlib, sys; pathlib.Path(sys.argv[2] + '.said').write_text('\\n'.join(sys.argv))"
+    record = made(tmp_path / "record", f"#!{sys.executable}\n{script}\n")
+    answers: queue.Queue[str] = queue.Queue()
+    recorder = Recorder(str(tmp_path / "sessions"), record)
+    recorder.start(lambda ok, text: answers.put(text))
+    assert answers.get(timeout=WITHIN_S) == "bag_record ended with 0"
+    (said,) = (tmp_path / "sessions").glob("*.said")
+    arguments = said.read_text().splitlines()
+    left_out = arguments[arguments.index("--exclude") + 1]
+    eyes = [f"{bed}/stereo/{side}" for bed in ("", "/bed_1") for side in ("left", "right")]
+    computed = ["/stereo/disparity", "/bed_1/stereo/dense_points", "/stereo/points2", "/panel/points"]
+    computed += [f"{eye}/{name}" for eye in eyes for name in ("corners_image", "edges")]
+    shown = ["/panel/pose", "/panel/controls", "/gantry/trajectory", "/stylus/tip", "/bed_1/joint_states"]
+    shown += [f"{eye}/{name}" for eye in eyes for name in ("image_raw", "camera_info", "corners", "edge_lines")]
+    assert [name for name in computed if not re.search(left_out, name)] == []
+    assert [name for name in shown if re.search(left_out, name)] == []
 
 
 # The first one ends at once; what it has left behind keeps its output open until somebody opens the fifo.

@@ -20,6 +20,14 @@ from scope_ui_bridge.adapters.graph_port import GraphError
 
 _LOG = logging.getLogger(__name__)
 _ERROR = "error: "
+_FOR_VIEWERS = "|".join(
+    (
+        r"/(disparity|dense_points|points2|panel_plane|panel_plane_estimate)$",
+        r"/(left|right)/(corners_image|edges)$",
+        r"/panel/points$",
+    )
+)
+"""What is computed from the pictures, only while somebody listens, and not shown by the page."""
 Answered = Callable[[bool, str], None]
 
 
@@ -75,7 +83,7 @@ class Recorder:
             except FileNotFoundError as error:
                 raise GraphError("bag_record is not installed beside this program") from error
             self._output = self._folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
-            command = [str(program), "-o", str(self._output), "--compress", "jpeg"]
+            command = [str(program), "-o", str(self._output), "--compress", "jpeg", "--exclude", _FOR_VIEWERS]
             command += ["--child-of", str(os.getpid())]  # whoever comes after a killed bridge does not know of it
             command += ["--ros-args", "-r", f"__node:={self.node_name}"]
             try:
