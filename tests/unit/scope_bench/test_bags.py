@@ -12,11 +12,13 @@ import sqlite3
 import stat
 import subprocess
 import sys
+import threading
 import time
 import zlib
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -769,7 +771,11 @@ def test_the_official_reader_reads_a_recording_whose_topics_are_older_than_its_m
             assert (list(bag.messages()), bag.start_ns) == ([("/a", 7, text("word"))], 7)
 
 
-def test_a_slow_disk_drops_and_counts() -> None:
+def slow_disk() -> tuple[type, threading.Event, list[tuple[str, int, bytes]]]:
+    """Return a writer of bags, what lets it begin, and what it writes then."""
+    gate = threading.Event()
+    written: list[tuple[str, int, bytes]] = []
+
     class Slow:
         messages = bytes = 0
         due_s = None
@@ -783,18 +789,37 @@ def test_a_slow_disk_drops_and_counts() -> None:
         def add_topic(self, topic: BagTopic) -> None:
             gate.wait()
 
-    import threading
+        def write(self, *row: Any) -> None:
+            written.append(row)
 
-    gate = threading.Event()
-    sink = BagSink(Slow, limit_bytes=25)  # type: ignore[arg-type]
-    Slow.write = lambda self, *row: written.append(row)  # type: ignore[attr-defined]
-    written: list[tuple[str, int, bytes]] = []
+    return Slow, gate, written
+
+
+def test_a_slow_disk_drops_and_counts() -> None:
+    slow, gate, written = slow_disk()
+    sink = BagSink(slow, limit_bytes=25)
     sink.add_topic(BagTopic(name="/a", type=STRING))
     for i in range(5):
         sink.put("/a", i, b"0123456789")
     gate.set()
     sink.close()
     assert [row[1] for row in written] == [0, 1] and sink.dropped == 3 and not sink.failure
+
+
+def test_pictures_leave_room_for_what_is_said_once() -> None:
+    slow, gate, written = slow_disk()
+    picture, order = bytes(1 << 20), b"go"
+    sink = BagSink(slow, limit_bytes=3 * len(picture))
+    sink.add_topic(BagTopic(name="/picture", type=IMAGE))
+    sink.add_topic(BagTopic(name="/order", type=STRING))
+    for i in range(4):
+        sink.put("/picture", i, picture)
+    for i in range(4):
+        sink.put("/order", i, order)
+    gate.set()
+    sink.close()
+    assert [row[1] for row in written if row[0] == "/order"] == [0, 1, 2, 3]
+    assert [row[1] for row in written if row[0] == "/picture"] == [0, 1] and sink.dropped == 2
 
 
 @pytest.mark.parametrize(("encoding", "channels"), [("bgr8", 3), ("rgb8", 3), ("mono8", 1)])

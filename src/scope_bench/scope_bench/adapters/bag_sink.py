@@ -10,6 +10,9 @@ from collections.abc import Callable, Iterator
 from scope_bench.adapters.bag_pictures import BESIDE, COMPRESSED, IMAGE, SUFFIX, PictureCodec
 from scope_bench.adapters.bags import BagError, BagTopic, BagWriter
 
+_LARGE = 1 << 16
+"""Bytes of a message from which on it counts as one of pictures or clouds."""
+
 
 class BagSink:
     """A queue in front of a :class:`BagWriter`, which lives in the thread (a sqlite3 connection belongs to one).
@@ -21,7 +24,7 @@ class BagSink:
     codec
         Compresses pictures; None: they are written as they are, and so are those that it cannot compress.
     limit_bytes
-        The most that may wait.
+        The most that may wait. Pictures and clouds leave a part of it to what is small: that is said once.
 
     Attributes
     ----------
@@ -67,7 +70,8 @@ class BagSink:
     def put(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Hand over a message."""
         with self._change:
-            if self._size + len(data) > self._limit or self.failure:
+            room = self._limit * 7 // 8 if len(data) >= _LARGE else self._limit
+            if self._size + len(data) > room or self.failure:
                 self.dropped += 1
                 return
             self._waiting.append((topic, stamp_ns, data))
