@@ -12,12 +12,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import nav_msgs.msg
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PointStamped
 from nodes.background import output_in_background
 from rclpy.duration import Duration
 from rclpy.experimental import EventsExecutor
@@ -27,7 +29,7 @@ from rclpy.serialization import serialize_message
 from ros_rig import Ros
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
@@ -266,13 +268,93 @@ def test_the_end_of_a_recording_is_in_it_when_the_recorder_is_behind(ros: Ros, t
     for number in range(800):  # nobody serves the recorder meanwhile
         words.publish(String(data=f"{number}"))
     assert words.wait_for_all_acked(Duration(seconds=10))
-    catch_up(executor)
+    catch_up(recorder)
     executor.remove_node(recorder)
     recorder.destroy_node()
     sink.close()
     with BagReader(tmp_path / "bag") as bag:
         spoken = [bag.decode(data, "std_msgs/msg/String").data for _, _, data in bag.messages()]
     assert spoken == [f"{number}" for number in range(800)]
+
+
+def test_a_message_has_the_time_at_which_it_came_however_late_it_is_taken(ros: Ros, tmp_path: Path) -> None:
+    """A motion whose beginning and end are taken together would be none when it is played."""
+    talker = ros.plain("talker")
+    outputs = {"/words": talker.create_publisher(String, "words", WHOLE)}
+    outputs["/eye"] = talker.create_publisher(Image, "eye", WHOLE)
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
+    recorder = BagRecorder(sink, list(outputs), context=ros.context)  # nobody serves it
+
+    def heard() -> bool:
+        recorder.look()
+        return all(output.get_subscription_count() for output in outputs.values())
+
+    ros.spin_until(heard, 40.0)
+    ways: list[tuple[int, int]] = []
+    for _ in range(3):
+        begun_ns = time.time_ns()
+        for output in outputs.values():
+            output.publish(output.msg_type())
+            assert output.wait_for_all_acked(Duration(seconds=10))
+        ways.append((begun_ns, time.time_ns()))
+        until_s = time.monotonic() + 0.2
+        ros.spin_until(lambda until_s=until_s: time.monotonic() > until_s, 5.0)
+    catch_up(recorder)
+    recorder.destroy_node()
+    sink.close()
+    with BagReader(tmp_path / "bag") as bag:
+        for name in outputs:
+            came = [stamp_ns for _, stamp_ns, _ in bag.messages([name])]
+            assert len(came) == 3, name
+            assert all(begun <= ns <= ended for ns, (begun, ended) in zip(came, ways, strict=True)), (name, came, ways)
+
+
+def test_where_the_middleware_does_not_tell_when_a_message_came_the_time_is_that_of_taking_it(ros: Ros) -> None:
+    """CycloneDDS does not."""
+    waiting, rows = [(b"word", {"received_timestamp": 0})], []
+    sink = SimpleNamespace(put=lambda *row: rows.append(row))
+    recorder = ros.node(lambda **options: BagRecorder(sink, ["none"], **options))
+    handle = SimpleNamespace(take_message=lambda kind, raw: waiting.pop() if waiting else None)
+    recorder._heard["/words"] = SimpleNamespace(handle=handle, msg_type=String), 5
+    begun_ns = time.time_ns()
+    assert recorder.take() == 1
+    ((name, stamp_ns, data),) = rows
+    assert (name, data) == ("/words", b"word") and begun_ns <= stamp_ns <= time.time_ns()
+
+
+def test_pictures_do_not_come_by_the_sockets_of_what_is_said_once(ros: Ros, tmp_path: Path) -> None:
+    """Their buffer runs over when the recorder is held up: an order, which is not sent again, was lost with them."""
+    talker = ros.plain("talker")
+    kinds = {"/words": String, "/goals": PointStamped, "/eye": Image, "/cloud": PointCloud2}
+    outputs = [talker.create_publisher(kind, name, qos.RESULTS) for name, kind in kinds.items()]
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
+    ros.node(lambda **options: BagRecorder(sink, list(kinds), **options))
+    ros.spin_until(lambda: all(output.get_subscription_count() for output in outputs), 40.0)
+
+    def participant(topic: str) -> bytes:
+        (reader,) = talker.get_subscriptions_info_by_topic(topic)
+        return bytes(reader.endpoint_gid[:12])  # the rest names the reader in it
+
+    assert participant("/words") == participant("/goals") != participant("/eye") == participant("/cloud")
+    names = [name for name, _ in talker.get_node_names_and_namespaces() if not name.startswith("_")]
+    assert names.count("bag_recorder") == 1, "people see one recorder"
+    sink.close()
+
+
+def test_it_is_said_that_it_records_once_what_is_there_is_recorded(ros: Ros, tmp_path: Path, command: Start) -> None:
+    talker = ros.plain("talker")
+    outputs = {f"/words_{i}": talker.create_publisher(String, f"words_{i}", WHOLE) for i in range(20)}
+    program = command("bag_record", "-o", str(tmp_path / "bag"))
+    assert program.process.stdout is not None
+    assert any(line.startswith("recording to ") for line in program.process.stdout)
+    for output in outputs.values():
+        output.publish(String(data="now"))
+        assert output.wait_for_all_acked(Duration(seconds=10))
+    niceness = os.getpriority(os.PRIO_PROCESS, program.process.pid)
+    program.end(signal.SIGINT)
+    with BagReader(tmp_path / "bag") as bag:
+        assert {t.name: t.count for t in bag.topics if t.name in outputs} == dict.fromkeys(outputs, 1)
+    assert niceness > os.getpriority(os.PRIO_PROCESS, 0), "whoever is recorded comes first"
 
 
 def test_nothing_is_played_beside_a_driver_at_work(ros: Ros, tmp_path: Path, command: Start) -> None:

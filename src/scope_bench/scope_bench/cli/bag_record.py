@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from rclpy.experimental import EventsExecutor
-
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.option_bounds import check_bounds
+from icu_common.nodes import in_step
 from icu_common.nodes.runtime import Session, ros_session
 from icu_common.nodes.topic_names import check_names
 from scope_bench.adapters.bag_pictures import PictureCodec
@@ -27,6 +26,10 @@ from scope_bench.nodes.bag_recorder import BagRecorder
 _BEHIND_S = 5.0
 """So long the end waits at most for what has come before it."""
 _QUALITY = 85
+_NICENESS = 10
+"""Whoever is recorded comes first."""
+_FOUND_S = 10.0
+"""So long at most is waited for topics to be found before it is said that they are recorded."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -50,6 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     split = given.index("--ros-args") if "--ros-args" in given else len(given)
     options = parser().parse_args(given[:split])
+    os.environ.pop(in_step.VARIABLE, None)  # nobody waits for a recorder
     path = options.output or default_name(datetime.now())
     try:
         check_bounds(options, duration=(0.0, math.inf), keep_free=(0.0, 1e9))
@@ -57,10 +61,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _check_pattern(options.exclude)
         keep_free = round(options.keep_free * 1e6)
         codec = _codec(options)
+        if arguments is None:  # a program of its own, and all threads that it will have
+            os.nice(_NICENESS)
         with ros_session(given[split:]) as session:
             sink = BagSink(lambda: BagWriter(path, options.storage, keep_free=keep_free), codec)
             try:
-                _record(session, sink, path, options)
+                _record(session, sink, path, options, given[split:])
             finally:
                 sink.close()
     except (BagError, ValueError) as error:
@@ -96,36 +102,40 @@ def _check_pattern(exclude: str) -> None:
         raise ValueError(f"--exclude {exclude!r} is no regular expression: {error}") from error
 
 
-def _record(session: Session, sink: BagSink, path: Path, options: argparse.Namespace) -> None:
+def _record(session: Session, sink: BagSink, path: Path, options: argparse.Namespace, arguments: Sequence[str]) -> None:
     line = ProgressLine()
-    node = BagRecorder(sink, options.topics, options.exclude)
+    node = BagRecorder(sink, options.topics, options.exclude, arguments=arguments)
     session.executor.add_node(node)
-    # Whoever started this program may send SIGINT from now on: the handlers are there.
-    print(f"recording to {path}", flush=True)
-    start_s = time.monotonic()
+    start_s, said = time.monotonic(), False
     try:
         while session.goes_on and not sink.failure and (now_s := time.monotonic()) - start_s < options.duration:
             if _orphaned(options):
                 break
             session.spin()
+            if not said and (node.listens or now_s - start_s > _FOUND_S):
+                # Whoever started this program may send SIGINT from now on.
+                print(f"recording to {path}", flush=True)
+                said = True
             waiting = f", nobody publishes {', '.join(node.missing)}" if node.missing else ""
             line.show(
                 now_s,
                 f"recording {now_s - start_s:.1f} s: {len(node.recorded)} topics, {sink.messages} messages, "
                 f"{sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped{waiting}",
             )
+        if not said:
+            print(f"recording to {path}", flush=True)
         if not sink.failure:
-            catch_up(session.executor)
+            catch_up(node)
     finally:
         line.end()
         session.end(node)
 
 
-def catch_up(executor: EventsExecutor) -> None:
-    """Serve what has come until now: on a busy computer the last seconds before the end still wait in the queue."""
-    last, until_s = executor.create_task(lambda: None), time.monotonic() + _BEHIND_S
-    while not last.done() and time.monotonic() < until_s:
-        executor.spin_once(timeout_sec=0.1)
+def catch_up(node: BagRecorder) -> None:
+    """Take what has come until now: on a busy computer the last seconds before the end still wait."""
+    until_s = time.monotonic() + _BEHIND_S
+    while node.take() and time.monotonic() < until_s:
+        pass
 
 
 if __name__ == "__main__":

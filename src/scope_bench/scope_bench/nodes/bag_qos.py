@@ -58,6 +58,11 @@ def recorded_qos(profile: QoSProfile) -> Qos:
     )
 
 
+def is_large(kind: str) -> bool:
+    """Return whether messages of ``package/msg/Name`` are pictures or clouds."""
+    return kind in _LARGE
+
+
 def listening_qos(kind: str, offers: Sequence[QoSProfile]) -> QoSProfile:
     """Return what a recorder asks for: the strictest that all publishers of a topic offer, as ros2 bag does.
 
@@ -66,7 +71,7 @@ def listening_qos(kind: str, offers: Sequence[QoSProfile]) -> QoSProfile:
     reliable = all(offer.reliability is ReliabilityPolicy.RELIABLE for offer in offers)
     latched = all(offer.durability is DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
     return QoSProfile(
-        depth=_HEARD_LARGE if kind in _LARGE else _HEARD,
+        depth=_HEARD_LARGE if is_large(kind) else _HEARD,
         history=HistoryPolicy.KEEP_LAST,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,

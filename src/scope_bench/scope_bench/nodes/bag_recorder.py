@@ -3,41 +3,102 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Sequence
 from typing import Any
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
-from icu_common.nodes.timers import every
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagTopic, is_known
-from scope_bench.nodes.bag_qos import listening_qos, message_class, recorded_qos
+from scope_bench.nodes.bag_qos import is_large, listening_qos, message_class, recorded_qos
 
-_LOOK_S = 0.1
+_LOOK_S, _TAKE_S = 0.1, 0.02
+_LEAST_QUIET_S = 0.5
+_LARGE_AT_ONCE = 4
+"""Of each topic, before what is small has its turn again."""
 
 
 class BagRecorder(Node):
     """Records ``topics``, or all; a name that matches ``exclude`` is left out.
 
-    Messages are stamped with the time at which they were received, and never unpacked.
+    Messages are never unpacked. They are stamped with the time at which they came, however much later they are taken:
+    so nobody serves their subscriptions, as an executor does not tell that time. Pictures and clouds come by sockets of
+    their own: a recorder that is held up for a twentieth of a second has lost some of them, and with them, in the same
+    buffer, orders and states that nobody sends a second time. Those sockets belong to a context of its own, which takes
+    ``arguments`` (``--ros-args --enclave ...``).
     """
 
-    def __init__(self, sink: BagSink, topics: Sequence[str], exclude: str = "", **options: Any) -> None:
+    def __init__(
+        self, sink: BagSink, topics: Sequence[str], exclude: str = "", *, arguments: Sequence[str] = (), **options: Any
+    ) -> None:
         super().__init__("bag_recorder", **options)
         self._sink = sink
         self._topics = [self.resolve_topic_name(name) for name in topics]
         self._exclude = re.compile(exclude) if exclude else None
         self.recorded: set[str] = set()
         self._ignored: set[str] = set()
-        every(self, _LOOK_S, self._look)
-        self._look()
+        self._apart = Context()
+        self._apart.init(args=list(arguments), domain_id=self.context.get_domain_id())
+        self._small, self._large = self._ear("small", self.context), self._ear("large", self._apart)
+        self._heard: dict[str, tuple[Subscription, int]] = {}
+        self._begun_s = self._found_s = time.monotonic()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_LOOK_S, self.look, clock=steady)
+        self.create_timer(_TAKE_S, self.take, clock=steady)
+        self.look()
+
+    def _ear(self, what: str, context: Context) -> Node:
+        return Node(
+            f"_{self.get_name()}_{what}",
+            context=context,
+            namespace=self.get_namespace(),
+            use_global_arguments=False,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
 
     @property
     def missing(self) -> list[str]:
         """Topics that were asked for and that nobody publishes yet."""
         return [name for name in self._topics if name not in self.recorded | self._ignored]
 
-    def _look(self) -> None:
+    @property
+    def listens(self) -> bool:
+        """Whether what is published now is recorded: all topics are heard, and no more will be found, most likely."""
+        heard = all(subscription.handle.get_publisher_count() for subscription, _ in self._heard.values())
+        quiet_s = time.monotonic() - self._found_s
+        return heard and quiet_s >= max(_LEAST_QUIET_S, self._found_s - self._begun_s)
+
+    def take(self) -> int:
+        """Hand over what has come, and return how much that is; there may be more pictures and clouds."""
+        found: list[tuple[int, str, bytes]] = []
+        clock = self.get_clock()
+        for name, (subscription, most) in self._heard.items():
+            for _ in range(most):
+                if (taken := subscription.handle.take_message(subscription.msg_type, True)) is None:
+                    break
+                data, about = taken
+                came_ns = 0 if clock.ros_time_is_active else int(about["received_timestamp"])  # 0: CycloneDDS's
+                found.append((came_ns or clock.now().nanoseconds, name, data))
+        for stamp_ns, name, data in sorted(found, key=lambda one: one[0]):
+            self._sink.put(name, stamp_ns, data)
+        return len(found)
+
+    def destroy_node(self) -> None:
+        """End it, and what listens for it."""
+        self._heard.clear()
+        for ear in (self._small, self._large):
+            ear.destroy_node()
+        self._apart.try_shutdown()
+        super().destroy_node()
+
+    def look(self) -> None:
+        """Subscribe to what has appeared."""
         for name, kinds in self.get_topic_names_and_types():
             wanted = name in self._topics if self._topics else not (self._exclude and self._exclude.search(name))
             if wanted and name not in self.recorded and name not in self._ignored:
@@ -58,9 +119,8 @@ class BagRecorder(Node):
             self.get_logger().error(f"{name} is not recorded: {error}")
             return
         self.recorded.add(name)
+        self._found_s = time.monotonic()
         self._sink.add_topic(BagTopic(name=name, type=kinds[0], qos=tuple(recorded_qos(offer) for offer in offers)))
         profile = listening_qos(kinds[0], offers)
-        self.create_subscription(kind, name, lambda data: self._sink.put(name, self._now_ns(), data), profile, raw=True)
-
-    def _now_ns(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
+        ear, most = (self._large, _LARGE_AT_ONCE) if is_large(kinds[0]) else (self._small, profile.depth)
+        self._heard[name] = ear.create_subscription(kind, name, lambda data: None, profile, raw=True), most
