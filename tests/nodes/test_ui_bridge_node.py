@@ -430,6 +430,8 @@ def test_a_control_is_pressed_and_the_result_comes_back(ros: Any, bridge: Any) -
     assert browser.latest("log")["entry"]["error_mm"] == 0.31
     records = [json.loads(line) for line in (folder / "audit.jsonl").read_text().splitlines()]
     assert command.data in [record["command"] for record in records]
+    begins = [record for record in records if record["command"] == "start"]
+    assert [(line["n"], line["who"]) for line in begins] == [(1, "the bridge")], "nobody has control before"
 
 
 def test_a_point_becomes_a_pixel_goal(ros: Any, bridge: Any) -> None:

@@ -610,6 +610,50 @@ def test_control_is_handed_over_only_to_whose_request_was_read() -> None:
     assert rig.desk.lease.holder == quick
 
 
+def control_lines(effects: list[Effect]) -> list[tuple[str, str, str, str, str]]:
+    """Return what the audit file is told of who has control: who did what to whom, which page, and why."""
+    fields = ("who", "command", "target", "page", "reason")
+    lines = [e.record for e in of_type(effects, Record) if e.record["command"].endswith(" control")]
+    assert all(line["result"] == "done" and line["wall_s"] > 1.7e9 for line in lines)
+    return [tuple(str(line.get(field, "")) for field in fields) for line in lines]  # type: ignore[misc]
+
+
+def test_the_audit_file_tells_who_was_in_control_at_each_moment() -> None:
+    rig = Rig(operator=False)
+    other, _ = rig.desk.join("Operator 2")
+    control = lambda viewer, step, **more: control_lines(rig.ask(viewer, type="lease", step=step, **more))  # noqa: E731
+    assert control(rig.a, "take") == [("Operator 1", "take control", "", rig.a, "")]
+    assert control(rig.a, "take") == control(other, "take") == control(other, "request") == [], "nothing has changed"
+    assert control(rig.a, "decline", to=other) == control(other, "request") == []
+    assert control(rig.a, "grant", to=other) == [("Operator 1", "hand over control", "Operator 2", other, "")]
+    assert control(rig.a, "release") == [], "who has none gives none up"
+    assert control(other, "release") == [("Operator 2", "release control", "", other, "")]
+    assert control(rig.a, "request") == [("Operator 1", "take control", "", rig.a, "")], "what is free is taken"
+    assert control_lines(rig.desk.leave(other, rig.now)) == []
+    assert control_lines(rig.wait(5.2)) == [("Operator 1", "lose control", "", rig.a, "link lost")]
+    control(rig.a, "take")
+    gone = rig.desk.leave(rig.a, rig.now, "stopped_signed_out")
+    assert control_lines(gone) == [("Operator 1", "lose control", "", rig.a, "signed out")]
+
+
+@pytest.mark.parametrize("how", ["hidden", "silent", "gone", "released"])
+def test_the_stop_goes_out_before_it_is_written_who_lost_control(how: str) -> None:
+    rig = Rig()
+    rig.desk.machine.set_state("driver", "moving")
+    if how == "hidden":
+        effects = rig.ask(rig.a, type="hidden")
+    elif how == "silent":
+        effects = rig.wait(0.7)
+    else:
+        effects = rig.desk.leave(rig.a, rig.now) if how == "gone" else rig.ask(rig.a, type="lease", step="release")
+    stop, passed = (e for e in effects if isinstance(e, (StopNow, Record)))
+    assert isinstance(stop, StopNow)
+    ((_, command, _, _, reason),) = control_lines([passed])
+    why = {"hidden": "page hidden", "silent": "link lost", "gone": "page gone", "released": ""}[how]
+    assert (command, reason) == ("release control" if how == "released" else "lose control", why)
+    assert passed.record["epoch"] == rig.desk.lease.epoch
+
+
 def test_there_is_room_for_so_many_pages() -> None:
     rig = Rig(BridgeConfig(max_viewers=1))
     with pytest.raises(Exception, match="too_many_viewers limit=1"):

@@ -218,6 +218,49 @@ def test_a_name_with_umlauts_signs_in_and_is_in_the_records(tmp_path: Path) -> N
     assert verify(path.read_text().splitlines())[0] == len(records(path))
 
 
+@pytest.mark.parametrize("how", ["own wish", "time is over", "account changed", "pushed out"])
+def test_the_end_of_each_sign_in_is_recorded_once_and_that_control_went_with_it(
+    passwords: Path, tmp_path: Path, how: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "audit.jsonl"
+    monkeypatch.setattr(sign_in, "_MAX_SESSIONS", 3)
+
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, sign_in=False) as client:
+            form = {"name": "ada", "password": "correct horse"}
+            async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+                assert answer.status == 200
+            await client.open()
+            assert (await client.ask(type="lease", step="take"))["ok"]
+            if how == "own wish":
+                for _ in range(2):
+                    async with client.session.post("/sign-out", headers=client.origin):
+                        pass
+            elif how == "time is over":
+                (key,) = rig.sign_in._sessions
+                rig.sign_in._sessions[key] = replace(rig.sign_in._sessions[key], ends_s=time.monotonic())
+            elif how == "account changed":
+                write_secret(passwords, new_user("eve", "operator", "battery staple", b"2" * 16).line())
+                rig.server.door._look_s = 0.0  # else once a second
+            else:
+                for _ in range(3):
+                    rig.server.new_token(lambda token: rig.sign_in.enter(token, "127.0.0.1", time.monotonic()))
+            await until(lambda: rig.desk.lease.holder == "", "the page is sent away")
+            async with client.session.get("/session") as answer:
+                assert answer.status == 401
+
+    with_rig(scenario, passwords_file=str(passwords), audit=AuditFile(path))
+    told = [(e["who"], e["command"], e.get("reason", "")) for e in records(path)]
+    assert told[:2] == [("ada", "sign-in", ""), ("ada", "take control", "")]
+    why = {
+        "own wish": "",
+        "time is over": "its time was over",
+        "account changed": "its account was changed",
+        "pushed out": "3 others have signed in since",
+    }[how]
+    assert told[2:] == [("ada", "sign-out", why), ("ada", "lose control", "signed out")]
+
+
 @pytest.mark.parametrize("change", ["taken out", "another role", "another password"])
 def test_who_is_changed_in_the_file_must_sign_in_anew(passwords: Path, change: str) -> None:
     before = passwords.read_text()

@@ -58,6 +58,10 @@ UNSAID = {
         ),
         *("the operator's page", "{} +- {} mm", "calibrating {}/{}{}", "{} to {}"),
     ),
+    "lines of the audit file": (
+        *("take control", "hand over control", "release control", "lose control", "the bridge"),
+        *("its time was over", "{} others have signed in since"),
+    ),
     "parts of a sentence that is in the table as a whole": ("to {}", "; drift: {}"),
     "compared with what the board says": ("reset to continue",),
     "status lines and plain pages of the web server; terminals": (

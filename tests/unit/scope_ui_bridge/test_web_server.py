@@ -657,10 +657,13 @@ def test_the_stop_with_which_the_bridge_ends_is_recorded_though_the_disk_is_slow
     lines = path.read_text().splitlines()
     assert verify(lines)[0] == len(lines)
     found = [json.loads(line) for line in lines]
-    assert [entry["command"] for entry in found[:3]] == ["sign-in", "sign-in", "stop"]
-    assert found[2]["who"] == "Watchdog"
-    assert found[2]["target"] in ("stopped_page_gone", "stopped_link_lost"), "what the bridge hears of its own end"
-    assert {entry["command"] for entry in found[2:]} == {"stop"}, "nothing is later but what the driver has answered"
+    stop, lost = found[3:5]
+    begun = ["sign-in", "take control", "sign-in", "stop", "lose control"]
+    assert [entry["command"] for entry in found[:5]] == begun
+    assert stop["who"] == "Watchdog"
+    assert stop["target"] in ("stopped_page_gone", "stopped_link_lost"), "what the bridge hears of its own end"
+    assert (lost["who"], lost["reason"]) == (found[1]["who"], stop["target"][len("stopped_") :].replace("_", " "))
+    assert {entry["command"] for entry in found[5:]} <= {"stop"}, "nothing is later but what the driver has answered"
 
 
 def test_what_is_to_be_recorded_after_the_end_is_told_and_hurts_nobody(

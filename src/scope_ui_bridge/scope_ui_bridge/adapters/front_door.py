@@ -139,8 +139,13 @@ class FrontDoor:
         self.turned_away.note(request.remote or "", kind, named)
 
     def sweep(self, server: web.Server) -> None:
-        """Call often: ends connections that ask for nothing, so that slow or silent ones cannot use up all places."""
+        """Call often: ends connections that ask for nothing, so that slow or silent ones cannot use up all places.
+
+        It also records the sign-ins that have ended by themselves.
+        """
         now_s = time.monotonic()
+        for ended, why in self._sign_in.take_ended(now_s):
+            self._record_done(ended, "sign-out", why)
         connections = server.connections
         self._spoke.intersection_update(connections)
         self._seen_s = {c: self._seen_s.get(c, now_s) for c in connections}
@@ -158,6 +163,7 @@ class FrontDoor:
         session = self._sign_in.session(cookie, now_s)
         if session is not None and session.user is not None and not self._still_let_in(session.user, now_s):
             self._sign_in.leave(cookie)
+            self._record_done(session, "sign-out", "its account was changed")
             return None
         return session
 
@@ -236,8 +242,9 @@ class FrontDoor:
         self._record_done(session, "sign-in again")
         return web.json_response({"ok": True})
 
-    def _record_done(self, session: Session, command: str) -> None:
-        self._record({"wall_s": round(time.time(), 3), "who": session.name, "command": command, "result": "done"})
+    def _record_done(self, session: Session, command: str, why: str = "") -> None:
+        done = {"wall_s": round(time.time(), 3), "who": session.name, "command": command, "result": "done"}
+        self._record(done | ({"reason": why} if why else {}))
 
     async def _user(self, name: str, password: str, remote: str) -> User | None:
         """Return whose name and password these are, None for nobody's; ``wait`` while too many are looked at."""
@@ -280,7 +287,10 @@ class FrontDoor:
         return web.Response(status=status, text=text, content_type="text/html")
 
     async def _leave(self, request: web.Request) -> web.StreamResponse:
+        session = self.session(request)
         self._sign_in.leave(_secret(request))
+        if session is not None:
+            self._record_done(session, "sign-out")
         response = web.Response(status=303, headers={"Location": "/"})
         response.del_cookie(_cookie(request), path="/")
         return response

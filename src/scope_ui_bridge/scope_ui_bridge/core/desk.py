@@ -28,6 +28,7 @@ from scope_ui_bridge.core.effects import (
     Now,
     Order,
     Ping,
+    Record,
     Send,
     SendCommand,
     SendGoal,
@@ -116,6 +117,10 @@ class Desk:
 
     # --- pages -----------------------------------------------------------------------------------------------------
 
+    def begun(self, now: Now) -> list[Effect]:
+        """Return the first line of this run in the audit file: nobody has control then, however the last one ended."""
+        return [Record(record=record("the bridge", "start", self.boot_id, now))]
+
     def join(self, name: str, role: Role = Role.OPERATOR, by_password: bool = False) -> tuple[str, dict[str, Any]]:
         """Add a page of the user ``name``; return its id and the first message for it.
 
@@ -164,8 +169,9 @@ class Desk:
 
     def leave(self, viewer: str, now: Now, code: str = "stopped_page_gone") -> list[Effect]:
         """Remove a page; when it was the operator's and something moves, stop: ``code`` says why it is gone."""
+        effects = self._lose_lease(viewer, code, now)
         self._viewers.pop(viewer, None)
-        return self._lose_lease(viewer, code, now)
+        return effects
 
     def message(self, viewer: str, text: str | bytes, now: Now) -> list[Effect]:
         """Take one text of a page and return what is to be done; anything bad is answered, nothing moves."""
@@ -345,7 +351,15 @@ class Desk:
         if not self.lease.release(viewer):
             return []
         effects = self.stop(_WATCHDOG, now, code, silence_s=silence_s) if moving else []
-        return effects + self._clear_selection()
+        own = code == "stopped_released"
+        reason = {} if own else {"reason": code.removeprefix("stopped_").replace("_", " ")}
+        passed = self._passed(self._name(viewer), "release control" if own else "lose control", viewer, now, **reason)
+        return [*effects, passed, *self._clear_selection()]
+
+    def _passed(self, who: str, command: str, page: str, now: Now, target: str = "", **more: str) -> Record:
+        """Return the line of the audit file that tells who has control from now on; ``page`` got it, or had it."""
+        passed = {"result": "done", "page": page, "epoch": self.lease.epoch}
+        return Record(record=record(who, command, target, now) | passed | more)
 
     def _lease_step(self, viewer: str, message: wire.Lease, now: Now) -> list[Effect]:
         step = message.step
@@ -366,8 +380,12 @@ class Desk:
             if self.moving:
                 raise Refusal("busy_moving")
             self.lease.grant(viewer, message.to, now.mono_s)
-        cleared = self._clear_selection() if self.lease.epoch != epoch else []
-        return [*cleared, self._state_effect(now)]
+        if self.lease.epoch == epoch:
+            return [self._state_effect(now)]
+        given = step == "grant"
+        command, holder = "hand over control" if given else "take control", self.lease.holder
+        passed = self._passed(self._name(viewer), command, holder, now, self._name(holder) if given else "")
+        return [passed, *self._clear_selection(), self._state_effect(now)]
 
     def _clear_selection(self) -> list[Effect]:
         had = self._selection is not None

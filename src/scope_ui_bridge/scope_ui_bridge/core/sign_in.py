@@ -57,6 +57,7 @@ class SignIn:
         self._token = b""
         self._sessions: OrderedDict[bytes, Session] = OrderedDict()
         self._failures: OrderedDict[str, _Failures] = OrderedDict()
+        self._pushed_out: list[Session] = []
         self._count = 0
 
     def issue_token(self) -> str:
@@ -118,7 +119,7 @@ class SignIn:
         secret = self._new_secret()
         self._sessions[_digest(secret)] = Session(name=name, role=role, ends_s=now_s + self._lifetime_s, user=user)
         while len(self._sessions) > _MAX_SESSIONS:
-            self._sessions.popitem(last=False)
+            self._pushed_out.append(self._sessions.popitem(last=False)[1])
         return secret
 
     def _failed(self, remote: str, now_s: float) -> None:
@@ -138,6 +139,14 @@ class SignIn:
     def leave(self, cookie: str) -> None:
         """End a session."""
         self._sessions.pop(_digest(cookie), None)
+
+    def take_ended(self, now_s: float) -> list[tuple[Session, str]]:
+        """Forget the sessions that have ended by themselves; return each once, with the reason."""
+        over = [key for key, session in self._sessions.items() if now_s >= session.ends_s]
+        ended = [(self._sessions.pop(key), "its time was over") for key in over]
+        ended += [(session, f"{_MAX_SESSIONS} others have signed in since") for session in self._pushed_out]
+        self._pushed_out.clear()
+        return ended
 
 
 def _digest(secret: str) -> bytes:

@@ -137,6 +137,7 @@ class BridgeNode(Node):
         except ConfigError:
             self._server.close()
             raise
+        self._server.post(self._desk.begun)
         every(self, 1.0, self._check_server)
         every(self, 0.5, self._call_the_roll)
         every(self, 1.0, self._check_states)
