@@ -192,3 +192,38 @@ def test_the_audit_file_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture
     with pytest.raises(AuditError, match="line 2 is damaged"):
         AuditFile(path)
     assert page_admin.main(["audit", str(tmp_path / "missing")]) == 1
+
+
+def test_audit_files_that_were_put_aside_are_checked_with_the_newest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "audit.jsonl"
+    audit = AuditFile(path, 150)  # two lines each
+    for number in range(12):
+        audit.append({"command": f"press:{number}"})
+    audit.close()
+    older = [tmp_path / f"audit.jsonl.{number}" for number in range(1, 6)]
+    assert [file.exists() for file in older] == [True] * 5
+    check = lambda *more: page_admin.main(["audit", str(path), *more])  # noqa: E731
+    assert check() == 0
+    assert f"{path} and 5 older: 12 records, intact" in capsys.readouterr().out
+    text = older[2].read_text()
+    older[2].write_text(text.replace("press:5", "press:9"))
+    assert check() == 1
+    assert f"{older[3]}: line 1 does not follow" in capsys.readouterr().err
+    older[2].unlink()
+    assert check() == 1, "one that is missing between others"
+    assert f"{older[3]}: line 1 does not follow" in capsys.readouterr().err
+    older[2].write_text(text)
+    archive = tmp_path / "archive"
+    archive.mkdir()
+    for file in older[:2]:
+        file.rename(archive / file.name)
+    (archive / older[1].name).rename(archive / "audit.jsonl")  # its newest bears the chain's name there
+    assert page_admin.main(["audit", str(archive / "audit.jsonl")]) == 0
+    noted = capsys.readouterr().out.split()[-1]
+    assert check() == 1
+    assert f"{older[2]}: records 1 to 4 are not here" in capsys.readouterr().err
+    assert check("--hash", "0" * 64) == 1
+    assert check("--hash", noted) == 0
+    assert f"{path} and 3 older: records 5 to 12, intact" in capsys.readouterr().out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import resource
 import signal
 import stat
@@ -91,6 +92,99 @@ def test_a_record_that_did_not_fit_on_the_disk_leaves_the_chain_whole(tmp_path: 
     assert verify(lines(path))[0] == 2
     assert [json.loads(line)["command"] for line in lines(path)] == ["press:1", "press:3"]
     AuditFile(path).close()
+
+
+def all_lines(path: Path) -> list[str]:
+    """Return the lines of all files of a chain, the oldest first."""
+    older = sorted(path.parent.glob(f"{path.name}.*"), key=lambda file: int(file.suffix[1:]))
+    return [line for file in [*older, path] for line in lines(file)]
+
+
+def test_a_full_audit_file_is_put_aside_whole_and_the_chain_goes_on(tmp_path: Path) -> None:
+    path, wanted = tmp_path / "audit.jsonl", []
+    for _ in range(3):  # runs of the bridge
+        audit = AuditFile(path, 500)
+        for _ in range(9):
+            wanted.append(f"press:{len(wanted)}")
+            audit.append({"command": wanted[-1], "who": "É"})
+            assert path.stat().st_size < 500 + 200, "a line more than the bound at most"
+        audit.close()
+    older = sorted(path.parent.glob("audit.jsonl.*"), key=lambda file: int(file.suffix[1:]))
+    assert [file.name for file in older] == [f"audit.jsonl.{number}" for number in range(1, len(older) + 1)]
+    assert len(older) == 5
+    for file in [*older, path]:
+        assert file.read_bytes().endswith(b"\n"), "no line is split"
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert verify(all_lines(path))[0] == len(wanted)
+    assert [json.loads(line)["command"] for line in all_lines(path)] == wanted, "none lost, in their order"
+
+
+def test_who_has_put_an_audit_file_aside_still_owns_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    first = AuditFile(path, 100)
+    for number in range(4):
+        first.append({"command": f"press:{number}"})
+        with pytest.raises(OSError, match="is written by another bridge"):
+            AuditFile(path, 100)
+    first.close()
+    AuditFile(path, 100).close()
+
+
+@pytest.mark.parametrize("when", ["before the new one", "before its first line"])
+def test_a_power_cut_while_an_audit_file_is_put_aside_loses_and_repeats_nothing(tmp_path: Path, when: str) -> None:
+    path = tmp_path / "audit.jsonl"
+    audit = AuditFile(path)
+    for number in range(2):
+        audit.append({"command": f"press:{number}"})
+    audit.close()
+    path.with_name("audit.jsonl.1").hardlink_to(path)
+    if when == "before its first line":
+        path.unlink()
+        path.touch()
+    audit = AuditFile(path)
+    audit.append({"command": "press:2"})
+    audit.close()
+    assert verify(all_lines(path))[0] == 3
+    assert path.with_name("audit.jsonl.1").exists() == (when == "before its first line")
+
+
+def test_where_a_full_audit_file_cannot_be_put_aside_it_grows_and_that_is_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "audit.jsonl"
+    audit = AuditFile(path, 100)
+
+    def link(*names: object) -> None:
+        raise PermissionError(1, "no links here")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "link", link)
+        for number in range(5):
+            audit.append({"command": f"press:{number}"})
+    assert [file.name for file in tmp_path.iterdir()] == ["audit.jsonl"]
+    assert caplog.text.count("cannot be put aside, so it grows: [Errno 1] no links here") == 1
+    audit.append({"command": "press:5"})
+    audit.close()
+    assert [len(lines(file)) for file in (path.with_name("audit.jsonl.1"), path)] == [5, 1]
+    assert verify(all_lines(path))[0] == 6
+
+
+def test_the_chain_goes_on_when_older_files_were_taken_to_an_archive(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    audit = AuditFile(path, 100)
+    for number in range(4):
+        audit.append({"command": f"press:{number}"})
+    audit.close()
+    for number in (1, 2):
+        path.with_name(f"audit.jsonl.{number}").unlink()
+    audit = AuditFile(path, 100)
+    audit.append({"command": "press:4"})
+    audit.close()
+    assert [json.loads(line)["n"] for line in all_lines(path)] == [3, 4, 5]
+    path.with_name("audit.jsonl.4").write_text("{}\n")
+    path.write_text("")
+    with pytest.raises(AuditError, match=r"the last line of .*audit.jsonl.4 is damaged"):
+        AuditFile(path)
 
 
 def test_the_token_file_is_for_its_owner_only_and_replaces_a_link(tmp_path: Path) -> None:

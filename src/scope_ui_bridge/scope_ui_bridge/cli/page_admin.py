@@ -18,8 +18,8 @@ from pathlib import Path
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
-from scope_ui_bridge.adapters.secret_files import read_users, write_secret
-from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, verify
+from scope_ui_bridge.adapters.secret_files import older_files, read_users, write_secret
+from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, line_before, verify
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.passwords import PasswordError, Role, composed, new_user
 
@@ -122,13 +122,29 @@ def _kind(host: str) -> str:
 
 
 def check_audit(path: Path, noted: str | None) -> str:
-    """Check a chain; ``noted`` is a hash that must be one of its lines'."""
-    text = path.read_text(encoding="utf-8", errors=BAD_BYTES).splitlines()
-    count, last = verify(text)
-    # Each line names the hash of the one before, so a noted hash stands in the line after it, or is the last one's.
-    if noted is not None and noted != last and not any(f'"previous":"{noted}"' in line for line in text[1:]):
+    """Check a chain, from the oldest file that was put aside; ``noted`` is a hash that must be one of its lines'."""
+    files = [*older_files(path), path]
+    with files[0].open(encoding="utf-8", errors=BAD_BYTES) as lines:
+        gone, last = line_before(next(lines, ""))
+    if gone and last != noted:
+        raise AdminError(
+            f"{files[0]}: records 1 to {gone} are not here. If they were put into an archive, check them there, and "
+            f"here with the hash of the last one: it must be {last}"
+        )
+    count, known = gone, noted is None
+    for file in files:
+        text = file.read_text(encoding="utf-8", errors=BAD_BYTES).splitlines()
+        try:
+            count, last = verify(text, count, last)
+        except AuditError as error:
+            raise AuditError(f"{file}: {error}") from error
+        # Each line names the hash of the one before, so a noted hash stands in the line after it, or is the last one's.
+        known = known or noted == last or any(f'"previous":"{noted}"' in line for line in text)
+    if not known:
         raise AdminError(f"{path} is a whole chain, but the noted hash is not in it: another file, or cut short")
-    return f"{path}: {count} records, intact; hash of the last: {last}"
+    where = f"{path} and {len(files) - 1} older" if files[1:] else str(path)
+    what = f"{count} records" if not gone else f"records {gone + 1} to {count}"
+    return f"{where}: {what}, intact; hash of the last: {last}"
 
 
 def run(options: argparse.Namespace) -> str:

@@ -1,4 +1,7 @@
-"""The chain of command records: JSON lines, each with the SHA-256 of the line before."""
+"""The chain of command records: JSON lines, each with the SHA-256 of the line before.
+
+It may be cut into several files between two lines: the first line of a file then names the last one of the file before.
+"""
 
 from __future__ import annotations
 
@@ -22,26 +25,41 @@ def chain_line(number: int, previous: str, record: dict[str, Any]) -> tuple[str,
     return line, _hash(line)
 
 
-def verify(lines: Iterable[str]) -> tuple[int, str]:
-    """Return the number of lines of an intact chain and the last line's hash.
+def verify(lines: Iterable[str], count: int = 0, previous: str = START) -> tuple[int, str]:
+    """Return the number of the last line of an intact chain, and that line's hash.
+
+    Parameters
+    ----------
+    lines
+        Of one file.
+    count, previous
+        Number and hash of the line before the first one: of the file before.
 
     Raises
     ------
     AuditError
-        If a line was changed, removed, inserted or cut short.
+        If a line was changed, removed, inserted or cut short; its place in this file is named.
     """
-    count, previous = 0, START
-    for line in lines:
+    for place, line in enumerate(lines, start=1):
         text = line.rstrip("\n")
         try:
             entry = json.loads(text)
             number, named = entry["n"], entry["previous"]
         except (ValueError, KeyError, TypeError) as error:
-            raise AuditError(f"line {count + 1} is damaged: {text[:60]!r}") from error
+            raise AuditError(f"line {place} is damaged: {text[:60]!r}") from error
         if number != count + 1 or named != previous:
-            raise AuditError(f"line {count + 1} does not follow the line before it")
+            raise AuditError(f"line {place} does not follow the line before it")
         count, previous = count + 1, _hash(text)
     return count, previous
+
+
+def line_before(line: str) -> tuple[int, str]:
+    """Return number and hash of the line before this one, as it names them; the chain's beginning where it is none."""
+    try:
+        entry = json.loads(line)
+        return int(entry["n"]) - 1, str(entry["previous"])
+    except (ValueError, KeyError, TypeError):
+        return 0, START
 
 
 def _hash(line: str) -> str:

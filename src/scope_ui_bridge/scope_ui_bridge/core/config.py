@@ -35,6 +35,13 @@ class BridgeConfig(Config):
         600.0, "So long before its sign-in ends a page says so, and takes another one", minimum=0.0, unit="s"
     )
     audit_file: str = setting("", "File of hash-chained command records, empty = none", read_only=True)
+    audit_max_mb: float = setting(
+        16.0,
+        "An audit file of this size is put aside with a number, and a new one goes on; none is deleted",
+        minimum=0.01,
+        unit="MB",
+        read_only=True,
+    )
     layout: str = setting(
         "", "Layout file of the panel, for the controls' labels, empty = labels made from their names", read_only=True
     )

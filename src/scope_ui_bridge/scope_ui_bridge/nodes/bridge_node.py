@@ -459,7 +459,9 @@ def _read_layout(config: BridgeConfig) -> PanelLayout | None:
 
 def _open_audit(config: BridgeConfig) -> AuditFile | None:
     try:
-        return AuditFile(Path(config.audit_file).expanduser()) if config.audit_file else None
+        if not config.audit_file:
+            return None
+        return AuditFile(Path(config.audit_file).expanduser(), 1e6 * config.audit_max_mb)
     except AuditError as error:
         raise ConfigError(f"audit_file = {config.audit_file!r}: {error}; look at it and move it away") from error
     except OSError as error:
