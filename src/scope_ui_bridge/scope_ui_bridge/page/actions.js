@@ -114,11 +114,13 @@ function wireKeys() {
     d: () => find("draw").offsetParent && find("draw").click(),
     "?": openHelp,
   };
+  let escaped = false; // Esc is down, and has stopped
   document.addEventListener(
     "keydown",
     (event) => {
       if (event.key === "Escape") {
-        event.preventDefault();
+        escaped = true;
+        if (!openList()) event.preventDefault(); // which it closes as well
         if (!event.repeat) stop();
         closeHelp();
         return;
@@ -129,11 +131,44 @@ function wireKeys() {
     },
     true,
   );
+  // A list of the browser's own, as of choices or of what was typed before, takes the press; its end comes here.
+  document.addEventListener(
+    "keyup",
+    (event) => {
+      if (event.key !== "Escape") return;
+      if (!escaped && event.target.closest?.("select, input, textarea")) stop();
+      escaped = false;
+    },
+    true,
+  );
+  window.addEventListener("blur", () => (escaped = false)); // it is let go elsewhere
   find("help-open").addEventListener("click", openHelp);
   find("help-close").addEventListener("click", closeHelp);
   find("help").addEventListener("close", () => shut(false));
   find("help").addEventListener("focusout", ({ relatedTarget: next }) => {
     if (next && !find("help").contains(next)) find("help").close();
+  });
+}
+
+const OPEN_LIST = "select:open";
+
+/** The list of choices that is open, where the browser tells. */
+function openList() {
+  return CSS.supports(`selector(${OPEN_LIST})`) ? document.querySelector(OPEN_LIST) : null;
+}
+
+/** Arrows choose in a list that is shut, as in one of the browser's own; one that the page draws would open. */
+function wireChoices() {
+  document.addEventListener("keydown", (event) => {
+    const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    const list = event.target;
+    if (!step || !list.matches?.("select") || event.altKey || event.shiftKey || openList()) return;
+    event.preventDefault();
+    let index = list.selectedIndex + step;
+    while (list.options[index]?.disabled) index += step;
+    if (!list.options[index]) return;
+    list.selectedIndex = index;
+    for (const kind of ["input", "change"]) list.dispatchEvent(new Event(kind, { bubbles: true }));
   });
 }
 
@@ -175,6 +210,7 @@ export function wireActions() {
   }
   wireCalls();
   wireNumbers();
+  wireChoices();
   wireSingleKeys();
   wireKeys();
 }
