@@ -1,13 +1,62 @@
-"""What must be so wherever one is on the page: Esc stops from anywhere."""
+"""What must be so wherever one is on the page: what is not seen as of now is told so, and Esc stops from anywhere."""
 
 from __future__ import annotations
+
+import signal
 
 import pytest
 from system.operator_browser import Operator
 from system.test_operator_desk import instrument, operator
+from system.test_operator_page import Instrument
 
 __all__ = ["instrument", "operator"]  # fixtures
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
+
+# A sequence at work and what a calibration tells, as the bridge would send them.
+_AT_WORK = """async () => {
+  const { desk } = await import('/page/desk.js');
+  const steps = ['press:MENU', 'press:SINGLE', 'press:SAVE'];
+  const run = { name: 'capture', who: 'Ada', number: 2, status: 'accepted', reason: '', state: 'step 2 of 3' };
+  const calibration = { rms_mm: '0.08', held_out_max_mm: '0.1', predicted_sigma_mm: '0.05' };
+  const facts = { calibration, driver: { lines_sent: '17' } };
+  desk.link.dispatchEvent(new CustomEvent('sequence', { detail: { sequence: { ...run, steps } } }));
+  desk.link.dispatchEvent(new CustomEvent('facts', { detail: { facts } }));
+}"""
+
+
+def test_without_a_link_sequence_and_calibration_are_not_told_as_of_now(
+    operator: Operator, instrument: Instrument
+) -> None:
+    page = operator.page
+    signs = lambda steps: page.locator(f"{steps} li .icon").all_inner_texts()  # noqa: E731
+    page.evaluate(_AT_WORK)
+    page.click("#tab-sequence")
+    operator.sees("#sequence-said", "Step 2 of 3 is at work. STOP ends the sequence")
+    assert signs("#sequence-steps") == ["✓", "▶", "○"]
+    page.click("#tab-calibrate")
+    operator.sees("#calibration-text", "Calibrated – rms 0.08 mm")
+    operator.sees("#guide-numbers", "measured 0.080 mm rms")
+    assert signs("#panel-calibrate")[0] == "✓"
+    instrument.bridge.send_signal(signal.SIGSTOP)
+    try:
+        operator.sees("#calibration-text", "^There is no link to the bridge.$")
+        assert signs("#panel-calibrate") == ["?"] * 4
+        assert page.inner_text("#guide-numbers") == page.inner_text("#camera-coverage") == ""
+        assert page.locator("#panel-calibrate li .unseen").all_text_contents() == ["unknown"] * 4
+        operator.shoots("calibrate_without_link")
+        page.click("#tab-sequence")
+        operator.sees("#sequence-said", "^There is no link to the bridge.$")
+        assert signs("#sequence-steps") == ["✓", "?", "?"], "what was done is done"
+        assert page.locator("#sequence-steps .unseen").all_text_contents() == ["done", "unknown", "unknown"]
+        operator.sees("#lease-text", "^There is no link to the bridge.$")
+        page.click("#tab-console")
+        assert page.inner_text("#driver-facts") == ""
+        operator.shoots("sequence_without_link")
+    finally:
+        instrument.bridge.send_signal(signal.SIGCONT)
+    page.click("#tab-calibrate")
+    operator.sees("#calibration-text", "Calibrated – rms 0.08 mm")
+    operator.until(lambda: signs("#panel-calibrate")[0] == "✓", 20.0, lambda: page.inner_text("#panel-calibrate"))
 
 
 def test_escape_stops_at_once_from_everywhere(operator: Operator) -> None:

@@ -14,9 +14,12 @@ let lastDone = 0;
 
 export function setFacts(next) {
   facts = next;
+}
+
+function boardsText() {
   const { progress: boards = "", ...covered } = facts.cameras ?? {};
   const reach = Object.fromEntries(Object.entries(covered).map(([name, value]) => [name, value.replace(" to ", "–")]));
-  put(find("camera-coverage"), boards && t("guide_boards", { boards: said(boards), ...reach }));
+  return boards && t("guide_boards", { boards: said(boards), ...reach });
 }
 
 function progress() {
@@ -43,11 +46,13 @@ function drawPlaces() {
   find("coverage").replaceChildren(...places.map(([x, y]) => svg("circle", { cx: x, cy: height - y, r: 6 })));
 }
 
-function step(id, done) {
+/** Show whether a step is done; without a link nobody knows. */
+function step(id, fulfilled) {
   const item = find(id);
-  item.dataset.done = done ? "yes" : "no";
-  put(item.querySelector(".icon"), done ? "✓" : "○");
-  put(item.querySelector(".unseen"), t(done ? "yes" : "no"));
+  const done = desk.link.silent ? "unknown" : fulfilled ? "yes" : "no";
+  item.dataset.done = done;
+  put(item.querySelector(".icon"), { unknown: "?", yes: "✓", no: "○" }[done]);
+  put(item.querySelector(".unseen"), t(done));
 }
 
 /** An error that is not known, as of a calibration by hand, is a dash. */
@@ -66,15 +71,17 @@ export function renderGuide() {
   step("guide-tip", tip_seen);
   step("guide-run", calibrated);
   step("guide-result", state === "calibrated" && Number(held) <= GOOD_MM);
-  put(find("guide-run-text"), all ? t("guide_run", { done, all }) : t("guide_run_idle"));
-  put(find("calibration-text"), calibration.reason
-    ? `${t("chip_calibration")}: ${t(`state_${state}`, { reason: said(calibration.reason) })}${
-        state === "calibrating" ? "" : ` – ${said(calibration.reason)}`
-      }`
-    : "");
-  put(find("guide-numbers"), calibrated && rms
+  const silent = desk.link.silent;
+  const reason = calibration.reason && `${t("chip_calibration")}: ${t(`state_${state}`, { reason: said(calibration.reason) })}${
+    state === "calibrating" ? "" : ` – ${said(calibration.reason)}`
+  }`;
+  const numbers = calibrated && rms
     ? t("guide_numbers", { rms: millimetres(rms), held: millimetres(held), predicted: millimetres(predicted) })
-    : "");
+    : "";
+  put(find("guide-run-text"), all && !silent ? t("guide_run", { done, all }) : t("guide_run_idle"));
+  put(find("calibration-text"), silent ? t("link_down") : reason);
+  put(find("guide-numbers"), silent ? "" : numbers);
+  put(find("camera-coverage"), silent ? "" : boardsText());
   const xs = places.map(([x]) => x);
   const ys = places.map(([, y]) => y);
   const span = (values) => (values.length ? `${Math.min(...values).toFixed(0)} … ${Math.max(...values).toFixed(0)}` : "–");

@@ -37,6 +37,7 @@ const lines = new Console(find("console-lines"));
 let instrument = ""; // its name
 let known = false; // what the bridge tells at the beginning has come before
 let labelled = false; // whether the controls bear what was seen of them, while there was a link
+let counts = {}; // the driver's own
 let lostControl = false;
 let wasMine = false;
 let turnedAway = "";
@@ -143,7 +144,8 @@ function setState(next) {
 
 function showFacts({ facts }) {
   setFacts(facts);
-  showCounts(facts.driver);
+  counts = facts.driver;
+  showCounts(counts);
 }
 
 function setSelection(next) {
@@ -242,7 +244,10 @@ function render() {
   renderSelection();
   renderMachine();
   renderPanel(overlay.controls);
-  if (labelled === link.silent) overlay.relabel();
+  if (labelled === link.silent) {
+    overlay.relabel();
+    showCounts(link.silent ? {} : counts);
+  }
   labelled = !link.silent;
   renderMove();
   renderSequence();
@@ -288,6 +293,7 @@ function renderLease() {
   if (overtakenBy) text = t("lease_overtaken", { name: asking });
   if (asked) text = t("lease_asked", { name: asking });
   if (requester === me.id && me.id) text = t("lease_waiting", { name });
+  if (desk.link.silent) text = t("link_down"); // who has it by now nobody sees
   put(find("lease-text"), text);
   find("lease-text").dataset.asking = asked ? requester : "";
   find("lease-card").dataset.look = mine ? "mine" : "";

@@ -7,7 +7,7 @@ import { said } from "./said.js";
 import { t } from "./strings.js";
 
 const ARMED_MS = 4000;
-const ICON = { waiting: "○", work: "▶", done: "✓", failed: "✕" };
+const ICON = { waiting: "○", work: "▶", done: "✓", failed: "✕", unknown: "?" };
 let stored = [];
 let run = null; // what the bridge says of the last one
 let spokenOf = "";
@@ -151,6 +151,8 @@ export function wireSequence() {
 }
 
 function status(index) {
+  // What was done is done; how far it is by now nobody sees without a link.
+  if (running() && desk.link.silent && index + 1 >= run.number) return "unknown";
   if (!run.status || index + 1 > run.number) return run.status === "reached" ? "done" : "waiting";
   if (index + 1 < run.number || run.status === "reached") return "done";
   return running() ? "work" : "failed";
@@ -163,7 +165,7 @@ export function renderSequence() {
   // The last run's steps keep their marks for as long as they are what is chosen.
   const marked = running() || !mine.length || [begun, run.steps.join()].includes(mine.join());
   const list = find("sequence-steps");
-  const key = JSON.stringify([shown, marked && [run.status, run.number, run.reason], document.documentElement.lang]);
+  const key = JSON.stringify([shown, marked && [run.status, run.number, run.reason], desk.link.silent, document.documentElement.lang]);
   if (list.dataset.key !== key) {
     list.dataset.key = key;
     list.replaceChildren(...shown.map((step, index) => item(step, marked ? status(index) : "waiting")));
@@ -176,10 +178,11 @@ export function renderSequence() {
   put(find("sequence-kept"), note ? t(...note) : "");
   find("sequence-typed").hidden = find("sequence-choice").value !== "";
   const work = run.number ? "sequence_step" : "sequence_sent"; // the sequencer tells the number when it begins
-  const text = running() ? t(work, { number: run.number, all: run.steps.length }) : run.status ? verdict() : "";
+  const known = running() ? t(work, { number: run.number, all: run.steps.length }) : run.status ? verdict() : "";
+  const text = desk.link.silent ? "" : known; // the reason says it then
   if (text) put(find("sequence-said"), text);
   else putSteady(find("sequence-said"), why);
-  find("sequence-said").dataset.status = run.status;
+  find("sequence-said").dataset.status = text && run.status;
   find("collecting").hidden = !collecting();
 }
 

@@ -398,6 +398,7 @@ export const DE = {
   step_work: "in Arbeit",
   step_done: "erledigt",
   step_failed: "misslungen",
+  step_unknown: "unbekannt",
   action_sequence: "Ablauf",
   sequence_unknown: "Es gibt keinen gespeicherten Ablauf {name}.",
   sequence_wrong: "Der Ablauf ist falsch: {what}",

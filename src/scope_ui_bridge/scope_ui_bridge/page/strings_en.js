@@ -398,6 +398,7 @@ export const EN = {
   step_work: "at work",
   step_done: "done",
   step_failed: "failed",
+  step_unknown: "unknown",
   action_sequence: "Sequence",
   sequence_unknown: "There is no stored sequence {name}.",
   sequence_wrong: "The sequence is wrong: {what}",
