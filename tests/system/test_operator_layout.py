@@ -1,8 +1,9 @@
-"""What must be so wherever one is on the page: what is not seen as of now is told so, and Esc stops from anywhere."""
+"""Where things are on the page: nothing moves under a hand, a telephone shows all at once, Esc stops from anywhere."""
 
 from __future__ import annotations
 
 import signal
+from typing import Any
 
 import pytest
 from system.operator_browser import Operator
@@ -11,6 +12,155 @@ from system.test_operator_page import Instrument
 
 __all__ = ["instrument", "operator"]  # fixtures
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
+
+SIZES = {
+    "desktop": (1280, 800),
+    "tablet": (820, 1180),
+    "telephone": (390, 844),
+    "small telephone": (360, 740),
+    "desktop zoomed to 200 %": (640, 400),
+    "desktop with larger letters": (1280, 800),
+}
+
+# The places of all that can be clicked, by a name and number of each, while the page believes something: nothing that
+# the bridge tells meanwhile comes between.
+_PLACES = """async (what) => {
+  const { desk } = await import('/page/desk.js');
+  const before = desk.state;
+  const told = (state) => desk.link.dispatchEvent(new CustomEvent('state', { detail: { ...before, ...state } }));
+  const hide = (object, name, value) => Object.defineProperty(object, name, { get: () => value, configurable: true });
+  const stopped = { state: 'stopped', reason: 'stop requested' };
+  const stop = { driver: stopped, controller: stopped, refusal: { code: 'not_ready', values: stopped } };
+  const cause = { code: 'stopped_page_blind', who: 'Watchdog', silence_s: 1.2 };
+  const other = (state, reason) => told({ ...stop, driver: { state, reason } });
+  const changes = {
+    'nothing': () => {},
+    'stop': () => told({ ...stop, stop_cause: { code: 'stopped_by_person', who: 'Ada', silence_s: 0 } }),
+    'the longest reason': () => told({ ...stop, stop_cause: cause }),
+    'alarm': () => other('alarm', 'the limit switch of x was hit'),
+    'wrong settings': () => other('mismatch', '$100=250, wanted 80; $101=250, wanted 80'),
+    'motion': () => told({ ...stop, moving: true, driver: { state: 'moving', reason: '' } }),
+    'stop failed': () => { desk.unstopped = true; },
+    'no link': () => hide(desk.link, 'silent', true),
+    'old picture': () => hide(desk.video, 'ageMs', 5000),
+    'sign-in ends': () => hide(desk.link, 'signInEndsMs', 250000),
+  };
+  changes[what]();
+  desk.changed();
+  window.numbers ??= new Map();
+  const places = {};
+  for (const e of document.querySelectorAll('button, input, select, textarea, summary, a, #stage, #dial')) {
+    const { x, y, width, height } = e.getBoundingClientRect();
+    if (!e.checkVisibility({ visibilityProperty: true }) || !width || e.closest('#stay')) continue;
+    if (!numbers.has(e)) numbers.set(e, `${e.id || e.textContent.trim() || JSON.stringify(e.dataset)} ${numbers.size}`);
+    places[numbers.get(e)] = [x, y, width, height].map(Math.round);
+  }
+  delete desk.link.silent;
+  delete desk.video.ageMs;
+  delete desk.link.signInEndsMs;
+  desk.unstopped = false;
+  told({});
+  return places;
+}"""
+# Whether anything can be clicked at one of these points.
+_HIT = (
+    "(points) => points.some(([x, y]) => document.elementFromPoint(x, y)?.closest('button, input, select, a, #stage'))"
+)
+CAUSES = ["stop", "the longest reason", "alarm", "wrong settings", "motion", "stop failed", "no link", "old picture"]
+CAUSES += ["sign-in ends"]
+
+
+def points(place: list[float]) -> list[list[float]]:
+    """Return the middle and the corners of a place: left, top, width, height."""
+    x, y, width, height = place
+    return [[x + width / 2, y + height / 2], *([x + u, y + v] for u in (3, width - 3) for v in (3, height - 3))]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_no_banner_moves_what_can_be_clicked(browser: Any, instrument: Instrument, size: str) -> None:
+    """A second click would hit another control than the one that was meant."""
+    width, height = SIZES[size]
+    operator = Operator(browser, instrument.new_address(), viewport={"width": width, "height": height})
+    page = operator.page
+    try:
+        operator.takes_control()
+        if size == "tablet":
+            operator.insists(lambda: page.click("[data-control=SCREEN]"))  # what a line can be drawn on
+        else:
+            operator.selects("CH1_SCALE", "Channel 1 scale")
+        if "letters" in size:
+            page.evaluate("document.documentElement.style.fontSize = '22px'")
+        moved: list[str] = []
+        for tab, language in (("machine", "de"), ("move", "en"), ("sequence", "de"), ("calibrate", "en")):
+            if page.get_attribute("html", "lang") != language:
+                page.click("#language")
+            page.click(f"#tab-{tab}")
+            page.evaluate("scrollTo(0, 0)")
+            before = page.evaluate(_PLACES, "nothing")
+            for cause in CAUSES:
+                now = page.evaluate(_PLACES, cause)
+                where = f"{tab}, {language}, {cause}: "
+                moved += [f"{where}{n} from {at} to {now[n]}" for n, at in before.items() if now.get(n, at) != at]
+                new = [name for name in now if name not in before]
+                assert new or cause not in ("stop", "wrong settings"), "the button that is needed is there"
+                moved += [f"{where}{n} lies over another" for n in new if page.evaluate(_HIT, points(now[n]))]
+        assert moved == []
+        assert operator.complaints == []
+    finally:
+        operator.context.close()
+
+
+# What of these is not wholly in the window, or lies under something else in its middle.
+_OUT_OF_SIGHT = """(selectors) => selectors.flatMap((s) => [...document.querySelectorAll(s)])
+  .filter((e) => e.checkVisibility())
+  .filter((e) => {
+    const { x, y, width, height } = e.getBoundingClientRect();
+    const at = document.elementFromPoint(x + width / 2, y + height / 2);
+    return x < 0 || y < 0 || x + width > innerWidth || y + height > innerHeight || !(e.contains(at) || at?.contains(e));
+  }).map((e) => e.id || e.dataset.act || e.tagName)"""
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (360, 740)])
+def test_a_telephone_shows_picture_gestures_result_and_stop_at_once(
+    browser: Any, instrument: Instrument, width: int, height: int
+) -> None:
+    view = {"width": width, "height": height}
+    operator = Operator(browser, instrument.new_address(), viewport=view, has_touch=True, is_mobile=True)
+    page = operator.page
+    needed = [
+        "#stop",
+        "#stage",
+        "#selection-name",
+        "[data-act]",
+        "#clear",
+        "#last",
+        "#verdict",
+        "#confirm select",
+        "#dial",
+    ]
+    try:
+        operator.takes_control()
+        page.evaluate("scrollTo(0, 0)")
+        instrument.tell("motion 0.3")
+        for language, done in (("en", "done"), ("de", "erledigt")):
+            if page.get_attribute("html", "lang") != language:
+                page.tap("#language")
+            for control, gesture in (("MENU", "press"), ("CH1_SCALE", "turn"), ("SCREEN", "press")):
+                operator.insists(lambda control=control: page.tap(f"[data-control={control}]"))
+                operator.confirms(gesture)
+                operator.sees("#last", done)
+                assert page.evaluate(_OUT_OF_SIGHT, needed) == []
+                assert page.evaluate("scrollY") == 0, "nobody had to scroll"
+        for part in ("#stop", "#stage"):
+            assert page.evaluate(_OUT_OF_SIGHT, [part]) == []
+        wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        assert wide <= 0
+        operator.shoots(f"one_screen_{width}")
+        assert operator.complaints == []
+    finally:
+        instrument.tell("motion 1.5")
+        operator.context.close()
+
 
 # A sequence at work and what a calibration tells, as the bridge would send them.
 _AT_WORK = """async () => {

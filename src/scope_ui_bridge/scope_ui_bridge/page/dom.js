@@ -21,6 +21,12 @@ export function putSteady(element, text) {
   put(element, text);
 }
 
+/** A text that is longer than its place is scrolled by keyboard, too; else its place is none to go to. */
+export function reachable(element) {
+  if (element.scrollHeight > element.clientHeight) element.tabIndex = 0;
+  else if (element !== document.activeElement) element.removeAttribute("tabindex");
+}
+
 export function press(button, on) {
   button.setAttribute("aria-pressed", String(on));
 }

@@ -89,7 +89,8 @@ export function renderDraw(controls) {
   const may = controls.some((control) => control.kind === "touch_area");
   // A refused line leaves nothing selected; its numbers stay, to be put right.
   const fits = selection ? ["touch_area", "point", "line"].includes(selection.kind) : find("line-form").parentElement.open;
-  find("draw-card").hidden = !may || !desk.mine || !fits;
+  // Without a link it stays where it is, switched off: nothing below it may move then.
+  find("draw-card").hidden = !may || !(desk.mine || desk.link.silent) || !fits;
   find("draw").disabled = desk.whyNoMotion !== "" || desk.video.camera !== "left";
   if (on && (find("draw-card").hidden || find("draw").disabled)) show(false);
   if (selection?.kind !== "touch_area" || selection.number === screen) return;

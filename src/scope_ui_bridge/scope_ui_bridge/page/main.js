@@ -5,7 +5,7 @@ import { CommandLog, ICONS, spoken } from "./command_log.js";
 import { Console, showCounts } from "./console.js";
 import { renderGuide, sampleGuide, setFacts } from "./guide.js";
 import { desk } from "./desk.js";
-import { find, press, put, putSteady, say } from "./dom.js";
+import { find, press, put, putSteady, reachable, say } from "./dom.js";
 import { renderDraw, wireDraw } from "./draw.js";
 import { renderGestures } from "./gestures.js";
 import { renderMove, wireMove } from "./move.js";
@@ -263,7 +263,8 @@ function render() {
 /** What is switched off or hidden would leave the focus nowhere: its card takes it, where a second Enter does nothing. */
 function keepFocus(at) {
   if (!at.matches(":disabled") && at.getClientRects().length) return;
-  const place = at.closest('[role="tabpanel"], .card') ?? find("desk");
+  const whole = find("desk").getClientRects().length ? find("desk") : find("lease-card"); // which is no box on a telephone
+  const place = at.closest('[role="tabpanel"], .card') ?? whole;
   place.tabIndex = -1;
   place.focus({ preventScroll: true });
 }
@@ -297,6 +298,7 @@ function renderLease() {
   put(find("lease-text"), text);
   find("lease-text").dataset.asking = asked ? requester : "";
   find("lease-card").dataset.look = mine ? "mine" : "";
+  if (desk.link.silent) return; // nothing changes its place, and nothing is done either
   find("lease-take").hidden = Boolean(holder) || !may;
   find("lease-request").hidden = !holder || mine || requester === me.id || !may;
   find("lease-release").hidden = !mine;
@@ -323,6 +325,7 @@ function renderSelection() {
   if (desk.problem) put(element, desk.problem);
   else putSteady(element, selection || !desk.mine ? reason : "");
   element.dataset.look = desk.problem ? "bad" : "";
+  reachable(find("verdict"));
 }
 
 function renderMachine() {

@@ -1,6 +1,6 @@
 // Header and banner: states by text and icon as well as by colour.
 
-import { putSteady } from "./dom.js";
+import { putSteady, reachable } from "./dom.js";
 import { said } from "./said.js";
 import { t } from "./strings.js";
 
@@ -52,4 +52,5 @@ export function banner(element, candidates) {
   line.setAttribute("role", found.look === "bad" ? "alert" : "status");
   if (found.look === "waiting") putSteady(line, found.text);
   else line.textContent = found.text;
+  reachable(line);
 }
