@@ -311,15 +311,17 @@ def test_a_message_has_the_time_at_which_it_came_however_late_it_is_taken(ros: R
 
 def test_where_the_middleware_does_not_tell_when_a_message_came_the_time_is_that_of_taking_it(ros: Ros) -> None:
     """CycloneDDS does not."""
-    waiting, rows = [(b"word", {"received_timestamp": 0})], []
+    waiting, rows, told = [(b"word", {"received_timestamp": 0})], [], []
     sink = SimpleNamespace(put=lambda *row: rows.append(row))
     recorder = ros.node(lambda **options: BagRecorder(sink, ["none"], **options))
     handle = SimpleNamespace(take_message=lambda kind, raw: waiting.pop() if waiting else None)
-    recorder._heard["/words"] = SimpleNamespace(handle=handle, msg_type=String), 5
+    taken = SimpleNamespace(handle=handle, msg_type=String, callback=lambda data: told.append((data, len(rows))))
+    recorder._heard["/words"] = taken, 5
     begun_ns = time.time_ns()
     assert recorder.take() == 1
     ((name, stamp_ns, data),) = rows
     assert (name, data) == ("/words", b"word") and begun_ns <= stamp_ns <= time.time_ns()
+    assert told == [(b"word", 1)], "who plays in step hears that it has been recorded"
 
 
 def test_pictures_do_not_come_by_the_sockets_of_what_is_said_once(ros: Ros, tmp_path: Path) -> None:

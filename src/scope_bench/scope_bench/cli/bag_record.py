@@ -14,7 +14,6 @@ from pathlib import Path
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.option_bounds import check_bounds
-from icu_common.nodes import in_step
 from icu_common.nodes.runtime import Session, ros_session
 from icu_common.nodes.topic_names import check_names
 from scope_bench.adapters.bag_pictures import PictureCodec
@@ -53,7 +52,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     split = given.index("--ros-args") if "--ros-args" in given else len(given)
     options = parser().parse_args(given[:split])
-    os.environ.pop(in_step.VARIABLE, None)  # nobody waits for a recorder
     path = options.output or default_name(datetime.now())
     try:
         check_bounds(options, duration=(0.0, math.inf), keep_free=(0.0, 1e9))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.clock import Clock
@@ -76,7 +76,7 @@ class BagRecorder(Node):
 
     def take(self) -> int:
         """Hand over what has come, and return how much that is; there may be more pictures and clouds."""
-        found: list[tuple[int, str, bytes]] = []
+        found: list[tuple[int, str, bytes, Callable[[bytes], None]]] = []
         clock = self.get_clock()
         for name, (subscription, most) in self._heard.items():
             for _ in range(most):
@@ -84,9 +84,10 @@ class BagRecorder(Node):
                     break
                 data, about = taken
                 came_ns = 0 if clock.ros_time_is_active else int(about["received_timestamp"])  # 0: CycloneDDS's
-                found.append((came_ns or clock.now().nanoseconds, name, data))
-        for stamp_ns, name, data in sorted(found, key=lambda one: one[0]):
+                found.append((came_ns or clock.now().nanoseconds, name, data, subscription.callback))
+        for stamp_ns, name, data, done in sorted(found, key=lambda one: one[0]):
             self._sink.put(name, stamp_ns, data)
+            done(data)  # by which a player in step knows
         return len(found)
 
     def destroy_node(self) -> None:
