@@ -351,7 +351,7 @@ def test_it_is_said_that_it_records_once_what_is_there_is_recorded(ros: Ros, tmp
     assert any(line.startswith("recording to ") for line in program.process.stdout)
     for output in outputs.values():
         output.publish(String(data="now"))
-        assert output.wait_for_all_acked(Duration(seconds=10))
+    assert all(output.wait_for_all_acked(Duration(seconds=20)) for output in outputs.values())
     niceness = os.getpriority(os.PRIO_PROCESS, program.process.pid)
     program.end(signal.SIGINT)
     with BagReader(tmp_path / "bag") as bag:
