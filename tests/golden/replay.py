@@ -16,6 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 from golden.make_bag import BAG, CONTROLLER, HERE, TIPS, TRACKER
+from system.conftest import wait_for
 
 from icu_common.nodes.in_step import VARIABLE
 from scope_bench.adapters.bags import BagReader
@@ -144,6 +145,8 @@ class ReplayGraph:
                 stderr=subprocess.STDOUT,
             )
         try:
+            # A player in step counts for whoever listens when it begins.
+            wait_for(lambda: b"recording to" in recording.read_bytes(), 60.0, "the recorder does not begin")
             command = [program("scope_bench", "bag_play"), str(bag), "--in-step", str(PROCESSES), "--moving"]
             command += ["--rate", f"{rate:g}"]
             left_out = ["/gantry/trajectory"]

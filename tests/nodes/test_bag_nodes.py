@@ -359,6 +359,21 @@ def test_it_is_said_that_it_records_once_what_is_there_is_recorded(ros: Ros, tmp
     assert niceness > os.getpriority(os.PRIO_PROCESS, 0), "whoever is recorded comes first"
 
 
+def test_a_recorder_of_named_topics_listens_once_it_hears_each(ros: Ros, tmp_path: Path) -> None:
+    """Who plays in step begins then; one that was asked for and found later had missed what was sent before."""
+    talker, sink = ros.plain("talker"), BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
+    talker.create_publisher(String, "/words", WHOLE)
+    recorder = ros.node(lambda **options: BagRecorder(sink, ["/words", "/late"], **options))
+    ros.spin_until(lambda: recorder.missing == ["/late"], 40.0, lambda: recorder.missing)
+    still_s = time.monotonic() + 1.5
+    ros.spin_until(lambda: recorder.listens or time.monotonic() > still_s, 40.0)
+    assert not recorder.listens
+    talker.create_publisher(String, "/late", WHOLE)
+    ros.spin_until(lambda: recorder.listens, 40.0, lambda: recorder.missing)
+    assert recorder.recorded == {"/words", "/late"}
+    sink.close()
+
+
 def test_nothing_is_played_beside_a_driver_at_work(ros: Ros, tmp_path: Path, command: Start) -> None:
     with BagWriter(tmp_path / "bag", keep_free=0) as bag:
         bag.add_topic(BagTopic(name="/bed_1/gantry/driver_state", type="std_msgs/msg/String"))

@@ -69,8 +69,13 @@ class BagRecorder(Node):
 
     @property
     def listens(self) -> bool:
-        """Whether what is published now is recorded: all topics are heard, and no more will be found, most likely."""
+        """Whether what is published now is recorded: all topics that were asked for are heard.
+
+        Of all there are, those that have been found, and no more will be, most likely.
+        """
         heard = all(subscription.handle.get_publisher_count() for subscription, _ in self._heard.values())
+        if self._topics:
+            return heard and not self.missing
         quiet_s = time.monotonic() - self._found_s
         return heard and quiet_s >= max(_LEAST_QUIET_S, self._found_s - self._begun_s)
 
