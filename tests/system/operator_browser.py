@@ -225,6 +225,20 @@ class Operator:
             Path(folder).mkdir(parents=True, exist_ok=True)
             self.page.screenshot(path=str(Path(folder) / f"{name}.png"))
 
+    def counts_stops(self) -> Callable[[], int]:
+        """Return what tells how many stops were sent since the last look, once the page has been told all so far."""
+        page, stops = self.page, list[str]()
+        page.on("request", lambda request: stops.append(request.url) if "/stop?" in request.url else None)
+
+        def new_stops() -> int:
+            with page.expect_response("**/session"):
+                page.evaluate("async () => { await fetch('/session'); }")
+            found = len(stops)
+            stops.clear()
+            return found
+
+        return new_stops
+
     def leaves(self) -> None:
         assert self.complaints == []
         self.context.close()

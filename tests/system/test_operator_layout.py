@@ -211,16 +211,7 @@ def test_without_a_link_sequence_and_calibration_are_not_told_as_of_now(
 
 def test_escape_stops_at_once_from_everywhere(operator: Operator) -> None:
     page, keyboard = operator.page, operator.page.keyboard
-    stops: list[str] = []
-    page.on("request", lambda request: stops.append(request.url) if "/stop?" in request.url else None)
-
-    def new_stops() -> int:
-        """Return how many were sent since the last look, once all that happened on the page has been told."""
-        with page.expect_response("**/session"):
-            page.evaluate("async () => { await fetch('/session'); }")
-        found = len(stops)
-        stops.clear()
-        return found
+    new_stops = operator.counts_stops()
 
     def escapes(where: str) -> None:
         keyboard.down("Escape")

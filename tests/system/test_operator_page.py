@@ -264,16 +264,7 @@ def test_a_stop_is_pressed_by_whatever_clicks_and_each_press_is_one(browser: Any
     operator = Operator(browser, instrument.address(), has_touch=True)
     page = operator.page
     operator.sees_controls()
-    stops: list[str] = []
-    page.on("request", lambda request: stops.append(request.url) if "/stop?" in request.url else None)
-
-    def new_stops() -> int:
-        """Return how many were sent since the last look, once all that happened on the page has been told."""
-        with page.expect_response("**/session"):
-            page.evaluate("async () => { await fetch('/session'); }")
-        found = len(stops)
-        stops.clear()
-        return found
+    new_stops = operator.counts_stops()
 
     def clicks(detail: int) -> None:
         click = "new MouseEvent('click', { detail, bubbles: true, cancelable: true })"

@@ -33,6 +33,14 @@ def records(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().rpartition("\n")[0].splitlines()]
 
 
+async def comes_in(client: Page) -> None:
+    """Sign in as ada by password, and open the page."""
+    form = {"name": "ada", "password": "correct horse"}
+    async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
+        assert answer.status == 200
+    await client.open()
+
+
 @pytest.fixture
 def long_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     """After a failure the next try is looked at so late that a test which is held up does not miss the refusal."""
@@ -227,10 +235,7 @@ def test_the_end_of_each_sign_in_is_recorded_once_and_that_control_went_with_it(
 
     async def scenario(rig: Rig) -> None:
         async with page(rig, sign_in=False) as client:
-            form = {"name": "ada", "password": "correct horse"}
-            async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
-                assert answer.status == 200
-            await client.open()
+            await comes_in(client)
             assert (await client.ask(type="lease", step="take"))["ok"]
             if how == "own wish":
                 for _ in range(2):
@@ -273,10 +278,7 @@ def test_who_is_changed_in_the_file_must_sign_in_anew(passwords: Path, change: s
 
     async def scenario(rig: Rig) -> None:
         async with page(rig, sign_in=False) as client:
-            form = {"name": "ada", "password": "correct horse"}
-            async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
-                assert answer.status == 200
-            await client.open()
+            await comes_in(client)
             assert (await client.ask(type="lease", step="take"))["ok"]
 
             async def signed_in() -> bool:
@@ -315,10 +317,7 @@ def test_who_signs_in_again_in_time_keeps_control_page_and_motion(
     async def scenario(rig: Rig) -> None:
         async with page(rig, sign_in=by == "token", take=by == "token") as client:
             if by == "password":
-                form = {"name": "ada", "password": "correct horse"}
-                async with client.session.post("/sign-in", data=form, headers=client.origin) as answer:
-                    assert answer.status == 200
-                await client.open()
+                await comes_in(client)
                 assert (await client.ask(type="lease", step="take"))["ok"]
             assert client.hello["you"]["by_password"] == (by == "password")
             assert await signed_in_s(client) == math.inf
