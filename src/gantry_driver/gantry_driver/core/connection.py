@@ -29,12 +29,11 @@ from gantry_driver.core.session import (
     GrblSession,
 )
 from gantry_driver.core.settings_profile import differences, lines_to_write
+from gantry_driver.core.stylus_state import Stylus
 from icu_common.core.results import GoalResult, Outcome
 
 HOLD_REPEAT_S = 0.2
 """A hold that the reports do not show is sent again."""
-STYLUS_DOWN_M = 0.0005
-"""Extension above which the stylus may touch something and is lifted after a stop."""
 ASK_ALONE_S = 0.2
 """No `?` gets into the line of a question to a firmware that knows no real-time bytes."""
 OLD_HOLDS = 2
@@ -114,10 +113,7 @@ class Connection:
         self._lift = True
         self._lift_barred = False
         self._lift_timeout_s = 0.0
-        self._left_down = self._left_unseen = False
-        """Whether the stylus may be down with its position not known; and no reading has told so."""
-        self._limp = False
-        """Whether a servo may have lost its pulses: some boards end them at an alarm, all at a reset."""
+        self._stylus = Stylus.AS_READ
         self._raised = False
         """Whether the last report of the board's overrides was one to be set back."""
         self._critical = False
@@ -125,7 +121,6 @@ class Connection:
         self._hold_sent = 0.0
         self._probed = 0.0
         self._probe_from = 0.0
-        self._stylus_down = self._lowers = False
         self._stylus_line = 0
         """The last line queued that moves a stylus without a Z axis."""
         self._has_g92: bool | None = None
@@ -231,7 +226,6 @@ class Connection:
     def closed(self, reason: str, now: float) -> None:
         """The port has gone; whatever was under way is aborted and the position is not trusted any more."""
         self._finish(Outcome.ABORTED, f"link lost: {reason}", now)
-        self._limp = self._limp or (self._is_servo() and self.homed)
         self._forget_position()
         self._unanswered = ""
         self.session.start(now)
@@ -441,10 +435,7 @@ class Connection:
         self.closed(reason, now)
 
     def _forget_position(self) -> None:
-        if self._stylus_is_down() or self._lowers:
-            self._left_down = True
-            # What was under way may have lowered it since the last report, and may still.
-            self._left_unseen = self.reading_m is None or self.reading_m[2] <= STYLUS_DOWN_M
+        self._stylus = self._stylus.lost(self._extension_m)
         self.homed = False
         self.reading_m = None
 
@@ -475,10 +466,12 @@ class Connection:
             return Phase.MISMATCH
         return Phase.IDLE if self.homed else Phase.UNHOMED
 
+    @property
+    def _extension_m(self) -> float | None:
+        return None if self.reading_m is None else self.reading_m[2]
+
     def _stylus_is_down(self) -> bool:
-        if self.config.stylus.kind != "z_axis":
-            return self._stylus_down or self._lowers
-        return self.reading_m is not None and self.reading_m[2] > STYLUS_DOWN_M
+        return self._stylus.presses(self._extension_m)
 
     def _whole_reason(self) -> str:
         """Return the reason, and what may end before it: that the stylus is not lifted, or the board suspended."""
@@ -488,12 +481,13 @@ class Connection:
         """Say that nothing has lifted the stylus, for who reads ``stopped`` takes it for lifted; empty if it is up."""
         if phase is Phase.STOPPED and not_lifted is not None:
             return not_lifted
+        rests = phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED)
         # After an alarm nothing was decided about the stylus, and nobody lifts it.
         tells = self.config.lift_on_stop if phase is Phase.STOPPED else phase in (Phase.ALARM, Phase.ALARM_RESET)
-        tells = tells or (self._left_unseen and phase in (Phase.CLOSED, Phase.UNHOMED))
-        if tells and (self._stylus_is_down() or self._left_down):
+        tells = tells or (self._stylus is Stylus.LEFT_UNSEEN and (rests or phase is Phase.CLOSED))
+        if tells and self._stylus is not Stylus.LIMP and self._stylus_is_down():
             return "the stylus was not lifted, it may still press"
-        if self._limp and phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED):
+        if rests and self._stylus.may_be_limp(self.config.stylus.kind):
             return "the servo may be without pulses and sink, the stylus may press"
         return ""
 

@@ -49,6 +49,7 @@ from gantry_driver.core.session import (
     Refused,
     WasReset,
 )
+from gantry_driver.core.stylus_state import Stylus
 from gantry_driver.core.trajectory_gcode import (
     SYNCHRONISE,
     TrajectoryError,
@@ -178,7 +179,7 @@ class Machine(Connection):
         if self.config.stylus.kind != "z_axis":
             # The stylus may be down and a locked board takes no M3 or M9: unlock, lift, and only then travel.
             for text in ("$X", *lift_lines(self.config)):
-                self.session.queue(text, answer_within_s=self.config.homing_timeout_s)
+                self._order_stylus(self.session.queue(text, answer_within_s=self.config.homing_timeout_s))
         # Only GRBL is known to forget a tool's length and a chosen system at a reset; what others report as their work
         # offset is the sum of all, and is G54's, with which a program is checked, only once both are ended.
         ends: tuple[str, ...] = () if self.dialect is Dialect.GRBL else ("G49", "G54")
@@ -284,7 +285,8 @@ class Machine(Connection):
                 raise TrajectoryError(refusal)
             x, y, z = self.reading_m or (0.0, 0.0, 0.0)
             if self.config.stylus.kind != "z_axis":
-                z = self.config.stylus.stroke_m if self._stylus_down else 0.0  # the reading may be of a moment ago
+                # The reading may be of a moment ago.
+                z = self.config.stylus.stroke_m if self._stylus_is_down() else 0.0
             start = x, y, z
             motion = write_motion(names, points, start, self.config)
         except TrajectoryError as error:
@@ -343,13 +345,13 @@ class Machine(Connection):
     def _refuse_program(self, goal_id: str, error: Exception) -> GoalResult:
         return self._answer(GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error)))
 
-    def _may_lower(self, line: Line) -> None:
-        """Note that the stylus may go down by a line, or be down before it; without a Z axis, where that leaves it."""
+    def _order_stylus(self, line: Line) -> None:
+        """Note what a line that was queued may do with the stylus."""
         if self.config.stylus.kind == "z_axis":
-            self._lowers = self._lowers or "Z" in line.text  # where it is, only the reports tell
+            if "Z" in line.text:
+                self._stylus = Stylus.UNDER_WAY
         elif (down := may_be_down_after(line.text, self.config)) is not None:
-            self._lowers = self._lowers or self._stylus_down or down
-            self._stylus_down, self._stylus_line = down, line.number
+            self._stylus, self._stylus_line = self._stylus.ordered(down), line.number
 
     def _start(
         self, goal_id: str, text: str, lines: Iterator[tuple[str, float]], count: int, end_m: Reading, now: float
@@ -374,7 +376,7 @@ class Machine(Connection):
             if "G92" in text:
                 self._has_g92 = "G92.1" not in text
             line = self.session.queue(text, answer_within_s=self._answer_time() + seconds)
-            self._may_lower(line)
+            self._order_stylus(line)
             goal.marker = 0 if goal.left else line.number
 
     def bounds(self) -> Bounds:
@@ -477,16 +479,12 @@ class Machine(Connection):
             self._refuse(banner.dialect, now)
             return
         self._critical, self._has_g92 = False, None
-        if self.config.stylus.kind == "solenoid_m8":
-            self._stylus_down = self._lowers = self._left_down = self._left_unseen = False  # it is switched off
         if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):
             # Also after an alarm: it may have come before the settings were known, or the board is another one.
             self.dialect, self.firmware = banner.dialect, banner.version
             self._identify(now, self.reason if self.phase is Phase.SYNCHRONISE else "")
         elif event.expected and self.phase in (Phase.RESETTING, Phase.ALARM):
-            # It has switched spindle and coolant off: a solenoid is up, but a servo without pulses may sink.
-            self._stylus_down, self._lowers = self._is_servo(), False
-            self._limp = self._limp or (self._is_servo() and not self.homed)
+            self._stylus = self._stylus.powerless(self.config.stylus.kind)
             self.session.poll_now()
         elif self.phase in (Phase.ALARM, Phase.ALARM_RESET):
             # GRBL resets itself after most alarms, which are still the reason; what is on the wire must not run.
@@ -496,19 +494,19 @@ class Machine(Connection):
             self._identify(now, self.reason)
         else:
             reason = "the board was reset by itself, its position is lost"
-            self._limp = self._limp or (self._is_servo() and self.homed)
             self._finish(Outcome.ABORTED, reason, now)
             self._forget_position()
             self._events.append(Note(level="error", text=f"{reason}; {len(event.lost)} lines unanswered"))
             # Lines that were on the wire may reach the fresh board and be executed: hold, and reset once more.
             self._synchronise(now, reason)
             self.session.realtime(HOLD)
+        self._stylus = self._stylus.was_reset(self.config.stylus.kind)
 
     def _on_acknowledged(self, event: Acknowledged, now: float) -> None:
         number = event.line.number
         z_axis = self.config.stylus.kind == "z_axis"
         if not z_axis and number > self._stylus_line and event.line.text == stylus_dwell(self.config):
-            self._lowers = False  # it has had the time for its way
+            self._stylus = self._stylus.settled()
         if self._goal is not None and number == self._goal.marker:
             self._goal.acknowledged = True
             self.session.poll_now()
@@ -562,7 +560,7 @@ class Machine(Connection):
             text = f"{text}, after: {self._whole_reason()}"
         self._finish(Outcome.ABORTED, text, now)
         self._forget_position()
-        self._limp = self._is_servo()
+        self._stylus = self._stylus.powerless(self.config.stylus.kind)
         self.session.last_report_at = now  # In a homing cycle it is the first that the board says.
         self._latched = ""  # The alarm is latched itself, and its reset is the same call.
         if self.phase is Phase.ALARM_RESET:  # an emergency stop is still pressed: no banner comes
@@ -580,7 +578,7 @@ class Machine(Connection):
     def _on_report(self, report: Report, now: float) -> None:
         if self.homed and report.mpos_mm is not None:
             # On its way up it counts as down: should an alarm end that way, this is the last that anybody hears of it.
-            self.reading_m = reading_m(report.mpos_mm, self._stylus_down or self._lowers, self.config)
+            self.reading_m = reading_m(report.mpos_mm, self._stylus_is_down(), self.config)
             self._events.append(Position(reading_m=self.reading_m))
         if report.overrides_percent is not None:
             self._set_overrides_back(*report.overrides_percent)
@@ -632,8 +630,7 @@ class Machine(Connection):
             self._enter(Phase.MISMATCH, now, text)
             self._misplaced = True
             return
-        self.homed, self._stylus_down, self._lowers = True, False, False
-        self._left_down = self._left_unseen = self._limp = False
+        self.homed, self._stylus = True, Stylus.lifted(self.config.stylus.kind)
         self.session.executed_all()
         self.reading_m = reading_m(report.mpos_mm, False, self.config)
         self._events.append(Position(reading_m=self.reading_m))
@@ -678,7 +675,7 @@ class Machine(Connection):
         if goal is None or here is None:
             return
         self.session.executed_all()
-        self._lowers = False
+        self._stylus = self._stylus.settled()
         axes = 3 if self.config.stylus.kind == "z_axis" else 2  # where another stylus is no board tells
         error = math.dist(goal.end_m[:axes], here[:axes])
         if error > max(self.config.arrival_tolerance_m, self.config.rounding_m()):
@@ -743,7 +740,7 @@ class Machine(Connection):
             self._to_alarm(LOCKED, now)
         elif report.state == "Idle" and self._marker_done:
             self.session.executed_all()
-            self._stylus_down = self._lowers = False
+            self._stylus = Stylus.lifted(self.config.stylus.kind)
             self._enter(Phase.STOPPED, now, self.reason, not_lifted="")
         elif report.state in ("Hold", "Door"):
             # The hold of a stop that was written just before the retreat began must not leave the stylus down.

@@ -1,0 +1,93 @@
+"""What the driver knows of a stylus that may be down: one state, and the transitions between them.
+
+A Z axis is where the board's reports have it, as long as its position is known. Of a servo or a solenoid no report
+tells: it is where the lines that were sent have put it, and it takes its time for the way. A reset of the board
+switches a solenoid off, which lifts it, and takes a servo's pulses away, which lets it sink.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+
+STYLUS_DOWN_M = 0.0005
+"""Extension above which the stylus may touch something and is lifted after a stop."""
+
+
+class Stylus(Enum):
+    """Where the stylus is; each transition returns the next state.
+
+    ``kind`` is that of :class:`~gantry_driver.core.machine_config.StylusConfig`, ``extension_m`` the stylus's last
+    reading in metres, None while the position is not known.
+    """
+
+    AS_READ = auto()
+    """Where the last reading has it: a Z axis at rest. Without a reading nothing is known, as at the start."""
+    UNDER_WAY = auto()
+    """A Z axis with lines under way that move it: it is where the last reading has it, and may go down."""
+    UP = auto()
+    LOWERING = auto()
+    """Without a Z axis: ordered down, on its way."""
+    DOWN = auto()
+    RISING = auto()
+    """Without a Z axis: ordered up, on its way; it counts as down until it has had the time for it."""
+    LIMP = auto()
+    """A servo that was up, and may have lost its pulses since: some boards end them at an alarm, all at a reset."""
+    LEFT_SEEN = auto()
+    """The position was lost with the stylus down, as the last reading has told."""
+    LEFT_UNSEEN = auto()
+    """The position was lost with a stylus that may be down, which no reading has told."""
+
+    def presses(self, extension_m: float | None) -> bool:
+        """Whether it may press."""
+        if self in (Stylus.AS_READ, Stylus.UNDER_WAY):
+            return _extended(extension_m)
+        return self is not Stylus.UP
+
+    def ordered(self, down: bool) -> Stylus:
+        """A line that moves a stylus without a Z axis has been queued."""
+        if down:
+            return Stylus.LOWERING
+        return Stylus.UP if self is Stylus.UP else Stylus.RISING
+
+    def settled(self) -> Stylus:
+        """It has had the time for its way, or the motion has come to its end."""
+        ends = {Stylus.UNDER_WAY: Stylus.AS_READ, Stylus.LOWERING: Stylus.DOWN, Stylus.RISING: Stylus.UP}
+        return ends.get(self, self)
+
+    @staticmethod
+    def lifted(kind: str) -> Stylus:
+        """Homing, or the retreat after a stop, is complete."""
+        return Stylus.AS_READ if kind == "z_axis" else Stylus.UP
+
+    def lost(self, extension_m: float | None) -> Stylus:
+        """The position is not known any more; what was under way may have lowered it since the last reading."""
+        if self in (Stylus.LIMP, Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN):
+            return self
+        if self is not Stylus.UNDER_WAY and not self.presses(extension_m):
+            return self
+        return Stylus.LEFT_SEEN if _extended(extension_m) else Stylus.LEFT_UNSEEN
+
+    def powerless(self, kind: str) -> Stylus:
+        """Its pulses may have ended, by an alarm or a reset: nothing holds a servo that is not known to be down."""
+        limp = kind == "servo_m3" and self in (Stylus.AS_READ, Stylus.UP)
+        return Stylus.LIMP if limp else self
+
+    def was_reset(self, kind: str) -> Stylus:
+        """The board was reset, and has thrown away what was under way."""
+        if kind == "solenoid_m8":
+            return Stylus.UP
+        ends = {
+            Stylus.UNDER_WAY: Stylus.AS_READ,
+            Stylus.UP: Stylus.LIMP,
+            Stylus.LOWERING: Stylus.DOWN,
+            Stylus.RISING: Stylus.DOWN,
+        }
+        return ends.get(self, self)
+
+    def may_be_limp(self, kind: str) -> bool:
+        """Whether it is a servo that may have no pulses."""
+        return self is Stylus.LIMP or (kind == "servo_m3" and self in (Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN))
+
+
+def _extended(extension_m: float | None) -> bool:
+    return extension_m is not None and extension_m > STYLUS_DOWN_M

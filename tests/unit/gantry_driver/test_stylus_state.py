@@ -1,0 +1,168 @@
+"""What the driver knows of a stylus that may be down, and what it says of one when nobody has lifted it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from unit.gantry_driver.protocol_board import HOMED, Rig
+
+from gantry_driver.core.machine_config import STYLUS_KINDS, DriverConfig, StylusConfig
+from gantry_driver.core.stylus_state import STYLUS_DOWN_M, Stylus
+
+NOT_LIFTED = "the stylus was not lifted, it may still press"
+SINKS = "the servo may be without pulses and sink, the stylus may press"
+
+STATES = ("AS_READ", "UNDER_WAY", "UP", "LOWERING", "DOWN", "RISING", "LIMP", "LEFT_SEEN", "LEFT_UNSEEN")
+HIGH, LOW = STYLUS_DOWN_M, STYLUS_DOWN_M + 1e-6
+TABLE: list[tuple[str, Callable[[Stylus], Stylus], str]] = [
+    # The next states, in the order of STATES; "." is the same one.
+    (
+        "ordered down",
+        lambda s: s.ordered(True),
+        "LOWERING LOWERING LOWERING . LOWERING LOWERING LOWERING LOWERING LOWERING",
+    ),
+    ("ordered up", lambda s: s.ordered(False), "RISING RISING . RISING RISING . RISING RISING RISING"),
+    ("settled", lambda s: s.settled(), ". AS_READ . DOWN . UP . . ."),
+    ("lost, read low", lambda s: s.lost(LOW), "LEFT_SEEN LEFT_SEEN . LEFT_SEEN LEFT_SEEN LEFT_SEEN . . ."),
+    ("lost, read high", lambda s: s.lost(HIGH), ". LEFT_UNSEEN . LEFT_UNSEEN LEFT_UNSEEN LEFT_UNSEEN . . ."),
+    ("lost, not read", lambda s: s.lost(None), ". LEFT_UNSEEN . LEFT_UNSEEN LEFT_UNSEEN LEFT_UNSEEN . . ."),
+    ("powerless servo", lambda s: s.powerless("servo_m3"), "LIMP . LIMP . . . . . ."),
+    ("powerless solenoid", lambda s: s.powerless("solenoid_m8"), ". . . . . . . . ."),
+    ("powerless Z axis", lambda s: s.powerless("z_axis"), ". . . . . . . . ."),
+    ("reset with a servo or a Z axis", lambda s: s.was_reset("servo_m3"), ". AS_READ LIMP DOWN . DOWN . . ."),
+    ("reset with a solenoid", lambda s: s.was_reset("solenoid_m8"), "UP UP . UP UP UP UP UP UP"),
+]
+
+
+@pytest.mark.parametrize(("change", "nexts"), [row[1:] for row in TABLE], ids=[row[0] for row in TABLE])
+def test_every_transition(change: Callable[[Stylus], Stylus], nexts: str) -> None:
+    assert tuple(state.name for state in Stylus) == STATES
+    expected = [name if after == "." else after for name, after in zip(STATES, nexts.split(), strict=True)]
+    assert [change(state).name for state in Stylus] == expected
+
+
+def test_what_presses_and_what_may_be_limp() -> None:
+    assert [state.name for state in Stylus if state.presses(None)] == [*STATES[3:]]
+    assert [state.name for state in Stylus if state.presses(HIGH)] == [*STATES[3:]]
+    assert [state.name for state in Stylus if state.presses(LOW)] == [name for name in STATES if name != "UP"]
+    assert [state.name for state in Stylus if state.may_be_limp("servo_m3")] == ["LIMP", "LEFT_SEEN", "LEFT_UNSEEN"]
+    assert Stylus.lifted("z_axis").name == "AS_READ" and Stylus.lifted("servo_m3").name == "UP"
+
+
+@pytest.mark.parametrize(
+    ("kind", "homed", "lost"),
+    [
+        ("z_axis", "AS_READ UNDER_WAY", "AS_READ LEFT_SEEN LEFT_UNSEEN"),
+        ("servo_m3", "UP LOWERING DOWN RISING LIMP", "AS_READ UP LIMP LEFT_SEEN LEFT_UNSEEN"),
+        ("solenoid_m8", "UP LOWERING DOWN RISING", "AS_READ UP LEFT_SEEN LEFT_UNSEEN"),
+    ],
+)
+def test_the_states_that_each_stylus_can_be_in(kind: str, homed: str, lost: str) -> None:
+    """Found by trying everything from the start on; while it homes, one that is not a Z axis is ordered up as well."""
+    assert kind in STYLUS_KINDS
+    seen = {(False, Stylus.AS_READ)}
+    while True:
+        after = set(seen)
+        for position, stylus in seen:
+            after |= {(False, stylus.lost(read).powerless(kind)) for read in (None, HIGH, LOW)}
+            after |= {(False, stylus.lost(read)) for read in (None, HIGH, LOW)}
+            after |= {(position, stylus.was_reset(kind)), (True, Stylus.lifted(kind))}
+            if position:
+                after |= {(True, stylus.settled())}
+                orders = {Stylus.UNDER_WAY} if kind == "z_axis" else {stylus.ordered(True), stylus.ordered(False)}
+                after |= {(True, order) for order in orders}
+            elif kind != "z_axis":
+                rising = stylus.ordered(False)
+                after |= {(False, rising.settled()), (False, rising.lost(None))}
+        if after == seen:
+            break
+        seen = after
+    assert {stylus.name for position, stylus in seen if position} == {*homed.split()}
+    assert {stylus.name for position, stylus in seen if not position} == {*lost.split()}
+
+
+def servo(**kwargs: Any) -> Rig:
+    """Return a homed machine with a servo that is up."""
+    stylus = StylusConfig(kind="servo_m3", dwell_s=0.1)
+    return Rig(DriverConfig(enabled_at_start=True, stylus=stylus, **kwargs)).homed()
+
+
+def homing(rig: Rig) -> Rig:
+    """Let the machine home, up to the cycle itself: the servo has been lifted by then."""
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.board.homing_until > 0)
+    return rig
+
+
+def test_a_servo_whose_board_resets_itself_in_a_homing_cycle_is_told_to_be_limp() -> None:
+    rig = homing(servo())
+    rig.board.homing_until = -1.0
+    rig.board.power_cycle()
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.states[-1] == f"unhomed: the board was reset by itself, its position is lost; {SINKS}"
+
+
+def test_a_servo_whose_link_is_lost_in_a_homing_cycle_is_told_to_be_limp() -> None:
+    rig = homing(servo())
+    rig.machine.closed("the device has gone", rig.now)
+    rig.board.out.clear()
+    rig.connect()
+    assert rig.states[-1] == f"unhomed: {SINKS}"
+
+
+def test_a_stop_while_settings_are_written_tells_that_the_servo_is_limp() -> None:
+    rig = servo()
+    assert rig.machine.write_settings(rig.now, {12: 0.01}) == ""
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == f"stopped: stop requested; {SINKS}"
+
+
+def test_a_servo_whose_board_resets_itself_after_settings_were_written_is_told_to_be_limp() -> None:
+    rig = servo()
+    assert rig.machine.write_settings(rig.now, {12: 0.01}) == ""
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.states[-1] == "unhomed", "it is up, and has its pulses"
+    rig.board.reset()
+    rig.until(lambda: rig.state == "connecting")
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.states[-1].endswith(SINKS)
+
+
+def test_a_stop_that_lifts_nothing_tells_that_its_reset_leaves_a_servo_limp() -> None:
+    rig = servo(lift_on_stop=False)
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.3)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == f"stopped: stop requested; {SINKS}"
+
+
+def test_a_servo_that_was_up_is_told_to_be_limp_and_not_to_press_still_after_a_hold_that_did_not_complete() -> None:
+    rig = servo()
+    rig.board.hold_s = 100.0
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.2)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == f"stopped: stop requested; {SINKS}" and not rig.machine.homed
+    assert rig.machine.reset(rig.now) == ""
+    rig.step()
+    assert rig.states[-1] == f"unhomed: {SINKS}"
+
+
+def test_a_servo_that_homing_has_lifted_is_not_told_to_be_limp_though_the_place_is_another_one() -> None:
+    rig = servo()
+    rig.board.alarm(3)
+    rig.until(lambda: rig.state == "alarm")
+    rig.machine.reset(rig.now)
+    rig.until(lambda: rig.state == "unhomed")
+    assert rig.states[-1] == f"unhomed: {SINKS}"
+    rig.board.homed = (HOMED[0] + 1.0, *HOMED[1:])
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "mismatch")
+    assert rig.machine.reset(rig.now) == ""
+    rig.step()
+    assert rig.states[-1] == "unhomed"
