@@ -166,3 +166,27 @@ def test_a_servo_that_homing_has_lifted_is_not_told_to_be_limp_though_the_place_
     assert rig.machine.reset(rig.now) == ""
     rig.step()
     assert rig.states[-1] == "unhomed"
+
+
+@pytest.mark.parametrize("kind", ["servo_m3", "z_axis"])
+def test_settings_that_differ_do_not_hide_a_stylus_that_a_lost_link_has_left(kind: str) -> None:
+    rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1))).homed()
+    rig.go((0.3, 0.1, 0.0), (0.3, 0.1, 0.02))
+    rig.step()
+    assert rig.positions[-1][2] == 0.0
+    rig.machine.closed("the device has gone", rig.now)
+    rig.board.settings[110] = "500.000"
+    rig.connect()
+    mismatch = "mismatch: $110 is 500.000, the configuration says 12000"
+    assert rig.states[-1] == f"{mismatch}; {NOT_LIFTED}"
+    assert rig.machine.accept_settings(rig.now) == ""
+    rig.step()
+    assert rig.states[-1] == f"unhomed: {NOT_LIFTED}"
+
+
+def test_settings_that_differ_do_not_hide_a_servo_that_a_lost_link_has_left_limp() -> None:
+    rig = servo()
+    rig.machine.closed("the device has gone", rig.now)
+    rig.board.settings[110] = "500.000"
+    rig.connect()
+    assert rig.states[-1] == f"mismatch: $110 is 500.000, the configuration says 12000; {SINKS}"

@@ -481,7 +481,7 @@ class Connection:
         """Say that nothing has lifted the stylus, for who reads ``stopped`` takes it for lifted; empty if it is up."""
         if phase is Phase.STOPPED and not_lifted is not None:
             return not_lifted
-        rests = phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED)
+        rests = phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED, Phase.MISMATCH)
         # After an alarm nothing was decided about the stylus, and nobody lifts it.
         tells = self.config.lift_on_stop if phase is Phase.STOPPED else phase in (Phase.ALARM, Phase.ALARM_RESET)
         tells = tells or (self._stylus is Stylus.LEFT_UNSEEN and (rests or phase is Phase.CLOSED))
