@@ -996,6 +996,16 @@ def test_what_the_driver_has_told_of_a_stylus_left_down_is_not_told_twice() -> N
     assert bench.controller.state == "alarm: ALARM:1; the stylus was not lifted, it may still press"
 
 
+@pytest.mark.parametrize("reason", ["a cable that may press on the plug", "it may still press"])
+def test_words_of_the_drivers_reason_do_not_hide_how_far_the_stylus_was_extended(reason: str) -> None:
+    bench = Bench().start()
+    bench.readings = np.array([0.1, 0.1, 0.02])
+    bench.run(0.2)
+    bench._say_driver(f"disconnected: {reason}")
+    words = "the stylus was last extended by 20.0 mm and may still press: homing lifts it"
+    assert bench.controller.state == f"waiting: driver disconnected: {reason}; {words}"
+
+
 def test_a_stop_that_nobody_heard_is_asked_for_again() -> None:
     bench = Bench()
     bench.readings = np.array([0.05, 0.05, 0.02])

@@ -9,7 +9,7 @@ import pytest
 from unit.gantry_driver.protocol_board import HOMED, Rig
 
 from gantry_driver.core.machine_config import STYLUS_KINDS, DriverConfig, StylusConfig
-from gantry_driver.core.stylus_state import STYLUS_DOWN_M, Stylus
+from gantry_driver.core.stylus_state import STYLUS_DOWN_M, Stylus, tells_of_stylus
 
 NOT_LIFTED = "the stylus was not lifted, it may still press"
 SINKS = "the servo may be without pulses and sink, the stylus may press"
@@ -190,3 +190,16 @@ def test_settings_that_differ_do_not_hide_a_servo_that_a_lost_link_has_left_limp
     rig.board.settings[110] = "500.000"
     rig.connect()
     assert rig.states[-1] == f"mismatch: $110 is 500.000, the configuration says 12000; {SINKS}"
+
+
+def test_what_the_driver_says_of_a_stylus_is_known_as_that_wherever_it_stands_in_the_state() -> None:
+    rig = servo()
+    assert not tells_of_stylus(rig.states[-1])
+    rig.board.alarm(3)
+    rig.until(lambda: rig.state == "alarm")
+    assert tells_of_stylus(rig.states[-1])
+    rig.board.settings[110] = "500.000"
+    rig.run_for(1.0)
+    rig.machine.reset(rig.now)
+    rig.until(lambda: rig.state == "mismatch")
+    assert rig.states[-1].startswith("mismatch: $110 is 500.000") and tells_of_stylus(rig.states[-1])

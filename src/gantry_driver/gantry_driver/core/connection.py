@@ -29,7 +29,7 @@ from gantry_driver.core.session import (
     GrblSession,
 )
 from gantry_driver.core.settings_profile import differences, lines_to_write
-from gantry_driver.core.stylus_state import Stylus
+from gantry_driver.core.stylus_state import CLAUSE, MAY_PRESS, MAY_SINK, Stylus
 from icu_common.core.results import GoalResult, Outcome
 
 HOLD_REPEAT_S = 0.2
@@ -475,7 +475,7 @@ class Connection:
 
     def _whole_reason(self) -> str:
         """Return the reason, and what may end before it: that the stylus is not lifted, or the board suspended."""
-        return "; ".join(text for text in (self.reason, self._not_lifted, self._suspended) if text)
+        return CLAUSE.join(text for text in (self.reason, self._not_lifted, self._suspended) if text)
 
     def _not_lifted_text(self, phase: Phase, not_lifted: str | None) -> str:
         """Say that nothing has lifted the stylus, for who reads ``stopped`` takes it for lifted; empty if it is up."""
@@ -486,9 +486,9 @@ class Connection:
         tells = self.config.lift_on_stop if phase is Phase.STOPPED else phase in (Phase.ALARM, Phase.ALARM_RESET)
         tells = tells or (self._stylus is Stylus.LEFT_UNSEEN and (rests or phase is Phase.CLOSED))
         if tells and self._stylus is not Stylus.LIMP and self._stylus_is_down():
-            return "the stylus was not lifted, it may still press"
+            return MAY_PRESS
         if rests and self._stylus.may_be_limp(self.config.stylus.kind):
-            return "the servo may be without pulses and sink, the stylus may press"
+            return MAY_SINK
         return ""
 
     def _is_servo(self) -> bool:

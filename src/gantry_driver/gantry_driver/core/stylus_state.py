@@ -11,6 +11,10 @@ from enum import Enum, auto
 
 STYLUS_DOWN_M = 0.0005
 """Extension above which the stylus may touch something and is lifted after a stop."""
+MAY_PRESS = "the stylus was not lifted, it may still press"
+MAY_SINK = "the servo may be without pulses and sink, the stylus may press"
+CLAUSE = "; "
+"""What parts the clauses of a state's reason; how a stylus was left is one of its own."""
 
 
 class Stylus(Enum):
@@ -87,6 +91,18 @@ class Stylus(Enum):
     def may_be_limp(self, kind: str) -> bool:
         """Whether it is a servo that may have no pulses."""
         return self is Stylus.LIMP or (kind == "servo_m3" and self in (Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN))
+
+
+def tells_of_stylus(state_text: str) -> bool:
+    """Whether the driver's ``state: reason`` has a clause by which the stylus may press.
+
+    Examples
+    --------
+    >>> tells_of_stylus(f"unhomed: {MAY_SINK}"), tells_of_stylus("unhomed: the cable may press on it")
+    (True, False)
+    """
+    reason = state_text.partition(": ")[2]
+    return not {MAY_PRESS, MAY_SINK}.isdisjoint(reason.split(CLAUSE))
 
 
 def _extended(extension_m: float | None) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -13,6 +12,7 @@ from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import NANO, Fault
 from gantry_driver.core.scene import PanelMap, Scene
+from gantry_driver.core.stylus_state import tells_of_stylus
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_state import PanelSeen
@@ -33,8 +33,6 @@ _DRIVER_TEXT = {
 _NO_OPERATOR = "waiting: no operator (heartbeat)"
 AT_AN_END = ("stopped", "alarm", _NO_OPERATOR, *(f"waiting: {t}" for s, t in _DRIVER_TEXT.items() if s != "moving"))
 """How ``/gantry/state`` begins while the machine cannot go on, or nobody is there who wants it to."""
-_TOLD = re.compile(r"may (still )?press\b")
-"""The driver says itself that the stylus may be down."""
 _LIFTS_NOTHING = ("disconnected", "connecting", "unhomed", "mismatch", "alarm")
 """Driver states in which the stylus stays where it was: its position is not known any more, or nobody moves it."""
 
@@ -236,7 +234,7 @@ class World:
                 shown += f": {reason.strip()}"
             if self.left_behind:
                 shown += f"; {self.left_behind}"
-            elif not _TOLD.search(shown) and (state in _LIFTS_NOTHING or (state == "stopped" and silent)):
+            elif not tells_of_stylus(self.driver) and (state in _LIFTS_NOTHING or (state == "stopped" and silent)):
                 shown += self._left_down_text()
             yield Obstacle(state=shown, reason=f"the driver is {self.driver!r}, 'idle' is needed", every_goal=True)
         elif self.readings is None or silent:
