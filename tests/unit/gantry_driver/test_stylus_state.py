@@ -203,3 +203,16 @@ def test_what_the_driver_says_of_a_stylus_is_known_as_that_wherever_it_stands_in
     rig.machine.reset(rig.now)
     rig.until(lambda: rig.state == "mismatch")
     assert rig.states[-1].startswith("mismatch: $110 is 500.000") and tells_of_stylus(rig.states[-1])
+
+
+def test_an_alarm_after_a_stop_that_did_not_lift_says_so_once() -> None:
+    rig = servo()
+    rig.board.hold_s = 100.0
+    rig.go((0.3, 0.0, 0.0), (0.3, 0.0, 0.02), (0.1, 0.0, 0.02))
+    rig.run_for(0.2)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == f"stopped: stop requested; {NOT_LIFTED}"
+    rig.board.alarm(2)
+    rig.until(lambda: rig.state == "alarm")
+    assert rig.states[-1] == f"alarm: ALARM:2 (target beyond soft limits), after: stop requested; {NOT_LIFTED}"

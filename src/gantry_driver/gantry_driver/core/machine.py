@@ -49,7 +49,7 @@ from gantry_driver.core.session import (
     Refused,
     WasReset,
 )
-from gantry_driver.core.stylus_state import Stylus
+from gantry_driver.core.stylus_state import MAY_PRESS, MAY_SINK, Stylus
 from gantry_driver.core.trajectory_gcode import (
     SYNCHRONISE,
     TrajectoryError,
@@ -557,7 +557,8 @@ class Machine(Connection):
 
     def _to_alarm(self, text: str, now: float) -> None:
         if self.phase.state == "stopped":
-            text = f"{text}, after: {self._whole_reason()}"
+            told_anew = self._not_lifted in (MAY_PRESS, MAY_SINK)
+            text = f"{text}, after: {self.reason if told_anew else self._whole_reason()}"
         self._finish(Outcome.ABORTED, text, now)
         self._forget_position()
         self._stylus = self._stylus.powerless(self.config.stylus.kind)
