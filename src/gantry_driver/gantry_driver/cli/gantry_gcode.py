@@ -28,12 +28,13 @@ from gantry_driver.adapters.check_mode import CheckFailed, dry_run
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.core.gcode_check import CheckedLine, GcodeError, ProgramChecker
 from gantry_driver.core.grbl_messages import error_text
-from gantry_driver.core.machine import PROGRAM_MODES, Machine
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, StateChanged
 from gantry_driver.core.progress import duration_text, progress_text
 from gantry_driver.core.session import plain
 from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile, profile_text
+from gantry_driver.core.streaming import PROGRAM_MODES
 from gantry_driver.core.trajectory_gcode import TrajectoryError
 from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.terminal_keys import terminal_keys

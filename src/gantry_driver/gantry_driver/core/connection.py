@@ -36,8 +36,6 @@ HOLD_REPEAT_S = 0.2
 """A hold that the reports do not show is sent again."""
 ASK_ALONE_S = 0.2
 """No `?` gets into the line of a question to a firmware that knows no real-time bytes."""
-OLD_HOLDS = 2
-"""Reports of a hold that may still come after a resume: one on its way, one asked for."""
 TICK_S = 0.05
 READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
 """Directions, homing corner, pull-off, steps and travel: with others a calibration of the readings is void."""
@@ -107,12 +105,8 @@ class Connection:
         self._events: list[Event] = [StateChanged(text=self.state_text)]
         self._goal: Goal | None = None
         self._since = 0.0
-        self._heartbeat_at = -math.inf
         self._marker = 0
         self._marker_done = False
-        self._lift = True
-        self._lift_barred = False
-        self._lift_timeout_s = 0.0
         self._stylus = Stylus.AS_READ
         self._raised = False
         """Whether the last report of the board's overrides was one to be set back."""
@@ -121,16 +115,7 @@ class Connection:
         self._hold_sent = 0.0
         self._probed = 0.0
         self._probe_from = 0.0
-        self._stylus_line = 0
-        """The last line queued that moves a stylus without a Z axis."""
-        self._has_g92: bool | None = None
-        """Whether a program has left a G92; None after a reset, which only some firmwares keep it over."""
         self._pausing = self._resuming = False
-        self._old_holds = 0
-        self._stood_mm: tuple[float, ...] | None = None
-        """Where the board stood in the last report of a hold, None where it did not say."""
-        self._moved_mm: tuple[float, ...] | None = None
-        """The other place that it reported after the reset."""
 
     def configure(self, config: DriverConfig, now: float) -> None:
         """Go on with other parameters."""

@@ -1,26 +1,14 @@
 """What the driver does with its board: connect, check, home, move, stop, recover; no I/O and no clock.
 
 The policy above :class:`~gantry_driver.core.session.GrblSession`: every way out of a motion ends in a state that says
-why, a goal gets exactly one final answer, and nothing that was buffered runs after a stop or an error.
+why, a goal gets exactly one final answer, and nothing that was buffered runs after a stop or an error. In four parts,
+each upon the one before: ``connection`` (port, firmware, settings), ``stopping`` (the way to rest), ``streaming``
+(goals), and here homing, and what each message of the board means for them.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain
-
-from gantry_driver.core.connection import (
-    ASK_ALONE_S,
-    HOLD_REPEAT_S,
-    OLD_HOLDS,
-    READ_STARTUP,
-    REFUSED,
-    Connection,
-    Goal,
-    Reading,
-)
-from gantry_driver.core.gcode_check import Bounds, CheckedLine, GcodeError, ProgramChecker
+from gantry_driver.core.connection import ASK_ALONE_S, READ_STARTUP, REFUSED
 from gantry_driver.core.grbl_messages import (
     Alarm,
     Dialect,
@@ -33,35 +21,21 @@ from gantry_driver.core.grbl_messages import (
     alarm_text,
     error_text,
 )
-from gantry_driver.core.machine_states import (
-    Note,
-    Phase,
-    Position,
-)
+from gantry_driver.core.machine_states import Note, Phase, Position
 from gantry_driver.core.session import (
     FULL_FEED,
     FULL_SPINDLE,
     HOLD,
-    RESUME,
     Acknowledged,
     CountBroken,
-    Line,
     Refused,
     WasReset,
 )
-from gantry_driver.core.stylus_state import MAY_PRESS, MAY_SINK, Stylus
-from gantry_driver.core.trajectory_gcode import (
-    SYNCHRONISE,
-    TrajectoryError,
-    Waypoint,
-    lift_lines,
-    may_be_down_after,
-    mpos_mm,
-    reading_m,
-    stylus_dwell,
-    write_motion,
-)
-from icu_common.core.results import GoalResult, Outcome
+from gantry_driver.core.stopping import LOCKED, elsewhere
+from gantry_driver.core.streaming import Streaming
+from gantry_driver.core.stylus_state import Stylus
+from gantry_driver.core.trajectory_gcode import lift_lines, reading_m, stylus_dwell
+from icu_common.core.results import Outcome
 
 BANNER_TIMEOUT_S = 5.0
 CRITICAL_ALARM_PAUSE_S = 0.6
@@ -72,22 +46,16 @@ HOMING_FIRST = 22, 4
 """The setting, and its bit, with which a grblHAL that has not been homed is not unlocked by ``$X`` either."""
 HOMING_WANTED = {Dialect.GRBLHAL: 11, Dialect.FLUIDNC: 14}
 """The alarm with which a firmware says after each reset that it has not been homed."""
-SAME_PLACE_MM = 0.05
-QUEUED_LINES = 600
-"""Of a goal, ahead of the board: more than the shortest lines that any receive buffer holds."""
-LOCKED = "the board is locked by an alarm whose number was not received"
-PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
-"""What a program may rely on at its first line."""
 
 
-class Machine(Connection):
+class Machine(Streaming):
     """The state machine of one gantry.
 
     Calls that people make (:meth:`home`, :meth:`reset`, :meth:`run`, ...) return an empty string or the reason of the
     refusal, at once; what follows is seen in :meth:`take_events`.
     """
 
-    # --- what the link says ------------------------------------------------------------------------------------
+    # --- what the link says ------------------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now: float) -> None:
         """Take bytes from the board."""
@@ -140,11 +108,7 @@ class Machine(Connection):
             self._close(f"no status report for {silent:.1f} s", now)
             self.session.realtime(HOLD)  # The last byte before the port is closed: perhaps the board still hears.
 
-    # --- what people ask for -------------------------------------------------------------------------------------
-
-    def heartbeat(self, at: float) -> None:
-        """Note that the operator was there at ``at`` (the clock of ``now``)."""
-        self._heartbeat_at = max(self._heartbeat_at, at)
+    # --- what people ask for -----------------------------------------------------------------------------------------
 
     def enable(self, on: bool, now: float) -> str:
         """Allow or forbid motion; forbidding it while moving or with the stylus extended is a stop."""
@@ -201,255 +165,7 @@ class Machine(Connection):
             f"before that: set ${number} to 1, as gantry/write_settings does"
         )
 
-    def stop(self, reason: str, now: float, *, hold_written: bool = False) -> None:
-        """Hold, flush everything that is buffered, lift the stylus, and stay stopped until :meth:`reset`.
-
-        Parameters
-        ----------
-        reason
-            Published as ``stopped: reason``.
-        hold_written
-            The ``!`` is on the wire already.
-        """
-        if self.phase is Phase.ALARM or self.dialect in REFUSED:
-            return
-        self._latched = self._latched or reason
-        if self.phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
-            self._synchronise(now, "")
-            if not hold_written:
-                self.session.realtime(HOLD)
-        if self.phase in (Phase.CLOSED, Phase.SYNCHRONISE, Phase.ALARM_RESET):
-            return
-        if self.phase is Phase.LIFTING and not hold_written:
-            return  # The retreat is the way into the safe state already: a repeated stop lets it finish.
-        if self.phase is Phase.STOPPED:
-            self._lift = self.config.lift_on_stop and not self._lift_barred  # also where a lost count ended the retreat
-        self._halt(reason, now, hold_written=hold_written, lift_again=True)
-
-    def pause(self, now: float) -> str:
-        """Hold a motion where it is; what is buffered stays, and so does the stylus for as long as it may rest down."""
-        if self.phase is not Phase.MOVING or self._pausing:
-            return f"nothing to pause: the driver is {self.state_text}"
-        self.session.paused = self._pausing = True
-        self._resuming = False
-        self._hold_sent = now
-        self.session.realtime(HOLD)
-        self._enter(Phase.MOVING, now, "paused")
-        return ""
-
-    def resume(self, now: float) -> str:
-        """Go on with a motion that was paused."""
-        if self.phase is not Phase.MOVING or not self._pausing:
-            return f"nothing to resume: the driver is {self.state_text}"
-        if refusal := self._permission(now):
-            return refusal
-        self._pausing, self._resuming = False, True
-        self.session.paused = False
-        self._enter(Phase.MOVING, now)
-        return ""
-
-    def reset(self, now: float) -> str:
-        """Leave ``stopped``, ``alarm``, or the ``mismatch`` of a machine that homed in another place."""
-        if self.phase is Phase.STOPPED:
-            self._latched = ""
-            self._enter(self._resting_phase(), now, self._mismatch if self._blocked() else "")
-            return ""
-        if self.phase is Phase.ALARM:
-            self._enter(Phase.ALARM_RESET, now, self.reason)
-            self._marker = 0
-            return ""
-        if self._misplaced:
-            self._enter(Phase.UNHOMED, now)
-            return ""
-        if self.phase in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
-            return "the stop is not complete yet"
-        return f"nothing to reset: the driver is {self.state_text}"
-
-    def run(
-        self, goal_id: str, names: Sequence[str], points: Sequence[Waypoint], *, age_s: float, now: float
-    ) -> GoalResult:
-        """Start a trajectory, or refuse it; the answer is returned and also in the events.
-
-        Parameters
-        ----------
-        goal_id
-            Returned in the answers.
-        names, points
-            The trajectory's joints and points, readings in metres.
-        age_s
-            Age of the trajectory's stamp; 0 for "now".
-        """
-        text = f"{len(points)} points" + (f" to {tuple(points[-1].positions_m)}" if points else "")
-        try:
-            if refusal := self._goal_refusal(age_s, now):
-                raise TrajectoryError(refusal)
-            x, y, z = self.reading_m or (0.0, 0.0, 0.0)
-            if self.config.stylus.kind != "z_axis":
-                # The reading may be of a moment ago.
-                z = self.config.stylus.stroke_m if self._stylus_is_down() else 0.0
-            start = x, y, z
-            motion = write_motion(names, points, start, self.config)
-        except TrajectoryError as error:
-            return self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=str(error)))
-        timed = ((line, 0.0) for line in motion.lines)
-        return self._start(goal_id, text, timed, len(motion.lines), motion.end_m, now)
-
-    def run_program(self, goal_id: str, source: Iterable[str], now: float) -> GoalResult:
-        """Check a whole G-code program and start it; or refuse it, with line and column, before a byte is sent."""
-        try:
-            if refusal := self._goal_refusal(0.0, now):
-                raise TrajectoryError(refusal)
-            checker = self.program_checker()
-            checked = list(checker.check_all(source))
-        except (TrajectoryError, GcodeError) as error:
-            return self._refuse_program(goal_id, error)
-        return self.run_checked(goal_id, checker, checked, now)
-
-    def program_checker(self) -> ProgramChecker:
-        """Return what checks a program that is to start here and now.
-
-        Raises
-        ------
-        TrajectoryError
-            While the board's work offset is not known.
-        """
-        if self.session.wco_mm is None:
-            raise TrajectoryError("the board has not told its work offset (WCO) yet")
-        bounds, start = self.bounds(), mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config)
-        inside = [min(max(place, low), high) for place, low, high in zip(start, bounds.low_mm, bounds.high_mm)]
-        steps_mm = (1.0 / scale for scale in self.config.machine.steps_per_mm)
-        # At its end an axis reports the motor step that is nearest, which may lie beyond it.
-        start = _three([i if abs(i - place) < step else place for i, place, step in zip(inside, start, steps_mm)])
-        kept_g92 = self.dialect is not Dialect.GRBL if self._has_g92 is None else self._has_g92
-        return ProgramChecker(bounds, start, {"G54": _three(self.session.wco_mm[:3])}, kept_g92=kept_g92)
-
-    def run_checked(
-        self, goal_id: str, checker: ProgramChecker, checked: Sequence[CheckedLine], now: float
-    ) -> GoalResult:
-        """Start a program that :meth:`program_checker` has passed; checking a long one takes seconds."""
-        try:
-            if refusal := self._goal_refusal(0.0, now):
-                raise TrajectoryError(refusal)
-            if self.program_checker().begins != checker.begins:
-                raise TrajectoryError("place or work offset have changed since the program was checked")
-        except TrajectoryError as error:
-            return self._refuse_program(goal_id, error)
-        text = f"program of {len(checked)} lines, about {checker.seconds:.1f} s"
-        end = reading_m(checker.position_mm, False, self.config)
-        # The checker begins with these modes; the board may have been left with others.
-        modes = ((mode, 0.0) for mode in PROGRAM_MODES)
-        lines = ((line.text, line.seconds) for line in checked)
-        count = len(PROGRAM_MODES) + len(checked) + 1
-        return self._start(goal_id, text, chain(modes, lines, [(SYNCHRONISE, 0.0)]), count, end, now)
-
-    def _refuse_program(self, goal_id: str, error: Exception) -> GoalResult:
-        return self._answer(GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error)))
-
-    def _order_stylus(self, line: Line) -> None:
-        """Note what a line that was queued may do with the stylus."""
-        if self.config.stylus.kind == "z_axis":
-            if "Z" in line.text:
-                self._stylus = Stylus.UNDER_WAY
-        elif (down := may_be_down_after(line.text, self.config)) is not None:
-            self._stylus, self._stylus_line = self._stylus.ordered(down), line.number
-
-    def _start(
-        self, goal_id: str, text: str, lines: Iterator[tuple[str, float]], count: int, end_m: Reading, now: float
-    ) -> GoalResult:
-        """Send ``count`` lines, each with the seconds that its dwell may take, and wait for the last one."""
-        self._goal = Goal(goal_id=goal_id, text=text, end_m=end_m, started=now, rest=lines, left=count)
-        accepted = self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.ACCEPTED))
-        self._enter(Phase.MOVING, now)
-        return accepted
-
-    def output(self, now: float) -> bytes:
-        """Return the bytes to write."""
-        if self.phase is Phase.MOVING and self._goal is not None:
-            self._queue_more(self._goal)
-        return super().output(now)
-
-    def _queue_more(self, goal: Goal) -> None:
-        """Queue lines while they are few, so that the start of a long program keeps nobody waiting."""
-        while goal.left and self.session.unsent < QUEUED_LINES:
-            text, seconds = next(goal.rest)
-            goal.left -= 1
-            if "G92" in text:
-                self._has_g92 = "G92.1" not in text
-            line = self.session.queue(text, answer_within_s=self._answer_time() + seconds)
-            self._order_stylus(line)
-            goal.marker = 0 if goal.left else line.number
-
-    def bounds(self) -> Bounds:
-        """Return the travel in machine coordinates and the rates of rapid moves."""
-        ends = mpos_mm((0.0, 0.0, 0.0), self.config), mpos_mm(self.config.limits_m(), self.config)
-        low, high = (_three([pick(pair) for pair in zip(*ends)]) for pick in (min, max))
-        return Bounds(low_mm=low, high_mm=high, rapid_mm_min=_three(self.config.machine.max_rate_mm_min))
-
-    def _goal_refusal(self, age_s: float, now: float) -> str:
-        if not abs(age_s) <= self.config.goal_max_age_s:
-            return f"stale: its stamp is {age_s:.3f} s old, {self.config.goal_max_age_s:g} s are allowed"
-        if self.phase is not Phase.IDLE:
-            return f"the driver is {self.state_text}"
-        return self._permission(now)
-
-    def _permission(self, now: float) -> str:
-        if not self.active:
-            return "the driver is inactive"
-        return "not enabled" if not self.enabled else self._heartbeat_refusal(now)
-
-    def _heartbeat_refusal(self, now: float) -> str:
-        age = now - self._heartbeat_at
-        if age <= self.config.heartbeat_timeout_s:
-            return ""
-        if math.isinf(age):
-            return "no operator's heartbeat yet"
-        return f"operator's heartbeat lost: {age:.2f} s old, {self.config.heartbeat_timeout_s:g} s are allowed"
-
-    def _answer_time(self) -> float:
-        return self.config.answer_timeout_s + self.config.stylus.dwell_s
-
-    # --- transitions ---------------------------------------------------------------------------------------------
-
-    def _halt(self, reason: str, now: float, *, hold_written: bool = False, lift_again: bool = False) -> None:
-        """Begin the way down: hold, wait for it, reset, lift; the goal is answered now."""
-        self._finish(Outcome.ABORTED, reason, now)
-        if self.phase in (Phase.STOPPED, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
-            # The first reason is the one that explains; a retreat that failed is not repeated.
-            reason, self._lift = self.reason, self._lift and (lift_again or self.phase is not Phase.LIFTING)
-        else:
-            self._lift, self._lift_barred = self.config.lift_on_stop, False
-        self._latched = reason
-        if self.phase in (Phase.HOLDING, Phase.RESETTING):
-            return
-        if self.phase is Phase.HOMING:
-            # GRBL does not hold in a homing cycle; a reset ends it with ALARM:6, and nothing is known to be lost.
-            self._forget_position()
-            self._enter(Phase.RESETTING, now, reason)
-            self.session.soft_reset(now)
-            return
-        self._old_holds = OLD_HOLDS if self._resuming else 0
-        self.session.withdraw(RESUME)
-        if not hold_written or self._resuming:  # a `~` may be on its way behind the hold that is written
-            self.session.realtime(HOLD)
-        self._hold_sent = now
-        self.session.paused = True
-        self._enter(Phase.HOLDING, now, reason)
-
-    def _tick_holding(self, age: float, now: float) -> None:
-        if age > self.config.hold_timeout_s:
-            self._events.append(Note(level="error", text=f"the hold did not complete in {age:.1f} s; resetting"))
-            self._forget_position()
-            self._reset_after_hold(now)
-        elif now - self._hold_sent >= HOLD_REPEAT_S:
-            self._hold_sent = now
-            self.session.realtime(HOLD)
-
-    def _reset_after_hold(self, now: float) -> None:
-        self._moved_mm = None
-        self._enter(Phase.RESETTING, now, self.reason)
-        self.session.soft_reset(now)
-
-    # --- what the board says -------------------------------------------------------------------------------------
+    # --- what the board says -----------------------------------------------------------------------------------------
 
     def _on_message(self, message: Message, now: float) -> None:
         if isinstance(message, Report):
@@ -555,20 +271,6 @@ class Machine(Connection):
         self._reset_not_before = now + (CRITICAL_ALARM_PAUSE_S if self._critical else 0.0)
         self._to_alarm(text, now)
 
-    def _to_alarm(self, text: str, now: float) -> None:
-        if self.phase.state == "stopped":
-            told_anew = self._not_lifted in (MAY_PRESS, MAY_SINK)
-            text = f"{text}, after: {self.reason if told_anew else self._whole_reason()}"
-        self._finish(Outcome.ABORTED, text, now)
-        self._forget_position()
-        self._stylus = self._stylus.powerless(self.config.stylus.kind)
-        self.session.last_report_at = now  # In a homing cycle it is the first that the board says.
-        self._latched = ""  # The alarm is latched itself, and its reset is the same call.
-        if self.phase is Phase.ALARM_RESET:  # an emergency stop is still pressed: no banner comes
-            self.session.awaiting_banner = False
-        if self.phase is not Phase.ALARM:
-            self._enter(Phase.ALARM, now, text)
-
     def _on_count_broken(self, event: CountBroken, now: float) -> None:
         self._events.append(Note(level="error", text=event.reason))
         if self.phase in (Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING, Phase.MISMATCH, Phase.UNHOMED):
@@ -625,7 +327,7 @@ class Machine(Connection):
             return  # A work position; its offset comes with one of the next reports.
         # A stage whose stylus is no Z axis need not have one, and its Z stays where it was at power-up.
         expected = self.config.machine.homed_mpos_mm()[: 3 if self.config.stylus.kind == "z_axis" else 2]
-        if _elsewhere(report.mpos_mm, expected):
+        if elsewhere(report.mpos_mm, expected):
             found = ", ".join(f"{v:.3f}" for v in report.mpos_mm[:3])
             text = f"homed at MPos {found} mm, the configuration says {', '.join(f'{v:g}' for v in expected)} mm"
             self._enter(Phase.MISMATCH, now, text)
@@ -648,116 +350,3 @@ class Machine(Connection):
             self._halt(self.reason, now)
         else:
             self._halt(f"the board is in {report.state_text} without a command from here", now)
-
-    def _report_moving(self, report: Report, now: float) -> None:
-        if report.state == "Alarm":
-            self._to_alarm(LOCKED, now)
-        elif (self._pausing or self._resuming) and report.state in ("Idle", "Run", "Hold"):
-            self._report_paused(report, now)
-        elif report.state in ("Hold", "Door", "Check", "Sleep", "Tool", "Home", "Jog"):
-            self._halt(f"the board went to {report.state_text}", now)
-        elif report.state == "Idle" and self._goal is not None and self._goal.acknowledged:
-            self._arrive(now)
-
-    def _report_paused(self, report: Report, now: float) -> None:
-        """Hold until it shows; resume only from a complete hold, for before that GRBL swallows ``~``."""
-        if self._pausing:
-            if report.state != "Hold" and now - self._hold_sent >= HOLD_REPEAT_S:
-                self._hold_sent = now
-                self.session.realtime(HOLD)
-        elif report.state != "Hold":
-            # Just after it the report may be older than the hold that is to be left.
-            self._resuming = now - self._hold_sent <= 1.5 * HOLD_REPEAT_S
-        elif report.substate == 0:
-            self.session.realtime(RESUME)
-
-    def _arrive(self, now: float) -> None:
-        goal, here = self._goal, self.reading_m
-        if goal is None or here is None:
-            return
-        self.session.executed_all()
-        self._stylus = self._stylus.settled()
-        axes = 3 if self.config.stylus.kind == "z_axis" else 2  # where another stylus is no board tells
-        error = math.dist(goal.end_m[:axes], here[:axes])
-        if error > max(self.config.arrival_tolerance_m, self.config.rounding_m()):
-            self._halt(f"the board stands at {_metres(here)} instead of {_metres(goal.end_m)}", now)
-            return
-        self._enter(Phase.IDLE, now)
-        self._finish(Outcome.REACHED, "", now, error)
-
-    def _report_holding(self, report: Report, now: float) -> None:
-        self._stood_mm = report.mpos_mm
-        if report.state == "Hold" and self._old_holds:
-            # Older than the resume, perhaps: a reset now could find the board moving, and lose its position.
-            self._old_holds -= 1
-            self.session.poll_now()
-        elif report.state == "Alarm" and self.homed:
-            self._to_alarm(LOCKED, now)
-        elif report.state in ("Idle", "Check"):
-            # Older than the hold, or a firmware that does not hold while idle: give the hold time to show.
-            if now - self._since > 1.5 * HOLD_REPEAT_S:
-                self._reset_after_hold(now)
-        elif report.state in ("Alarm", "Sleep", "Tool") or report.substate == 0 or report.state_text == "Door:1":
-            self._reset_after_hold(now)
-
-    def _report_resetting(self, report: Report, now: float) -> None:
-        if self.session.awaiting_banner:
-            return
-        if report.state == "Hold" or report.state_text == "Door:0":
-            self._reset_after_hold(now)
-        elif report.state == "Door":
-            # Still open: a reset does not leave this state, and nothing may move, not even when it is closed later.
-            self._lift, self._lift_barred = False, True
-            self._enter(Phase.STOPPED, now, self.reason)
-        elif report.state == "Alarm" and self.homed:
-            self._to_alarm("the reset left the board locked, its position is lost", now)
-        elif self.homed and self._stood_mm and report.mpos_mm and _elsewhere(report.mpos_mm, self._stood_mm):
-            # A reset keeps the place; this was a loss of power. Noise spoils one report, hardly two alike.
-            found, stood = (", ".join(f"{v:.3f}" for v in place[:3]) for place in (report.mpos_mm, self._stood_mm))
-            if self._moved_mm == report.mpos_mm:
-                text = f"after the reset the board reports MPos {found} mm instead of {stood} mm, its position is lost"
-                self._to_alarm(text, now)
-            self._moved_mm = report.mpos_mm
-            self.session.poll_now()
-        elif report.state in ("Idle", "Alarm"):
-            self._after_reset(report, now)
-
-    def _after_reset(self, report: Report, now: float) -> None:
-        if not (self._lift and report.state == "Idle" and self.homed and self._stylus_is_down()):
-            self._enter(Phase.STOPPED, now, self.reason)
-            return
-        self._enter(Phase.LIFTING, now, self.reason)
-        self._marker_done = False
-        config = self.config
-        # The board moves no axis faster than its own limit, and what is under way does not know of later parameters.
-        speed_m_s = min(config.stylus_feed_m_s, config.machine.max_rate_mm_min[2] / 60_000.0)
-        speeding_s = speed_m_s * 1000.0 / config.machine.acceleration_mm_s2[2]
-        self._lift_timeout_s = 2.0 + config.stylus.dwell_s + config.stylus_limit_m() / speed_m_s + speeding_s
-        for text in lift_lines(self.config):
-            self._marker = self.session.queue(text, answer_within_s=self._answer_time()).number
-
-    def _report_lifting(self, report: Report, now: float) -> None:
-        if report.state == "Alarm":
-            self._to_alarm(LOCKED, now)
-        elif report.state == "Idle" and self._marker_done:
-            self.session.executed_all()
-            self._stylus = Stylus.lifted(self.config.stylus.kind)
-            self._enter(Phase.STOPPED, now, self.reason, not_lifted="")
-        elif report.state in ("Hold", "Door"):
-            # The hold of a stop that was written just before the retreat began must not leave the stylus down.
-            self._lift_barred = report.state == "Door"
-            self._halt(self.reason, now, lift_again=report.state == "Hold")
-
-
-def _three(values: Sequence[float]) -> Reading:
-    x, y, z = values
-    return x, y, z
-
-
-def _elsewhere(mpos_mm: Sequence[float], place_mm: Sequence[float]) -> bool:
-    """Whether a board stands elsewhere, on the axes that both name."""
-    return any(abs(a - b) > SAME_PLACE_MM for a, b in zip(mpos_mm, place_mm))
-
-
-def _metres(reading: tuple[float, float, float]) -> str:
-    return "(" + ", ".join(f"{v:.4f}" for v in reading) + ") m"

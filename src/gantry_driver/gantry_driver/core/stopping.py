@@ -1,0 +1,207 @@
+"""The driver's way into the safe state: hold, reset, lift, and stay there until somebody lets it go; no I/O, no clock.
+
+What a stop does, and why, is in docs/decisions/stopping.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gantry_driver.core.connection import HOLD_REPEAT_S, REFUSED, Connection
+from gantry_driver.core.grbl_messages import Report
+from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine_states import Note, Phase
+from gantry_driver.core.session import HOLD, RESUME
+from gantry_driver.core.stylus_state import MAY_PRESS, MAY_SINK, Stylus
+from gantry_driver.core.trajectory_gcode import lift_lines
+from icu_common.core.results import Outcome
+
+OLD_HOLDS = 2
+"""Reports of a hold that may still come after a resume: one on its way, one asked for."""
+SAME_PLACE_MM = 0.05
+LOCKED = "the board is locked by an alarm whose number was not received"
+
+
+class Stopping(Connection):
+    """One board that can be brought to rest."""
+
+    def __init__(self, config: DriverConfig, *, active: bool = True) -> None:
+        super().__init__(config, active=active)
+        self._lift = True
+        self._lift_barred = False
+        self._lift_timeout_s = 0.0
+        self._old_holds = 0
+        self._stood_mm: tuple[float, ...] | None = None
+        """Where the board stood in the last report of a hold, None where it did not say."""
+        self._moved_mm: tuple[float, ...] | None = None
+        """The other place that it reported after the reset."""
+
+    def stop(self, reason: str, now: float, *, hold_written: bool = False) -> None:
+        """Hold, flush everything that is buffered, lift the stylus, and stay stopped until :meth:`reset`.
+
+        Parameters
+        ----------
+        reason
+            Published as ``stopped: reason``.
+        hold_written
+            The ``!`` is on the wire already.
+        """
+        if self.phase is Phase.ALARM or self.dialect in REFUSED:
+            return
+        self._latched = self._latched or reason
+        if self.phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
+            self._synchronise(now, "")
+            if not hold_written:
+                self.session.realtime(HOLD)
+        if self.phase in (Phase.CLOSED, Phase.SYNCHRONISE, Phase.ALARM_RESET):
+            return
+        if self.phase is Phase.LIFTING and not hold_written:
+            return  # The retreat is the way into the safe state already: a repeated stop lets it finish.
+        if self.phase is Phase.STOPPED:
+            self._lift = self.config.lift_on_stop and not self._lift_barred  # also where a lost count ended the retreat
+        self._halt(reason, now, hold_written=hold_written, lift_again=True)
+
+    def reset(self, now: float) -> str:
+        """Leave ``stopped``, ``alarm``, or the ``mismatch`` of a machine that homed in another place."""
+        if self.phase is Phase.STOPPED:
+            self._latched = ""
+            self._enter(self._resting_phase(), now, self._mismatch if self._blocked() else "")
+            return ""
+        if self.phase is Phase.ALARM:
+            self._enter(Phase.ALARM_RESET, now, self.reason)
+            self._marker = 0
+            return ""
+        if self._misplaced:
+            self._enter(Phase.UNHOMED, now)
+            return ""
+        if self.phase in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
+            return "the stop is not complete yet"
+        return f"nothing to reset: the driver is {self.state_text}"
+
+    # --- the way down ------------------------------------------------------------------------------------------------
+
+    def _halt(self, reason: str, now: float, *, hold_written: bool = False, lift_again: bool = False) -> None:
+        """Begin the way down: hold, wait for it, reset, lift; the goal is answered now."""
+        self._finish(Outcome.ABORTED, reason, now)
+        if self.phase in (Phase.STOPPED, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
+            # The first reason is the one that explains; a retreat that failed is not repeated.
+            reason, self._lift = self.reason, self._lift and (lift_again or self.phase is not Phase.LIFTING)
+        else:
+            self._lift, self._lift_barred = self.config.lift_on_stop, False
+        self._latched = reason
+        if self.phase in (Phase.HOLDING, Phase.RESETTING):
+            return
+        if self.phase is Phase.HOMING:
+            # GRBL does not hold in a homing cycle; a reset ends it with ALARM:6, and nothing is known to be lost.
+            self._forget_position()
+            self._enter(Phase.RESETTING, now, reason)
+            self.session.soft_reset(now)
+            return
+        self._old_holds = OLD_HOLDS if self._resuming else 0
+        self.session.withdraw(RESUME)
+        if not hold_written or self._resuming:  # a `~` may be on its way behind the hold that is written
+            self.session.realtime(HOLD)
+        self._hold_sent = now
+        self.session.paused = True
+        self._enter(Phase.HOLDING, now, reason)
+
+    def _tick_holding(self, age: float, now: float) -> None:
+        if age > self.config.hold_timeout_s:
+            self._events.append(Note(level="error", text=f"the hold did not complete in {age:.1f} s; resetting"))
+            self._forget_position()
+            self._reset_after_hold(now)
+        elif now - self._hold_sent >= HOLD_REPEAT_S:
+            self._hold_sent = now
+            self.session.realtime(HOLD)
+
+    def _reset_after_hold(self, now: float) -> None:
+        self._moved_mm = None
+        self._enter(Phase.RESETTING, now, self.reason)
+        self.session.soft_reset(now)
+
+    def _to_alarm(self, text: str, now: float) -> None:
+        if self.phase.state == "stopped":
+            told_anew = self._not_lifted in (MAY_PRESS, MAY_SINK)
+            text = f"{text}, after: {self.reason if told_anew else self._whole_reason()}"
+        self._finish(Outcome.ABORTED, text, now)
+        self._forget_position()
+        self._stylus = self._stylus.powerless(self.config.stylus.kind)
+        self.session.last_report_at = now  # In a homing cycle it is the first that the board says.
+        self._latched = ""  # The alarm is latched itself, and its reset is the same call.
+        if self.phase is Phase.ALARM_RESET:  # an emergency stop is still pressed: no banner comes
+            self.session.awaiting_banner = False
+        if self.phase is not Phase.ALARM:
+            self._enter(Phase.ALARM, now, text)
+
+    def _after_reset(self, report: Report, now: float) -> None:
+        if not (self._lift and report.state == "Idle" and self.homed and self._stylus_is_down()):
+            self._enter(Phase.STOPPED, now, self.reason)
+            return
+        self._enter(Phase.LIFTING, now, self.reason)
+        self._marker_done = False
+        config = self.config
+        # The board moves no axis faster than its own limit, and what is under way does not know of later parameters.
+        speed_m_s = min(config.stylus_feed_m_s, config.machine.max_rate_mm_min[2] / 60_000.0)
+        speeding_s = speed_m_s * 1000.0 / config.machine.acceleration_mm_s2[2]
+        self._lift_timeout_s = 2.0 + config.stylus.dwell_s + config.stylus_limit_m() / speed_m_s + speeding_s
+        for text in lift_lines(self.config):
+            self._marker = self.session.queue(text, answer_within_s=self._answer_time()).number
+
+    def _answer_time(self) -> float:
+        return self.config.answer_timeout_s + self.config.stylus.dwell_s
+
+    # --- what the board says meanwhile -------------------------------------------------------------------------------
+
+    def _report_holding(self, report: Report, now: float) -> None:
+        self._stood_mm = report.mpos_mm
+        if report.state == "Hold" and self._old_holds:
+            # Older than the resume, perhaps: a reset now could find the board moving, and lose its position.
+            self._old_holds -= 1
+            self.session.poll_now()
+        elif report.state == "Alarm" and self.homed:
+            self._to_alarm(LOCKED, now)
+        elif report.state in ("Idle", "Check"):
+            # Older than the hold, or a firmware that does not hold while idle: give the hold time to show.
+            if now - self._since > 1.5 * HOLD_REPEAT_S:
+                self._reset_after_hold(now)
+        elif report.state in ("Alarm", "Sleep", "Tool") or report.substate == 0 or report.state_text == "Door:1":
+            self._reset_after_hold(now)
+
+    def _report_resetting(self, report: Report, now: float) -> None:
+        if self.session.awaiting_banner:
+            return
+        if report.state == "Hold" or report.state_text == "Door:0":
+            self._reset_after_hold(now)
+        elif report.state == "Door":
+            # Still open: a reset does not leave this state, and nothing may move, not even when it is closed later.
+            self._lift, self._lift_barred = False, True
+            self._enter(Phase.STOPPED, now, self.reason)
+        elif report.state == "Alarm" and self.homed:
+            self._to_alarm("the reset left the board locked, its position is lost", now)
+        elif self.homed and self._stood_mm and report.mpos_mm and elsewhere(report.mpos_mm, self._stood_mm):
+            # A reset keeps the place; this was a loss of power. Noise spoils one report, hardly two alike.
+            found, stood = (", ".join(f"{v:.3f}" for v in place[:3]) for place in (report.mpos_mm, self._stood_mm))
+            if self._moved_mm == report.mpos_mm:
+                text = f"after the reset the board reports MPos {found} mm instead of {stood} mm, its position is lost"
+                self._to_alarm(text, now)
+            self._moved_mm = report.mpos_mm
+            self.session.poll_now()
+        elif report.state in ("Idle", "Alarm"):
+            self._after_reset(report, now)
+
+    def _report_lifting(self, report: Report, now: float) -> None:
+        if report.state == "Alarm":
+            self._to_alarm(LOCKED, now)
+        elif report.state == "Idle" and self._marker_done:
+            self.session.executed_all()
+            self._stylus = Stylus.lifted(self.config.stylus.kind)
+            self._enter(Phase.STOPPED, now, self.reason, not_lifted="")
+        elif report.state in ("Hold", "Door"):
+            # The hold of a stop that was written just before the retreat began must not leave the stylus down.
+            self._lift_barred = report.state == "Door"
+            self._halt(self.reason, now, lift_again=report.state == "Hold")
+
+
+def elsewhere(mpos_mm: Sequence[float], place_mm: Sequence[float]) -> bool:
+    """Whether a board stands elsewhere, on the axes that both name."""
+    return any(abs(a - b) > SAME_PLACE_MM for a, b in zip(mpos_mm, place_mm))
