@@ -10,7 +10,8 @@ import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, PANEL, Bench, RidingBench, config
 
 from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.controller import Controller, Phase
+from gantry_driver.core.controller import Controller
+from gantry_driver.core.goal_job import Phase
 from gantry_driver.core.scene import PanelControl
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.results import Outcome

@@ -1,0 +1,164 @@
+"""The goal in work: the motion and the look that its phase waits for, and how it ends; no ROS, no clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from gantry_driver.core import controller_messages as msg
+from gantry_driver.core import motion_plan
+from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.goal_job import FREE_VIEW, MOVING, NANO, PUSHING, STANDING, UP, Fault, Job, Phase, Step
+from gantry_driver.core.motion_plan import OutOfReach, Path
+from gantry_driver.core.servo import NO_LOOK, Look
+from gantry_driver.core.world import EXTENDED_M, World
+from icu_common.core.geometry import Array
+from icu_common.core.results import Outcome
+
+
+class GoalRun:
+    """One goal at a time, and the actions that it has asked for."""
+
+    def __init__(self, config: ControllerConfig) -> None:
+        self.config = config
+        self.phase = Phase.IDLE
+        self.counts = dict.fromkeys(Outcome, 0)
+        self._world = World()
+        self._job: Job | None = None
+        self._actions: list[msg.Action] = []
+        self._state = ""
+        self._closed = False
+        self._now_ns = 0
+        self._deadline_ns = 0
+        self._stamp_ns = 0
+        self._phase_ns = 0
+        self._end: Array | None = None
+        self._arrived_ns: int | None = None
+        self._tip_look = self._rest_look = NO_LOOK
+        self._asked_ns = 0
+
+    # The motion and the look that a phase waits for
+
+    def _enter(self, phase: Phase, within_s: float) -> None:
+        self.phase, self._phase_ns = phase, self._now_ns
+        self._deadline_ns = self._now_ns + nanoseconds(within_s)
+
+    def _go(self, phase: Phase, path: Path) -> None:
+        self._enter(phase, 1.5 * path.duration_s + self.config.motion_timeout_s)
+        # Stamps identify trajectories, so two of one instant must differ.
+        self._stamp_ns = max(self._now_ns, self._stamp_ns + 1)
+        if len(path.points):
+            self._end, self._arrived_ns = path.points[-1], None
+            self._actions.append(msg.SendTrajectory(stamp_ns=self._stamp_ns, path=path))
+        else:
+            # The machine stands there already; joint_states younger than this moment confirm it.
+            self._end, self._arrived_ns = self._world.here, self._now_ns
+
+    def _try(self, job: Job, phase: Phase, plan: Callable[[], Path]) -> None:
+        """Enter a phase whose path may leave the reachable area because of a correction."""
+        try:
+            path = plan()
+        except OutOfReach as error:
+            self._break_off(job, Fault(cause=f"corrected aim: {error}"))
+            return
+        self._go(phase, path)
+
+    def _lift(self, job: Job) -> None:
+        self._go(Phase.LIFT, motion_plan.lift(self._world.here, self.config.motion))
+
+    def _way_to(self, job: Job) -> Path:
+        """Return the way to where the job's tip goes before a touch; raises OutOfReach."""
+        first = job.aim.readings_at(job.tip_goal()[np.newaxis])[0]
+        return motion_plan.travel(self._world.here, first[:2], first[2], self.config.motion)
+
+    def _look(self, phase: Phase, settle_s: float, timeout_s: float, *, needed: int, kept: int) -> None:
+        self.phase = phase
+        self._tip_look = Look(after_ns=self._now_ns + nanoseconds(settle_s), needed=needed, kept=kept)
+        self._deadline_ns = self._tip_look.after_ns + nanoseconds(timeout_s)
+
+    def _looked(self, seen: bool) -> Step | None:
+        return Step.SEEN if seen else Step.UNSEEN if self._now_ns > self._deadline_ns else None
+
+    def _standing(self) -> bool:
+        # The driver's state and joints come on other topics than its result, in any order.
+        assert self._arrived_ns is not None
+        idle = self._world.driver == "idle" or self._now_ns > self._arrived_ns + NANO
+        return idle and self._world.readings_ns > self._arrived_ns
+
+    def _check_arrival(self, job: Job) -> bool:
+        assert self._end is not None
+        off = float(np.linalg.norm(self._world.here - self._end))
+        if off <= self.config.arrival_tolerance_m:
+            return True
+        cause = (
+            f"the driver reports the end of the motion {1000 * off:.2f} mm beside it, "
+            f"{1000 * self.config.arrival_tolerance_m:g} mm are allowed"
+        )
+        self._break_off(job, Fault(cause=cause, lift=False, stop=self._extended))
+        return False
+
+    @property
+    def _extended(self) -> bool:
+        """Whether the stylus may touch, so that only a stop, which lifts, leaves it safe."""
+        return bool(self._world.here[2] > EXTENDED_M)
+
+    def _seen_in_base(self, job: Job) -> Array | None:
+        assert job.scene is not None
+        base_from_camera = self._world.base_from_camera(job.scene, self.config)
+        return None if base_from_camera is None else self._tip_look.seen(base_from_camera, self.config.tip_spread_m)
+
+    # Ends
+
+    def _fault(self, job: Job) -> Fault | None:
+        """Return what ends the goal early, if anything; asked after every event."""
+        pushing, crossing = self.phase in PUSHING, self.phase not in STANDING
+        fault = self._world.machine_fault(self.config, pushing=pushing)
+        if fault is not None or job.touch is None or self.phase in UP:
+            return fault
+        assert job.scene is not None
+        if self.phase in FREE_VIEW and (fault := self._world.view_fault(self.config, job.touch.control)) is not None:
+            return fault
+        return self._world.sight_fault(self.config, job.scene, job.touch.in_panel, pushing=pushing, crossing=crossing)
+
+    def _break_off(self, job: Job, fault: Fault) -> None:
+        """End the goal early: hold the machine, or let a motion in the air end and retract, or only report."""
+        cause = fault.cause if job.fault is None else f"{job.fault.cause}; then {fault.cause}"
+        if fault.stop:
+            self._actions.append(msg.CallStop(reason=cause))
+            self._abort(job, f"{cause}; the machine was told to stop")
+        elif not fault.lift or job.fault is not None:
+            self._abort(job, f"{cause}; nothing more was moved")
+        else:
+            job.fault = fault
+            if self.phase not in MOVING:
+                self._lift_after_fault(job)
+
+    def _lift_after_fault(self, job: Job) -> None:
+        self._go(Phase.BREAK_OFF, motion_plan.lift(self._world.here, self.config.motion))
+
+    def _finish_broken_off(self, job: Job) -> None:
+        assert job.fault is not None
+        self._abort(job, f"{job.fault.cause}; the stylus is up")
+
+    def _abort(self, job: Job, reason: str) -> None:
+        """End a goal that was broken off: who presses once more what has acted presses twice."""
+        if job.touched_ns and not reason.startswith("touched"):
+            reason = f"{reason}; the stylus had gone down: look at the panel before trying again"
+        self._finish(job, Outcome.ABORTED, reason)
+
+    def _finish(self, job: Job, outcome: Outcome, reason: str = "") -> None:
+        if outcome is Outcome.REACHED and job.measured_beside:
+            reason = "the tip was measured beside the target, as it could not be seen before it"
+        self.phase = Phase.IDLE
+        self._job = None
+        self._publish(job, outcome, reason)
+
+    def _publish(self, job: Job, outcome: Outcome, reason: str = "") -> None:
+        self.counts[outcome] += 1
+        self._actions.append(msg.PublishResult(result=job.result(outcome, reason, self._now_ns)))
+
+
+def nanoseconds(seconds: float) -> int:
+    """Return seconds as the clock counts them."""
+    return round(seconds * NANO)
