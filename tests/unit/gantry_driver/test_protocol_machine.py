@@ -1701,6 +1701,40 @@ def test_a_grbl_before_1_1_is_told_from_the_others_and_asked_for_nothing() -> No
     assert "before 1.1" in machine.home(now) and "nothing to accept" in machine.accept_settings(now)
 
 
+@pytest.mark.parametrize("phase", ["MOVING", "HOMING"])
+def test_a_marlin_that_comes_up_in_the_place_of_the_board_ends_what_was_under_way(phase: str) -> None:
+    """The goal got no final answer, and the machine stayed homed."""
+    rig = Rig().homed()
+    rig.machine.home(rig.now) if phase == "HOMING" else rig.go((0.3, 0.1, 0.0))
+    rig.run_for(0.2)
+    assert rig.machine.phase.name == phase
+    rig.board.mute = True
+    rig.trace.clear()
+    rig.machine.receive(b"start\necho:Marlin 2.1.2\n", rig.now)
+    rig.step()
+    assert rig.states[-1].startswith("connecting: the board was reset by itself") and not rig.machine.homed
+    assert rig.outcomes() == (["accepted", "aborted"] if phase == "MOVING" else [])
+    assert rig.trace[0][1].startswith(b"!"), "perhaps it was noise, and the board moves"
+    rig.until(lambda: "M115" in rig.sent())
+    rig.machine.receive(b"FIRMWARE_NAME:Marlin 2.1.2 SOURCE_CODE_URL:x PROTOCOL_VERSION:1.0\nok\n", rig.now)
+    rig.step()
+    assert rig.states[-1].startswith("mismatch: the firmware is Marlin")
+    rig.machine.receive(b"start\necho:Marlin 2.1.2\n", rig.now)
+    rig.trace.clear()
+    rig.run_for(5.0)
+    assert rig.states[-1].startswith("mismatch: the firmware is Marlin") and rig.trace == []
+
+
+def test_a_stop_is_one_though_a_line_has_named_another_firmware() -> None:
+    rig = Rig().homed()
+    rig.go((0.3, 0.1, 0.0))
+    rig.run_for(0.2)
+    rig.machine.receive(b"FIRMWARE_NAME:Marlin 2.1.2 SOURCE_CODE_URL:x PROTOCOL_VERSION:1.0\n", rig.now)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.outcomes() == ["accepted", "aborted"] and rig.board.mpos[0] < HOMED[0] + 200.0
+
+
 def test_a_banner_that_noise_has_made_an_old_one_is_a_reset_like_any_other(monkeypatch: Any) -> None:
     rig = Rig().homed()
     rig.go((0.3, 0.1, 0.0))

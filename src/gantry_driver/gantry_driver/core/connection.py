@@ -254,11 +254,14 @@ class Connection:
             self.session.soft_reset(now)
 
     def _on_firmware(self, firmware: Firmware, now: float) -> None:
+        if firmware.dialect in REFUSED:
+            if self.phase is Phase.SYNCHRONISE:
+                self.firmware = firmware.version
+                self._refuse(firmware.dialect, now)
+            return
         if firmware.dialect is not Dialect.UNKNOWN:
             self.dialect = firmware.dialect
         self.firmware = firmware.version
-        if firmware.dialect in REFUSED and self.phase is Phase.SYNCHRONISE:
-            self._refuse(firmware.dialect, now)
 
     def _refuse(self, dialect: Dialect, now: float) -> None:
         self.dialect, self._mismatch = dialect, REFUSED[dialect]

@@ -191,7 +191,9 @@ class Machine(Streaming):
 
     def _on_reset(self, event: WasReset, now: float) -> None:
         banner = event.banner
-        if banner.dialect is Dialect.MARLIN or (banner.dialect in REFUSED and self.phase is Phase.SYNCHRONISE):
+        if self.dialect in REFUSED and banner.dialect in REFUSED:
+            return
+        if banner.dialect in REFUSED and self.phase is Phase.SYNCHRONISE:
             self._refuse(banner.dialect, now)
             return
         self._critical, self._has_g92 = False, None
