@@ -51,6 +51,20 @@ def test_true_error_at_contact(seed: int, kind: type[Bench]) -> None:
         assert int(dict(result.details)["corrections"]) <= 2
 
 
+@pytest.mark.parametrize("kind", [Bench, RidingBench])
+@pytest.mark.parametrize("gesture", ["drag:0.05,0.06@panel_link:0.12,0.10@panel_link", "turn:CH1_SCALE:40"])
+@pytest.mark.parametrize("seed", range(3))
+def test_an_arc_is_measured_where_it_began(seed: int, gesture: str, kind: type[Bench]) -> None:
+    """Cameras on the carriage have gone along it when the contact is judged: it was 81 mm beside the target."""
+    bench = sloppy_bench(seed, kind).start()
+    result = bench.do(gesture)
+    assert result.outcome is Outcome.REACHED, result
+    began = next(p for p in bench.lowest if p[2] < min(p[2] for p in bench.lowest) + 2e-5)
+    place = dict(result.details)["target_base_m"]
+    true_error = float(np.linalg.norm(began[:2] - np.array([float(v) for v in place.split()])[:2]))
+    assert true_error < 0.0003 and abs(result.error_m - true_error) < 0.0001
+
+
 def test_without_servoing_the_same_machine_misses() -> None:
     errors = []
     for seed in SEEDS:
