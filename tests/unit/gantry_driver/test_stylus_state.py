@@ -216,3 +216,24 @@ def test_an_alarm_after_a_stop_that_did_not_lift_says_so_once() -> None:
     rig.board.alarm(2)
     rig.until(lambda: rig.state == "alarm")
     assert rig.states[-1] == f"alarm: ALARM:2 (target beyond soft limits), after: stop requested; {NOT_LIFTED}"
+
+
+def test_a_door_that_is_opened_after_a_stop_leaves_the_servo_limp_until_it_is_closed() -> None:
+    """The board ends the pulses while its door is open; the state went on to read as if the stylus were held up."""
+    rig = servo()
+    rig.go((0.3, 0.0, 0.0))
+    rig.run_for(0.3)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == "stopped: stop requested"
+    rig.board.state = "Door:1"
+    rig.run_for(1.0)
+    assert rig.states[-1] == f"stopped: stop requested; {SINKS}" and rig.board.state == "Door:1"
+    told = len(rig.states)
+    rig.run_for(1.0)
+    assert len(rig.states) == told, "once"
+    rig.board.received.clear()
+    rig.board.state = "Door:0"
+    rig.until(lambda: rig.states[-1] == "stopped: stop requested")
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert "M3S200" in rig.board.received and rig.machine.homed

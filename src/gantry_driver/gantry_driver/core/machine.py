@@ -347,7 +347,10 @@ class Machine(Streaming):
         if report.state == "Alarm":
             self._to_alarm(LOCKED, now)
         elif self.phase is Phase.STOPPED and report.state == "Door" and report.substate != 0:
-            return
+            limp = self._stylus.powerless(self.config.stylus.kind)  # an open door ends a servo's pulses
+            if limp is not self._stylus:
+                self._stylus = limp
+                self._enter(Phase.STOPPED, now, self.reason)
         elif self.phase is Phase.STOPPED and report.state in ("Hold", "Door"):
             self._halt(self.reason, now)
         else:
