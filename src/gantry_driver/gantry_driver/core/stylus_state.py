@@ -35,7 +35,7 @@ class Stylus(Enum):
     RISING = auto()
     """Without a Z axis: ordered up, on its way; it counts as down until it has had the time for it."""
     LIMP = auto()
-    """A servo that was up, and may have lost its pulses since: some boards end them at an alarm, all at a reset."""
+    """A servo that was up, and may have lost its pulses: some boards end them at an alarm, all at a reset or a door."""
     LEFT_SEEN = auto()
     """The position was lost with the stylus down, as the last reading has told."""
     LEFT_UNSEEN = auto()
@@ -72,7 +72,7 @@ class Stylus(Enum):
         return Stylus.LEFT_SEEN if _extended(extension_m) else Stylus.LEFT_UNSEEN
 
     def powerless(self, kind: str) -> Stylus:
-        """Its pulses may have ended, by an alarm or a reset: nothing holds a servo that is not known to be down."""
+        """Its pulses may have ended (alarm, reset, open door): nothing holds a servo that is not known to be down."""
         limp = kind == "servo_m3" and self in (Stylus.AS_READ, Stylus.UP)
         return Stylus.LIMP if limp else self
 
