@@ -50,7 +50,8 @@ from scope_ui_bridge.core.stop_cause import StopCauses
 from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
 from scope_ui_bridge.core.viewer import Viewer
 
-HEARTBEAT_PERIOD_S = 0.2
+HEARTBEAT_PERIOD_S = 0.1
+"""Far below the driver's patience (0.6 s): a bridge that is held up on a busy computer is late by so much more."""
 STATE_PERIOD_S = (0.1, 1.0)
 _SAME_STOP_S = 0.5
 _WATCHDOG, _RECORDER = "Watchdog", "bag_record"
