@@ -394,6 +394,34 @@ def test_the_page_shows_what_the_topics_say(ros: Any, bridge: Any) -> None:
     assert (knob["angle_deg"], knob["detent_deg"], knob["marks"]) == (36, 18.0, {"X1": 30.0})
 
 
+def test_the_other_camera_is_heard_only_while_a_page_shows_it(ros: Any, bridge: Any) -> None:
+    """Each reader of a camera costs it and the bridge a tenth of a processor, beside which the heartbeat is late."""
+    graph, browser, _, _ = bridge
+    shown(ros, graph, browser)
+    right = graph.probe.create_publisher(Image, "right/image_raw", qos.IMAGES)
+    seen = lambda camera: [f for f in browser.frames if f["camera"] == camera]  # noqa: E731
+
+    def look(camera: str) -> None:
+        before = len(seen(camera))
+        browser.run(browser.video.send_str(json.dumps({"camera": camera})))
+
+        def come() -> bool:
+            graph.show_all()
+            if right.get_subscription_count():
+                right.publish(image_message(np.full((480, 640, 3), 90, np.uint8), "bgr8", header(graph.now(), "right")))
+            return len(seen(camera)) > before
+
+        ros.spin_until(come, WITHIN_S, lambda: browser.frames[-1:])
+
+    assert right.get_subscription_count() == 0
+    look("right")
+    assert seen("right")[-1]["width"] == 640
+    assert graph.publishers["left/image_raw"].get_subscription_count() == 1, "who moves without pictures is stopped"
+    look("left")
+    ros.spin_until(lambda: right.get_subscription_count() == 0, WITHIN_S)
+    look("right")
+
+
 def test_what_has_ended_is_in_no_state_any_more(ros: Any, bridge: Any) -> None:
     graph, browser, _, _ = bridge
     shown(ros, graph, browser)

@@ -98,3 +98,34 @@ def test_no_picture_is_encoded_in_advance_and_grows_old_until_there_is_room() ->
         serving.cancel()
 
     asyncio.run(scenario())
+
+
+def test_a_camera_that_was_not_listened_to_shows_nothing_from_before() -> None:
+    """Who looks at it again would see a picture of minutes ago, and a page in the middle of a motion stop it."""
+
+    async def scenario() -> None:
+        encoder, socket = ByHand(), Sent()
+        hub = VideoHub(Rig().desk, encoder, lambda: 80, lambda: 0)
+        viewer = VideoViewer(socket=socket)  # type: ignore[arg-type]
+        hub.add(viewer)
+        serving = asyncio.create_task(hub.serve(viewer))
+        picture = np.zeros((72, 128), np.uint8)
+        hub.look(viewer, "right", frozenset())
+        assert hub.cameras == {"right"}
+        hub.offer("right", 1, "mono8", picture)
+        await encoder.finish()
+        hub.offer("right", 2, "mono8", picture)
+        hub.look(viewer, "left", frozenset())
+        assert hub.cameras == {"left"}
+        hub.forget("right")  # while its last one is being encoded
+        await encoder.finish()
+        hub.look(viewer, "right", frozenset())
+        hub.kick(viewer)
+        await settled()
+        assert (socket.stamps, encoder.jobs, hub.newest("right")) == ([1], [], None)
+        hub.offer("right", 3, "mono8", picture)
+        await encoder.finish()
+        serving.cancel()
+        assert socket.stamps == [1, 3]
+
+    asyncio.run(scenario())

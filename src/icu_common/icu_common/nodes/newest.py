@@ -33,7 +33,12 @@ class NewestSubscription:
         self.dropped = 0
         self._sequence = 0
         self._callback = callback
+        self._node = node
         self._subscription = node.create_subscription(message_type, topic, self._on_message, qos.NEWEST)
+
+    def end(self) -> None:
+        """Listen no more."""
+        self._node.destroy_subscription(self._subscription)
 
     def _on_message(self, message: Any) -> None:
         # The executor hands over the oldest of the queue; the rest is taken here. The middleware counts what a writer

@@ -102,6 +102,8 @@ class VideoHub:
         self.encoded = 0
         self.wanted: frozenset[tuple[str, str]] = frozenset()
         """Layers (name, camera) that somebody looks at now; replaced as a whole, so any thread may read it."""
+        self.cameras: frozenset[str] = frozenset()
+        """Cameras that somebody looks at now, likewise."""
 
     def add(self, viewer: VideoViewer) -> None:
         """Start to serve a viewer."""
@@ -121,6 +123,7 @@ class VideoHub:
 
     def _note_wanted(self) -> None:
         self.wanted = frozenset((layer, viewer.camera) for viewer in self._viewers for layer in viewer.layers)
+        self.cameras = frozenset(viewer.camera for viewer in self._viewers if viewer.camera)
 
     def offer(self, camera: str, stamp_ns: int, encoding: str, picture: Picture) -> None:
         """Take the newest picture of a camera, (H, W) or (H, W, C) uint8."""
@@ -130,6 +133,12 @@ class VideoHub:
             stream.raw = (stamp_ns, encoding, picture)
             stream.raw_seq = self._seqs[camera]
             self._encode_if_wanted((camera, level))
+
+    def forget(self, camera: str) -> None:
+        """Show no picture of a camera before the next one comes: it is not listened to while nobody looks."""
+        for level in range(len(FORMS)):
+            stream = self._streams[camera, level]
+            stream.raw = stream.frame = None
 
     def newest(self, camera: str) -> tuple[int, str, Picture] | None:
         """Return stamp, encoding and the newest picture of a camera, None before the first."""
@@ -162,6 +171,8 @@ class VideoHub:
         try:
             jpeg = await loop.run_in_executor(self._executor, to_jpeg, picture, encoding, self._quality(), form)
             self.encoded += 1
+            if stream.raw is None:  # forgotten meanwhile
+                return
             stream.frame = self._frame(key, seq, stamp_ns, picture, jpeg)
             self._desk.machine.frame_offered(camera, stamp_ns)
             for viewer in self._viewers:

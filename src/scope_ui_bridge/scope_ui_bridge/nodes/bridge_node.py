@@ -98,7 +98,7 @@ _LAYER_TOPICS = {
     (EDGES, "right"): "right/edge_lines",
 }
 _LAYER_COLUMNS = {CORNERS: ("u", "v"), EDGES: ("u", "v", "line")}
-_LAYERS_PERIOD_S = 0.2
+_SHOWN_PERIOD_S = 0.2
 _MAX_PATH = 200
 SILENT_S = 5.0
 """A node reports every second; a busy machine may delay that."""
@@ -121,6 +121,7 @@ class BridgeNode(Node):
         self._withdrawn = False
         self._camera_from_base: Transform | None = None
         self._layers: dict[tuple[str, str], Any] = {}
+        self._pictures: dict[str, NewestSubscription] = {}
         self._roll = Roll(SILENT_S)
         robot = f"{socket.gethostname()}{self.get_namespace()}"
         self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "", robot)
@@ -181,10 +182,6 @@ class BridgeNode(Node):
     # --- from the graph --------------------------------------------------------------------------------------------
 
     def _make_inlets(self) -> None:
-        self._pictures = [
-            NewestSubscription(self, Image, f"{side}/image_raw", self._picture_taker(side))
-            for side in ("left", "right")
-        ]
         self._hear(CameraInfo, "left/camera_info", qos.SENSOR, lambda m: self._camera_seen("left", m))
         self._hear(CameraInfo, "right/camera_info", qos.SENSOR, lambda m: self._camera_seen("right", m))
         self._hear(PoseStamped, "panel/pose", qos.LATCHED, self._pose_seen)
@@ -206,15 +203,25 @@ class BridgeNode(Node):
         self._hear(DiagnosticArray, "panel/teach/result", qos.RESULTS, self._taught)
         self._hear(DiagnosticArray, "gantry/sequence_result", qos.RESULTS, self._sequence_result_seen)
 
-        every(self, _LAYERS_PERIOD_S, self._hear_layers)
+        self._hear_what_is_shown()
+        every(self, _SHOWN_PERIOD_S, self._hear_what_is_shown)
 
-    def _hear_layers(self) -> None:
-        """Listen to corners and edges only while a page shows them, so that nobody computes them for nothing."""
-        wanted = self._server.video.wanted
-        for key in wanted - self._layers.keys():
+    def _hear_what_is_shown(self) -> None:
+        """Listen to corners, edges and the other camera only while a page shows them, so that nobody works for nothing.
+
+        The left camera is always heard: a motion without pictures is stopped, and a panel is taught in its picture.
+        """
+        video = self._server.video
+        for key in video.wanted - self._layers.keys():
             self._layers[key] = self._hear(PointCloud2, _LAYER_TOPICS[key], qos.SENSOR, self._layer_taker(*key))
-        for key in self._layers.keys() - wanted:
+        for key in self._layers.keys() - video.wanted:
             self.destroy_subscription(self._layers.pop(key))
+        cameras = video.cameras | {"left"}
+        for side in cameras - self._pictures.keys():
+            self._pictures[side] = NewestSubscription(self, Image, f"{side}/image_raw", self._picture_taker(side))
+        for side in self._pictures.keys() - cameras:
+            self._pictures.pop(side).end()
+            self._mail.newest(side, video.forget, side)
 
     def _layer_taker(self, layer: str, camera: str) -> Callable[[PointCloud2], None]:
         take, columns = self._scene.layers.take, _LAYER_COLUMNS[layer]
