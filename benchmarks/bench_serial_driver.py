@@ -35,10 +35,10 @@ import serial
 from pygrbl_streamer import GrblStreamer
 from rows import Row, bound, row, write
 
-from gantry_driver.adapters.real_time import ask_for_real_time
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.session import HOLD
 from gantry_driver.core.trajectory_gcode import Waypoint, write_motion
+from icu_common.adapters.real_time import DRIVER, ask_for_real_time
 from icu_common.core.frames import JOINTS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -167,7 +167,7 @@ def run_node(port: str, holds: str) -> int:
     from gantry_driver.nodes.serial_driver_node import make_node
     from icu_common.nodes.runtime import prepare_transport
 
-    ask_for_real_time()
+    ask_for_real_time(DRIVER)
     prepare_transport(shared_memory=False)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 
@@ -207,7 +207,7 @@ def stops(count: int) -> list[Row]:
     from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
     from icu_common.nodes.runtime import prepare_transport
 
-    scheduling = "normal" if ask_for_real_time() else "real-time"
+    scheduling = "normal" if ask_for_real_time(DRIVER) else "real-time"
     prepare_transport()
     rclpy.init()
     node = rclpy.create_node("stop_bench")
@@ -237,7 +237,7 @@ def stops(count: int) -> list[Row]:
         until(future.done)
 
     with camera_graph(), tempfile.NamedTemporaryFile("r") as holds, board(0) as mock:
-        ask_for_real_time(mock.process.pid)
+        ask_for_real_time(DRIVER, mock.process.pid)
         until(lambda: len(seen) > 20, 60.0)
         command = [sys.executable, __file__, "--node", str(mock.port), holds.name]
         child = subprocess.Popen(command, stderr=subprocess.DEVNULL)

@@ -456,7 +456,7 @@ def test_a_flood_of_goals_moves_what_the_first_one_says(operator: Callable[..., 
 
 
 def test_the_program_has_real_time_scheduling_or_says_why_not() -> None:
-    code = "from gantry_driver.adapters.real_time import *; print([ask_for_real_time(), is_real_time()])"
+    code = "from icu_common.adapters.real_time import *; print([ask_for_real_time(DRIVER), is_real_time()])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     allowed = done.stdout.strip() == "['', True]"
     assert allowed or done.stdout.startswith("['real-time scheduling is not allowed ("), done

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import re
 import struct
+import subprocess
 import sys
 import threading
+import time
+from collections import Counter
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,6 +31,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from icu_common.adapters.real_time import BRIDGE
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.geometry import Transform
@@ -420,6 +425,29 @@ def test_the_other_camera_is_heard_only_while_a_page_shows_it(ros: Any, bridge: 
     look("left")
     ros.spin_until(lambda: right.get_subscription_count() == 0, WITHIN_S)
     look("right")
+
+
+def test_the_program_is_scheduled_before_ordinary_ones_or_says_why_not(tmp_path: Path) -> None:
+    """Every thread of it: one that waits for its turn with the interpreter's lock would hold up the others."""
+    module = "scope_ui_bridge.nodes.bridge_node"
+    count = f"import os, {module}; print(len(os.listdir('/proc/self/task')) - 1)"
+    librarys_own = int(subprocess.run([sys.executable, "-c", count], capture_output=True, check=True).stdout)
+    command = [sys.executable, "-m", module, "--ros-args", "-p", "port:=0", "-p", f"token_file:={tmp_path / 'token'}"]
+    with (tmp_path / "said").open("w+") as said:
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said)
+        try:
+            deadline = time.monotonic() + 60.0
+            while not (tmp_path / "token").exists() and process.poll() is None and time.monotonic() < deadline:
+                time.sleep(0.05)
+            threads = [int(path.name) for path in Path(f"/proc/{process.pid}/task").iterdir()]
+            found = Counter((os.sched_getscheduler(n), os.sched_getparam(n).sched_priority) for n in threads)
+        finally:
+            process.terminate()
+            process.wait(WITHIN_S)
+        said.seek(0)
+        refused = "ui_bridge: real-time scheduling is not allowed (" in said.read()
+    assert found.pop((os.SCHED_RR, BRIDGE), 0) == (0 if refused else len(threads) - librarys_own)
+    assert found == {(os.SCHED_OTHER, 0): len(threads) if refused else librarys_own}
 
 
 def test_what_has_ended_is_in_no_state_any_more(ros: Any, bridge: Any) -> None:

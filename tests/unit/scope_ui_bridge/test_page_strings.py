@@ -72,6 +72,7 @@ UNSAID = {
     ),
     "the log": (
         *("serial_driver: {}; under load a stop may take longer, see README, Hardware",),
+        *("ui_bridge: {}; under load a motion may be stopped, see README, Hardware",),
         *("encoding {} is none of bgr8, mono8, {}", "OpenCV could not encode the picture"),
         *("encoding {} is none of {}, nor one of these with 16 bits",),
     ),

@@ -7,6 +7,7 @@ import contextlib
 import os
 import queue
 import re
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -84,6 +85,22 @@ def test_nothing_is_computed_for_a_recording_that_the_page_does_not_show(tmp_pat
     shown += [f"{eye}/{name}" for eye in eyes for name in ("image_raw", "camera_info", "corners", "edge_lines")]
     assert [name for name in computed if not re.search(left_out, name)] == []
     assert [name for name in shown if re.search(left_out, name)] == []
+
+
+def test_a_recording_is_scheduled_as_ordinary_programs_are(tmp_path: Path) -> None:
+    """It compresses pictures for as long as it runs, and would hold up all others if it came first."""
+    script = "import os, sys; sys.stdin.read(); os.write(2, str(os.sched_getscheduler(0)).encode())"
+    record = made(tmp_path / "record", f"#!{sys.executable}\n{script}\n")
+    code = f"""import os, pathlib, queue, sys
+from icu_common.adapters.real_time import BRIDGE, ask_for_real_time
+from scope_ui_bridge.adapters.recorder import Recorder
+said = queue.Queue()
+refusal = ask_for_real_time(BRIDGE)
+Recorder({str(tmp_path / "sessions")!r}, pathlib.Path({str(record)!r})).start(lambda ok, text: said.put(text))
+print(refusal or os.sched_getscheduler(0) == os.SCHED_RR, said.get(timeout={WITHIN_S}))"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, input="", timeout=2 * WITHIN_S)
+    assert done.stderr == str(int(os.SCHED_OTHER)), done
+    assert re.match("True bag_record ended with 0|real-time scheduling is not allowed", done.stdout), done
 
 
 # The first one ends at once; what it has left behind keeps its output open until somebody opens the fifo.

@@ -24,12 +24,12 @@ from std_msgs.msg import Empty, Header, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from gantry_driver.adapters.real_time import ask_for_real_time, is_real_time
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, Position, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
+from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time
 from icu_common.core.frames import JOINTS
 from icu_common.nodes.conversions import (
     diagnostic_status,
@@ -243,7 +243,7 @@ def make_node(**node_arguments: Any) -> SerialDriverNode:
 
 
 def main() -> int:
-    if refusal := ask_for_real_time():
+    if refusal := ask_for_real_time(DRIVER):
         print(f"serial_driver: {refusal}; under load a stop may take longer, see README, Hardware", file=sys.stderr)
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # Put aside by Ctrl-Z, it could not hold.
     return run(make_node, shared_memory=False)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TextIO
 
 from icu_common.adapters.executables import find_executable
+from icu_common.adapters.real_time import give_up_real_time
 from scope_ui_bridge.adapters.graph_port import GraphError
 
 _LOG = logging.getLogger(__name__)
@@ -91,6 +92,7 @@ class Recorder:
                 # In memory, as the disk may be full; no pipe, as who outlives a killed bridge must be able to write.
                 errors = os.fdopen(os.memfd_create("bag_record"), "w+", errors="replace")
                 self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
+                give_up_real_time(self._process.pid)  # it compresses pictures, on as many processors as there are
             except OSError as error:
                 raise GraphError(f"cannot record to {self._output}: {error}") from error
             self._records, self._ended, self._who = False, None, who

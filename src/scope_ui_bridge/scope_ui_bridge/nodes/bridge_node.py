@@ -12,6 +12,7 @@ from __future__ import annotations
 import secrets
 import signal
 import socket
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -29,6 +30,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from icu_common.adapters.real_time import BRIDGE, ask_for_real_time
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import CAMERA_LEFT, JOINTS
 from icu_common.core.geometry import Transform
@@ -482,6 +484,8 @@ def _make(**options: Any) -> BridgeNode:
 
 
 def main() -> int:
+    if refusal := ask_for_real_time(BRIDGE):
+        print(f"ui_bridge: {refusal}; under load a motion may be stopped, see README, Hardware", file=sys.stderr)
     return run(_make)
 
 
