@@ -44,6 +44,7 @@ _PLACES = """async (what) => {
     'no link': () => hide(desk.link, 'silent', true),
     'old picture': () => hide(desk.video, 'ageMs', 5000),
     'sign-in ends': () => hide(desk.link, 'signInEndsMs', 250000),
+    'request': () => told({ lease: { ...before.lease, requester: 'v99', requester_name: 'Grace' } }),
   };
   changes[what]();
   desk.changed();
@@ -67,7 +68,7 @@ _HIT = (
     "(points) => points.some(([x, y]) => document.elementFromPoint(x, y)?.closest('button, input, select, a, #stage'))"
 )
 CAUSES = ["stop", "the longest reason", "alarm", "wrong settings", "motion", "stop failed", "no link", "old picture"]
-CAUSES += ["sign-in ends"]
+CAUSES += ["sign-in ends", "request"]
 
 
 def points(place: list[float]) -> list[list[float]]:
@@ -102,12 +103,56 @@ def test_no_banner_moves_what_can_be_clicked(browser: Any, instrument: Instrumen
                 where = f"{tab}, {language}, {cause}: "
                 moved += [f"{where}{n} from {at} to {now[n]}" for n, at in before.items() if now.get(n, at) != at]
                 new = [name for name in now if name not in before]
-                assert new or cause not in ("stop", "wrong settings"), "the button that is needed is there"
+                assert new or cause not in ("stop", "wrong settings", "request"), "the button that is needed is there"
                 moved += [f"{where}{n} lies over another" for n in new if page.evaluate(_HIT, points(now[n]))]
         assert moved == []
         assert operator.complaints == []
     finally:
         operator.context.close()
+
+
+@pytest.mark.parametrize("width", [360, 390])
+def test_a_telephone_shows_every_cause_of_a_stop_as_a_whole(browser: Any, instrument: Instrument, width: int) -> None:
+    operator = Operator(browser, instrument.new_address(), viewport={"width": width, "height": 740})
+    page = operator.page
+    operator.takes_control()
+    cut: list[str] = []
+    for language in ("en", "de"):
+        if page.get_attribute("html", "lang") != language:
+            page.click("#language")
+        cut += page.evaluate(
+            """async () => {
+              const { desk } = await import('/page/desk.js');
+              const [strings] = Object.values(await import(`/page/strings_${document.documentElement.lang}.js`));
+              const stopped = { state: 'stopped', reason: 'stop requested' };
+              return Object.keys(strings).filter((name) => name.startsWith('stopped_')).filter((code) => {
+                const stop_cause = { code, who: 'Watchdog', silence_s: 1.2 };
+                const detail = { ...desk.state, driver: stopped, stop_cause };
+                desk.link.dispatchEvent(new CustomEvent('state', { detail }));
+                desk.changed();
+                const said = document.querySelector('#banner p');
+                return said.scrollHeight > said.clientHeight;
+              });
+            }"""
+        )
+    assert cut == []
+    operator.leaves()
+
+
+@pytest.mark.parametrize("width", [1000, 1280, 1600])
+def test_letters_of_twice_the_size_leave_all_of_the_head_in_reach(
+    browser: Any, instrument: Instrument, width: int
+) -> None:
+    """The states lay over the way out, the language and the help (WCAG 1.4.4)."""
+    operator = Operator(browser, instrument.new_address(), viewport={"width": width, "height": 900})
+    page = operator.page
+    operator.takes_control()
+    page.evaluate("document.documentElement.style.fontSize = '30px'")
+    for language in ("de", "en"):
+        if page.get_attribute("html", "lang") != language:
+            page.click("#language", timeout=5000)
+        assert page.evaluate(_OUT_OF_SIGHT, [".brand button", "#stop", ".chip"]) == []
+    operator.leaves()
 
 
 # What of these is not wholly in the window, or lies under something else in its middle.

@@ -145,8 +145,8 @@ export const DE = {
   banner_stop_failed: "STOP ist nicht durchgekommen. Den verdrahteten Not-Halt benutzen.",
   banner_link: "Die Verbindung ist verloren. Die Maschine hält von selbst an. Neuer Versuch …",
   banner_stale: "Das Livebild ist alt. Nichts kann gewählt oder bewegt werden.",
-  banner_stopped: "GESTOPPT – {reason}. Nichts bewegt sich, bis der Bediener „Nach Stop zurücksetzen“ drückt.",
-  banner_stopped_bare: "GESTOPPT. Nichts bewegt sich, bis der Bediener „Nach Stop zurücksetzen“ drückt.",
+  banner_stopped: "GESTOPPT – {reason}. Nichts bewegt sich vor „Nach Stop zurücksetzen“.",
+  banner_stopped_bare: "GESTOPPT. Nichts bewegt sich vor „Nach Stop zurücksetzen“.",
   banner_alarm: "ALARM – {reason}",
   banner_lost_control: "Sie bedienen nicht mehr: die Bedienung wurde abgegeben, oder diese Seite war zu lange verdeckt oder still.",
 
