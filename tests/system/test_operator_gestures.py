@@ -279,7 +279,7 @@ def test_a_sequence_is_collected_followed_and_stopped(
     page.click("[data-call=reset]")
     person.sees("#chip-controller", "Ready")
     page.wait_for_timeout(500)
-    assert "press:SAVE" not in page.inner_text("#log"), "nothing resumes by itself"
+    assert "Press Save" not in page.inner_text("#log"), "nothing resumes by itself"
     assert "2 steps is sent" in page.evaluate(_SENT)
     page.reload()
     person.sees_controls()

@@ -96,19 +96,23 @@ def test_goals_of_one_moment_still_have_names_of_their_own() -> None:
 
 def test_results_of_others_are_shown_too() -> None:
     rig = Rig()
-    started = GoalResult(goal_id="press:MENU", goal="press:MENU", outcome=Outcome.ACCEPTED)
+    started = GoalResult(goal_id="turn:CH1_SCALE:30", goal="turn:CH1_SCALE:30.0 id=7", outcome=Outcome.ACCEPTED)
     assert logged(rig.desk.result(started, rig.now))[0] | {"entry": 0, "wall_ms": 0} == {
         "entry": 0,
         "wall_ms": 0,
         "who": "Graph",
-        "action": "press:MENU",
-        "target": "",
+        "action": "turn 30",
+        "target": "Scale",
         "status": "accepted",
         "reason": "",
         "error_mm": None,
         "duration_s": None,
     }
     assert rig.desk.moving
+    for goal in ("press:UNKNOWN", "press:0.1,0.2@base_link", "move to (0.1, 0.2, 0) m in base_link"):
+        started = GoalResult(goal_id=goal, goal=goal, outcome=Outcome.ACCEPTED)
+        (entry,) = logged(rig.desk.result(started, rig.now))
+        assert (entry["action"], entry["target"]) == (goal, ""), "what has no name here stays as it was published"
 
 
 # --- refusals ---

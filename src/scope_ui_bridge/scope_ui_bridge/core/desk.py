@@ -44,7 +44,7 @@ from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.recordings import Recordings
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.scene import Scene
-from scope_ui_bridge.core.selection import Selection, action_text, make_gesture, make_selection
+from scope_ui_bridge.core.selection import Selection, action_text, goal_words, make_gesture, make_selection
 from scope_ui_bridge.core.sequencing import SequenceView
 from scope_ui_bridge.core.stop_cause import StopCauses
 from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
@@ -633,8 +633,8 @@ class Desk:
             if result.outcome.final and result.outcome is not Outcome.REJECTED:
                 return []  # the end of something whose beginning was long ago
             who = self.sequence.owner_of(result.goal_id) or "Graph"
-            goal = result.goal.partition(" id=")[0]
-            known = self._log.add(who, goal, "", now, status="accepted", goal_id=result.goal_id)
+            action, target = goal_words(result.goal.partition(" id=")[0], self.scene.faces)
+            known = self._log.add(who, action, target, now, status="accepted", goal_id=result.goal_id)
         jog = self._jog
         if jog is not None and jog.entry == known.entry and result.outcome.final:
             if result.outcome is Outcome.REACHED and now.mono_s < jog.until_s and self.lease.holder == jog.viewer:

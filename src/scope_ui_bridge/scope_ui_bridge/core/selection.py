@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -217,3 +218,13 @@ def action_text(gesture: Gesture) -> str:
     if gesture.mark:
         return f"{gesture.kind} {gesture.mark}"
     return gesture.kind if math.isnan(gesture.argument) else f"{gesture.kind} {gesture.argument:g}"
+
+
+def goal_words(goal: str, faces: Iterable[Face]) -> tuple[str, str]:
+    """Return action and target of somebody else's goal, worded as one's own are; one without a control stays."""
+    try:
+        gesture = parse_gesture(goal)
+    except GestureError:
+        return goal, ""
+    label = next((face.label for face in faces if face.name == gesture.target), "")
+    return (action_text(gesture), label) if label else (goal, "")
