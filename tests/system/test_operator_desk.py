@@ -187,7 +187,7 @@ def speaks_german_for_the_graph(operator: Operator) -> None:
     for name in ("lamp", "constructor"):  # a key of the page's sentences, and one of every object
         assert operator.page.evaluate(target, {"action": "teach", "target": name}) == name, "a name is no sentence"
     closed = operator.page.evaluate(target, {"action": "stop", "target": "stopped_page_gone"})
-    assert closed == "die Seite des Bedieners wurde geschlossen"
+    assert closed == "die Seite des Bedieners wurde geschlossen oder neu geladen"
 
 
 def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, instrument: Instrument) -> None:
@@ -231,7 +231,7 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     operator.confirms()
     operator.sees("#chip-driver", "Moving")
     page.reload()
-    operator.logs("STOP.*the operator’s page was closed", 20.0)
+    operator.logs("STOP.*the operator’s page was closed or reloaded", 20.0)
     instrument.tell("motion 1.5")
     operator.takes_control()
     page.keyboard.press("?")

@@ -160,7 +160,7 @@ export const EN = {
   stopped_elsewhere: "the stop was requested outside this page",
   stopped_heartbeat: "the operator’s heartbeat was lost: page, bridge or link did not respond",
   stopped_after: "– nothing for {seconds} s",
-  stopped_page_gone: "the operator’s page was closed",
+  stopped_page_gone: "the operator’s page was closed or reloaded",
   stopped_signed_out: "the operator’s sign-in has ended",
   stopped_released: "control was released while something moved",
 
