@@ -104,9 +104,25 @@ def test_pixels_that_the_distortion_does_not_reach_have_no_ray() -> None:
     np.testing.assert_allclose(model.project(model.rays(pixels[:2])), pixels[:2], atol=1e-6)
 
 
+@pytest.mark.parametrize("skew", [0.0, 3.0, -20.0])
+def test_a_rectified_picture_is_where_rectified_pixels_are(skew: float) -> None:
+    """OpenCV's maps leave the skew of K out: the picture was 7 px from its points."""
+    model = camera(k=[[1700, skew, 650], [0, 1690, 350], [0, 0, 1]])
+    at_u, at_v = model.rectification_maps()
+    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(0, 1280, 71), np.arange(0, 720, 53)))
+    part = at_v[v, u].astype(int)
+    raw = at_u[v, u] + np.column_stack([part % cv2.INTER_TAB_SIZE, part // cv2.INTER_TAB_SIZE]) / cv2.INTER_TAB_SIZE
+    np.testing.assert_allclose(model.rectify(raw), np.column_stack([u, v]), atol=0.6 / cv2.INTER_TAB_SIZE)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"k": [[1700, 0, 650], [2, 1690, 350], [0, 0, 1]]}, r"camera test: k is \[\[.* \[2\.0, .* is needed"),
+        ({"k": [[1700, 0, 650], [0, 1690, 350], [0, 0, 2]]}, r"\[\[fx, skew, cx\], \[0, fy, cy\], \[0, 0, 1\]\] is"),
+        ({"p": [[1680, 3, 640, 0], [0, 1680, 360, 0], [0, 0, 1, 0]]}, r"camera test: p .*, \[\[fx, 0, cx, tx\], \["),
+        ({"p": [[1680, 0, 640, 0], [0, 1680, 360, 5], [0, 0, 1, 0]]}, r"camera test: p .* is needed"),
+        ({"p": [[1680, 0, 640, 0], [0, 1680, 360, 0], [0, 0, 2, 0]]}, r"camera test: p .* is needed"),
         ({"r": np.zeros((3, 3))}, r"camera test: r \[\[0\.0, .* is not a rotation"),
         ({"p": np.zeros((3, 4))}, r"camera test: p has focal length 0\.0, 0\.0, above 0 is needed"),
         ({"width": 0}, r"camera test: pictures of 0 x 720 px, 1 to 32767 each way are needed"),
@@ -134,6 +150,8 @@ def test_triangulation_undoes_projection() -> None:
         StereoModel(left=camera(), right=camera())
     with pytest.raises(ValueError, match=r"rows differ: .*360\.0\] left and .*358\.0\] px right"):
         StereoModel(left=camera(), right=camera(p=[right_p[0], [0, 1680, 358, 0], right_p[2]]))
+    with pytest.raises(ValueError, match=r"left camera's P\[0, 3\] is -200\.0, 0 is needed: points are in its frame"):
+        StereoModel(left=camera(p=[[1680, 0, 640, -200], *right_p[1:]]), right=stereo.right)
 
 
 def test_calibration_file_round_trip(tmp_path: Path) -> None:

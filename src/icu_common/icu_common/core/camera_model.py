@@ -21,6 +21,17 @@ from icu_common.core.geometry import Array
 _STANDS_STILL = 1e-4
 """Tangent of a ray's angle; about a tenth of a pixel."""
 
+_FREE, _NOTHING = np.nan, 1e-6
+_FORMS = (
+    ("k", ((_FREE, _FREE, _FREE), (0, _FREE, _FREE), (0, 0, 1)), "[[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"),
+    (
+        "p",
+        ((_FREE, 0, _FREE, _FREE), (0, _FREE, _FREE, 0), (0, 0, 1, 0)),
+        "[[fx, 0, cx, tx], [0, fy, cy, 0], [0, 0, 1, 0]]",
+    ),
+)
+"""What the matrices look like; other values would be left out silently."""
+
 _MOST_PX = 32_767
 """OpenCV takes pictures of no more rows or columns."""
 _AT_A_TIME = 8192
@@ -49,7 +60,8 @@ class CameraModel:
     Raises
     ------
     ValueError
-        If the size or a shape is wrong, a value is not finite, a focal length is not above 0, or ``r`` is no rotation.
+        If the size or a shape is wrong, a value is not finite, a focal length is not above 0, ``r`` is no rotation, or
+        ``k`` or ``p`` (which has no skew) is not a pinhole's.
     """
 
     name: str
@@ -80,6 +92,10 @@ class CameraModel:
             raise ValueError(
                 f"camera {self.name}: p has focal length {self.p[0, 0]}, {self.p[1, 1]}, above 0 is needed"
             )
+        for field_name, fixed, form in _FORMS:
+            value = getattr(self, field_name)
+            if np.nanmax(np.abs(value - fixed)) > _NOTHING:
+                raise ValueError(f"camera {self.name}: {field_name} is {value.tolist()}, {form} is needed")
 
     @property
     def size(self) -> tuple[int, int]:
@@ -151,7 +167,12 @@ class CameraModel:
 
         It has the raw one's size, or ``size`` (width, height), as its pair's other camera may have another sensor.
         """
-        maps = cv2.initUndistortRectifyMap(self.k, self.d, self.r, self.p[:, :3], size or self.size, cv2.CV_16SC2)
+        slant = np.float32(self.k[0, 1] / self.k[1, 1])
+        kind = cv2.CV_32FC1 if slant else cv2.CV_16SC2
+        maps = cv2.initUndistortRectifyMap(self.k, self.d, self.r, self.p[:, :3], size or self.size, kind)
+        if slant:  # which OpenCV leaves out
+            u, v = maps
+            maps = cv2.convertMaps(u + slant * (v - np.float32(self.k[1, 2])), v, cv2.CV_16SC2)
         return np.asarray(maps[0]), np.asarray(maps[1])
 
     @classmethod
@@ -223,7 +244,8 @@ class StereoModel:
     Raises
     ------
     ValueError
-        If the projections do not belong to one rectified pair (focal lengths or rows differ, no baseline).
+        If the projections do not belong to one rectified pair (focal lengths or rows differ, no baseline, or the left
+        one is not the origin).
     """
 
     left: CameraModel
@@ -235,6 +257,8 @@ class StereoModel:
         rows = [model.p[1, 1:3].tolist() for model in (self.left, self.right)]
         if np.abs(np.subtract(*rows)).max() > 0.01:
             raise ValueError(f"rows differ: fy and cy of P are {rows[0]} left and {rows[1]} px right")
+        if abs(self.left.p[0, 3]) > _NOTHING:
+            raise ValueError(f"left camera's P[0, 3] is {self.left.p[0, 3]}, 0 is needed: points are in its frame")
         if not self.baseline > 0:
             raise ValueError(f"baseline {self.baseline} m: the right camera's P[0, 3] must be negative")
 
