@@ -333,6 +333,47 @@ def test_pose_from_exact_points_and_from_distances_across_edges() -> None:
     np.testing.assert_allclose(error[:8], 9.0, atol=1e-6)
 
 
+CORNERS_M = np.array([(0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1)])
+CORNERS_PX = np.array([(300.0, 400.0), (400.0, 400.0), (400.0, 300.0), (300.0, 300.0)])
+
+
+@pytest.mark.parametrize(
+    ("points_m", "pixels"),
+    [
+        (np.empty((0, 2)), np.empty((0, 2))),
+        (CORNERS_M[:3], CORNERS_PX[:3]),
+        (CORNERS_M * (1.0, 0.0), CORNERS_PX),
+        (np.arange(8)[:, None] * (0.01, 0.02) + 0.03, np.arange(8)[:, None] * (30.0, 17.0) + 200.0),
+        (CORNERS_M * 0.0, CORNERS_PX),
+        (CORNERS_M, CORNERS_PX * 0.0 + 10.0),
+        (CORNERS_M, CORNERS_PX * (1.0, np.nan)),
+        (CORNERS_M + np.inf, CORNERS_PX),
+    ],
+    ids=["none", "three", "collinear", "slanting", "one place", "one pixel", "nan", "inf"],
+)
+def test_points_that_fix_no_pose_have_none(points_m: Any, pixels: Any) -> None:
+    with np.errstate(all="raise"):
+        assert planar_poses(points_m, pixels, CAMERA) == []
+
+
+def test_a_pose_is_told_of_points_in_front_wherever_the_faces_origin_is() -> None:
+    """Of a face that is seen at a grazing angle, its origin may be behind the camera."""
+    turn = np.asarray(cv2.Rodrigues(np.array([0.0, -1.3, 0.0]))[0])
+    centre = np.array([0.2, 0.0, 0.0])
+    truth = Transform(turn, np.array([0.0, 0.0, 0.1]) - turn @ centre)
+    assert truth.translation[2] < 0
+    points = CORNERS_M * 0.2 + (0.19, -0.01)
+    pixels = map_points(homography_of_pose(truth, CAMERA), points * 1e3)
+    for kind in (np.float64, np.dtype(">f8")):
+        found = planar_poses(points, pixels.astype(kind), CAMERA)[0]
+        np.testing.assert_allclose(found.translation, truth.translation, atol=1e-6)
+    whole = np.rint(pixels).astype(int)
+    np.testing.assert_array_equal(
+        planar_poses(points, whole, CAMERA)[0].translation,
+        planar_poses(points, whole.astype(float), CAMERA)[0].translation,
+    )
+
+
 def test_deviation_tells_how_well_a_strip_of_points_fixes_the_far_end() -> None:
     """Against the spread of many fits to points with noise."""
     rng = np.random.default_rng(12)

@@ -25,6 +25,8 @@ _EDGES_SHARE, _CORNERS_SHARE = 16.0, 4.0
 _UNMEASURED = 0.5
 # Standard deviations by which a plane that was measured otherwise may differ.
 _MOST_OFF = 3.0
+# What lies no more than this beside a line, as a part of its length, is on it.
+_ON_A_LINE = 1e-6
 
 FACE_POINT_COLUMNS = ("x", "y", "u", "v", "across_u", "across_v")
 """How points of a face travel."""
@@ -153,27 +155,42 @@ def homography_of_pose(camera_from_panel: Transform, camera: CameraModel) -> Arr
     return np.asarray(homography / homography[2, 2])
 
 
-def planar_poses(points_m: Array, pixels: Array, camera: CameraModel) -> list[Transform]:
+def planar_poses(points_m: npt.NDArray[Any], pixels: npt.NDArray[Any], camera: CameraModel) -> list[Transform]:
     """Return the one or two poses that explain points (N, 2) m on a plane, seen at (N, 2) px, the better first.
+
+    There is none for fewer than four points, for points or pixels that are not finite or lie on one line, nor where
+    they would be behind the camera.
 
     Infinitesimal plane-based pose estimation (T. Collins, A. Bartoli, IJCV 109(3), 2014). Where the points crowd, noise
     decides which of its two solutions fits better.
     """
+    if len(points_m) < 4 or not (_fill_a_plane(points_m) and _fill_a_plane(pixels)):
+        return []
     world = np.column_stack([points_m, np.zeros(len(points_m))])
     shift = world.mean(axis=0)  # the method wants the points around the origin of their plane
     try:
         count, turns, moves, errors = cv2.solvePnPGeneric(
-            world - shift, pixels, camera.p[:, :3], np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+            world - shift, pixels.astype(np.float64), camera.p[:, :3], np.zeros(5), flags=cv2.SOLVEPNP_IPPE
         )
     except cv2.error:
         return []
     found = []
     for number in np.argsort(np.ravel(errors)) if count else ():
+        if not (np.isfinite(turns[number]).all() and np.isfinite(moves[number]).all()):
+            continue
         rotation = nearest_rotation(cv2.Rodrigues(turns[number])[0])
-        translation = np.ravel(moves[number]) - rotation @ shift
-        if np.isfinite(translation).all() and translation[2] > 0:
-            found.append(Transform(rotation, translation))
+        pose = Transform(rotation, np.ravel(moves[number]) - rotation @ shift)
+        if pose.apply(world)[:, 2].min() > 0:
+            found.append(pose)
     return found
+
+
+def _fill_a_plane(points: npt.NDArray[Any]) -> bool:
+    """Tell whether points (N, 2) are finite and not on one line."""
+    if not np.isfinite(points).all():
+        return False
+    along, across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(across > _ON_A_LINE * along)
 
 
 def fit_pose(
