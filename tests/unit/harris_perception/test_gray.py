@@ -55,9 +55,12 @@ def test_pictures_that_are_compared_have_one_grey_level() -> None:
     levels, dark = GreyLevels(), np.array([[300, 1000]], np.uint16)
     glint, damaged = np.array([[300, 1100]], np.uint16), np.array([[300, 65535]], np.uint16)
     assert levels.of(dark) == 4 and levels.of(dark, glint) == levels.of(glint, dark) == levels.of(dark) == 16
+    assert GreyLevels().of(damaged) == 256, "of the first picture nothing else is known"
     np.testing.assert_array_equal(eight_bits(dark, 16), [[18, 62]])
     np.testing.assert_array_equal(bgr_of(dark, "mono16", levels)[:, :, 0], [[18, 62]])
-    assert levels.of(damaged) == 256 and {levels.of(glint) for _ in range(60)} == {16, 256} and levels.of(glint) == 16
+    assert levels.of(damaged) == 256 and {levels.of(glint) for _ in range(60)} == {16}, "one moment tells nothing"
+    assert levels.of(damaged, damaged) == levels.of(damaged) == 256, "what lasts counts"
+    assert [levels.of(glint) for _ in range(50)] == [256] * 48 + [16] * 2, "and is forgotten"
     assert levels.of(dark.astype(np.uint8)) == 16 and GreyLevels().of(dark.astype(np.uint8)) == 1
     assert eight_bits(BGR, 16) is BGR, "what has 8 bits stays as it is"
 

@@ -135,13 +135,15 @@ class GreyLevels:
     """What one grey level is in pictures that are compared: of one camera in turn, or of both of a pair.
 
     Each for itself could come out four times as bright as its neighbour: its brightest place may lie just below a power
-    of two, and the neighbour's just above. What a damaged picture shows is forgotten after a while.
+    of two, and the neighbour's just above. What a single moment shows counts for itself alone: a picture may be
+    damaged.
     """
 
     def __init__(self) -> None:
         self._levels: deque[float] = deque(maxlen=_REMEMBERED)
 
     def of(self, *pictures: npt.NDArray[Any]) -> float:
-        """Return it for pictures of one moment, by these and by those of the last moments."""
-        self._levels.append(max(grey_level_of(picture) for picture in pictures))
-        return max(self._levels)
+        """Return it for pictures of one moment, by these and by any two of the last moments."""
+        own = max(grey_level_of(picture) for picture in pictures)
+        self._levels.append(own)
+        return max([own, *sorted(self._levels)[-2:-1]])
