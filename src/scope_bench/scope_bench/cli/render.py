@@ -18,12 +18,18 @@ from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.instrument import InstrumentState, press, turn
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel, control_pixels
 
+_FARTHEST_M = 10.0
+
 
 def _finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text} is not finite")
     return value
+
+
+def _tip(options: argparse.Namespace) -> str:
+    return f"--tip {' '.join(f'{v:g}' for v in options.tip)}"
 
 
 def _state(options: argparse.Namespace, layout: PanelLayout) -> InstrumentState:
@@ -80,6 +86,8 @@ def main(arguments: list[str] | None = None) -> int:
         for name, file in (("--truth", truth_file), ("--out", options.out)):
             if file.resolve() == options.layout.resolve():
                 raise ValueError(f"{name} {file}: the layout is read from there")
+        if not max(map(abs, options.tip)) <= _FARTHEST_M:
+            raise ValueError(f"{_tip(options)}: at most {_FARTHEST_M:g} m from base_link's origin are drawn")
         if options.hide and min(options.hide[2:]) <= 0:
             raise ValueError(f"--hide {' '.join(f'{v:g}' for v in options.hide)}: W and H above 0 are needed")
         config = from_mapping(BenchConfig, values_of_pairs(options.set))
@@ -91,15 +99,17 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(str(error.args[0]))
     stands = base_from_panel(config.panel)
     renderer = Renderer(layout, config, stands)
-    renderer.hide(tuple(options.hide) if options.hide else None)
     index = ("left", "right").index(options.side)
+    view = renderer.views[index]
+    if not view.camera.camera_from_base.apply(options.tip)[2] > 0:
+        parser.error(f"{_tip(options)}: it is behind the {options.side} camera")
+    renderer.hide(tuple(options.hide) if options.hide else None)
     moment = Moment(tip=tuple(options.tip), state=state, now_s=options.time)
     picture = renderer.render(moment)[index]
     try:
         encoded = cv2.imencode(options.out.suffix, picture)[1].tobytes()
     except cv2.error:
         parser.error(f"{options.out} cannot be written: no format {options.out.suffix!r} is known")
-    view = renderer.views[index]
     camera_from_base = renderer.rig.rectified_left_from_base()
     truth = {
         "side": options.side,
