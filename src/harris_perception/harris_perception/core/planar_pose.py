@@ -219,23 +219,25 @@ def fit_pose(
         centre = seen.mean(axis=0)
         weight = tukey(error, floor_px) / _scale(error, floor_px)
         weighted = weight * _by_turn_and_shift(by_point, seen - centre)
-        information, pull = weighted @ weighted.T, weighted @ (error * weight)
+        information, pull, known = weighted @ weighted.T, weighted @ (error * weight), np.zeros((6, 6))
         if prior is not None:
             off, known = _from_prior(prior, pose, centre)
             information, pull = information + known, pull + known @ off
         if not (np.isfinite(information).all() and np.isfinite(pull).all()):
-            information = np.zeros((6, 6))  # a wild start has run away: nothing is known of such a pose
+            information = known = np.zeros((6, 6))  # a wild start has run away: nothing is known of such a pose
             break
         step = np.linalg.lstsq(information, pull, rcond=None)[0]
         turn = np.asarray(cv2.Rodrigues(step[:3])[0], dtype=np.float64)
         pose = Transform(nearest_rotation(turn @ pose.rotation), turn @ (pose.translation - centre) + centre + step[3:])
         if np.abs(step).max() < 1e-9:
             break
+    # The residuals are smaller than the errors by what the pose took up of them.
+    freedom = max(len(world) - 6, 1) / max(len(world), 1)
     return PoseFit(
         camera_from_panel=pose,
         error_px=points.residuals(pose.apply(world), camera)[0],
         centre=centre,
-        covariance=inverse(information + np.eye(6) / _UNMEASURED**2),
+        covariance=inverse(freedom * (information - known) + known + np.eye(6) / _UNMEASURED**2),
     )
 
 
