@@ -90,6 +90,18 @@ def test_settings_of_another_form_are_refused_as_other_settings(now: str) -> Non
         check_fits(stored(settings=now), camera(), None, "bench", "$100=80.000")
 
 
+@pytest.mark.parametrize("d", [(-1e6, 0.0, 0.0, 0.0, 0.0), (1e9, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, -1e12)])
+def test_a_distortion_that_reaches_no_pixel_is_a_change(d: tuple[float, ...]) -> None:
+    """Where no pixel has a ray with it, nothing was compared, and nothing had changed."""
+    with pytest.raises(CalibrationFileError, match="left camera's calibration has changed by"):
+        check_fits(stored(), camera(d=np.array(d)), None, "bench")
+
+
+def test_a_camera_that_looks_the_other_way_is_another() -> None:
+    with pytest.raises(CalibrationFileError, match="left camera's calibration has changed by"):
+        check_fits(stored(), camera(r=np.diag([-1.0, 1.0, -1.0])), None, "bench")
+
+
 def test_a_change_is_seen_in_a_picture_whose_corners_the_distortion_does_not_reach() -> None:
     wide = {"d": np.array([-0.2, 0.0, 0.0, 0.0, 0.0])}
     check_fits(stored(left=camera(focal=768.0, **wide)), camera(focal=768.0, **wide), None, "bench")

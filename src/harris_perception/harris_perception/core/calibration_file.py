@@ -248,7 +248,7 @@ def check_fits(
                 f"{new.width} x {new.height} px"
             )
         change = _difference_px(old, new)
-        if change > _ALIKE_PX:
+        if not change <= _ALIKE_PX:
             raise CalibrationFileError(
                 f"the {name} camera's calibration has changed by {change:.2f} px since it was made"
             )
@@ -257,8 +257,9 @@ def check_fits(
 def _difference_px(old: CameraModel, new: CameraModel) -> float:
     u, v = np.meshgrid(np.linspace(0, old.width - 1, 9), np.linspace(0, old.height - 1, 7))
     pixels = np.column_stack([u.ravel(), v.ravel()])
-    off = np.abs(old.rectify(pixels) - new.rectify(pixels))
-    turned = float(off.max(where=np.isfinite(off), initial=0.0))  # a lens's polynomial may not reach the corners
+    rays = old.rays(pixels)
+    off = np.abs(old.project(rays) - new.project(rays))
+    turned = float(off.max(where=np.isfinite(rays[:, :2]), initial=0.0))  # a lens may not reach the corners
     # The fourth column of P is focal length times baseline: what it moves at one metre.
     return max(turned, float(np.abs(old.p - new.p).max()))
 
