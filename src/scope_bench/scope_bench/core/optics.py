@@ -16,6 +16,8 @@ import numpy.typing as npt
 from icu_common.core.geometry import Array, Transform
 from scope_bench.core.configuration import CameraConfig
 
+_DIGITS = 13
+
 
 def turn(axis: int, degrees: float) -> Array:
     """Return the (3, 3) rotation by ``degrees`` about coordinate axis 0, 1 or 2."""
@@ -114,8 +116,9 @@ class StereoRig:
 
         def matrix(rows: Any) -> dict[str, Any]:
             values = np.atleast_2d(np.asarray(rows, dtype=np.float64))
-            # Adding 0.0 turns a negative zero into a plain one.
-            return {"rows": values.shape[0], "cols": values.shape[1], "data": [float(x) + 0.0 for x in values.ravel()]}
+            # Processors differ in the last digits. Adding 0.0 turns a negative zero into a plain one.
+            data = [round(float(x), _DIGITS) + 0.0 for x in values.ravel()]
+            return {"rows": values.shape[0], "cols": values.shape[1], "data": data}
 
         return {
             "image_width": camera.width,
