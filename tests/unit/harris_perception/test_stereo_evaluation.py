@@ -39,6 +39,12 @@ def test_what_the_right_picture_does_not_show_is_not_visible() -> None:
     assert not seen[32:78, 103:119].any() and seen[32:78, 12:100].all()
 
 
+def test_what_lies_right_of_the_right_picture_is_not_visible_either() -> None:
+    """Of a pair that was shifted before it was handed out, disparities may be below 0."""
+    seen = replace(scene(), truth=np.full((120, 240), -7, np.float32)).visible()
+    assert seen[:, :233].all() and not seen[:, 233:].any()
+
+
 def test_dense_scores_of_known_errors() -> None:
     known = scene()
     seen = known.visible()

@@ -2,8 +2,8 @@
 
 Dense: the share of pixels whose disparity is off by more than N px (bad-N), as D. Scharstein and R. Szeliski count it
 (IJCV 47, 2002), over the pixels that both pictures show, before and after holes are filled, in the same way for all
-methods. Sparse: the share of matches within 1 px (precision), and how many of the first picture's points
-that both pictures show were matched so (recall).
+methods. Sparse: the share of matches within 1 px (precision), and how many of these there are for each of the first
+picture's points that both pictures show (recall; what only the first shows may be matched rightly, too, by chance).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class StereoScene:
         y, x = np.nonzero(np.isfinite(self.truth))
         disparity = self.truth[y, x]
         there = np.round(x - disparity).astype(int)
-        inside = there >= 0
+        inside = (there >= 0) & (there < width)
         y, x, disparity, there = y[inside], x[inside], disparity[inside], there[inside]
         front = np.full((height, width + 1), -np.inf, np.float32)
         for step in (0, 1):
