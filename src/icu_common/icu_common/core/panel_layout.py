@@ -15,6 +15,7 @@ import yaml
 
 from icu_common.core.fiducial import DICTIONARIES, Fiducial, count_of
 from icu_common.core.gesture import is_mark, is_name
+from icu_common.core.stroke_font import text_strokes
 from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
 CONTROL_KINDS = ("button", "knob", "touch_area", "connector")
@@ -290,11 +291,15 @@ class _Reader:
         if "rectangle_mm" in entry:
             self.known(entry, {"rectangle_mm", "fill", "outline", "line_mm"})
             x, y, width, height = self.numbers(entry, "rectangle_mm", 4)
+            if min(width, height) <= 0:
+                raise self.error(entry, f"rectangle_mm = {entry['rectangle_mm']}: width and height above 0 are needed")
             fill, outline = self.colour(entry, "fill", ""), self.colour(entry, "outline", "")
             return Rectangle(rectangle_mm=(x, y, width, height), fill=fill, outline=outline, line_mm=line_mm)
         if "circle_mm" in entry:
             self.known(entry, {"circle_mm", "fill", "outline", "line_mm"})
             x, y, radius = self.numbers(entry, "circle_mm", 3)
+            if radius <= 0:
+                raise self.error(entry, f"circle_mm = {entry['circle_mm']}: a radius above 0 is needed")
             fill, outline = self.colour(entry, "fill", ""), self.colour(entry, "outline", "")
             return Circle(circle_mm=(x, y, radius), fill=fill, outline=outline, line_mm=line_mm)
         if "line_from_to_mm" in entry:
@@ -308,7 +313,12 @@ class _Reader:
             x, y = self.numbers(entry, "at_mm", 2)
             height = self.one_number(entry, "height_mm", 3.0, positive=True)
             colour = self.colour(entry, "colour", "#e8ece8")
-            return Text(text=self.text(entry, "text"), at_mm=(x, y), height_mm=height, colour=colour, line_mm=line_mm)
+            text = self.text(entry, "text")
+            try:
+                text_strokes(text, (x, y), height)
+            except ValueError as error:
+                raise self.error(entry, str(error)) from error
+            return Text(text=text, at_mm=(x, y), height_mm=height, colour=colour, line_mm=line_mm)
         raise self.error(entry, "artwork needs one of rectangle_mm, circle_mm, line_from_to_mm, text")
 
     def one_number(
@@ -382,7 +392,7 @@ class _Reader:
 
     def colour(self, entry: dict[str, Any], key: str, default: str) -> str:
         value = self.text(entry, key, default)
-        if value and not (
+        if (value or default) and not (
             len(value) == 7 and value[0] == "#" and all(c in "0123456789abcdefABCDEF" for c in value[1:])
         ):
             raise self.error(entry, f'{key} = {value!r}: a colour such as "#ff8800" is needed')
