@@ -19,6 +19,7 @@ from harris_perception.adapters.panel_files import how_to_start, write_panel
 from harris_perception.cli.panel_teach import main
 from harris_perception.core.harris import HarrisDetector
 from harris_perception.core.panel_teaching import Lesson, Pointed, TeachingError, parse_request, teach
+from harris_perception.core.panel_template import draw_panel
 from harris_perception.core.recognition import PanelRecogniser
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.panel_layout import load_layout
@@ -163,9 +164,10 @@ def test_with_its_calibration_the_cameras_distortion_does_not_stay_in_the_layout
     ]
 
 
-def wide_lesson() -> tuple[Any, CameraModel, Lesson]:
+def wide_lesson(skew: float = 0.0) -> tuple[Any, CameraModel, Lesson]:
     """Return a picture by a wide lens, and the panel in it pointed at exactly."""
     camera = scene.camera(focal=750.0, k1=-0.27)
+    camera = dataclasses.replace(camera, k=camera.k + np.array([[0.0, skew, 0.0], [0.0] * 3, [0.0] * 3]))
     truth = scene.pose(LAYOUT, distance_m=0.18, below_deg=3.0)
     width, height = LAYOUT.size_mm
     face = np.array([(0, 0, 0), (width, 0, 0), (width, height, 0), (0, height, 0)]) / 1000
@@ -183,12 +185,17 @@ def wide_lesson() -> tuple[Any, CameraModel, Lesson]:
     return scene.picture(LAYOUT, camera, truth, scene.Look(arm_x_mm=None, noise=1.0), 3), camera, lesson
 
 
-def test_a_wide_lens_does_not_move_what_is_near_the_pictures_edge() -> None:
-    picture, camera, lesson = wide_lesson()
+@pytest.mark.parametrize("skew", [0.0, 40.0])
+def test_a_wide_lens_does_not_move_what_is_near_the_pictures_edge(skew: float) -> None:
+    picture, camera, lesson = wide_lesson(skew)
     taught = teach(picture, lesson, camera)
     for name in NAMES:
         apart = np.subtract(taught.layout.control(name).position_mm, LAYOUT.control(name).position_mm)
         assert np.abs(apart).max() < 0.01, name
+    drawn = cv2.resize(draw_panel(LAYOUT, 8.0), taught.template.shape[1::-1], interpolation=cv2.INTER_AREA)
+    drawn = cv2.cvtColor(drawn, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    apart, _ = cv2.phaseCorrelate(drawn, taught.template.astype(np.float32))
+    assert np.abs(apart).max() < 0.3, "with a skew that was left out it was 14 px"
 
 
 def test_a_place_that_the_cameras_calibration_does_not_reach_is_refused() -> None:

@@ -241,7 +241,11 @@ def teach(picture: Picture, lesson: Lesson, camera: CameraModel | None = None) -
     """
     corners, controls = lesson.corners_px, list(lesson.controls)
     if camera is not None:
-        picture = np.asarray(cv2.undistort(picture, camera.k, camera.d), np.uint8)
+        # Its own picture without distortion and skew, not turned as the pair's.
+        straight = np.column_stack([camera.k, np.zeros(3)])
+        straight[0, 1] = 0.0
+        camera = dataclasses.replace(camera, r=np.eye(3), p=straight)
+        picture = np.asarray(cv2.remap(picture, *camera.rectification_maps(), cv2.INTER_LINEAR), np.uint8)
         corners = _straightened(corners, camera)
         places = _straightened(np.array([c.pixel for c in controls]).reshape(-1, 2), camera)
         controls = [
@@ -257,10 +261,8 @@ def teach(picture: Picture, lesson: Lesson, camera: CameraModel | None = None) -
 
 
 def _straightened(pixels: Array, camera: CameraModel) -> Array:
-    """Return where places (N, 2) px of a picture are in the one that ``cv2.undistort`` makes of it."""
-    # OpenCV's own undoes a wide lens by five rounds, which leave pixels at the picture's edge.
-    own = dataclasses.replace(camera, r=np.eye(3), p=np.column_stack([camera.k, np.zeros(3)]))
-    straight = own.rectify(pixels)
+    """Return where raw pixels (N, 2) are in the picture without distortion."""
+    straight = camera.rectify(pixels)
     for u, v in pixels[~np.isfinite(straight).all(axis=1)]:
         raise TeachingError(f"pixel {u:.0f}, {v:.0f} is beyond what the camera's calibration reaches")
     return straight
