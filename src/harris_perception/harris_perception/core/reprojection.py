@@ -133,7 +133,8 @@ def refine_panel(
         jacobian = np.empty((len(error), unknown))
         jacobian[:, :3] = np.einsum("nj,njk->nk", by_point, -cross(turned))
         jacobian[:, 3:] = (rows[:, :, None] * by_point[:, None, :]).reshape(len(error), -1)
-        weight = tukey(error, _FLOOR_PX)[:, None] ** 2
+        root = tukey(error, _FLOOR_PX)[:, None]
+        weight = root**2
         normal = jacobian.T @ (weight * jacobian)
         step = np.linalg.solve(normal, jacobian.T @ (weight[:, 0] * error))
         turn = np.asarray(cv2.Rodrigues(step[:3])[0], dtype=np.float64)
@@ -147,7 +148,8 @@ def refine_panel(
         pull = part.T @ (of[:, 0] * off)
         squares += float(pull @ np.linalg.solve(part.T @ (of * part), pull))
     factor = squares / max(6 * len(views) - unknown, 1)
-    return rotation, regression, np.asarray(factor * np.linalg.inv(normal)[3:, 3:])
+    inverse = np.linalg.inv(jacobian.T @ (_slope(root) * jacobian))
+    return rotation, regression, np.asarray(factor * (inverse @ normal @ inverse)[3:, 3:])
 
 
 def panel_origin(view: FacePoints, rotation: Array, start: Array, camera: CameraModel) -> tuple[Array, Array, Array]:
@@ -184,11 +186,14 @@ def panel_origin(view: FacePoints, rotation: Array, start: Array, camera: Camera
     pull = rows * (error * weight)[:, None]
     flat = np.abs(view.across[:, 1]) > np.abs(view.across[:, 0])
     spread = _together(pull[flat], view.pixels[flat, 1]) + _together(pull[~flat], view.pixels[~flat, 0])
-    # By how much the robust equations turn with the origin: the derivative of Tukey's function, not its weight.
-    turn = weight * (5.0 * weight - 4.0)
-    inverse = np.linalg.inv(by_point.T @ (turn[:, None] * by_point))
+    inverse = np.linalg.inv(by_point.T @ (_slope(weight)[:, None] * by_point))
     covariance = inverse @ spread @ inverse + _LEAST_PX**2 * per_pixel
     return np.asarray(origin), np.asarray(per_pixel), np.asarray(covariance)
+
+
+def _slope(root: Array) -> Array:
+    """Return the derivative of Tukey's function, by which robust equations turn, from the roots of his weights."""
+    return root * (5.0 * root - 4.0)
 
 
 def _together(pull: Array, at_px: Array) -> Array:
