@@ -21,9 +21,10 @@ from harris_perception.core.dense_stereo import (
     SemiGlobalMatcher,
     fill_holes,
 )
-from icu_common.core.camera_model import StereoModel
+from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import ConfigError
 
+CAMERAS = Path(__file__).resolve().parents[3] / "config" / "cameras"
 SHAPE = (200, 360)
 CONFIG = SemiGlobalConfig()
 
@@ -222,6 +223,15 @@ def test_the_black_borders_of_turned_pictures_stay_unknown() -> None:
     assert 30 * 400 < black.sum() < 60 * 400
     disparity = dense.disparity(*pictures)
     assert np.isnan(disparity[black]).all() and np.isfinite(disparity[~black]).mean() > 0.3
+
+
+@pytest.mark.parametrize("grey", [0, 90, 255])
+def test_a_lens_that_shows_nothing_gives_no_disparity(grey: int) -> None:
+    """Covered, or blinded: the turned pictures' black borders were all edges, of which 64 % got a disparity."""
+    left, right = (CameraModel.load(CAMERAS / f"bench_{side}.yaml") for side in ("left", "right"))
+    dense = DenseStereo(StereoModel(left=left, right=right), DenseConfig(min_depth_m=0.4, binning=2), CONFIG)
+    picture = np.full((left.height, left.width), grey, np.uint8)
+    assert np.isnan(dense.disparity(picture, picture)).all()
 
 
 WARMED = """

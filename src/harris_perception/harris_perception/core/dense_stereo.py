@@ -310,10 +310,13 @@ class DenseStereo:
         ValueError
             If it is not the size that was calibrated, or not 8 bits deep.
         """
+        return self._rectified(side, raw, cv2.BORDER_CONSTANT)
+
+    def _rectified(self, side: int, raw: npt.NDArray[Any], border: int) -> U8:
         model = self._models[side]
         if raw.shape[:2] != (model.height, model.width) or raw.dtype != np.uint8:
             raise ValueError(f"picture {raw.shape} {raw.dtype}: {(model.height, model.width)} uint8 is calibrated")
-        whole = cv2.remap(raw, *self._maps[side], cv2.INTER_LINEAR)
+        whole = cv2.remap(raw, *self._maps[side], cv2.INTER_LINEAR, borderMode=border)
         if self._binning == 1:
             return np.asarray(whole, np.uint8)
         height, width = len(self._down), len(self._across)
@@ -325,7 +328,9 @@ class DenseStereo:
 
         NaN where unknown, and where the rectified pictures show nothing.
         """
-        found = self._matcher(self.rectified(0, left_raw), self.rectified(1, right_raw))
+        # Going on past their edges, as black borders would be edges that the matcher carries far into plain places.
+        pair = (self._rectified(side, raw, cv2.BORDER_REPLICATE) for side, raw in enumerate((left_raw, right_raw)))
+        found = self._matcher(*pair)
         _keep_covered(found, self._covered[0], self._covered[1])
         return found - np.float32(self._offset_px)
 
