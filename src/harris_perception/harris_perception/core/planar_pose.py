@@ -19,7 +19,8 @@ from icu_common.core.geometry import Array, Transform, nearest_rotation
 # Tukey's biweight at 95 % efficiency, and the median absolute deviation of a normal distribution.
 _TUKEY, _MAD = 4.685, 1.4826
 # Edge points of one line, and corners of one word, err together: their fits are so many times less certain (variance)
-# than independent points would make them. Measured on renders with known truth.
+# than independent points would make them. Measured on renders with known truth; binned pictures err by up to six
+# deviations instead of four (docs/decisions/recognition.md).
 _EDGES_SHARE, _CORNERS_SHARE = 16.0, 4.0
 # What is known of a pose before anything was measured: half a radian, half a metre.
 _UNMEASURED = 0.5
