@@ -7,7 +7,7 @@ class into ROS parameters, and the YAML keys in ``config/params`` equal its fiel
 from __future__ import annotations
 
 import dataclasses
-import math
+import sys
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -130,7 +130,9 @@ def _check_scalar(item: ConfigItem, kind: Any, value: Any) -> None:
     if not isinstance(value, accepted) or (number and isinstance(value, bool)):
         raise ConfigError(f"{item.name} = {value!r}: {kind.__name__} is needed")
     if number:
-        if not math.isfinite(value):
+        if kind is int and not -(2**63) <= value < 2**63:  # as a ROS parameter
+            raise ConfigError(f"{item.name} = {value!r} does not fit into 64 bits")
+        if not abs(value) <= sys.float_info.max:
             raise ConfigError(f"{item.name} = {value!r} is not finite")
         if info.minimum is not None and value < info.minimum:
             raise ConfigError(f"{item.name} = {value!r} is below its minimum {info.minimum:g} {info.unit}".rstrip())
@@ -162,10 +164,13 @@ def from_mapping(config_class: type[C], values: Mapping[str, Any]) -> C:
 def _convert(item: ConfigItem, value: Any) -> Any:
     if typing.get_origin(item.kind) is tuple and isinstance(value, Iterable) and not isinstance(value, (str, tuple)):
         element = typing.get_args(item.kind)[0]
-        value = tuple(float(v) if element is float and type(v) is int else v for v in value)
-    elif item.kind is float and type(value) is int:
-        value = float(value)
-    return value
+        return tuple(_as_float(v) if element is float else v for v in value)
+    return _as_float(value) if item.kind is float else value
+
+
+def _as_float(value: Any) -> Any:
+    """Return an int as a float, if it has one."""
+    return float(value) if type(value) is int and abs(value) <= sys.float_info.max else value
 
 
 def _build(config_class: type[C], values: Mapping[str, Any], prefix: str) -> C:
