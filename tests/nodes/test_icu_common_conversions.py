@@ -157,6 +157,15 @@ def test_disparities_travel_as_float32_and_unknown_ones_are_below_the_least() ->
     assert np.array_equal(np.where(raw < message.min_disparity, np.nan, raw), values, equal_nan=True)
 
 
+@pytest.mark.parametrize(("kind", "encoding"), [("u2", "mono16"), ("f4", "32FC1")])
+def test_a_picture_of_the_other_byte_order_is_packed_as_it_looks(kind: str, encoding: str) -> None:
+    """As of a message with the most significant bytes first: its bytes went out in that order, said to be the other."""
+    picture = np.array([[1, 256, 770], [4, 5, 6]], f">{kind}")
+    message = cv.image_message(picture, encoding, HEAD)
+    np.testing.assert_array_equal(cv.image_array(message), picture)
+    assert not message.is_bigendian
+
+
 def test_an_organised_cloud_has_a_point_and_a_colour_for_each_pixel() -> None:
     xyz = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
     xyz[1, 2] = np.nan

@@ -93,7 +93,7 @@ def _float_fields(names: Sequence[str]) -> list[PointField]:
 
 def image_message(picture: npt.NDArray[Any], encoding: str, head: Header) -> Image:
     """Pack (H, W) or (H, W, C)."""
-    contiguous = np.ascontiguousarray(picture)
+    contiguous = np.ascontiguousarray(picture, picture.dtype.newbyteorder("<"))
     message = Image(header=head, height=contiguous.shape[0], width=contiguous.shape[1], encoding=encoding)
     message.step = int(np.prod(contiguous.shape[1:])) * contiguous.itemsize  # strides of empty arrays are anything
     message.data = _data(contiguous)
