@@ -193,6 +193,9 @@ def test_a_hand_hides_what_it_lies_on_and_nothing_else() -> None:
         assert all(c.hidden_by == "" for c in scene.look(InstrumentState(), patches=free).controls)
     scene.renderer.hide((195.0, 80.0, 60.0, 60.0))
     inside = (np.abs(places - (225, 122)) < 30).all(axis=1)
+    none = Patches(centres_mm=places[:0], agreeing=np.ones(0, bool))
+    seen = scene.look(InstrumentState(), patches=none).controls
+    assert "something" not in {c.hidden_by for c in seen if c.kind == "touch_area"}, "no print to be seen tells nothing"
     covered = Patches(centres_mm=places, agreeing=~inside)
     hidden = {c.name for c in scene.look(InstrumentState(), patches=covered).controls if c.hidden_by == "something"}
     assert {"RUN_STOP", "SINGLE", "CH1_SCALE", "CH2_SCALE"} <= hidden

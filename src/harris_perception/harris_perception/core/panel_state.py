@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.face_patches import Patches
+from harris_perception.core.sampling import sampled
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, setting
 from icu_common.core.geometry import Array, Transform
@@ -155,9 +156,9 @@ class PanelReader:
         pixels = camera.project(camera_from_panel.apply(self._points))
         look = _Look(
             parts=self._parts,
-            colours=_sampled(bgr, pixels),
+            colours=_at(bgr, pixels),
             outside=~_inside(pixels, camera),
-            covered=_sampled(shadow, pixels)[:, 0],
+            covered=_at(shadow, pixels),
             coloured=coloured,
         )
         prints = self._prints(camera_from_panel, camera, shadow, patches)
@@ -249,7 +250,7 @@ class PanelReader:
         # What the stylus hides a part of tells nothing either.
         spots = patches.centres_mm[:, None] + 0.5 * patches.side_mm * _grid(3, 1.0)
         face = np.dstack([spots, np.zeros(spots.shape[:2])]).reshape(-1, 3) * 1e-3
-        covered = _sampled(shadow, camera.project(pose.apply(face)))[:, 0]
+        covered = _at(shadow, camera.project(pose.apply(face)))
         usable = ~(covered.reshape(spots.shape[:2]) > 0).any(axis=1)
         found = {}
         for control in self.layout.controls:
@@ -414,12 +415,10 @@ def _grid(count: int, reach: float) -> Array:
     return np.stack(np.meshgrid(share, share), axis=-1).reshape(-1, 2)
 
 
-def _sampled(picture: Picture, pixels: Array) -> Array:
-    """Return (N, C) values of the picture at pixels (N, 2), interpolated."""
-    count = -len(pixels) % 256  # remap takes maps of at most 32767 columns
-    x, y = np.pad(pixels.astype(np.float32), ((0, count), (0, 0))).reshape(-1, 256, 2).transpose(2, 0, 1)
-    taken = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(taken, np.float64).reshape(len(pixels) + count, -1)[: len(pixels)]
+def _at(picture: Picture, pixels: Array) -> Array:
+    """Return (N,) or (N, C) values of the picture at pixels (N, 2), interpolated."""
+    x, y = pixels.T
+    return np.asarray(sampled(picture, x[None], y[None])[0], np.float64)
 
 
 def _inside(pixels: Array, camera: CameraModel) -> npt.NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import cv2
@@ -21,26 +22,28 @@ _SHRUNK = 8
 def sampled(
     picture: npt.NDArray[Any], x: npt.NDArray[Any], y: npt.NDArray[Any], interpolation: int = cv2.INTER_LINEAR
 ) -> npt.NDArray[np.float32]:
-    """Return the values of a picture (H, W) uint8, uint16 or float32 at places ``x``, ``y`` px, (N, K) as these are.
+    """Return the values of a picture (H, W) or (H, W, C) uint8, uint16 or float32 at places ``x``, ``y`` px.
 
-    Outside, the picture is continued by its border pixels.
+    They are (N, K) as these are, or (N, K, C). Outside, the picture is continued by its border pixels.
     """
-    shape = x.shape
-    if max(picture.shape) > _MOST:
+    shape, found = x.shape, (*x.shape, *picture.shape[2:])
+    if not x.size:
+        return np.zeros(found, np.float32)
+    if max(picture.shape[:2]) > _MOST:
         return _sampled_in_parts(picture, x, y, interpolation)
     if max(shape) > _MOST:
         folded = (-(-x.size // _FOLDED), _FOLDED)
         x, y = np.resize(x, folded), np.resize(y, folded)
     table = np.asarray(x, np.float32), np.asarray(y, np.float32)
     values = cv2.remap(picture, *table, interpolation, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(values.ravel()[: shape[0] * shape[1]].reshape(shape), np.float32)
+    return np.asarray(values.ravel()[: math.prod(found)].reshape(found), np.float32)
 
 
 def _sampled_in_parts(
     picture: npt.NDArray[Any], x: npt.NDArray[Any], y: npt.NDArray[Any], interpolation: int
 ) -> npt.NDArray[np.float32]:
     along = int(np.argmax(picture.shape[:2]))
-    length, values = picture.shape[along], np.empty(x.shape, np.float32)
+    length, values = picture.shape[along], np.empty((*x.shape, *picture.shape[2:]), np.float32)
     part = np.clip((x, y)[1 - along], 0, length - 1).astype(np.int64) // _PART
     for number in np.unique(part):
         first, there = max(int(number) * _PART - _OVERLAP, 0), part == number
