@@ -16,6 +16,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from icu_common.adapters import transport_profile
+from icu_common.adapters.transport_profile import check_environment
 from icu_common.nodes import qos, runtime
 from icu_common.nodes.runtime import prepare_transport
 
@@ -184,3 +185,30 @@ def test_the_profiles_differ_in_the_interface_alone() -> None:
     assert lines("fastdds_profile.xml") < lines("fastdds_local_profile.xml")
     more = lines("fastdds_local_profile.xml") - lines("fastdds_profile.xml")
     assert [line.strip() for line in more] == ["<interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("ROS_DOMAIN_ID", "lab", "ROS_DOMAIN_ID = 'lab': a whole number from 0 to 232 is needed"),
+        ("ROS_DOMAIN_ID", "233", "ROS_DOMAIN_ID = '233': a whole number from 0 to 232 is needed"),
+        ("ROS_STATIC_PEERS", "127.0.0.1;no.host.invalid", "ROS_STATIC_PEERS: no address of 'no.host.invalid' is found"),
+    ],
+)
+def test_wrong_environment_ends_a_program_with_one_line(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], name: str, value: str, words: str
+) -> None:
+    """The middleware ends the process without the value, or by a traceback."""
+    monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit) as ended:
+        prepare_transport()
+    said = capfd.readouterr()
+    assert ended.value.code == 2 and said.out == ""
+    assert said.err.startswith(f"error: {words}") and said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("domain", ["", "0", "232", "0x10"])
+def test_every_ros_domain_that_the_middleware_takes_is_taken(monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    monkeypatch.setenv("ROS_STATIC_PEERS", "127.0.0.1;localhost;")
+    check_environment()

@@ -98,6 +98,19 @@ def test_files_that_are_added_to_the_sources_configuration_are_found_without_a_n
     assert bring_up.configuration_folder() == built.resolve()
 
 
+def test_a_configuration_that_is_named_and_not_there_is_not_replaced_by_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a machine would run with the limits of the installed one."""
+    built = tmp_path / "share" / "scope_bench" / "config"
+    built.mkdir(parents=True)
+    (built / "graph.yaml").write_text("programs: {}")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    monkeypatch.setenv("ICU_CONFIG", str(tmp_path / "mine"))
+    with pytest.raises(FileNotFoundError, match=rf"no graph.yaml in {tmp_path}/mine, which ICU_CONFIG names"):
+        bring_up.configuration_folder()
+
+
 PROGRAM = """\
 #!/bin/sh
 trap 'echo "$0 ends" >> "$LOG"; exit 0' INT
@@ -116,7 +129,7 @@ programs:
 
 @pytest.fixture
 def two(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start bring_up with two programs, a board and a driver, in a ROS domain of its own."""
+    """Start bring_up with two programs, a board and a driver, in a namespace of its own."""
     for folder in ("config/scopes", "lib/p", "tmp"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "config" / "graph.yaml").write_text(TWO)
@@ -125,9 +138,9 @@ def two(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         (tmp_path / "lib" / "p" / name).write_text(PROGRAM)
         (tmp_path / "lib" / "p" / name).chmod(0o755)
     environment = {**os.environ, "AMENT_PREFIX_PATH": str(tmp_path), "TMPDIR": str(tmp_path / "tmp")}
-    environment |= {"LOG": str(tmp_path / "log"), "ROS_DOMAIN_ID": f"of {tmp_path.name} {os.getpid()}"}
+    environment |= {"LOG": str(tmp_path / "log"), "ROS_DOMAIN_ID": "7"}
     command = [sys.executable, "-m", "scope_bench.cli.bring_up", "--config", str(tmp_path / "config")]
-    command += ["--state", str(tmp_path / "state")]
+    command += ["--state", str(tmp_path / "state"), "--namespace", f"of_{os.getpid()}"]
 
     started: list[subprocess.Popen[str]] = []
 
@@ -209,10 +222,8 @@ def test_a_second_graph_under_the_same_names_is_refused(two: Callable[..., subpr
         until_it_runs(first)
         for more in ([], ["--without", "board"]):
             output, error = two(*more).communicate(timeout=DEADLINE_S)
-            assert (
-                "started" not in output and "a graph of these names runs already in ROS domain of test_a_sec" in error
-            )
-        for beside, programs in ((["--only", "driver"], ["driver"]), (["--namespace", "bed_2"], [])):
+            assert "started" not in output and "a graph of these names runs already in ROS domain 7:" in error
+        for beside, programs in ((["--only", "driver"], ["driver"]), (["--namespace", f"beside_{os.getpid()}"], [])):
             with two(*beside) as other:
                 until_it_runs(other, *programs)
                 other.send_signal(signal.SIGINT)

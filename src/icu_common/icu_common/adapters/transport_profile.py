@@ -1,4 +1,4 @@
-"""Which transport profile Fast DDS is to read, and whether whole pictures fit into the buffers of its sockets."""
+"""What of the environment is Fast DDS's: its profile, domain and peers; and whether pictures fit into its sockets."""
 
 from __future__ import annotations
 
@@ -10,6 +10,30 @@ from pathlib import Path
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _SOCKET_BUFFER_BYTES = 4 << 20
+_LAST_DOMAIN = 232
+"""Ports of the next one would be above 65535 (RTPS 2.5, 9.6.2.3)."""
+
+
+def check_environment() -> None:
+    """Raise a ValueError for a domain or a peer that Fast DDS cannot take: it would end the process without a word.
+
+    Raises
+    ------
+    ValueError
+        With the variable, its value and what is needed.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    try:
+        known = not domain or 0 <= int(domain, 0) <= _LAST_DOMAIN
+    except ValueError:
+        known = False
+    if not known:
+        raise ValueError(f"ROS_DOMAIN_ID = {domain!r}: a whole number from 0 to {_LAST_DOMAIN} is needed")
+    for peer in filter(None, os.environ.get("ROS_STATIC_PEERS", "").split(";")):
+        try:
+            socket.getaddrinfo(peer, None)
+        except (OSError, UnicodeError) as error:
+            raise ValueError(f"ROS_STATIC_PEERS: no address of {peer!r} is found: {error}") from error
 
 
 def profiles_folder() -> Path:

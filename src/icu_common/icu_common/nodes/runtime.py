@@ -30,6 +30,7 @@ from icu_common.adapters.sign_of_life import give_signs_of_life
 from icu_common.adapters.transport_profile import (
     PROFILE_VARIABLE,
     RANGE_VARIABLE,
+    check_environment,
     is_users_own,
     keeps_to_this_host,
     profiles_folder,
@@ -52,7 +53,17 @@ def prepare_transport(shared_memory: bool = True) -> None:
     shared_memory
         False for a program that must not wait for another one: see docs/decisions/transport.md. Else it is used where
         the buffers of sockets are too small for pictures.
+
+    Raises
+    ------
+    SystemExit
+        With code 2 and one line, if the environment names a domain or a peer that there cannot be.
     """
+    try:
+        check_environment()
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from error
     local = keeps_to_this_host()
     os.environ.setdefault(RANGE_VARIABLE, "LOCALHOST")
     shared_memory = shared_memory and not sockets_hold_pictures()

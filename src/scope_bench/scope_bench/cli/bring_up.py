@@ -42,17 +42,19 @@ def configuration_folder() -> Path:
     Raises
     ------
     FileNotFoundError
-        If there is none.
+        If there is none, or not where $ICU_CONFIG says.
     """
+    if named := os.environ.get("ICU_CONFIG"):
+        if not Path(named, "graph.yaml").is_file():
+            raise FileNotFoundError(f"no graph.yaml in {named}, which ICU_CONFIG names")
+        return Path(named).resolve()
     own = Path(sys.argv[0]).resolve()
     shares = [own.parents[2] / "share"] if len(own.parents) > 2 else []
     shares += [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    named = [Path(os.environ["ICU_CONFIG"])] if "ICU_CONFIG" in os.environ else []
-    installed = [share / "scope_bench" / "config" for share in shares]
-    places = [*named, *installed]
+    places = [share / "scope_bench" / "config" for share in shares]
     for place in places:
         if (place / "graph.yaml").is_file():
-            return place.resolve() if place in named else true_configuration(place)
+            return true_configuration(place)
     raise FileNotFoundError(
         f"no graph.yaml in {', '.join(map(str, places))}; name its folder with --config or ICU_CONFIG"
     )
