@@ -380,6 +380,7 @@ def test_program_needs_little_of_a_core(program: tuple[subprocess.Popen[str], Pa
         (["--set", "100=0"], "$100=0: a machine is built with more than 0 steps per mm"),
         (["--set", "110=1e999"], "$110=1e999 is above 3.4e+38"),
         (["--settings", "no-such-file"], "No such file"),
+        (["--truth-socket", f"/tmp/{'x' * 200}"], f"/tmp/{'x' * 200}: a socket's path may have 107 bytes"),
         (["--settings", sys.executable], f"{sys.executable} is no text"),
     ],
 )

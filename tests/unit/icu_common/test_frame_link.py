@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from icu_common.adapters.frame_link import FrameClient, FrameServer
+from icu_common.adapters.unix_listener import listen_at
 
 DEADLINE_S = 30.0
 RNG = np.random.default_rng(7)
@@ -86,3 +87,26 @@ def test_a_reader_that_goes_does_not_hurt_the_server(tmp_path: Path) -> None:
     server.send(PAIR, 3)
     assert server.reader_count() == 0
     server.close()
+
+
+def test_a_file_that_is_no_socket_is_left_alone(tmp_path: Path) -> None:
+    kept = tmp_path / "notes.txt"
+    kept.write_text("mine")
+    with pytest.raises(FileExistsError, match=r"notes\.txt exists and is not a socket"):
+        FrameServer(kept)
+    assert kept.read_text() == "mine"
+
+
+def test_a_socket_that_a_killed_program_left_is_replaced(tmp_path: Path) -> None:
+    listen_at(tmp_path / "s").close()
+    server = FrameServer(tmp_path / "s")
+    client = FrameClient(tmp_path / "s")
+    assert server.reader_count() == 1
+    client.close()
+    server.close()
+
+
+def test_a_path_that_is_too_long_for_a_socket_is_said_with_the_bound(tmp_path: Path) -> None:
+    path = tmp_path / ("x" * 108)
+    with pytest.raises(OSError, match=rf"{path}: a socket's path may have 107 bytes"):
+        listen_at(path)

@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 MAX_LINE_BYTES = 64 * 1024
+_LONGEST_PATH = 107
+"""Bytes; unix(7): 108 with the zero at the end."""
 
 
 class LineServer:
@@ -20,6 +22,8 @@ class LineServer:
         self.path = path
         self._selector = selector
         self._clients: dict[socket.socket, tuple[bytearray, bytearray]] = {}
+        if len(os.fsencode(path)) > _LONGEST_PATH:
+            raise OSError(f"{path}: a socket's path may have {_LONGEST_PATH} bytes")
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists() and not stat.S_ISSOCK(path.stat().st_mode):
             raise FileExistsError(f"{path} exists and is not a socket")

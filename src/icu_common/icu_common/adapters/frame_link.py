@@ -17,6 +17,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from icu_common.adapters.unix_listener import listen_at
+
 _HEADER = struct.Struct("<4sIIIIq")
 _MAGIC = b"ICU1"
 MAX_BYTES = 64 * 1024 * 1024
@@ -28,13 +30,8 @@ class FrameServer:
     """Serves pictures to any number of readers on a Unix socket; all calls return at once."""
 
     def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.unlink(missing_ok=True)
         self.path = path
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._listener.bind(str(path))
-        self._listener.listen(4)
-        self._listener.setblocking(False)
+        self._listener = listen_at(path)
         self._readers: dict[socket.socket, memoryview] = {}
 
     def reader_count(self) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import os
 import selectors
 import socket
 import threading
@@ -18,6 +17,7 @@ from typing import Any, ClassVar, TextIO
 import numpy as np
 
 from icu_common.adapters.frame_link import FrameServer
+from icu_common.adapters.unix_listener import listen_at
 from icu_common.core.config import from_mapping, to_mapping
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import PanelLayout
@@ -98,13 +98,7 @@ class Simulation:
         config = self._config
         self._plug()
         if config.test_socket:
-            path = Path(config.test_socket)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.unlink(missing_ok=True)
-            self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            self._listener.bind(os.fspath(path))
-            self._listener.listen(8)
-            self._listener.setblocking(False)
+            self._listener = listen_at(Path(config.test_socket))
             self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
         if config.truth_log:
             log = Path(config.truth_log)
