@@ -255,6 +255,24 @@ def test_the_console_of_a_robot_shows_what_its_own_programs_say(ros: Any, monkey
     assert [line["name"] for line in heard if line["text"] == "stop"] == ["bed_1.gantry.serial_driver"]
 
 
+def test_a_token_file_that_cannot_be_written_does_not_end_the_bridge_in_disorder(
+    ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As in a folder that is no folder, or on a disk that has become read-only."""
+    (tmp_path / "file").touch()
+    node = ros.node(BridgeNode, {"port": 0, "token_file": str(tmp_path / "file" / "token")})
+    said = ""
+
+    def told() -> str:
+        nonlocal said
+        said += capfd.readouterr().err
+        return said
+
+    ros.spin_until(lambda: f"could not be written to {tmp_path}/file/token" in told(), WITHIN_S, told)
+    node.close()
+    assert not node._server.alive
+
+
 def test_a_state_under_another_name_stays_while_somebody_tells_it(ros: Any) -> None:
     remapped = ["--ros-args", "-r", "gantry/state:=other/state"]
     node = ros.node(BridgeNode, {"port": 0, "token_file": ""}, cli_args=remapped)

@@ -607,9 +607,14 @@ def test_a_port_in_use_is_said_with_its_number() -> None:
         Rig(port=first.server.port)
 
 
-def test_a_missing_certificate_is_said() -> None:
-    with pytest.raises(ConfigError, match="cannot serve"):
-        Rig(tls_certificate="/nonexistent/a.pem", tls_key="/nonexistent/b.pem")
+@pytest.mark.parametrize("content", [None, b"no certificate"])
+def test_a_missing_or_broken_certificate_is_said_with_its_name(tmp_path: Path, content: bytes | None) -> None:
+    certificate, key = tmp_path / "a.pem", tmp_path / "b.pem"
+    if content is not None:
+        certificate.write_bytes(content)
+        key.write_bytes(content)
+    with pytest.raises(ConfigError, match=rf"cannot serve.*tls_certificate = '{certificate}', tls_key = '{key}': .+"):
+        Rig(tls_certificate=str(certificate), tls_key=str(key))
 
 
 def test_closing_the_server_ends_open_connections() -> None:

@@ -166,6 +166,15 @@ class WebServer:
             self._started.set()
             self._loop.close()
 
+    def _certified(self) -> ssl.SSLContext:
+        context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        certificate, key = self._config.tls_certificate, self._config.tls_key
+        try:
+            context.load_cert_chain(certificate, key)
+        except OSError as error:  # which names neither file
+            raise ValueError(f"tls_certificate = {certificate!r}, tls_key = {key!r}: {error}") from error
+        return context
+
     async def _serve(self) -> None:
         runner = web.AppRunner(
             self._application(),
@@ -180,8 +189,7 @@ class WebServer:
         try:
             context: ssl.SSLContext | None = None
             if self._config.tls:
-                context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-                context.load_cert_chain(self._config.tls_certificate, self._config.tls_key)
+                context = self._certified()
             listener = await self._loop.create_server(
                 runner.server,
                 self._config.host,

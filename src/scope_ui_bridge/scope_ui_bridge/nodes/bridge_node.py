@@ -9,6 +9,7 @@ SIGUSR1 makes a new sign-in token (the old one is void), prints it and writes it
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 import signal
 import socket
@@ -160,7 +161,8 @@ class BridgeNode(Node):
         """End the server; without its heartbeat the driver holds."""
         self._server.close()
         if self._token_file is not None:
-            self._token_file.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # as where it could not be written
+                self._token_file.unlink()
 
     def _announce(self, token: str) -> None:
         print(f"Operator page: {self.url}?token={token}", flush=True)
