@@ -23,6 +23,7 @@ from harris_perception.core.harris_laplace import (
 )
 from harris_perception.core.overlay import draw_corners
 from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
+from harris_perception.nodes.compiling import compiling
 from icu_common.core.config import ConfigError, nested, setting
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
@@ -80,7 +81,8 @@ class CornersNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("corners", **options)
         self._live = LiveParameters(self, CornersNodeConfig, self._use)
-        self._use(self._live.config)
+        with compiling(self):
+            self._use(self._live.config)
         self._frames = self._refused = self._found = self._reported = self._dropped = 0
         self._busy_s, self._refusal = 0.0, ""
         self._corners = self.create_publisher(PointCloud2, "corners", qos.RESULTS)

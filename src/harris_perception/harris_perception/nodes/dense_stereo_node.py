@@ -15,6 +15,7 @@ from stereo_msgs.msg import DisparityImage
 from harris_perception.core.dense_stereo import DELTA_PX, F32, DenseConfig, DenseStereo, SemiGlobalConfig, warm
 from harris_perception.core.gray import GreyLevels, bgr_of, eight_bits, gray_of
 from harris_perception.core.pairing import Pairing
+from harris_perception.nodes.compiling import compiling
 from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
 from icu_common.core import frames
 from icu_common.core.config import Config, nested, setting
@@ -63,7 +64,8 @@ class DenseStereoNode(Node):
         self._matched = self._reported_ns = 0
         self._values: list[tuple[str, Any]] = []
         self._complaint = ""
-        warm()
+        with compiling(self):
+            warm()
         self._configure()
         self._disparity = self.create_publisher(DisparityImage, "disparity", qos.IMAGES)
         self._points = self.create_publisher(PointCloud2, "dense_points", qos.IMAGES)

@@ -22,6 +22,7 @@ from harris_perception.core.stereo_matching import (
     triangulated,
     warm,
 )
+from harris_perception.nodes.compiling import compiling
 from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
 from icu_common.core import frames
 from icu_common.core.camera_model import StereoModel
@@ -90,7 +91,8 @@ class StereoNode(Node):
         self._calibration = StereoCalibration(self, self._configure)
         self._sets = Pairing(4, depth=6)
         self._matcher: Matcher | None = None
-        warm()
+        with compiling(self):
+            warm()
         self._configure()
         self._matched = self._reported_ns = 0
         self._values: list[tuple[str, Any]] = []
