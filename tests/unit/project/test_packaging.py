@@ -71,6 +71,7 @@ def test_package_xml_is_complete_for_bloom_and_names_what_is_imported(package: P
     modules = {SYSTEM_KEYS.get(name, name) for name in named}
     optional = {"scipy", "matplotlib", "skimage", "foxglove"}  # only for evaluation, and asked for by name when missing
     assert imports(package) - modules - BY_PIP - optional == set()
+    assert (named & OF_ROS) - imports(package) == set(), "named and used by nothing"
 
 
 @each_package
