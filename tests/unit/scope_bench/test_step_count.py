@@ -44,3 +44,16 @@ def test_who_has_not_found_its_listeners_is_named() -> None:
     assert count.processes == 2
     assert count.unmatched({"/image": 1, "/clock": 0}) == ["/corners", "/image"]
     assert count.unmatched({"/image": 2}) == ["/corners"]
+
+
+def test_what_a_replay_waits_for_is_said_and_nothing_else() -> None:
+    count = StepCount()
+    assert count.waiting_for(2, {}).startswith("0 of 2 processes play in step (")
+    assert count.waiting_for(2, {}).endswith("bring_up --in-step?)")
+    count.hear(counts(1, {"/image": 1}))
+    assert count.waiting_for(1, {"/image": 0}) == "not all have found each other on /image"
+    assert count.waiting_for(1, {"/image": 1}) == ""
+    count.played["/image"] += 1
+    assert count.waiting_for(1, {"/image": 1}) == "not all has been taken that was sent on /image"
+    count.begin()
+    assert count.waiting_for(1, {"/image": 1}) == ""

@@ -51,6 +51,20 @@ class StepCount:
         """Return the topics of which somebody has not taken everything."""
         return sorted({t for (p, t), owed in self._owed().items() if owed != self._before.get((p, t), 0)})
 
+    def waiting_for(self, processes: int, readers: Mapping[str, int]) -> str:
+        """Return what a replay with so many processes cannot begin without yet, "" for nothing; readers as above."""
+        reasons = []
+        if self.processes < processes:
+            reasons.append(
+                f"{self.processes} of {processes} processes play in step (was the graph started with "
+                "bring_up --in-step?)"
+            )
+        if missing := self.unmatched(readers):
+            reasons.append(f"not all have found each other on {', '.join(missing)}")
+        if owed := self.under_way():
+            reasons.append(f"not all has been taken that was sent on {', '.join(owed)}")
+        return "; ".join(reasons)
+
     def _listeners(self) -> Counter[str]:
         return sum((Counter(counts["listeners"]) for counts in self._counts.values()), Counter())
 

@@ -70,16 +70,11 @@ class StepPlayer:
         deadline_s, still_s = time.monotonic() + self._patience_s, time.monotonic()
         while self._session.goes_on and time.monotonic() - still_s < SETTLED_S:
             self._session.spin(0.05)
-            missing = self._count.unmatched(self._node.readers())
-            owed = self._count.under_way()
-            if self._count.processes < processes or missing or owed:
+            if reason := self._count.waiting_for(processes, self._node.readers()):
+                if time.monotonic() > deadline_s:
+                    raise BagError(reason)
                 self._count.begin()
                 still_s = time.monotonic()
-            if time.monotonic() > deadline_s:
-                raise BagError(
-                    f"{self._count.processes} of {processes} processes play in step; was the graph started with "
-                    f"bring_up --in-step? Not all found each other on: {', '.join(missing) or 'all did'}"
-                )
 
     def play(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Play one message at its time and wait until it has been dealt with.
