@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import os
@@ -166,3 +167,16 @@ def test_what_fails_elsewhere_is_raised(
             main()
     assert raised.value is error
     assert (tmp_path / "printed").read_text().rstrip() == "written"
+
+
+@pytest.mark.parametrize(
+    "module", ["cli.gantry_gcode", "cli.gantry_monitor", "nodes.serial_driver_node", "nodes.sequence_node"]
+)
+def test_a_help_has_no_marks_of_the_api_documentation(
+    module: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["program", "--help"])
+    with contextlib.suppress(SystemExit):
+        import_module(f"gantry_driver.{module}").main()
+    shown = capsys.readouterr().out
+    assert shown.startswith("usage: ") and "`" not in shown.split("While it runs")[0] and ":class:" not in shown

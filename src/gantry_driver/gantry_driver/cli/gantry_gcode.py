@@ -36,7 +36,7 @@ from gantry_driver.core.session import plain
 from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile, profile_text
 from gantry_driver.core.streaming import PROGRAM_MODES
 from gantry_driver.core.trajectory_gcode import TrajectoryError
-from icu_common.adapters.program_end import end_signals, ends_quietly
+from icu_common.adapters.program_end import end_signals, ends_quietly, help_text
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.config import ConfigError, from_mapping
 from icu_common.core.parameter_file import values_for
@@ -298,7 +298,7 @@ def run_dry(name: str, lines: Sequence[CheckedLine], config: DriverConfig) -> in
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(prog="gantry_gcode", description=__doc__)
+    parser = argparse.ArgumentParser(prog="gantry_gcode", description=help_text(__doc__))
     board = argparse.ArgumentParser(add_help=False)
     board.add_argument("--port", help="device of the board (from --params, else /dev/ttyUSB0)")
     board.add_argument(

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from gantry_driver.core.monitor import Monitor
-from icu_common.adapters.program_end import ends_quietly
+from icu_common.adapters.program_end import ends_quietly, help_text
 from icu_common.core.frames import JOINTS
 from icu_common.nodes.qos import LATCHED, RESULTS
 from icu_common.nodes.runtime import own_arguments, ros_session
@@ -55,7 +55,7 @@ class MonitorNode(Node):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Show until Ctrl-C, or for ``--seconds``."""
     arguments = list(sys.argv if arguments is None else arguments)
-    parser = argparse.ArgumentParser(prog="gantry_monitor", description=__doc__)
+    parser = argparse.ArgumentParser(prog="gantry_monitor", description=help_text(__doc__))
     parser.add_argument("--seconds", type=float, default=math.inf, metavar="S", help="end after S seconds")
     parser.add_argument("--driver", default="serial_driver", metavar="NAME", help="name of the driver's node")
     given = parser.parse_args(own_arguments(arguments))

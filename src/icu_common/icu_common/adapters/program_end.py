@@ -1,4 +1,4 @@
-"""How a command line program ends when its user has had enough of it."""
+"""How a command line program ends when its user has had enough of it, and what it says of itself."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import errno
 import functools
 import io
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable
@@ -22,6 +23,11 @@ def end_signals() -> list[signal.Signals]:
     """Return what asks a program to end: SIGINT, SIGTERM, and a terminal's SIGHUP, which ``nohup`` lets it ignore."""
     ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     return [signal.SIGINT, signal.SIGTERM, *([] if ignored else [signal.SIGHUP])]
+
+
+def help_text(documentation: str | None) -> str:
+    """Return a module's documentation as a terminal shows it, without the marks for names and code."""
+    return re.sub(r":\w+:`~?([^`]*)`", r"\1", documentation or "").replace("``", "")
 
 
 def ends_quietly(main: Callable[P, int]) -> Callable[P, int]:

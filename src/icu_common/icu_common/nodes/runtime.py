@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from icu_common.adapters.memory import keep_large_blocks
-from icu_common.adapters.program_end import end_signals, ends_quietly
+from icu_common.adapters.program_end import end_signals, ends_quietly, help_text
 from icu_common.adapters.sign_of_life import give_signs_of_life
 from icu_common.adapters.transport_profile import (
     PROFILE_VARIABLE,
@@ -199,7 +199,7 @@ def _help(make_node: Callable[..., Node]) -> int:
     name = Path(sys.argv[0]).name
     text = f"""usage: {name} --ros-args [-p NAME:=VALUE] [--params-file YAML] [-r FROM:=TO]
 
-{inspect.getdoc(inspect.getmodule(make_node))}
+{help_text(inspect.getdoc(inspect.getmodule(make_node)))}
 
 While it runs, `ros2 param list` names its parameters and `ros2 param describe NODE NAME` tells meaning and range."""
     print(text)
