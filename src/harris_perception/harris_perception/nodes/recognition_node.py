@@ -135,7 +135,7 @@ class RecognitionNode(Node):
         self._alarm, self._confirmed = "", not self._layout.markers
         self._marker_alarm = ""
         self._depth = FaceDepth(self._live.config.stereo_bound_mm)
-        self._stereo_points: Subscription[PointCloud2] | None = None
+        self._stereo_points: Subscription | None = None
         self._alarm_out = self.create_publisher(String, "alarm", qos.LATCHED)
         self._alarm_out.publish(String(data=""))
         self._pose = self.create_publisher(PoseStamped, "pose", qos.LATCHED)
