@@ -62,7 +62,7 @@ class ControllerConfig(Config):
     )
     contact_tip_count: int = setting(2, "Tip observations needed from the time in contact", minimum=1, maximum=50)
     effect_wait_s: float = setting(
-        0.6,
+        1.0,
         "Time after the lift for lamps and screens to show an effect; 0: nothing is looked for",
         minimum=0.0,
         maximum=10.0,

@@ -143,6 +143,8 @@ class Job:
     touched_ns: int = 0
     """When the stylus first went down to touch, 0 before."""
     down_ns: int = 0
+    up_ns: int = 0
+    """When the stylus was up again after its touch."""
     fault: Fault | None = None
 
     def look_before(self, seen: PanelSeen) -> None:

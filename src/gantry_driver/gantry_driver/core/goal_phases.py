@@ -257,6 +257,7 @@ class GoalPhases(GoalRun):
         return contact_complaint(job.error_m, above_m, self._tip_look, self.config)
 
     def _wait_for_pictures(self, job: Job) -> None:
+        job.up_ns = self._now_ns
         self._enter(Phase.MEASURE, self.config.picture_wait_s)
 
     def _judge_contact(self, job: Job) -> None:
@@ -285,7 +286,7 @@ class GoalPhases(GoalRun):
         if job.knob is None:
             assert job.before is not None and job.touch is not None
             # Contact comes before the driver reports the end of the way down, and what it does may be seen as early.
-            job.effect, told = effect(job.before, after, job.touch.control, job.plunge_ns)
+            job.effect, told = effect(job.before, after, job.touch.control, job.plunge_ns, job.up_ns)
             return told
         knob = after.control(job.knob.name)
         return still and knob is not None and not math.isnan(knob.angle_deg)
