@@ -204,6 +204,20 @@ def test_a_hand_hides_what_it_lies_on_and_nothing_else() -> None:
     assert all(c.hidden_by == "" for c in scene.look(InstrumentState(), patches=free).controls)
 
 
+def test_what_is_not_in_the_picture_is_hidden_by_its_edge() -> None:
+    scene = Scene()
+    left, _ = scene.renderer.render(Moment(tip=AWAY, state=InstrumentState(), now_s=0.2))
+    pose = scene.camera_from_base @ scene.panel_from
+    u = float(scene.camera.project(pose.apply([np.array([*LAYOUT.control("MENU").position_mm, 0.0]) * 1e-3]))[0, 0])
+    # The same picture without its right part: as by cameras that ride and stand farther to the left.
+    narrow = dataclasses.replace(scene.camera, width=int(u))
+    seen = scene.reader.read(left[:, : int(u)].copy(), pose, narrow, 1)
+    menu, knob, run = (seen.control(name) for name in ("MENU", "TRIG_LEVEL", "RUN_STOP"))
+    assert menu is not None and menu.hidden_by == "edge" and menu.text() == "not in the picture"
+    assert knob is not None and knob.hidden_by == "edge" and np.isnan(knob.angle_deg)
+    assert run is not None and run.lamp == "green" and not run.hidden_by
+
+
 @pytest.mark.parametrize("model", sorted(path.stem for path in SCOPES.glob("*.yaml")))
 def test_no_shadow_hides_a_control(model: str) -> None:
     layout = load_layout(SCOPES / f"{model}.yaml")

@@ -111,6 +111,9 @@ def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config:
     elif gesture.kind in ("click", "set"):
         raise Refused(f"{gesture.kind} needs a knob's name, found {gesture.text()!r}")
     touch = find_touch(gesture, knob, scene, config)
+    found = None if seen is None else seen.control(touch.control)
+    if found is not None and found.hidden_by == "edge" and not config.camera_on_carriage:
+        raise Refused(f"{touch.control} is not in the picture")
     if config.require_effect and seen is None and knob is None and touch.control:
         raise Refused(f"nothing is seen of the panel's state: the effect of a {gesture.kind} must be (require_effect)")
     hold_s = {"hold": gesture.argument, "press": config.press_s, "long": config.long_press_s}

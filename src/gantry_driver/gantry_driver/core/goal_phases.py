@@ -92,9 +92,11 @@ class GoalPhases(GoalRun):
         if (fault := self._rests_misplaced(job)) is not None:
             reason = f"{fault.cause}; the stylus may be bent, or another one; nothing was moved"
             self._finish(job, Outcome.ABORTED, reason)
-        elif knob is not None and math.isnan(knob.seen_deg) and (self._needs_marker(job, knob) or self._under(job)):
+        elif (
+            knob is not None and math.isnan(knob.seen_deg) and (self._needs_marker(job, knob) or self._out_of_view(job))
+        ):
             self._move_aside(job, knob.name)
-        elif self._may_tell_by_lamp(job) and self._under(job):
+        elif self._may_tell_by_lamp(job) and self._out_of_view(job):
             assert job.touch is not None
             self._move_aside(job, job.touch.control)
         elif knob is not None and job.kind == "set" and abs(knob.off_deg) <= self.config.set_tolerance_deg:
@@ -131,15 +133,19 @@ class GoalPhases(GoalRun):
         assert job.scene is not None
         return job.kind == "set" or job.scene.control(knob.name).dimple is not None
 
+    def _is_to_be_read(self, job: Job, knob: Knob) -> bool:
+        """Whether the knob's marker has to be, or can be, read from aside first."""
+        return math.isnan(knob.seen_deg) and (self._needs_marker(job, knob) or self._out_of_view(job))
+
     def _may_tell_by_lamp(self, job: Job) -> bool:
         """Whether the effect is looked for at a control that may have a lamp."""
         looked_for = job.knob is None and job.before is not None and self.config.effect_wait_s > 0
         return looked_for and job.touch is not None and job.touch.control not in self._world.lampless
 
-    def _under(self, job: Job) -> bool:
-        """Whether the stylus, though it is up, hides the control."""
+    def _out_of_view(self, job: Job) -> bool:
+        """Whether the stylus, though it is up, hides the control, or cameras on the carriage are too far from it."""
         seen = None if self._world.seen is None or job.touch is None else self._world.seen.control(job.touch.control)
-        return seen is not None and seen.hidden_by == "stylus"
+        return seen is not None and seen.hidden_by in ("stylus", "edge")
 
     def _move_aside(self, job: Job, name: str) -> None:
         """Let the cameras see the whole control, wherever on it the stylus has been."""
@@ -282,7 +288,7 @@ class GoalPhases(GoalRun):
             return False
         still = after.stamp_ns > self._phase_ns + nanoseconds(self.config.settle_s)
         if job.knob is None and not job.touched_ns:
-            return still and not self._under(job)
+            return still and not self._out_of_view(job)
         if job.knob is None:
             assert job.before is not None and job.touch is not None
             # Contact comes before the driver reports the end of the way down, and what it does may be seen as early.
@@ -308,10 +314,10 @@ class GoalPhases(GoalRun):
             self._finish(job, Outcome.ABORTED, f"touched, but no effect was seen within {wait_s:g} s; the stylus is up")
 
     def _hides_lamp(self, job: Job) -> bool:
-        """Whether the stylus, though it is up, still hides the lamp that may tell the effect."""
+        """Whether the lamp that may tell the effect is still out of view, though the stylus is up."""
         assert job.before is not None and job.touch is not None
         before = job.before.control(job.touch.control)
-        return before is not None and before.lamp != "" and self._under(job)
+        return before is not None and before.lamp != "" and self._out_of_view(job)
 
     def _judge_knob(self, job: Job, knob: Knob) -> None:
         seen = None if self._world.seen is None else self._world.seen.control(knob.name)

@@ -337,8 +337,10 @@ def _before(camera: CameraModel, corners: Array) -> Array:
 def _hidden_by(control: Control, look: _Look, odd: bool) -> str:
     if control.kind != "touch_area":
         where = look.parts[control.name, "extent"]
+        if look.outside[where].any():
+            return "edge"
         # A hand over stylus and control is a hand: the print around tells, where the stylus leaves it in view.
-        if odd or look.outside[where].any():
+        if odd:
             return "something"
         if float((look.covered[where] > 0).mean()) > 0.1:
             return "stylus"

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-HIDDEN_BY = ("", "stylus", "something")
-"""By what a control is hidden: nothing, the robot's own stylus or arm, or something else, such as a hand."""
+HIDDEN_BY = ("", "stylus", "something", "edge")
+"""By what a control is hidden: nothing, the robot's own stylus or arm, something else, such as a hand, or the picture's
+edge, beyond which it lies: cameras on the carriage see it once they have come to it."""
 
 LAMPS = ("off", "white", "red", "amber", "yellow", "green", "cyan", "blue", "violet")
 """What a lamp can be seen to be."""
@@ -45,6 +46,8 @@ class ControlSeen:
 
     def text(self) -> str:
         """Return it for people."""
+        if self.hidden_by == "edge":
+            return "not in the picture"
         if self.hidden_by:
             return f"hidden by {'the stylus' if self.hidden_by == 'stylus' else self.hidden_by}"
         if self.lamp:

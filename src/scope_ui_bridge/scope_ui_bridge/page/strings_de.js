@@ -347,6 +347,7 @@ export const DE = {
   seen_none: "Über Lampen, Drehknöpfe und Bildschirme ist nichts gemeldet.",
   hidden_stylus: "hinter dem Stift",
   hidden_something: "von etwas verdeckt",
+  hidden_edge: "nicht im Bild",
   lamp: "Lampe {colour}",
   lamp_off: "aus",
   lamp_green: "grün",

@@ -347,6 +347,7 @@ export const EN = {
   seen_none: "Nothing is reported of lamps, knobs and screens.",
   hidden_stylus: "behind the stylus",
   hidden_something: "hidden by something",
+  hidden_edge: "not in the picture",
   lamp: "lamp {colour}",
   lamp_off: "off",
   lamp_green: "green",
