@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, MS, PANEL, Bench, RidingBench, config
+from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, MS, PANEL, Bench, config
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.goal_job import Phase
@@ -402,55 +402,6 @@ def test_a_knob_that_was_hidden_is_turned_by_what_is_seen_once_it_is_free(comman
     result = bench.do(command)
     assert result.outcome is Outcome.REACHED and bench.knob_deg == pytest.approx(44.0, abs=2.0), result
     assert float(details(result)["knob_deg"]) == pytest.approx(bench.knob_deg, abs=0.01)
-
-
-def beyond_the_edge(name: str, kind: type[Bench] = RidingBench) -> Bench:
-    """A bench that has seen nothing of a control yet, as it is not in the picture."""
-    bench = kind()
-    bench.talking.add("state")
-    bench.hidden[name] = "edge"
-    bench.start().run(0.5)
-    return bench
-
-
-@pytest.mark.parametrize("command", ["press", "long", "double", "hold"])
-def test_what_is_not_in_the_picture_is_pressed_once_the_cameras_have_come_to_it(command: str) -> None:
-    """From the homed machine cameras on the carriage do not see the whole panel: a hand was blamed for it."""
-    bench = beyond_the_edge("RUN_STOP")
-
-    def press(b: Bench) -> None:
-        b.lamp = "red"
-
-    bench.on_phase[Phase.READ] = lambda b: b.hidden.clear()
-    bench.on_phase[Phase.CONTACT] = press
-    result = bench.do(f"{command}:RUN_STOP{':0.5' if command == 'hold' else ''}")
-    assert result.outcome is Outcome.REACHED and details(result)["effect"] == "lamp green -> red", result
-
-
-@pytest.mark.parametrize("command", ["turn:CH1_SCALE:-36", "click:CH1_SCALE:2", "set:CH1_SCALE:-16"])
-def test_a_knob_that_is_not_in_the_picture_is_turned_by_what_is_seen_from_beside_it(command: str) -> None:
-    bench = beyond_the_edge("CH1_SCALE")
-    bench.knob_slips = 0.3
-    bench.on_phase[Phase.READ] = lambda b: b.hidden.clear()
-    result = bench.do(command)
-    assert result.outcome is Outcome.REACHED and bench.knob_deg == pytest.approx(-16.0, abs=2.0), result
-    assert float(details(result)["knob_deg"]) == pytest.approx(bench.knob_deg, abs=0.01)
-
-
-def test_a_hand_over_what_came_into_the_picture_ends_the_gesture_above_it() -> None:
-    bench = beyond_the_edge("RUN_STOP")
-    bench.controller.config = dataclasses.replace(bench.controller.config, look_timeout_s=20.0)
-    bench.on_phase[Phase.LOOK] = lambda b: (b.hidden.update(RUN_STOP="something"), b.talking.discard("tip"))
-    result = bench.do("press:RUN_STOP")
-    assert result.outcome is Outcome.ABORTED and "hides RUN_STOP" in result.reason, result
-    assert min(tip[2] for tip in bench.lowest) > BUTTON_Z and bench.readings[2] == 0.0
-
-
-def test_no_fixed_camera_comes_to_what_is_not_in_its_picture() -> None:
-    bench = beyond_the_edge("RUN_STOP", Bench)
-    result = bench.do("press:RUN_STOP")
-    assert result.outcome is Outcome.REJECTED and not bench.paths, result
-    assert result.reason == "RUN_STOP is not in the picture"
 
 
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK])

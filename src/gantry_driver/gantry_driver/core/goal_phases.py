@@ -157,8 +157,10 @@ class GoalPhases(GoalRun):
         self._try(job, Phase.ASIDE, lambda: motion_plan.aside(self._world.here, middle, by_m, config.motion))
 
     def _read_from_aside(self, job: Job) -> None:
-        for_effect = job.knob is None and job.touched_ns
-        self._enter(Phase.READ, self.config.effect_wait_s if for_effect else self.config.read_timeout_s)
+        config = self.config
+        # Cameras on the carriage have gone aside, too, and have to find the panel anew from there.
+        for_effect = job.knob is None and job.touched_ns and not config.camera_on_carriage
+        self._enter(Phase.READ, config.effect_wait_s if for_effect else config.read_timeout_s)
 
     def _finish_move(self, job: Job) -> None:
         readings = self._world.here
@@ -293,7 +295,8 @@ class GoalPhases(GoalRun):
             assert job.before is not None and job.touch is not None
             # Contact comes before the driver reports the end of the way down, and what it does may be seen as early.
             job.effect, told = effect(job.before, after, job.touch.control, job.plunge_ns, job.up_ns)
-            return told
+            late = after.stamp_ns > self._phase_ns + nanoseconds(self.config.effect_wait_s)
+            return told or (job.went_aside and late and still and not self._out_of_view(job))
         knob = after.control(job.knob.name)
         return still and knob is not None and not math.isnan(knob.angle_deg)
 
