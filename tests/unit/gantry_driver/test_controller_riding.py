@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from unit.gantry_driver.controller_bench import Bench, RidingBench
+from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, KNOB, Bench, RidingBench
 from unit.gantry_driver.test_controller_gestures import BUTTON_Z, details
 
 from gantry_driver.core import controller_messages as msg
@@ -91,3 +91,23 @@ def test_no_fixed_camera_comes_to_what_is_not_in_its_picture() -> None:
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.REJECTED and not bench.paths, result
     assert result.reason == "RUN_STOP is not in the picture"
+
+
+def test_the_panel_is_not_taken_along_by_a_carriage_from_where_it_was_not_seen_yet() -> None:
+    """A move down was measured at the panel as it was seen before, from elsewhere: onto a knob nothing forbade it."""
+    bench = RidingBench().start()
+    x, y, z = BASE_FROM_PANEL.apply(KNOB)
+    assert "would touch the panel" in bench.go(x, y, z - 0.005).reason
+    for confidence in (0.9, 0.0):
+
+        def lose_panel(b: Bench, confidence: float = confidence) -> None:
+            b.talking.discard("panel")
+            b.tell(msg.PanelConfidence(value=confidence))
+
+        bench.on_phase[Phase.MOVE] = lose_panel
+        assert bench.go(0.02, 0.02).outcome is Outcome.REACHED
+        result = bench.go(x, y, z - 0.005)
+        assert result.outcome is Outcome.REJECTED and "would touch the panel" in result.reason, result
+        bench.talking.add("panel")
+        bench.run(0.5)
+        assert bench.go(0.1, 0.1).outcome is Outcome.REACHED

@@ -116,7 +116,7 @@ class Controller(GoalPhases):
             case msg.PanelPose():
                 world.reported_panel = event
             case msg.PanelConfidence():
-                world.take_confidence(event.value, self.config.min_confidence)
+                world.take_confidence(event.value, self.config)
             case msg.PanelAlarm():
                 world.panel_alarm = event.text
             case msg.PanelControls():

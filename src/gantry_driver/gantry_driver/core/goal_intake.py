@@ -7,6 +7,7 @@ and, but for a knob's next turn, only once.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -79,10 +80,17 @@ def _move_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
 def _check_clear(goal: Array, world: World, config: ControllerConfig) -> None:
     """Refuse a point (3,) in base_link at which the stylus would touch the panel, as far as the panel is known."""
     parts = (world.camera_from_base, world.base_from_reading, world.camera_from_panel, world.camera, world.panel)
-    if any(part is None for part in parts) or not world.confidence >= config.min_confidence:
+    if any(part is None for part in parts):
         return
-    touch = config.touch
-    lowest = targets.highest_near(goal[:2], world.scene(), touch.side_needed_m()) + touch.ball_radius_m
+    scene, touch = world.scene(), config.touch
+    if config.camera_on_carriage:
+        # Until the panel is seen from where the cameras are now, it is where it was last seen to be.
+        if world.resting_base_from_panel is None:
+            return
+        scene = replace(scene, camera_from_panel=scene.camera_from_base @ world.resting_base_from_panel)
+    elif not world.confidence >= config.min_confidence:
+        return
+    lowest = targets.highest_near(goal[:2], scene, touch.side_needed_m()) + touch.ball_radius_m
     if goal[2] < lowest:
         raise Refused(
             f"z = {goal[2]:.4f} m would touch the panel there, {lowest:.4f} m is the lowest; use press to touch"

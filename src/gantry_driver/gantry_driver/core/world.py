@@ -65,6 +65,8 @@ class World:
     reported_panel: msg.PanelPose | None = None
     camera_from_panel: Transform | None = None
     panel_stamp_ns: int = 0
+    resting_base_from_panel: Transform | None = None
+    """By the last pose that was seen from where the cameras stood then."""
     confidence: float = 0.0
     panel_alarm: str = ""
     panel: PanelMap | None = None
@@ -176,12 +178,14 @@ class World:
             )
         return None
 
-    def take_confidence(self, value: float, least: float) -> None:
+    def take_confidence(self, value: float, config: ControllerConfig) -> None:
         """Believe the pose that came before a good confidence; forget one that came before a bad one."""
         self.confidence = value
-        if self.reported_panel is not None and value >= least:
+        if self.reported_panel is not None and value >= config.min_confidence:
             self.camera_from_panel = self.reported_panel.camera_from_panel
             self.panel_stamp_ns = self.reported_panel.stamp_ns
+            if self.camera_from_base is not None and self.panel_is_still(config):
+                self.resting_base_from_panel = self.camera_from_base.inverse() @ self.camera_from_panel
         self.reported_panel = None
 
     def forget_times(self) -> None:
