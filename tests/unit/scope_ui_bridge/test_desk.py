@@ -12,6 +12,7 @@ import pytest
 from unit.scope_ui_bridge.desk_rig import BOOT, Rig, answer, logged, of_type, pose, refusal, selected, shown_selections
 
 from icu_common.core.frames import BASE, CAMERA_LEFT
+from icu_common.core.geometry import Transform
 from icu_common.core.gesture import Gesture, Point, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
 from scope_ui_bridge.core.config import BridgeConfig
@@ -157,6 +158,26 @@ def test_a_selection_can_be_confirmed_later_but_only_on_a_fresh_picture() -> Non
     rig.wait(3.0, alive=True)
     assert refusal(rig.act(stamp=old)) == "frame_old"
     assert of_type(rig.act(), SendCommand)
+
+
+def test_a_control_stays_selected_though_cameras_on_the_carriage_have_moved() -> None:
+    """Each press moved them, and the next one of the same control was refused for a panel that moved by as much."""
+    for shift_m, panel_m in ((0.1, 0.0), (0.1, 0.0025)):
+        rig = Rig()
+        camera_from_base = Transform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.6]))
+        rig.desk.scene.camera_from_base = camera_from_base
+        rig.select(control="RUN_STOP")
+        gone = np.array([shift_m, 0.0, 0.0])
+        rig.desk.scene.camera_from_base = Transform(camera_from_base.rotation, camera_from_base.translation + gone)
+        rig.desk.scene.place_panel(pose(shift_m + panel_m))
+        if panel_m:
+            assert answer(rig.act())["values"] == {"moved_mm": 2.5, "limit_mm": 2.0}
+        else:
+            assert of_type(rig.act(), SendCommand)
+    rig.select(u=600.0, v=300.0)
+    rig.desk.scene.camera_from_base = camera_from_base
+    rig.desk.scene.place_panel(pose(0.0))
+    assert refusal(rig.act()) == "panel_moved", "a pixel is another place then"
 
 
 def test_a_panel_that_moved_since_the_selection_voids_it() -> None:

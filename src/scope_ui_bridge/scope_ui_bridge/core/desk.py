@@ -432,7 +432,7 @@ class Desk:
         self.machine.check_frame(message.camera, message.stamp_ns, self.config, now)
         pose = self.machine.check_recognition(self.scene.camera_from_panel, self.config, now)
         self._check_ready()
-        moved = selection.moved_m(pose)
+        moved = selection.moved_m(pose, self.scene.camera_from_base)
         if moved > self.config.panel_moved_limit_m:
             self._selection = None
             raise Refusal(

@@ -34,7 +34,8 @@ class Selection:
     """What the operator has chosen, and where the panel was then, and what it bore.
 
     ``anchors`` are (N, 3) m in panel_link: the control's or the point's place, or a line's two ends. ``pixels`` are
-    those of a point or a line in the picture of ``camera``.
+    those of a point or a line in the picture of ``camera``. ``base_from_panel`` is where the panel was by the
+    calibration: cameras on the carriage may have moved since, and a control is still the same one, though no pixel is.
     """
 
     number: int
@@ -48,6 +49,7 @@ class Selection:
     gestures: tuple[str, ...]
     pixels: tuple[tuple[float, float], ...] = ()
     size_m: tuple[float, float] = (0.0, 0.0)
+    base_from_panel: Transform | None = None
 
     def message(self) -> dict[str, Any]:
         """Return what the page gets."""
@@ -72,9 +74,12 @@ class Selection:
         places = " → ".join(f"({x * 1e3:.1f}, {y * 1e3:.1f})" for x, y, _ in self.anchors)
         return self.label or self.control or f"{places} mm"
 
-    def moved_m(self, camera_from_panel: Transform) -> float:
-        """Return by how much its places have moved since, at most."""
-        return max(moved_m(self.camera_from_panel, camera_from_panel, anchor) for anchor in self.anchors)
+    def moved_m(self, camera_from_panel: Transform, camera_from_base: Transform | None) -> float:
+        """Return by how much its places have moved since, at most: a control's in base_link, others' to the camera."""
+        before, now = self.camera_from_panel, camera_from_panel
+        if self.control and self.base_from_panel is not None and camera_from_base is not None:
+            before, now = self.base_from_panel, camera_from_base.inverse() @ camera_from_panel
+        return max(moved_m(before, now, anchor) for anchor in self.anchors)
 
 
 def make_selection(
@@ -110,6 +115,7 @@ def make_selection(
         assert message.point_px is not None
         pixels = (message.point_px,)
         anchors = _on_panel(message.camera, message.point_px, scene)[np.newaxis]
+    base = scene.camera_from_base
     return Selection(
         number=number,
         camera=message.camera,
@@ -122,6 +128,7 @@ def make_selection(
         gestures=_gestures(kind, seen.control(control) if seen is not None else None),
         pixels=pixels,
         size_m=size,
+        base_from_panel=None if base is None else base.inverse() @ camera_from_panel,
     )
 
 
