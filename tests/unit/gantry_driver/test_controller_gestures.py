@@ -340,8 +340,8 @@ def test_a_lamp_that_the_stylus_hides_at_first_tells_more_than_the_screen(
     assert (bench.now_ns - read[0]) / 1e9 == pytest.approx(min(hidden_s, 1.0), abs=0.2), "looked for 1 s at most"
 
 
-def test_a_lamp_is_read_once_the_stylus_is_up() -> None:
-    """Before, its ball may lie over part of the lamp: a button that had become green was told to have gone off."""
+def test_a_lamp_is_read_once_the_stylus_leaves_it() -> None:
+    """Before, its ball may be taken for a part of the lamp: a button that had become green was told as off."""
     bench = seeing()
     bench.on_phase[Phase.TOUCH] = lambda b: setattr(b, "lamp", "off")
     bench.on_phase[Phase.LIFT] = lambda b: b.talking.discard("state")

@@ -67,6 +67,7 @@ UNSAID = {
     "status lines and plain pages of the web server; terminals": (
         *("not signed in", "engineers only", "no picture is held", "sign in first"),
         *("too many viewers", "the desk knows which picture is held", "Operator page: {}?token={}"),
+        "tls_certificate = {}, tls_key = {}: {}",
         "{}: rms {} px, residuals x{}, red: above three times the rms",
         *("bring_up --scope {} --set recognition.template={} --set recognition.template_px_per_mm={}",),
     ),

@@ -14,18 +14,19 @@ PART_DEG = 150.0
 """What is lost of a turn, or too much of it, may be nearly half a turn then."""
 
 
-def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int, up_ns: int) -> tuple[str, bool]:
+def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int, left_ns: int) -> tuple[str, bool]:
     """Return what has changed since ``since_ns``, before the contact, and whether that is all there is to tell.
 
     Empty when nothing is seen to have changed. The control's own lamp tells more than a screen: while the stylus hides
-    it, the screen's change is not all. Until the stylus is up, at ``up_ns``, its ball may lie over part of the lamp.
+    it, the screen's change is not all. Until the stylus leaves it, at ``left_ns``, where it is may not be known
+    yet, and its ball be taken for a part of the lamp.
     """
     if after.stamp_ns <= since_ns:
         return "", False
     old, new = before.control(name), after.control(name)
     hidden = False
     if old is not None and new is not None and old.lamp:
-        hidden = not new.lamp or after.stamp_ns <= up_ns
+        hidden = not new.lamp or after.stamp_ns <= left_ns
         if not hidden and old.lamp != new.lamp:
             return f"lamp {old.lamp} -> {new.lamp}", True
     changed = after.changed_ns() > since_ns

@@ -143,8 +143,8 @@ class Job:
     touched_ns: int = 0
     """When the stylus first went down to touch, 0 before."""
     down_ns: int = 0
-    up_ns: int = 0
-    """When the stylus was up again after its touch."""
+    left_ns: int = 0
+    """When the stylus began to leave what it had touched."""
     fault: Fault | None = None
 
     def look_before(self, seen: PanelSeen) -> None:

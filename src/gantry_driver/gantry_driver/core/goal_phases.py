@@ -92,9 +92,7 @@ class GoalPhases(GoalRun):
         if (fault := self._rests_misplaced(job)) is not None:
             reason = f"{fault.cause}; the stylus may be bent, or another one; nothing was moved"
             self._finish(job, Outcome.ABORTED, reason)
-        elif (
-            knob is not None and math.isnan(knob.seen_deg) and (self._needs_marker(job, knob) or self._out_of_view(job))
-        ):
+        elif knob is not None and self._is_to_be_read(job, knob):
             self._move_aside(job, knob.name)
         elif self._may_tell_by_lamp(job) and self._out_of_view(job):
             assert job.touch is not None
@@ -265,7 +263,6 @@ class GoalPhases(GoalRun):
         return contact_complaint(job.error_m, above_m, self._tip_look, self.config)
 
     def _wait_for_pictures(self, job: Job) -> None:
-        job.up_ns = self._now_ns
         self._enter(Phase.MEASURE, self.config.picture_wait_s)
 
     def _judge_contact(self, job: Job) -> None:
@@ -294,7 +291,7 @@ class GoalPhases(GoalRun):
         if job.knob is None:
             assert job.before is not None and job.touch is not None
             # Contact comes before the driver reports the end of the way down, and what it does may be seen as early.
-            job.effect, told = effect(job.before, after, job.touch.control, job.plunge_ns, job.up_ns)
+            job.effect, told = effect(job.before, after, job.touch.control, job.plunge_ns, job.left_ns)
             late = after.stamp_ns > self._phase_ns + nanoseconds(self.config.effect_wait_s)
             return told or (job.went_aside and late and still and not self._out_of_view(job))
         knob = after.control(job.knob.name)

@@ -65,6 +65,7 @@ class GoalRun:
         self._go(phase, path)
 
     def _lift(self, job: Job) -> None:
+        job.left_ns = self._now_ns
         self._go(Phase.LIFT, motion_plan.lift(self._world.here, self.config.motion))
 
     def _way_to(self, job: Job) -> Path:

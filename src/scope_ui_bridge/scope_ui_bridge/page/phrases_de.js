@@ -330,6 +330,8 @@ export const PHRASES_DE = [
   ["nothing is seen of {}: {} needs recognition's state of the panel", "von {} ist nichts zu sehen: {} braucht, was die Erkennung von der Front meldet"],
   ["{} has no clicks (detent_deg in its layout)", "{} hat keine Rasten (detent_deg in der Beschreibung)"],
   ["{} clicks of {} degrees are more than a whole turn", "{} Rasten zu {} Grad sind mehr als eine ganze Drehung"],
+  ["rectangle_mm = {}: width and height above 0 are needed", "rectangle_mm = {}: nötig sind Breite und Höhe über 0"],
+  ["circle_mm = {}: a radius above 0 is needed", "circle_mm = {}: nötig ist ein Radius über 0"],
   ["{} has no mark {}; it has {}", "{} hat keine Marke {}; es gibt {}"],
   ["hidden by {}", "verdeckt von {}"],
   ["not in the picture", "nicht im Bild"],
