@@ -80,6 +80,8 @@ class Operator:
         self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **context})
         self.page = self.context.new_page()
         self.complaints: list[str] = []
+        self.rows_before: set[str] | None = None
+        """Rows of the log from before this person took control, others' among them."""
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("console", lambda m: self.complaints.append(m.text) if "Security" in m.text else None)
         self.page.goto(address)
@@ -128,6 +130,8 @@ class Operator:
         self.sees_controls()
         self.page.click("#lease-take")
         self.sees("#lease-text", "You are in control")
+        if self.rows_before is None:
+            self.rows_before = set(self.page.locator("#log tr").all_inner_texts())
 
     def answer(self, act: Callable[[], object]) -> dict[str, Any] | None:
         """Do what asks the page or the bridge for something; return the answer to that: ``ok``, ``code``, ``values``.
@@ -180,10 +184,11 @@ class Operator:
         self.until(lambda: rows.count() > before, 15.0, lambda: "a row of the log")
 
     def logs(self, text: str, within_s: float) -> str:
-        """Wait for a row of the log that matches, and return it."""
+        """Wait for a row of the log that matches, and is not from before this person took control; return it."""
 
         def row() -> str:
-            return next((r for r in self.page.locator("#log tr").all_inner_texts() if re.search(text, r)), "")
+            rows = (r for r in self.page.locator("#log tr").all_inner_texts() if r not in (self.rows_before or ()))
+            return next((r for r in rows if re.search(text, r)), "")
 
         return str(self.until(row, within_s, lambda: f"log row {text!r}; there are {self.page.inner_text('#log')!r}"))
 

@@ -190,10 +190,11 @@ class SyntheticScope(Node):
         if not self.mute:
             self.confidences.publish(Float32(data=self.confidence))
         self.poses.publish(pose_message(pose, header(stamp, CAMERA_LEFT)))
-        base = Transform(pose.rotation, pose.apply(np.array([0.0, 0.0, TIP_ABOVE_M])))
+        rest = panel_pose()  # the machine stands still when the panel moves
+        base = Transform(rest.rotation, rest.apply(np.array([0.0, 0.0, TIP_ABOVE_M])))
         self.bases.publish(transform_message(base, header(stamp, CAMERA_LEFT), BASE))
         self.joints.publish(joint_message(JOINTS, self.position, header(stamp, "")))
-        tip = pose.apply(np.array([self.position[0], self.position[1], TIP_ABOVE_M - self.position[2]]))
+        tip = rest.apply(np.array([self.position[0], self.position[1], TIP_ABOVE_M - self.position[2]]))
         self.tips.publish(point_message(tip, header(stamp, CAMERA_LEFT)))
         self.panels.publish(panel_state_message(self.seen(stamp), header(stamp, CAMERA_LEFT)))
         begin_s = time.monotonic()
