@@ -82,16 +82,24 @@ def _response_rows(g: Any, rows: Any, old: int, new: int, result: int, n: int, k
 
 
 @inlined
+def _peaks_of_eight(above: Any, here: Any, below: Any, x: int, floor: Any) -> Any:
+    """Tell by bits which of eight columns from x on exceed ``floor`` and their four neighbours.
+
+    Of equal ones the first counts.
+    """
+    least = lanes.above(here, x, floor) & lanes.exceed(here, x, here, x - 1) & lanes.exceed(here, x, above, x)
+    return least & lanes.reach(here, x, here, x + 1) & lanes.reach(here, x, below, x)
+
+
+@inlined
 def _mark_peaks(above: Any, here: Any, below: Any, marks: Any, n: int, floor: Any) -> None:
-    """Mark the columns 1 to n - 2 that exceed ``floor`` and their four neighbours; of equal ones the first counts.
+    """Mark the peaks among the columns 1 to n - 2.
 
     Column 1 is the first bit. For up to seven bits behind the last one, which mean nothing, the elements behind a row
     are looked at, which must exist: here scratch, or the rows of the picture's border.
     """
     for i in range((n + 5) // 8):
-        x = 8 * i + 1
-        least = lanes.above(here, x, floor) & lanes.exceed(here, x, here, x - 1) & lanes.exceed(here, x, above, x)
-        marks[i] = least & lanes.reach(here, x, here, x + 1) & lanes.reach(here, x, below, x)
+        marks[i] = _peaks_of_eight(above, here, below, 8 * i + 1, floor)
 
 
 @inlined
@@ -115,18 +123,20 @@ def _mark_all(
     Element x of the responses lies under element x + 1 of the gradient. This is the thinning of the paper of 1988.
     """
     eighths = (shift + n + 5) // 8
-    first, last = 255 << shift, 255 >> (8 * eighths - (shift + n - 2))
+    weak, strong = minima
+    kept = weak[0], strong[0]  # of the strip before, which ends in the byte where this one begins
     for i in range(eighths):
         x = 8 * i + 1 - shift
-        before, after = lanes.exceed(here, x, here, x - 1), lanes.reach(here, x, here, x + 1)
-        over, under = lanes.exceed(here, x, above, x), lanes.reach(here, x, below, x)
-        marks[i] = lanes.above(here, x, floor) & before & after & over & under
+        marks[i] = _peaks_of_eight(above, here, below, x, floor)
         along_x = lanes.reach_in_magnitude(gx, x + 1, gy, x + 1)
-        least = along_x & lanes.exceed(here, x - 1, here, x) & lanes.reach(here, x + 1, here, x)
-        least |= ~along_x & lanes.exceed(above, x, here, x) & lanes.reach(below, x, here, x)
-        least &= (first if i == 0 else 255) & (last if i == eighths - 1 else 255)
-        minima[0][i] |= least & lanes.below(here, x, low)
-        minima[1][i] |= least & lanes.below(here, x, high)
+        least = lanes.chosen_exceed(along_x, here, x - 1, above, x, here, x)
+        least &= lanes.chosen_reach(along_x, here, x + 1, below, x, here, x)
+        weak[i] = least & lanes.below(here, x, low)
+        strong[i] = least & lanes.below(here, x, high)
+    first, last = 255 << shift, 255 >> (8 * eighths - (shift + n - 2))
+    weak[0], strong[0] = kept[0] | (weak[0] & first), kept[1] | (strong[0] & first)
+    weak[eighths - 1] &= last
+    strong[eighths - 1] &= last
 
 
 @inlined

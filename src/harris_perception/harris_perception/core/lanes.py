@@ -83,6 +83,23 @@ def _of_value(sign: str) -> Any:
     return compare
 
 
+def _of_chosen(sign: str) -> Any:
+    @intrinsic  # type: ignore[untyped-decorator, unused-ignore]
+    def compare(typing: Any, bits: Any, one: Any, first: Any, other: Any, second: Any, than: Any, third: Any) -> Any:
+        _refuse_gaps(one, other, than)
+
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            choice = builder.bitcast(values[0], ir.VectorType(ir.IntType(1), _LANES))
+            ones, others, thans = (
+                _vector(context, builder, signature.args[i], values[i], values[i + 1]) for i in (1, 3, 5)
+            )
+            return _bits(builder, sign, builder.select(choice, ones, others), thans)
+
+        return types.uint8(types.uint8, one, first, other, second, than, third), generate
+
+    return compare
+
+
 exceed = _of_arrays(">")
 """``exceed(one, first, other, second)``: where one[first + i] > other[second + i]; arrays of one dtype."""
 
@@ -91,6 +108,12 @@ reach = _of_arrays(">=")
 
 reach_in_magnitude = _of_arrays(">=", _magnitude)
 """``reach_in_magnitude(one, first, other, second)``: where abs(one[first + i]) >= abs(other[second + i])."""
+
+chosen_exceed = _of_chosen(">")
+"""``chosen_exceed(bits, one, first, other, second, than, third)``: as ``exceed``, of ``one`` where a bit is set."""
+
+chosen_reach = _of_chosen(">=")
+"""``chosen_reach(bits, one, first, other, second, than, third)``: as ``reach``, of ``one`` where a bit is set."""
 
 above = _of_value(">")
 """``above(one, first, value)``: where one[first + i] > value, which is of the array's dtype."""
