@@ -39,6 +39,7 @@ from harris_perception.core.pose_agreement import PoseAgreement
 from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig
 from harris_perception.core.still_watch import StillConfig
 from harris_perception.core.stylus import StylusConfig, StylusTracker
+from harris_perception.core.tip_record import TipRecord
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import from_mapping
 from icu_common.core.frames import BASE, JOINTS
@@ -95,6 +96,7 @@ class VirtualRobot:
         self._queue: list[tuple[float, int, Event]] = []
         self._number = itertools.count()
         self._pose: Any = None
+        self._tips = TipRecord()
         self._panel_stamp = 0
         self.watch_panel = False
         self._confidence = 0.0
@@ -165,8 +167,11 @@ class VirtualRobot:
         self._pose = pose if pose is not None else self._pose
         self._confidence = found.agreement if found is not None and pose is not None else 0.0
         if found is not None and pose is not None:
-            tip = self.tracker.find(left, right).tip
-            seen = self.reader.read(left, pose, self.cameras[0], stamp, patches=found.patches, tip=tip)
+            self._tips.add(stamp, self.tracker.find(left, right).tip)
+            settings = parameters("recognition")
+            tip, age_ns = self._tips.at(stamp, 1e9 * settings["tip_max_age_s"])
+            wander_m, camera = 1e-9 * age_ns * settings["tip_speed_m_s"], self.cameras[0]
+            seen = self.reader.read(left, pose, camera, stamp, patches=found.patches, tip=tip, wander_m=wander_m)
             self._tell(msg.PanelState(seen=seen))
         self._panel_stamp = stamp
         self._say_panel_now()
@@ -321,6 +326,7 @@ class VirtualRobot:
             return
         left, right = self._pictures(exposed)
         found = self.tracker.find(left, right)
+        self._tips.add(stamp, found.tip)
         if found.tip is not None:
             self._tell(msg.TipSeen(in_camera=found.tip, stamp_ns=stamp))
             if self._procedure is not None:

@@ -19,9 +19,11 @@ from std_msgs.msg import Float32, String
 from unit.harris_perception import panel_scene as scene
 from visualization_msgs.msg import Marker, MarkerArray
 
+from harris_perception.core.gray import gray_of
 from harris_perception.core.harris import HarrisDetector
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, FacePoints
 from harris_perception.nodes.recognition_node import RecognitionNode
+from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import CAMERA_LEFT, PANEL
 from icu_common.core.geometry import Transform
@@ -57,7 +59,7 @@ def picture(shift_m: float = 0.0, seed: int = 1) -> np.ndarray:
 class Rig:
     """The node, publishers for what it hears, and lists of what it says."""
 
-    def __init__(self, ros: Any, **parameters: Any) -> None:
+    def __init__(self, ros: Any, camera: CameraModel = CAMERA, **parameters: Any) -> None:
         self.ros = ros
         self.node = ros.node(RecognitionNode, {"layout": str(scene.LAYOUT), **PATIENCE, **parameters})
         self.probe = ros.plain()
@@ -71,7 +73,7 @@ class Rig:
             ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 10.0)
         for topic in ("pose", "confidence", "controls"):
             ros.spin_until(lambda t=topic: self.probe.count_publishers(t) == 1, 10.0)
-        self.infos.publish(camera_info_message(CAMERA, header(START, CAMERA_LEFT)))
+        self.infos.publish(camera_info_message(camera, header(START, CAMERA_LEFT)))
         ros.spin_until(lambda: self.node._camera is not None, 10.0)
 
     def show(self, shown: np.ndarray, number: int, with_corners: bool = True, encoding: str = "bgr8") -> float:
@@ -79,9 +81,9 @@ class Rig:
         before = len(self.confidences)
         head = header(START + number * PERIOD, CAMERA_LEFT)
         if with_corners:
-            corners = HarrisDetector().detect(shown)
+            corners = HarrisDetector().detect(gray_of(shown, encoding) if shown.ndim == 3 else shown)
             self.corners.publish(cloud_message(("u", "v", "response"), np.c_[corners.xy, corners.response], head))
-        packed = shown if encoding == "mono8" else np.repeat(shown[..., None], 3, axis=2)
+        packed = shown if encoding == "mono8" or shown.ndim == 3 else np.repeat(shown[..., None], 3, axis=2)
         self.images.publish(image_message(packed, encoding, head))
         self.ros.spin_until(lambda: len(self.confidences) > before, 30.0)
         return float(self.confidences[before].data)  # after it that of a camera that is silent may have come

@@ -1,4 +1,4 @@
-"""Stylus tracker node: the tip in metres with the picture's stamp, and nothing at all when it is not certain."""
+"""Stylus tracker node: the tip in metres with the picture's stamp, and no tip but that stamp when it is not certain."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 from unit.harris_perception.rendered_stylus import render, stereo_model
 
 from harris_perception.nodes.stylus_node import StylusNode
@@ -27,10 +28,12 @@ def test_the_tip_is_published_where_it_is_certain(ros: Any) -> None:
     images = {side: probe.create_publisher(Image, f"{side}/image_raw", qos.IMAGES) for side in models}
     infos = {side: probe.create_publisher(CameraInfo, f"{side}/camera_info", qos.IMAGES) for side in models}
     tips: list[PointStamped] = ros.collect(probe, PointStamped, "tip", qos.RESULTS)
+    unseen: list[Header] = ros.collect(probe, Header, "unseen", qos.RESULTS)
     diagnostics: list[DiagnosticArray] = ros.collect(probe, DiagnosticArray, "/diagnostics", qos.RESULTS)
     node = ros.node(StylusNode)
     matched = [*images.values(), *infos.values()]
-    ros.spin_until(lambda: all(p.get_subscription_count() for p in matched) and probe.count_publishers("tip"), WITHIN_S)
+    ros.spin_until(lambda: all(p.get_subscription_count() for p in matched), WITHIN_S)
+    ros.spin_until(lambda: all(probe.count_publishers(topic) for topic in ("tip", "unseen")), WITHIN_S)
 
     def show(stamp: int, pictures: list[Any], encoding: str = "bgr8") -> None:
         for side, picture in zip(models, pictures):
@@ -59,6 +62,14 @@ def test_the_tip_is_published_where_it_is_certain(ros: Any) -> None:
     ros.spin_until(lambda: any("(100, 800, 3)" in text for text in said()), WITHIN_S, said)
     ros.spin_until(lambda: "no pairs of pictures in the last second" in said()[-1], WITHIN_S, said)
     assert len(tips) == 2
+    # Of each picture that was looked at, one of both says what came of it; the first one came before the calibration.
+    looked = [2_000_000_000, 4_000_000_000, 5_000_000_000]
+    assert [stamp_ns(head.stamp) for head in unseen if stamp_ns(head.stamp) > 1] == looked
+    before = len(unseen)
+    assert {head.frame_id for head in unseen} == {"camera_left_optical_frame"}
+    for stamp in (5_200_000_000, 5_400_000_000):  # the right camera's were lost
+        images["left"].publish(image_message(first[0], "bgr8", header(stamp, "camera_left_optical_frame")))
+    ros.spin_until(lambda: len(unseen) > before and stamp_ns(unseen[-1].stamp) == 5_200_000_000, WITHIN_S)
     show(6_000_000_000, [cv2.cvtColor(picture, cv2.COLOR_BGR2BGRA) for picture in second], "bgra8")
     ros.spin_until(lambda: len(tips) == 3, WITHIN_S, said)
     assert point_array(tips[2]) == pytest.approx(point_array(tips[1]), abs=1e-9)

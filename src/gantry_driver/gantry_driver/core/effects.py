@@ -18,8 +18,8 @@ def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int, left_n
     """Return what has changed since ``since_ns``, before the contact, and whether that is all there is to tell.
 
     Empty when nothing is seen to have changed. The control's own lamp tells more than a screen: while the stylus hides
-    it, the screen's change is not all. Until the stylus leaves it, at ``left_ns``, where it is may not be known
-    yet, and its ball be taken for a part of the lamp.
+    it, the screen's change is not all. Until the stylus leaves it, at ``left_ns``, a ball that is not seen before
+    something of its own colour may be taken for a part of the lamp.
     """
     if after.stamp_ns <= since_ns:
         return "", False

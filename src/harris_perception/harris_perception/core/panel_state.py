@@ -131,6 +131,7 @@ class PanelReader:
         *,
         patches: Patches | None = None,
         tip: Array | None = None,
+        wander_m: float = 0.0,
         coloured: bool = True,
     ) -> PanelSeen:
         """Read one picture.
@@ -149,6 +150,9 @@ class PanelReader:
             Where the print agrees with the template; without it nothing but the stylus counts as hiding.
         tip
             (3,) metres, the stylus's tip in the camera's rectified frame, when it is seen.
+        wander_m
+            How far the tip may be from there, where it was not seen in this very picture: what is so near may be
+            hidden, and is not read.
         coloured
             Whether the camera sees colours: without them a coloured lamp is not read.
         """
@@ -158,7 +162,7 @@ class PanelReader:
             parts=self._parts,
             colours=_at(bgr, pixels),
             outside=~_inside(pixels, camera),
-            covered=_at(shadow, pixels),
+            covered=_at(_around(shadow, camera, tip, wander_m), pixels),
             coloured=coloured,
         )
         prints = self._prints(camera_from_panel, camera, shadow, patches)
@@ -306,6 +310,15 @@ class _Look:
     def hidden(self, control: Control, part: str) -> npt.NDArray[np.bool_]:
         where = self.parts[control.name, part]
         return np.asarray((self.covered[where] > 0) | self.outside[where])
+
+
+def _around(shadow: Picture, camera: CameraModel, tip: Array | None, wander_m: float) -> Picture:
+    """Return all that a shadow (H, W) may hide once the tip (3,) m has gone so far."""
+    if tip is None or wander_m == 0:
+        return shadow
+    reach = min(math.ceil(wander_m * camera.k[0, 0] / max(float(tip[2]), _NEAREST_M)), max(camera.size))
+    wide = cv2.dilate(shadow, np.ones((1, 2 * reach + 1), np.uint8))
+    return np.asarray(cv2.dilate(wide, np.ones((2 * reach + 1, 1), np.uint8)), np.uint8)
 
 
 def _before(camera: CameraModel, corners: Array) -> Array:

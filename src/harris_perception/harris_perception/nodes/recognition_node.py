@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamp
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-from std_msgs.msg import Float32, String
+from std_msgs.msg import Float32, Header, String
 from visualization_msgs.msg import MarkerArray
 
 from harris_perception.core.face_depth import FaceDepth, height_above_face_m
@@ -27,6 +28,7 @@ from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, with_plane
 from harris_perception.core.pose_agreement import PoseAgreement
 from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig, Sighting
+from harris_perception.core.tip_record import TipRecord
 from harris_perception.nodes.panel_teacher import PanelTeacher
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import Config, ConfigError, nested, setting
@@ -57,6 +59,7 @@ from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
 
 _KEPT_CORNERS = 8
+_KEPT_UNREAD = 8
 _TICK_S = 0.02
 _STEREO_AGE_NS = 3_000_000_000
 """Stereo looks at other pictures, on a busy computer a second later; a panel that stands still is as far in them."""
@@ -81,12 +84,24 @@ class RecognitionNodeConfig(Config):
     silence_s: float = setting(
         1.0, "Without pictures for so long the panel counts as lost", minimum=0.1, maximum=60.0, unit="s"
     )
+    tip_wait_s: float = setting(
+        1.0,
+        "Lamps, knobs and screens of a picture are read once the stylus tracker has looked at it, or has said nothing "
+        "for so long",
+        minimum=0.0,
+        maximum=60.0,
+        unit="s",
+    )
     tip_max_age_s: float = setting(
         0.3,
-        "A tip seen longer before the picture does not tell what the stylus hides",
+        "Where the tip is not certain in a picture, it is near where it was seen so little before or after, or else "
+        "the stylus is not in view",
         minimum=0.0,
         maximum=5.0,
         unit="s",
+    )
+    tip_speed_m_s: float = setting(
+        0.2, "The stylus is never faster: so near it may hide lamps then", minimum=0.0, maximum=2.0, unit="m/s"
     )
     plane_max_age_s: float = setting(
         0.0,
@@ -112,6 +127,16 @@ class RecognitionNodeConfig(Config):
     harris: HarrisConfig = nested(HarrisConfig)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Unread:
+    """A picture in which the panel was found, and whose controls are still to be read; waiting ``since_s``."""
+
+    message: Image
+    sighting: Sighting
+    pose: Transform
+    since_s: float
+
+
 class RecognitionNode(Node):
     """Publishes pose, measured points, controls, confidence and state from pictures, corners and the stylus's tip."""
 
@@ -129,7 +154,8 @@ class RecognitionNode(Node):
         self._busy_s, self._seen, self._refusal = 0.0, (0, 0, 0), ""
         self._sighting: Sighting | None = None
         self._levels = GreyLevels()
-        self._tip: tuple[int, Array] | None = None
+        self._tips, self._tracker_s = TipRecord(), -math.inf
+        self._unread: deque[_Unread] = deque()
         self._plane: tuple[int, Transform, Array] | None = None
         self._improved = 0
         self._alarm, self._confirmed = "", not self._layout.markers
@@ -147,7 +173,9 @@ class RecognitionNode(Node):
         self._controls.publish(controls_message(self._layout, header(self.get_clock().now().nanoseconds, PANEL)))
         self.create_subscription(CameraInfo, "camera_info", self._on_camera, qos.SENSOR)
         self.create_subscription(PointCloud2, "corners", self._on_corners, qos.SENSOR)
-        self.create_subscription(PointStamped, "tip", self._on_tip, qos.SENSOR)
+        # Each of them says of one picture what is hidden in it.
+        self.create_subscription(PointStamped, "tip", self._on_tip, qos.PICTURES)
+        self.create_subscription(Header, "unseen", self._on_unseen, qos.PICTURES)
         if self._live.config.plane_max_age_s > 0:
             self.create_subscription(PoseWithCovarianceStamped, "plane", self._on_plane, qos.SENSOR)
         self._compare_depth()
@@ -180,6 +208,7 @@ class RecognitionNode(Node):
             return
         # By another camera's calibration the panel would be somewhere else.
         self._camera = self._waiting = None
+        self._unread.clear()
         try:
             self._camera = (message, camera_model(message, "left"))
             self._compare_depth()
@@ -212,7 +241,15 @@ class RecognitionNode(Node):
         except ValueError as error:
             self.get_logger().error(f"tip: {error}", throttle_duration_sec=5.0)
             return
-        self._tip = stamp_ns(message.header.stamp), point_array(message)
+        self._take_tip(message.header, point_array(message))
+
+    def _on_unseen(self, message: Header) -> None:
+        self._take_tip(message, None)
+
+    def _take_tip(self, head: Header, tip: Array | None) -> None:
+        self._tips.add(stamp_ns(head.stamp), tip)
+        self._tracker_s = time.monotonic()
+        self._read_unread()
 
     def _on_plane(self, message: PoseWithCovarianceStamped) -> None:
         try:
@@ -251,6 +288,7 @@ class RecognitionNode(Node):
 
     def _on_tick(self) -> None:
         self._try_waiting()
+        self._read_unread()
         if self._confidence > 0 and time.monotonic() - self._last_seen_s > self._live.config.silence_s:
             self.get_logger().warning("no pictures: the panel counts as lost")
             self._recogniser.forget()
@@ -287,10 +325,11 @@ class RecognitionNode(Node):
         pose = self._agreement.add(found)
         self._publish(sighting, pose, message)
         if sighting is not None and pose is not None:
-            self._read(message, sighting, pose)
+            self._unread.append(_Unread(message=message, sighting=sighting, pose=pose, since_s=time.monotonic()))
         self._frames += 1
         self._found += sighting is not None
         self._busy_s += time.perf_counter() - start
+        self._read_unread()
 
     def _compare(self, markers: list[SeenMarker], sighting: Sighting | None) -> None:
         """Raise the alarm when the markers contradict the print; only markers that confirm it end it.
@@ -331,17 +370,40 @@ class RecognitionNode(Node):
                 self._points.publish(cloud_message(FACE_POINT_COLUMNS, sighting.points.rows, message.header))
         self._confidence_out.publish(Float32(data=self._confidence))
 
-    def _read(self, message: Image, sighting: Sighting, pose: Transform) -> None:
+    def _read_unread(self) -> None:
+        """Read what the stylus tracker has looked at, too; in order, as a screen is compared with what it was before.
+
+        A tracker that is silent, or farther behind than is kept, is not waited for.
+        """
+        while self._unread:
+            first = self._unread[0]
+            silent_s = time.monotonic() - min(first.since_s, self._tracker_s)
+            if (
+                not self._tips.is_complete(stamp_ns(first.message.header.stamp))
+                and silent_s < self._live.config.tip_wait_s
+                and len(self._unread) <= _KEPT_UNREAD
+            ):
+                return
+            self._read(self._unread.popleft())
+
+    def _read(self, unread: _Unread) -> None:
         assert self._camera is not None
-        picture = bgr_of(image_array(message), message.encoding, self._levels)
+        start = time.perf_counter()
+        message = unread.message
         stamp = stamp_ns(message.header.stamp)
-        fresh = self._tip is not None and abs(stamp - self._tip[0]) <= 1e9 * self._live.config.tip_max_age_s
-        tip = self._tip[1] if fresh and self._tip is not None else None
-        coloured = has_color(message.encoding)
+        tip, age_ns = self._tips.at(stamp, 1e9 * self._live.config.tip_max_age_s)
         seen = self._reader.read(
-            picture, pose, self._camera[1], stamp, patches=sighting.patches, tip=tip, coloured=coloured
+            bgr_of(image_array(message), message.encoding, self._levels),
+            unread.pose,
+            self._camera[1],
+            stamp,
+            patches=unread.sighting.patches,
+            tip=tip,
+            wander_m=age_ns * 1e-9 * self._live.config.tip_speed_m_s,
+            coloured=has_color(message.encoding),
         )
         self._state.publish(panel_state_message(seen, message.header))
+        self._busy_s += time.perf_counter() - start
 
     def _report(self) -> None:
         if self._depth.text == "" and self._stereo_points is not None:

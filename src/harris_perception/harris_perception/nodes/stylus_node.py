@@ -1,4 +1,4 @@
-"""Stylus tracker node: publishes where the ball at the stylus's end is, and nothing when that is not certain."""
+"""Stylus tracker node: publishes where the ball at the stylus's end is, or that this is not certain in a picture."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy.typing as npt
 from geometry_msgs.msg import PointStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image
+from std_msgs.msg import Header
 
 from harris_perception.core.gray import bgr_of, has_color
 from harris_perception.core.pairing import Pairing
@@ -24,7 +25,7 @@ from icu_common.nodes.timers import every
 
 
 class StylusNode(Node):
-    """Subscribes to ``left/image_raw``, ``left/camera_info`` and the same for ``right``; publishes ``tip``."""
+    """Subscribes to ``image_raw`` and ``camera_info`` of ``left`` and ``right``; publishes ``tip`` or ``unseen``."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("stylus_tracker", **options)
@@ -32,10 +33,12 @@ class StylusNode(Node):
         self._calibration = StereoCalibration(self, lambda: self._configure(self._live.config))
         self._pairs = Pairing(2)
         self._tracker: StylusTracker | None = None
+        self._alone: Header | None = None
         self._seen = self._missed = self._reported = 0
         self._last = Search(tip=None, reason="no pictures yet")
         self._configure(self._live.config)
         self._tip = self.create_publisher(PointStamped, "tip", qos.RESULTS)
+        self._unseen = self.create_publisher(Header, "unseen", qos.RESULTS)
         self._diagnostics = Diagnostics(self, "stylus_tracker")
         for stream, side in enumerate(("left", "right")):
             self.create_subscription(
@@ -50,6 +53,13 @@ class StylusNode(Node):
 
     def _on_image(self, stream: int, message: Image) -> None:
         pair = self._pairs.add(stream, stamp_ns(message.header.stamp), message)
+        if stream == 0 and pair is None:
+            # One without a right picture is answered when the next one comes: nobody knows earlier.
+            if self._alone is not None:
+                self._unseen.publish(self._alone)
+            self._alone = header(stamp_ns(message.header.stamp), frames.CAMERA_LEFT)
+        elif pair is not None:
+            self._alone = None
         if pair is None or self._tracker is None:
             return
         try:
@@ -57,9 +67,11 @@ class StylusNode(Node):
         except ValueError as error:
             self._last = Search(tip=None, reason=str(error))
         self._seen, self._missed = self._seen + (self._last.tip is not None), self._missed + (self._last.tip is None)
+        head = header(stamp_ns(pair[0].header.stamp), frames.CAMERA_LEFT)
         if self._last.tip is not None:
-            head = header(stamp_ns(pair[0].header.stamp), frames.CAMERA_LEFT)
             self._tip.publish(point_message(self._last.tip, head))
+        else:
+            self._unseen.publish(head)
 
     def _report(self) -> None:
         last = self._last
