@@ -136,6 +136,21 @@ def test_driver_stopped_in_the_middle(ros: Any) -> None:
     assert len(bench.trajectories) == 1
 
 
+def test_a_stop_that_was_reset_while_the_controller_was_held_up_ends_the_goal(ros: Any) -> None:
+    """Only the driver's newest state was kept for a node that was held up."""
+    bench = GantryBench(ros)
+    bench.see()
+    bench.spin_until_state("ready")
+    bench.connect_goals()
+    bench.obey = False
+    bench.command.publish(String(data="press:RUN_STOP"))
+    ros.spin_until(lambda: bench.trajectories, 10.0)
+    for state in ("stopped: stop requested", "idle"):
+        bench.driver_state.publish(String(data=state))
+    result = bench.spin_until_final()
+    assert result.outcome is Outcome.ABORTED and "stopped: stop requested" in result.reason
+
+
 def test_operator_lost_and_back(ros: Any) -> None:
     bench = GantryBench(ros, {"heartbeat_timeout_s": 2.0})
     bench.see()

@@ -157,6 +157,22 @@ def test_what_ends_a_gesture_ends_a_sequence_that_waits_for_a_check_too(ros: Any
     assert len(rig.commands) == 1, "the second step was never sent"
 
 
+def test_a_stop_that_was_reset_while_the_sequencer_was_held_up_ends_it(ros: Any) -> None:
+    """Only the newest state was kept for a node that was held up: it never heard of the stop, and pressed on."""
+    rig = Rig(ros)
+    rig.sequence.publish(
+        String(data="id: mine\nsteps: [{do: press:RUN_STOP, check: 'lamp:RUN_STOP=red', within_s: 60}]")
+    )
+    rig.wait_for_command(1)
+    rig.reach("mine.1")
+    ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
+    rig.state.publish(String(data="stopped: operator"))
+    rig.state.publish(String(data="ready"))
+    ros.spin_until(lambda: (rig.see("red"), rig.node._run is None)[1], 10.0)
+    ended = rig.final("mine")
+    assert ended.outcome is Outcome.ABORTED and ended.reason.endswith("press:RUN_STOP: stopped: operator")
+
+
 def test_a_clock_that_was_set_back_ends_it_at_once_and_not_when_the_time_has_come_again(ros: Any) -> None:
     rig = Rig(ros)
     rig.sequence.publish(String(data="id: mine\nsteps: ['press:RUN_STOP']"))

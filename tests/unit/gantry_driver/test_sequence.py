@@ -184,13 +184,24 @@ def test_a_screen_that_changed_before_the_touch_is_none_that_the_touch_has_chang
 def test_a_stop_between_two_gestures_ends_it_so_that_nothing_goes_on_after_a_reset() -> None:
     run = run_of()
     run.start(0)
-    assert run.stopped("stopped: operator", S) == [], "a gesture in work is answered by the controller"
     run.result(answer("r.1"), 2 * S)
     (end,) = run.stopped("stopped: operator", 3 * S)
     assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
     assert end.result.reason == "step 1 of 3, press:AUTO_SET: stopped: operator"
     later = PanelSeen(stamp_ns=4 * S, controls=(ControlSeen(name="SCREEN", kind="touch_area", changed_ns=4 * S),))
     assert run.panel(later, 4 * S) == [] and run.done
+
+
+@pytest.mark.parametrize("checks", ["", " => lamp:RUN_STOP=red"])
+def test_a_stop_that_overtakes_a_steps_answer_ends_the_sequence_also_when_it_was_reset_since(checks: str) -> None:
+    """State and answers are two topics: it was taken for one that the gesture would answer, and the next step went."""
+    run = run_of(f"steps: ['press:RUN_STOP{checks}', 'press:SAVE']")
+    run.start(0)
+    run.result(answer("r.1", Outcome.ACCEPTED), S)
+    assert run.stopped("stopped: operator", 2 * S) == [], "the gesture may be answered by a better reason"
+    (end,) = run.result(answer("r.1"), 2 * S) or run.panel(seen(3 * S, "red"), 3 * S)
+    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED and run.done
+    assert end.result.reason == "step 1 of 2, press:RUN_STOP: stopped: operator"
 
 
 @pytest.mark.parametrize(

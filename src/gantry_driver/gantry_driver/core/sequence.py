@@ -87,6 +87,8 @@ class SequenceRun:
         self._given_up = ""
         self._answer: GoalResult | None = None
         self._answered_ns = 0
+        self._stopped = ""
+        """Why the machine has been stopped since the start."""
         self._seen: PanelSeen | None = None
 
     @property
@@ -112,6 +114,8 @@ class SequenceRun:
             return []
         if answer.outcome is not Outcome.REACHED:
             return self._fail(f"{answer.outcome.value}: {answer.reason}", now_ns)
+        if self._stopped:  # state and answers are two topics: the stop came after what this answers
+            return self._fail(self._stopped, now_ns)
         self._answer, self._answered_ns = answer, now_ns
         within_s = self._config.check_s if math.isnan(self._step.within_s) else self._step.within_s
         self._deadline_ns = now_ns + round(within_s * NANO)
@@ -160,6 +164,7 @@ class SequenceRun:
 
     def stopped(self, cause: str, now_ns: int) -> list[Action]:
         """Hear that the machine was stopped or left alone: nothing may go on later. A gesture has its own answer."""
+        self._stopped = self._stopped or cause
         return [] if self.done or self._answer is None else self._fail(cause, now_ns)
 
     def abort(self, cause: str, now_ns: int) -> list[Action]:

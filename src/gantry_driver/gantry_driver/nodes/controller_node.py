@@ -71,7 +71,7 @@ class ControllerNode(Node):
         self._target = self.create_publisher(PointStamped, "target", qos.LATCHED)
         self._stop = self.create_publisher(Empty, "stop_request", qos.RESULTS)
         self._diagnostics = Diagnostics(self, "gantry controller")
-        self._hear(String, "driver_state", qos.LATCHED, lambda m: msg.DriverState(text=m.data))
+        self._hear(String, "driver_state", qos.EACH_LATCHED, lambda m: msg.DriverState(text=m.data))
         self._hear(JointState, "joint_states", qos.SENSOR, lambda m: msg.Joints(readings=joint_positions(m, JOINTS)))
         self._hear(
             DiagnosticArray,

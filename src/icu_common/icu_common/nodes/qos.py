@@ -40,6 +40,14 @@ LATCHED = QoSProfile(
 )
 """State that a late subscriber needs at once."""
 
+EACH_LATCHED = QoSProfile(
+    depth=20,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""Reader of a latched state that acts on each change, be it held up meanwhile: a stop that was reset since is one."""
+
 COMMAND = QoSProfile(
     depth=10,
     history=HistoryPolicy.KEEP_LAST,
