@@ -14,25 +14,33 @@ from gantry_driver.core.stylus_state import STYLUS_DOWN_M, Stylus, tells_of_styl
 NOT_LIFTED = "the stylus was not lifted, it may still press"
 SINKS = "the servo may be without pulses and sink, the stylus may press"
 
-STATES = ("AS_READ", "UNDER_WAY", "UP", "LOWERING", "DOWN", "RISING", "LIMP", "LEFT_SEEN", "LEFT_UNSEEN")
+STATES = ("AS_READ", "UNDER_WAY", "UP", "LOWERING", "DOWN", "RISING", "LIMP", "LIMP_DOWN", "LEFT_SEEN", "LEFT_UNSEEN")
 HIGH, LOW = STYLUS_DOWN_M, STYLUS_DOWN_M + 1e-6
 TABLE: list[tuple[str, Callable[[Stylus], Stylus], str]] = [
     # The next states, in the order of STATES; "." is the same one.
     (
         "ordered down",
         lambda s: s.ordered(True),
-        "LOWERING LOWERING LOWERING . LOWERING LOWERING LOWERING LOWERING LOWERING",
+        "LOWERING LOWERING LOWERING . LOWERING LOWERING LOWERING LOWERING LOWERING LOWERING",
     ),
-    ("ordered up", lambda s: s.ordered(False), "RISING RISING . RISING RISING . RISING RISING RISING"),
-    ("settled", lambda s: s.settled(), ". AS_READ . DOWN . UP . . ."),
-    ("lost, read low", lambda s: s.lost(LOW), "LEFT_SEEN LEFT_SEEN . LEFT_SEEN LEFT_SEEN LEFT_SEEN . . ."),
-    ("lost, read high", lambda s: s.lost(HIGH), ". LEFT_UNSEEN . LEFT_UNSEEN LEFT_UNSEEN LEFT_UNSEEN . . ."),
-    ("lost, not read", lambda s: s.lost(None), ". LEFT_UNSEEN . LEFT_UNSEEN LEFT_UNSEEN LEFT_UNSEEN . . ."),
-    ("powerless servo", lambda s: s.powerless("servo_m3"), "LIMP . LIMP . . . . . ."),
-    ("powerless solenoid", lambda s: s.powerless("solenoid_m8"), ". . . . . . . . ."),
-    ("powerless Z axis", lambda s: s.powerless("z_axis"), ". . . . . . . . ."),
-    ("reset with a servo or a Z axis", lambda s: s.was_reset("servo_m3"), ". AS_READ LIMP DOWN . DOWN . . ."),
-    ("reset with a solenoid", lambda s: s.was_reset("solenoid_m8"), "UP UP . UP UP UP UP UP UP"),
+    ("ordered up", lambda s: s.ordered(False), "RISING RISING . RISING RISING . RISING RISING RISING RISING"),
+    ("settled", lambda s: s.settled(), ". AS_READ . DOWN . UP . . . ."),
+    ("lost, read low", lambda s: s.lost(LOW), "LEFT_SEEN LEFT_SEEN . LEFT_SEEN LEFT_SEEN LEFT_SEEN . LEFT_SEEN . ."),
+    (
+        "lost, read high",
+        lambda s: s.lost(HIGH),
+        ". LEFT_UNSEEN . LEFT_UNSEEN LEFT_UNSEEN LEFT_UNSEEN . LEFT_UNSEEN . .",
+    ),
+    ("lost, not read", lambda s: s.lost(None), ". LEFT_UNSEEN . LEFT_UNSEEN LEFT_UNSEEN LEFT_UNSEEN . LEFT_UNSEEN . ."),
+    ("powerless servo", lambda s: s.powerless("servo_m3"), "LIMP . LIMP . . . . . . ."),
+    ("powerless solenoid", lambda s: s.powerless("solenoid_m8"), ". . . . . . . . . ."),
+    ("powerless Z axis", lambda s: s.powerless("z_axis"), ". . . . . . . . . ."),
+    (
+        "reset with a servo or a Z axis",
+        lambda s: s.was_reset("servo_m3"),
+        ". AS_READ LIMP LIMP_DOWN LIMP_DOWN LIMP_DOWN . . . .",
+    ),
+    ("reset with a solenoid", lambda s: s.was_reset("solenoid_m8"), "UP UP . UP UP UP UP UP UP UP"),
 ]
 
 
@@ -55,7 +63,7 @@ def test_what_presses_and_what_may_be_limp() -> None:
     ("kind", "homed", "lost"),
     [
         ("z_axis", "AS_READ UNDER_WAY", "AS_READ LEFT_SEEN LEFT_UNSEEN"),
-        ("servo_m3", "UP LOWERING DOWN RISING LIMP", "AS_READ UP LIMP LEFT_SEEN LEFT_UNSEEN"),
+        ("servo_m3", "UP LOWERING DOWN RISING LIMP LIMP_DOWN", "AS_READ UP LIMP LEFT_SEEN LEFT_UNSEEN"),
         ("solenoid_m8", "UP LOWERING DOWN RISING", "AS_READ UP LEFT_SEEN LEFT_UNSEEN"),
     ],
 )
@@ -237,3 +245,54 @@ def test_a_door_that_is_opened_after_a_stop_leaves_the_servo_limp_until_it_is_cl
     rig.until(lambda: rig.states[-1] == "stopped: stop requested")
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
     assert "M3S200" in rig.board.received and rig.machine.homed
+
+
+def limp(stylus_m: float) -> Rig:
+    """Return a machine at rest whose servo has lost its pulses by a stop that lifts nothing, at that extension."""
+    rig = servo(lift_on_stop=False)
+    rig.go((0.1, 0.0, 0.0), (0.1, 0.0, stylus_m))
+    rig.until(lambda: "reached" in rig.outcomes())
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.machine.reset(rig.now) == ""
+    rig.run_for(0.3)
+    assert rig.state == "idle"
+    rig.board.received.clear()
+    rig.results.clear()
+    return rig
+
+
+@pytest.mark.parametrize("before_m", [0.0, 0.02])
+@pytest.mark.parametrize(
+    ("way", "lines"),
+    [
+        ([(0.1, 0.0, 0.02)], ["M3S800", "G4P0.1"]),
+        ([(0.2, 0.0, 0.02)], ["F9000X-159G53G1", "M3S800", "G4P0.1"]),
+        ([(0.1, 0.0, 0.02), (0.2, 0.0, 0.02)], ["M3S800", "G4P0.1", "F9000X-159G53G1"]),
+        ([(0.2, 0.0, 0.0)], ["F9000X-159G53G1"]),
+    ],
+)
+def test_a_servo_that_may_have_no_pulses_is_ordered_anew_before_it_moves_or_presses(
+    before_m: float, way: list[tuple[float, ...]], lines: list[str]
+) -> None:
+    """It counted as down, so that no M3 was written to lower it: it hung there limp, and was drawn over the panel."""
+    rig = limp(before_m)
+    assert rig.go(*way).outcome.value == "accepted"
+    rig.until(lambda: len(rig.results) == 2)
+    assert rig.outcomes()[-1] == "reached" and rig.machine.reading_m is not None
+    assert rig.machine.reading_m[2] == way[-1][2]
+    told = [text for text in rig.board.received if text not in ("G21G90G94", "G4P0")]
+    assert told == ["M3S200", "G4P0.1", *lines]
+    assert rig.go((0.1, 0.0, way[-1][2])).outcome.value == "accepted"
+    rig.board.received.clear()
+    rig.until(lambda: len(rig.results) == 4)
+    assert not any("M3" in text for text in rig.board.received), "it has its pulses by now"
+
+
+def test_a_program_does_not_draw_a_servo_without_pulses_over_the_panel() -> None:
+    rig = limp(0.0)
+    assert rig.machine.run_program("p", ["G53 G1 X-300 F6000"], rig.now).outcome.value == "accepted"
+    rig.until(lambda: len(rig.results) == 2)
+    told = [text for text in rig.board.received if "M3" in text or "X" in text]
+    assert told == ["M3S200", "F6000X-300G53G1"] and rig.machine.reading_m is not None
+    assert rig.machine.reading_m[2] == 0.0

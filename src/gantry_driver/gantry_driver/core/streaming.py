@@ -21,6 +21,7 @@ from gantry_driver.core.trajectory_gcode import (
     may_be_down_after,
     mpos_mm,
     reading_m,
+    stylus_lines,
     write_motion,
 )
 from icu_common.core.results import GoalResult, Outcome
@@ -88,8 +89,8 @@ class Streaming(Stopping):
                 raise TrajectoryError(refusal)
             x, y, z = self.reading_m or (0.0, 0.0, 0.0)
             if self.config.stylus.kind != "z_axis":
-                # The reading may be of a moment ago.
-                z = self.config.stylus.stroke_m if self._stylus_is_down() else 0.0
+                # The reading may be of a moment ago; one without pulses is lifted first.
+                z = self.config.stylus.stroke_m if self._stylus_is_down() and not self._stylus.limp() else 0.0
             start = x, y, z
             motion = write_motion(names, points, start, self.config)
         except TrajectoryError as error:
@@ -181,8 +182,13 @@ class Streaming(Stopping):
     def _start(
         self, goal_id: str, text: str, lines: Iterator[tuple[str, float]], count: int, end_m: Reading, now: float
     ) -> GoalResult:
-        """Send ``count`` lines, each with the seconds that its dwell may take, and wait for the last one."""
-        self._goal = Goal(goal_id=goal_id, text=text, end_m=end_m, started=now, rest=lines, left=count)
+        """Send ``count`` lines, each with the seconds that its dwell may take, and wait for the last one.
+
+        A servo that may have no pulses is lifted before them: it is neither surely up nor surely down.
+        """
+        lift = stylus_lines(False, self.config) if self._stylus.limp() else ()
+        rest = chain(((line, 0.0) for line in lift), lines)
+        self._goal = Goal(goal_id=goal_id, text=text, end_m=end_m, started=now, rest=rest, left=len(lift) + count)
         accepted = self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.ACCEPTED))
         self._enter(Phase.MOVING, now)
         return accepted

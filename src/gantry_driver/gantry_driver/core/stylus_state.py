@@ -36,6 +36,8 @@ class Stylus(Enum):
     """Without a Z axis: ordered up, on its way; it counts as down until it has had the time for it."""
     LIMP = auto()
     """A servo that was up, and may have lost its pulses: some boards end them at an alarm, all at a reset or a door."""
+    LIMP_DOWN = auto()
+    """A servo that was not up when the board was reset, and has lost its pulses."""
     LEFT_SEEN = auto()
     """The position was lost with the stylus down, as the last reading has told."""
     LEFT_UNSEEN = auto()
@@ -83,10 +85,13 @@ class Stylus(Enum):
         ends = {
             Stylus.UNDER_WAY: Stylus.AS_READ,
             Stylus.UP: Stylus.LIMP,
-            Stylus.LOWERING: Stylus.DOWN,
-            Stylus.RISING: Stylus.DOWN,
+            **dict.fromkeys((Stylus.LOWERING, Stylus.DOWN, Stylus.RISING), Stylus.LIMP_DOWN),
         }
         return ends.get(self, self)
+
+    def limp(self) -> bool:
+        """Whether it is a servo that no order has reached since it may have lost its pulses."""
+        return self in (Stylus.LIMP, Stylus.LIMP_DOWN)
 
     def may_be_limp(self, kind: str) -> bool:
         """Whether it is a servo that may have no pulses."""

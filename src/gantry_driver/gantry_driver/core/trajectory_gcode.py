@@ -111,13 +111,18 @@ def stylus_dwell(config: DriverConfig) -> str:
     return f"G4P{plain(config.stylus.dwell_s)}"
 
 
-def lift_lines(config: DriverConfig) -> tuple[str, ...]:
-    """Return the lines that take the stylus off the panel and move nothing else."""
+def stylus_lines(down: bool, config: DriverConfig) -> tuple[str, str]:
+    """Return the lines that lower or lift a stylus without a Z axis, and give it the time for its way."""
     stylus = config.stylus
     if stylus.kind == "servo_m3":
-        return (MODES, f"M3S{plain(stylus.servo_up)}", stylus_dwell(config), SYNCHRONISE)
-    if stylus.kind == "solenoid_m8":
-        return (MODES, "M9", stylus_dwell(config), SYNCHRONISE)
+        return f"M3S{plain(stylus.servo_down if down else stylus.servo_up)}", stylus_dwell(config)
+    return "M8" if down else "M9", stylus_dwell(config)
+
+
+def lift_lines(config: DriverConfig) -> tuple[str, ...]:
+    """Return the lines that take the stylus off the panel and move nothing else."""
+    if config.stylus.kind != "z_axis":
+        return (MODES, *stylus_lines(False, config), SYNCHRONISE)
     top = config.machine.homed_mpos_mm()[2]
     return (MODES, f"F{plain(config.stylus_feed_m_s * 60_000.0)}Z{plain(top)}G53G1", SYNCHRONISE)
 
@@ -237,13 +242,5 @@ def _segment(
         return move
     # Without a Z axis the stylus is up during every move that it starts or ends in the air.
     down = target[2] > 0
-    return [*move, *_stylus(down, config)] if down else [*_stylus(down, config), *move]
-
-
-def _stylus(down: bool, config: DriverConfig) -> list[tuple[str, str]]:
-    stylus = config.stylus
-    if stylus.kind == "servo_m3":
-        word = f"M3S{plain(stylus.servo_down if down else stylus.servo_up)}"
-    else:
-        word = "M8" if down else "M9"
-    return [("", word), ("", stylus_dwell(config))]
+    order = [("", line) for line in stylus_lines(down, config)]
+    return [*move, *order] if down else [*order, *move]
