@@ -988,12 +988,15 @@ def test_a_stylus_that_a_lost_driver_has_left_down_is_told_until_it_is_up(driver
     assert bench.controller.state == "waiting: not homed"
 
 
-def test_what_the_driver_has_told_of_a_stylus_left_down_is_not_told_twice() -> None:
+@pytest.mark.parametrize(
+    "told", ["the stylus was not lifted, it may still press", "the solenoid is without power, the stylus is up"]
+)
+def test_what_the_driver_has_told_of_a_stylus_left_down_is_not_told_twice(told: str) -> None:
     bench = Bench().start()
     bench.readings = np.array([0.1, 0.1, 0.02])
     bench.run(0.2)
-    bench._say_driver("alarm: ALARM:1; the stylus was not lifted, it may still press")
-    assert bench.controller.state == "alarm: ALARM:1; the stylus was not lifted, it may still press"
+    bench._say_driver(f"alarm: ALARM:1; {told}")
+    assert bench.controller.state == f"alarm: ALARM:1; {told}"
 
 
 @pytest.mark.parametrize("reason", ["a cable that may press on the plug", "it may still press"])

@@ -373,7 +373,7 @@ def test_what_no_stop_is_to_lift_and_what_a_reset_lets_go_is_not_told() -> None:
     rig.machine.closed("the device has gone", rig.now)
     rig.machine.stop("stop requested", rig.now)
     rig.connect()
-    assert rig.states[-1] == "stopped: stop requested", "the reset has switched the solenoid off"
+    assert rig.states[-1] == "stopped: stop requested; the solenoid is without power, the stylus is up"
 
 
 def test_resting_extended_for_too_long_is_a_stop_that_lifts() -> None:

@@ -6,41 +6,63 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from unit.gantry_driver import protocol_board
 from unit.gantry_driver.protocol_board import HOMED, Rig
 
 from gantry_driver.core.machine_config import STYLUS_KINDS, DriverConfig, StylusConfig
 from gantry_driver.core.stylus_state import STYLUS_DOWN_M, Stylus, tells_of_stylus
 
 NOT_LIFTED = "the stylus was not lifted, it may still press"
+RELEASED = "the solenoid is without power, the stylus is up"
 SINKS = "the servo may be without pulses and sink, the stylus may press"
 
-STATES = ("AS_READ", "UNDER_WAY", "UP", "LOWERING", "DOWN", "RISING", "LIMP", "LIMP_DOWN", "LEFT_SEEN", "LEFT_UNSEEN")
+STATES = (
+    "AS_READ",
+    "UNDER_WAY",
+    "UP",
+    "LOWERING",
+    "DOWN",
+    "RISING",
+    "LIMP",
+    "LIMP_DOWN",
+    "RELEASED",
+    "LEFT_SEEN",
+    "LEFT_UNSEEN",
+)
 HIGH, LOW = STYLUS_DOWN_M, STYLUS_DOWN_M + 1e-6
 TABLE: list[tuple[str, Callable[[Stylus], Stylus], str]] = [
     # The next states, in the order of STATES; "." is the same one.
+    ("ordered down", lambda s: s.ordered(True), "LOWERING " * 11),
     (
-        "ordered down",
-        lambda s: s.ordered(True),
-        "LOWERING LOWERING LOWERING . LOWERING LOWERING LOWERING LOWERING LOWERING LOWERING",
+        "ordered up",
+        lambda s: s.ordered(False),
+        "RISING RISING . RISING RISING . RISING RISING UP RISING RISING",
     ),
-    ("ordered up", lambda s: s.ordered(False), "RISING RISING . RISING RISING . RISING RISING RISING RISING"),
-    ("settled", lambda s: s.settled(), ". AS_READ . DOWN . UP . . . ."),
-    ("lost, read low", lambda s: s.lost(LOW), "LEFT_SEEN LEFT_SEEN . LEFT_SEEN LEFT_SEEN LEFT_SEEN . LEFT_SEEN . ."),
+    ("settled", lambda s: s.settled(), ". AS_READ . DOWN . UP . . . . ."),
+    (
+        "lost, read low",
+        lambda s: s.lost(LOW),
+        "LEFT_SEEN LEFT_SEEN . LEFT_SEEN LEFT_SEEN LEFT_SEEN . LEFT_SEEN . . .",
+    ),
     (
         "lost, read high",
         lambda s: s.lost(HIGH),
-        ". LEFT_UNSEEN . LEFT_UNSEEN LEFT_UNSEEN LEFT_UNSEEN . LEFT_UNSEEN . .",
+        ". LEFT_UNSEEN . LEFT_UNSEEN LEFT_UNSEEN LEFT_UNSEEN . LEFT_UNSEEN . . .",
     ),
-    ("lost, not read", lambda s: s.lost(None), ". LEFT_UNSEEN . LEFT_UNSEEN LEFT_UNSEEN LEFT_UNSEEN . LEFT_UNSEEN . ."),
-    ("powerless servo", lambda s: s.powerless("servo_m3"), "LIMP . LIMP . . . . . . ."),
-    ("powerless solenoid", lambda s: s.powerless("solenoid_m8"), ". . . . . . . . . ."),
-    ("powerless Z axis", lambda s: s.powerless("z_axis"), ". . . . . . . . . ."),
+    (
+        "lost, not read",
+        lambda s: s.lost(None),
+        ". LEFT_UNSEEN . LEFT_UNSEEN LEFT_UNSEEN LEFT_UNSEEN . LEFT_UNSEEN . . .",
+    ),
+    ("powerless servo", lambda s: s.powerless("servo_m3"), "LIMP . LIMP . . . . . . . ."),
+    ("powerless solenoid", lambda s: s.powerless("solenoid_m8"), ". " * 11),
+    ("powerless Z axis", lambda s: s.powerless("z_axis"), ". " * 11),
     (
         "reset with a servo or a Z axis",
         lambda s: s.was_reset("servo_m3"),
-        ". AS_READ LIMP LIMP_DOWN LIMP_DOWN LIMP_DOWN . . . .",
+        ". AS_READ LIMP LIMP_DOWN LIMP_DOWN LIMP_DOWN . . . . .",
     ),
-    ("reset with a solenoid", lambda s: s.was_reset("solenoid_m8"), "UP UP . UP UP UP UP UP UP UP"),
+    ("reset with a solenoid", lambda s: s.was_reset("solenoid_m8"), "UP UP UP" + " RELEASED" * 8),
 ]
 
 
@@ -52,9 +74,10 @@ def test_every_transition(change: Callable[[Stylus], Stylus], nexts: str) -> Non
 
 
 def test_what_presses_and_what_may_be_limp() -> None:
-    assert [state.name for state in Stylus if state.presses(None)] == [*STATES[3:]]
-    assert [state.name for state in Stylus if state.presses(HIGH)] == [*STATES[3:]]
-    assert [state.name for state in Stylus if state.presses(LOW)] == [name for name in STATES if name != "UP"]
+    ordered = [name for name in STATES[3:] if name != "RELEASED"]
+    assert [state.name for state in Stylus if state.presses(None)] == ordered
+    assert [state.name for state in Stylus if state.presses(HIGH)] == ordered
+    assert [state.name for state in Stylus if state.presses(LOW)] == [*STATES[:2], *ordered]
     assert [state.name for state in Stylus if state.may_be_limp("servo_m3")] == ["LIMP", "LEFT_SEEN", "LEFT_UNSEEN"]
     assert Stylus.lifted("z_axis").name == "AS_READ" and Stylus.lifted("servo_m3").name == "UP"
 
@@ -64,7 +87,7 @@ def test_what_presses_and_what_may_be_limp() -> None:
     [
         ("z_axis", "AS_READ UNDER_WAY", "AS_READ LEFT_SEEN LEFT_UNSEEN"),
         ("servo_m3", "UP LOWERING DOWN RISING LIMP LIMP_DOWN", "AS_READ UP LIMP LEFT_SEEN LEFT_UNSEEN"),
-        ("solenoid_m8", "UP LOWERING DOWN RISING", "AS_READ UP LEFT_SEEN LEFT_UNSEEN"),
+        ("solenoid_m8", "UP LOWERING DOWN RISING RELEASED", "AS_READ UP RELEASED LEFT_SEEN LEFT_UNSEEN"),
     ],
 )
 def test_the_states_that_each_stylus_can_be_in(kind: str, homed: str, lost: str) -> None:
@@ -296,3 +319,74 @@ def test_a_program_does_not_draw_a_servo_without_pulses_over_the_panel() -> None
     told = [text for text in rig.board.received if "M3" in text or "X" in text]
     assert told == ["M3S200", "F6000X-300G53G1"] and rig.machine.reading_m is not None
     assert rig.machine.reading_m[2] == 0.0
+
+
+GRBL, GRBLHAL = "Grbl 1.1h ['$' for help]", "GrblHAL 1.1f ['$' or '$HELP' for help]"
+FLUIDNC = "Grbl 3.7 [FluidNC v3.7]"
+
+
+def solenoid_down() -> Rig:
+    """Return a homed machine with a solenoid that presses."""
+    config = DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind="solenoid_m8", dwell_s=0.2))
+    rig = Rig(config)
+    rig.board.macros = dict.fromkeys(("$/macros/startup_line0", "$/macros/startup_line1", "$/macros/after_reset"), "")
+    rig.homed()
+    rig.go((0.1, 0.1, 0.02))
+    rig.until(lambda: "reached" in rig.outcomes())
+    return rig
+
+
+def until_rest(rig: Rig, state: str) -> str:
+    """Return the text of that state once it is there."""
+    rig.until(lambda: rig.state == state)
+    return rig.states[-1]
+
+
+@pytest.mark.parametrize(
+    ("banner", "code", "cut"),
+    [(GRBL, 1, True), (GRBLHAL, 1, True), (GRBL, 2, True), (GRBL, 4, False), (FLUIDNC, 1, False)],
+)
+def test_a_solenoid_is_told_to_be_up_when_the_board_has_cut_its_power_and_it_has_had_its_time(
+    banner: str, code: int, cut: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was told to press until it was homed; GRBL and grblHAL switch it off with such an alarm, all at a reset."""
+    monkeypatch.setattr(protocol_board, "BANNER", f"\r\n{banner}\r\n".encode())
+    rig = solenoid_down()
+    rig.board.alarm(code)
+    assert until_rest(rig, "alarm").endswith(f"; {NOT_LIFTED}")
+    rig.run_for(0.15)
+    assert rig.states[-1].endswith(f"; {NOT_LIFTED}"), "it takes its time for the way"
+    rig.run_for(1.0)
+    assert rig.states[-1].endswith(f"; {RELEASED if cut else NOT_LIFTED}")
+    assert rig.states[-1].startswith(f"alarm: ALARM:{code} (") and tells_of_stylus(rig.states[-1])
+    assert rig.machine.reset(rig.now) == ""
+    assert until_rest(rig, "unhomed") == f"unhomed: {RELEASED}"
+    assert rig.machine.home(rig.now) == ""
+    assert until_rest(rig, "idle") == "idle"
+    rig.board.received.clear()
+    rig.results.clear()
+    rig.go((0.1, 0.1, 0.02))
+    rig.until(lambda: len(rig.results) == 2)
+    assert "M8" in rig.board.received
+
+
+def test_a_solenoid_is_told_to_be_up_when_the_board_has_reset_itself_after_its_alarm(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(protocol_board, "BANNER", f"\r\n{FLUIDNC}\r\n".encode())
+    rig = solenoid_down()
+    rig.board.alarm(3)
+    assert until_rest(rig, "alarm").endswith(f"; {NOT_LIFTED}")
+    rig.board.reset()
+    rig.run_for(0.1)
+    assert rig.states[-1] == f"alarm: ALARM:3 (reset while moving, position lost); {RELEASED}"
+
+
+def test_a_solenoid_is_told_to_be_up_after_a_hold_that_did_not_complete() -> None:
+    rig = solenoid_down()
+    rig.board.hold_s = 100.0
+    rig.go((0.3, 0.1, 0.02))
+    rig.run_for(0.5)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == f"stopped: stop requested; {RELEASED}" and not rig.machine.homed

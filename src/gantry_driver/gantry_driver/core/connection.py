@@ -29,7 +29,7 @@ from gantry_driver.core.session import (
     GrblSession,
 )
 from gantry_driver.core.settings_profile import differences, lines_to_write
-from gantry_driver.core.stylus_state import CLAUSE, MAY_PRESS, MAY_SINK, Stylus
+from gantry_driver.core.stylus_state import CLAUSE, IS_RELEASED, MAY_PRESS, MAY_SINK, Stylus
 from icu_common.core.results import GoalResult, Outcome
 
 HOLD_REPEAT_S = 0.2
@@ -85,7 +85,9 @@ class Connection:
         self.session = GrblSession(self.counts)
         self.phase = Phase.CLOSED
         self.reason = "not opened yet"
-        self._not_lifted = self._suspended = ""
+        self._not_lifted: str | None = None
+        """Why a stop has not lifted the stylus, empty where it has; None where nothing was decided about it."""
+        self._suspended = ""
         self.homed = False
         self.enabled = config.enabled_at_start
         self.dialect = Dialect.UNKNOWN
@@ -102,12 +104,15 @@ class Connection:
         self._mismatch = ""
         self._misplaced = False
         self._accepted_mismatch = ""
-        self._events: list[Event] = [StateChanged(text=self.state_text)]
+        self._events: list[Event] = []
+        self._told = ""
         self._goal: Goal | None = None
         self._since = 0.0
         self._marker = 0
         self._marker_done = False
         self._stylus = Stylus.AS_READ
+        self._released_at = math.inf
+        """When a solenoid that an alarm has switched off will be up."""
         self._raised = False
         """Whether the last report of the board's overrides was one to be set back."""
         self._critical = False
@@ -116,6 +121,7 @@ class Connection:
         self._probed = 0.0
         self._probe_from = 0.0
         self._pausing = self._resuming = False
+        self._say_if_changed()
 
     def configure(self, config: DriverConfig, now: float) -> None:
         """Go on with other parameters."""
@@ -237,10 +243,9 @@ class Connection:
 
     def _report_connecting(self, report: Report, now: float) -> None:
         """Say what keeps the board from taking lines; until it is over none of them is answered."""
-        before = self.state_text
         question = {"Door": "is its safety door open", "Hold": "is its hold button pressed"}.get(report.state)
         self._suspended = f"the board reports {report.state_text}, {question}?" if question else ""
-        self._say_if_changed(before)
+        self._say_if_changed()
 
     def _rouse(self, age: float, now: float) -> None:
         # A board that answers neither with a banner nor to `?` may be a Marlin, which has no real-time bytes ...
@@ -399,14 +404,13 @@ class Connection:
     def _enter(self, phase: Phase, now: float, reason: str = "", not_lifted: str | None = None) -> None:
         if phase is not self.phase and phase not in TRANSITIONS[self.phase] and phase not in OPEN_ENDS:
             raise AssertionError(f"{self.phase.name} to {phase.name} is not in the table")
-        before = self.state_text
         self.phase, self.reason, self._since = phase, reason, now
         self._misplaced = False
-        self._not_lifted, self._suspended = self._not_lifted_text(phase, not_lifted), ""
+        self._not_lifted, self._suspended = not_lifted, ""
         if phase is not Phase.MOVING:
             self._pausing = self._resuming = False
         self._poll_at_rate()
-        self._say_if_changed(before)
+        self._say_if_changed()
 
     def _poll_at_rate(self) -> None:
         moving = self.phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
@@ -414,9 +418,10 @@ class Connection:
         self.session.poll_interval_s = 1.0 / rate
         self.session.poll_now()
 
-    def _say_if_changed(self, before: str) -> None:
-        if self.state_text != before:
-            self._events.append(StateChanged(text=self.state_text))
+    def _say_if_changed(self) -> None:
+        if (text := self.state_text) != self._told:
+            self._told = text
+            self._events.append(StateChanged(text=text))
 
     def _close(self, reason: str, now: float) -> None:
         self._events.append(CloseRequested(reason=reason))
@@ -463,12 +468,13 @@ class Connection:
 
     def _whole_reason(self) -> str:
         """Return the reason, and what may end before it: that the stylus is not lifted, or the board suspended."""
-        return CLAUSE.join(text for text in (self.reason, self._not_lifted, self._suspended) if text)
+        return CLAUSE.join(text for text in (self.reason, self._stylus_text(), self._suspended) if text)
 
-    def _not_lifted_text(self, phase: Phase, not_lifted: str | None) -> str:
+    def _stylus_text(self) -> str:
         """Say that nothing has lifted the stylus, for who reads ``stopped`` takes it for lifted; empty if it is up."""
-        if phase is Phase.STOPPED and not_lifted is not None:
-            return not_lifted
+        if self._not_lifted is not None:
+            return self._not_lifted
+        phase = self.phase
         rests = phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED, Phase.MISMATCH)
         # After an alarm nothing was decided about the stylus, and nobody lifts it.
         tells = self.config.lift_on_stop if phase is Phase.STOPPED else phase in (Phase.ALARM, Phase.ALARM_RESET)
@@ -477,7 +483,8 @@ class Connection:
             return MAY_PRESS
         if rests and self._stylus.may_be_limp(self.config.stylus.kind):
             return MAY_SINK
-        return ""
+        # Where its position is lost, too, the last reading of a stylus that was down is all that others have of it.
+        return IS_RELEASED if rests and not self.homed and self._stylus is Stylus.RELEASED else ""
 
     def _is_servo(self) -> bool:
         return self.config.stylus.kind == "servo_m3"

@@ -8,6 +8,8 @@ each upon the one before: ``connection`` (port, firmware, settings), ``stopping`
 
 from __future__ import annotations
 
+import math
+
 from gantry_driver.core.connection import ASK_ALONE_S, READ_STARTUP, REFUSED
 from gantry_driver.core.grbl_messages import (
     Alarm,
@@ -67,6 +69,8 @@ class Machine(Streaming):
         """Let time-outs happen."""
         age = now - self._since
         phase = self.phase
+        if now >= self._released_at:
+            self._was_reset()  # as far as a solenoid goes
         if phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
             if age > self.config.connect_timeout_s:
                 text = self._no_answer_text()
@@ -114,18 +118,16 @@ class Machine(Streaming):
         """Allow or forbid motion; forbidding it while moving or with the stylus extended is a stop."""
         if not on:
             self._stop_what_moves("disabled", now)
-        before = self.state_text
         self.enabled = on
-        self._say_if_changed(before)
+        self._say_if_changed()
         return ""
 
     def activate(self, on: bool, now: float) -> None:
         """Let the machine move, or end what moves and only watch the board: the lifecycle of its node."""
         if not on:
             self._stop_what_moves("deactivated", now)
-        before = self.state_text
         self.active = on
-        self._say_if_changed(before)
+        self._say_if_changed()
 
     def _stop_what_moves(self, reason: str, now: float) -> None:
         if self.phase in (Phase.MOVING, Phase.HOMING) or self._rests_extended():
@@ -218,7 +220,12 @@ class Machine(Streaming):
             # Lines that were on the wire may reach the fresh board and be executed: hold, and reset once more.
             self._synchronise(now, reason)
             self.session.realtime(HOLD)
+        self._was_reset()
+
+    def _was_reset(self) -> None:
+        self._released_at = math.inf
         self._stylus = self._stylus.was_reset(self.config.stylus.kind)
+        self._say_if_changed()
 
     def _on_acknowledged(self, event: Acknowledged, now: float) -> None:
         number = event.line.number
@@ -271,7 +278,7 @@ class Machine(Streaming):
             return
         self._critical = alarm.code in (1, 2, 10)
         self._reset_not_before = now + (CRITICAL_ALARM_PAUSE_S if self._critical else 0.0)
-        self._to_alarm(text, now)
+        self._to_alarm(text, now, code=alarm.code)
 
     def _on_count_broken(self, event: CountBroken, now: float) -> None:
         self._events.append(Note(level="error", text=event.reason))

@@ -8,17 +8,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gantry_driver.core.connection import HOLD_REPEAT_S, REFUSED, Connection
-from gantry_driver.core.grbl_messages import Report
+from gantry_driver.core.grbl_messages import Dialect, Report
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Note, Phase
 from gantry_driver.core.session import HOLD, RESUME
-from gantry_driver.core.stylus_state import MAY_PRESS, MAY_SINK, Stylus
+from gantry_driver.core.stylus_state import Stylus
 from gantry_driver.core.trajectory_gcode import lift_lines
 from icu_common.core.results import Outcome
 
 OLD_HOLDS = 2
 """Reports of a hold that may still come after a resume: one on its way, one asked for."""
 SAME_PLACE_MM = 0.05
+SWITCHED_OFF_BY = dict.fromkeys((Dialect.GRBL, Dialect.GRBLHAL), frozenset((1, 2, 3, 6, 7, 8, 9, 10)))
+"""Alarms that switch coolant and spindle off at once; with others, and with FluidNC, only the reset after them does."""
 LOCKED = "the board is locked by an alarm whose number was not received"
 
 
@@ -119,13 +121,16 @@ class Stopping(Connection):
         self._enter(Phase.RESETTING, now, self.reason)
         self.session.soft_reset(now)
 
-    def _to_alarm(self, text: str, now: float) -> None:
+    def _to_alarm(self, text: str, now: float, *, code: int = 0) -> None:
+        """Enter the alarm; ``code`` is its number, 0 where that is not known."""
         if self.phase.state == "stopped":
-            told_anew = self._not_lifted in (MAY_PRESS, MAY_SINK)
+            told_anew = self._not_lifted is None
             text = f"{text}, after: {self.reason if told_anew else self._whole_reason()}"
         self._finish(Outcome.ABORTED, text, now)
         self._forget_position()
         self._stylus = self._stylus.powerless(self.config.stylus.kind)
+        if code in SWITCHED_OFF_BY.get(self.dialect, ()) and self.config.stylus.kind == "solenoid_m8":
+            self._released_at = now + self.config.stylus.dwell_s
         self.session.last_report_at = now  # In a homing cycle it is the first that the board says.
         self._latched = ""  # The alarm is latched itself, and its reset is the same call.
         if self.phase is Phase.ALARM_RESET:  # an emergency stop is still pressed: no banner comes

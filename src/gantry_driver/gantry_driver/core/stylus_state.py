@@ -13,6 +13,7 @@ STYLUS_DOWN_M = 0.0005
 """Extension above which the stylus may touch something and is lifted after a stop."""
 MAY_PRESS = "the stylus was not lifted, it may still press"
 MAY_SINK = "the servo may be without pulses and sink, the stylus may press"
+IS_RELEASED = "the solenoid is without power, the stylus is up"
 CLAUSE = "; "
 """What parts the clauses of a state's reason; how a stylus was left is one of its own."""
 
@@ -38,6 +39,8 @@ class Stylus(Enum):
     """A servo that was up, and may have lost its pulses: some boards end them at an alarm, all at a reset or a door."""
     LIMP_DOWN = auto()
     """A servo that was not up when the board was reset, and has lost its pulses."""
+    RELEASED = auto()
+    """A solenoid that was not up when the board has cut its power, which lifts it."""
     LEFT_SEEN = auto()
     """The position was lost with the stylus down, as the last reading has told."""
     LEFT_UNSEEN = auto()
@@ -47,13 +50,13 @@ class Stylus(Enum):
         """Whether it may press."""
         if self in (Stylus.AS_READ, Stylus.UNDER_WAY):
             return _extended(extension_m)
-        return self is not Stylus.UP
+        return self not in (Stylus.UP, Stylus.RELEASED)
 
     def ordered(self, down: bool) -> Stylus:
         """A line that moves a stylus without a Z axis has been queued."""
         if down:
             return Stylus.LOWERING
-        return Stylus.UP if self is Stylus.UP else Stylus.RISING
+        return Stylus.UP if self in (Stylus.UP, Stylus.RELEASED) else Stylus.RISING
 
     def settled(self) -> Stylus:
         """It has had the time for its way, or the motion has come to its end."""
@@ -81,7 +84,7 @@ class Stylus(Enum):
     def was_reset(self, kind: str) -> Stylus:
         """The board was reset, and has thrown away what was under way."""
         if kind == "solenoid_m8":
-            return Stylus.UP
+            return Stylus.UP if self in (Stylus.AS_READ, Stylus.UNDER_WAY, Stylus.UP) else Stylus.RELEASED
         ends = {
             Stylus.UNDER_WAY: Stylus.AS_READ,
             Stylus.UP: Stylus.LIMP,
@@ -99,7 +102,7 @@ class Stylus(Enum):
 
 
 def tells_of_stylus(state_text: str) -> bool:
-    """Whether the driver's ``state: reason`` has a clause by which the stylus may press.
+    """Whether the driver's ``state: reason`` has a clause that says how the stylus was left.
 
     Examples
     --------
@@ -107,7 +110,7 @@ def tells_of_stylus(state_text: str) -> bool:
     (True, False)
     """
     reason = state_text.partition(": ")[2]
-    return not {MAY_PRESS, MAY_SINK}.isdisjoint(reason.split(CLAUSE))
+    return not {MAY_PRESS, MAY_SINK, IS_RELEASED}.isdisjoint(reason.split(CLAUSE))
 
 
 def _extended(extension_m: float | None) -> bool:
