@@ -1016,6 +1016,51 @@ def test_homing_with_the_door_open_is_refused_by_a_reason_that_names_it() -> Non
     assert rig.states[-1].startswith("stopped: homing refused: error:13 (safety door open)")
 
 
+@pytest.mark.parametrize("lost", ["$X", "$H"])
+def test_an_answer_that_is_lost_while_homing_is_noticed_soon(lost: str) -> None:
+    """It was waited for as long as a homing cycle may take, while the board told again and again that it is idle."""
+    rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind="servo_m3", dwell_s=0.1))).connect()
+    rig.step()
+
+    def drop() -> None:
+        rig.board.drop_answers = 1
+
+    rig.board.hooks[lost] = drop
+    assert rig.machine.home(rig.now) == ""
+    since = rig.now
+    rig.until(lambda: rig.state == "stopped", 60.0)
+    assert rig.now - since < 1.0 + rig.machine.config.answer_timeout_s + 1.0
+    assert rig.states[-1].startswith(f"stopped: no answer to {lost!r} within 3.1 s although the board is at rest")
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert not rig.machine.homed
+
+
+def test_a_homing_line_that_noise_has_swallowed_is_noticed_soon() -> None:
+    rig = Rig().connect()
+    rig.step()
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: b"$H" in rig.board.rx)
+    rig.board.rx.clear()
+    rig.until(lambda: rig.state == "stopped", 5.0)
+    reason = "no answer to '$H' within 3.25 s although the board is at rest"
+    assert rig.states[-1] == f"stopped: {reason}"
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.machine.reset(rig.now) == "" and rig.state == "unhomed"
+
+
+def test_a_homing_cycle_that_takes_long_after_a_last_report_of_an_idle_board_is_no_lost_answer() -> None:
+    """GRBL gives no reports in it: the silence is no time in which the board was idle."""
+    rig = Rig().homed()
+    rig.board.hooks["$H"] = lambda: rig.board.say(rig.board.report())  # to a `?` that was just before
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.board.homing_until > 0)
+    rig.board.homing_until += 20.0
+    rig.run_for(20.5)
+    rig.board.say(rig.board.report())  # just before its answer, as a firmware may whose tasks share the line
+    rig.until(lambda: rig.state in ("idle", "stopped"), 30.0)
+    assert rig.states[-1] == "idle"
+
+
 def test_stop_while_homing_resets_at_once() -> None:
     rig = Rig().connect()
     rig.step()

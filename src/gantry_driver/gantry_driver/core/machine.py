@@ -145,14 +145,14 @@ class Machine(Streaming):
         if self.config.stylus.kind != "z_axis":
             # The stylus may be down and a locked board takes no M3 or M9: unlock, lift, and only then travel.
             for text in ("$X", *lift_lines(self.config)):
-                self._order_stylus(self.session.queue(text, answer_within_s=self.config.homing_timeout_s))
+                self._order_stylus(self.session.queue(text, answer_within_s=self._answer_time()))
         # Only GRBL is known to forget a tool's length and a chosen system at a reset; what others report as their work
         # offset is the sum of all, and is G54's, with which a program is checked, only once both are ended.
         ends: tuple[str, ...] = () if self.dialect is Dialect.GRBL else ("G49", "G54")
         if ends and self._is_servo():
             ends = (*ends, *lift_lines(self.config))  # grblHAL switches the spindle off before it homes
         for text in ("$H", *ends):
-            self._marker = self.session.queue(text, answer_within_s=self.config.homing_timeout_s).number
+            self._marker = self.session.queue(text, answer_within_s=self._answer_time()).number
         return ""
 
     def _unlock_refusal(self) -> str:
@@ -281,6 +281,8 @@ class Machine(Streaming):
         self._to_alarm(text, now, code=alarm.code)
 
     def _on_count_broken(self, event: CountBroken, now: float) -> None:
+        if self.phase in (Phase.ALARM, Phase.ALARM_RESET):
+            return  # what it has not answered is thrown away by the reset
         self._events.append(Note(level="error", text=event.reason))
         if self.phase in (Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING, Phase.MISMATCH, Phase.UNHOMED):
             self._synchronise(now, event.reason)

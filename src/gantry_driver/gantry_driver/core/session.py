@@ -49,6 +49,9 @@ RESET_RETRY_S = 1.0
 """A reset without a banner may have been swallowed (GRBL does that for about 500 ms after ALARM:1 and 2), and is sent
 again; a board that was only held up answers both, see docs/decisions/stopping.md."""
 
+REPORTS_APART_S = 1.0
+"""A pause between two reports that is longer by so much is no time in which the board was idle: it may be homing."""
+
 _ACTS = re.compile(r"[$F]|M0*[3478](?!\d)|G0*(?:28|30)(?!\d)|[XYZ](?!.*G0*(?:[123]|92)\Z)", re.IGNORECASE)
 """What a board that has just been reset would obey: see docs/decisions/lines-after-a-reset.md."""
 _EEPROM = re.compile(r"\$(?!J=)[^=]*=|\$RST|G0*10(?!\d).*L0*20?(?!\d)|G0*28\.10*(?!\d)|G0*30\.10*(?!\d)", re.IGNORECASE)
@@ -312,7 +315,9 @@ class GrblSession:
 
     def _report(self, report: Report, now: float) -> list[Message]:
         self.counts.reports += 1
-        self.last_report_at = now
+        before, self.last_report_at = self.last_report_at, now
+        if before is None or now - before > self.poll_interval_s + REPORTS_APART_S:
+            self._unanswered_since = None
         events: list[Message] = []
         if report.wco_mm is not None:
             self.wco_mm = report.wco_mm
@@ -348,16 +353,16 @@ class GrblSession:
                 f"the board holds {self._rx_room - report.rx_free} bytes, {self._in_flight_bytes} are under way: "
                 "an answer came that belongs to no line"
             )
-        if report.state not in ("Idle", "Check") or not self._in_flight:
+        if report.state not in ("Idle", "Check", "Alarm") or not self._in_flight:
             self._unanswered_since = None
             return ""
-        # An idle board with an unanswered line: its dwell, or the answer is lost. Only idle time counts, so that
-        # nothing runs out during a hold.
+        # An idle board with an unanswered line: its dwell, or line or answer are lost; a locked one answers at once.
+        # Only such time counts, so that nothing runs out during a hold.
         if self._unanswered_since is None:
             self._unanswered_since = now
         line = self._in_flight[0][0]
         if now - self._unanswered_since > line.answer_within_s:
-            return f"no answer to {line.text!r} within {line.answer_within_s:g} s although the board is idle"
+            return f"no answer to {line.text!r} within {line.answer_within_s:g} s although the board is at rest"
         return ""
 
     def _banner(self, banner: Banner, now: float) -> list[Message]:
