@@ -832,6 +832,64 @@ def test_trap_7_and_8_an_unexpected_banner_is_a_reset() -> None:
     assert not rig.machine.homed and rig.machine.reading_m is None
 
 
+def restart_unheard(board: Board) -> None:
+    """Lose the power for a moment, with noise for a banner, as a grblHAL that does not lock itself: it counts anew."""
+    board.mpos, board.state = [0.0, 0.0, 0.0], "Idle"
+    board.blocks.clear()
+    board.rx.clear()
+
+
+@pytest.mark.parametrize("phase", ["IDLE", "STOPPED", "MOVING", "HOLDING"])
+def test_a_restart_whose_banner_noise_has_spoilt_is_noticed_by_the_place(phase: str) -> None:
+    """The next goal was driven from a corner of the travel where the machine did not stand."""
+    rig = Rig().homed()
+    rig.go((0.1, 0.05, 0.0))
+    rig.until(lambda: "reached" in rig.outcomes())
+    if phase != "IDLE":
+        rig.go((0.2, 0.1, 0.0))
+        rig.run_for(0.2)
+    rig.board.hold_s = 0.3
+    if phase in ("STOPPED", "HOLDING"):
+        rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == phase)
+    told = len(rig.positions)
+    rig.run_for(0.12)
+    restart_unheard(rig.board)
+    rig.until(lambda: rig.state == "connecting", 0.5)
+    reason = "the board was reset by itself, its position is lost"
+    assert rig.states[-1] == f"connecting: {reason}"
+    assert max(x for x, _, _ in rig.positions[told:]) < 0.21, "the false place was never told"
+    rig.until(lambda: rig.state not in ("connecting",))
+    stopped = phase in ("STOPPED", "HOLDING")
+    assert rig.states[-1] == ("stopped: stop requested" if stopped else f"unhomed: {reason}")
+    assert not rig.machine.homed and rig.outcomes()[-1] == ("reached" if phase == "IDLE" else "aborted")
+
+
+def test_noise_that_makes_one_report_tell_the_place_of_a_restart_is_none() -> None:
+    rig = Rig().homed()
+    rig.board.say("<Idle|MPos:0.000,0.000,0.000|FS:0,0>")
+    rig.run_for(1.0)
+    assert rig.state == "idle" and rig.machine.homed and rig.machine.reading_m == pytest.approx((0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("mask", [3, 0])
+def test_the_corner_where_all_is_zero_can_be_gone_to(mask: int) -> None:
+    """Where a board stands that was just switched on, and where a stage without a Z axis may be sent, or homes."""
+    machine = MachineConfig(homing_direction_mask=mask, pull_off_mm=0.0)
+    board = Board()
+    board.settings |= {23: str(mask), 27: "0.000"}
+    board.homed = (-360.0, -220.0, 0.0) if mask else (0.0, 0.0, 0.0)
+    stylus = StylusConfig(kind="servo_m3", dwell_s=0.3)
+    rig = Rig(DriverConfig(enabled_at_start=True, machine=machine, stylus=stylus), board).homed()
+    corner = (0.36, 0.22) if mask else (0.0, 0.0)
+    rig.go((0.1, 0.1, 0.0), (*corner, 0.0), (*corner, 0.02), (0.1, 0.1, 0.0), (*corner, 0.02))
+    rig.until(lambda: "reached" in rig.outcomes(), 30.0)
+    rig.run_for(0.5)
+    assert rig.state == "idle" and rig.board.mpos == [0.0, 0.0, 0.0]
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle")
+
+
 def test_link_lost_while_moving_aborts_and_comes_back_unhomed() -> None:
     rig = Rig().homed()
     rig.go((0.3, 0.0, 0.0))

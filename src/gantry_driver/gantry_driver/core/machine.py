@@ -33,7 +33,7 @@ from gantry_driver.core.session import (
     Refused,
     WasReset,
 )
-from gantry_driver.core.stopping import LOCKED, elsewhere
+from gantry_driver.core.stopping import LOCKED, SAME_PLACE_MM, elsewhere
 from gantry_driver.core.streaming import Streaming
 from gantry_driver.core.stylus_state import Stylus
 from gantry_driver.core.trajectory_gcode import lift_lines, reading_m, stylus_dwell
@@ -42,6 +42,8 @@ from icu_common.core.results import Outcome
 BANNER_TIMEOUT_S = 5.0
 CRITICAL_ALARM_PAUSE_S = 0.6
 """After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
+REPORT_LATE_S = 0.2
+"""Between two reports an axis may have gone for so much longer than between their arrivals."""
 EEPROM_READ_FAILED = 7
 """Of a startup line; GRBL and grblHAL empty it then, go on with the other one, and answer ``ok`` besides."""
 HOMING_FIRST = 22, 4
@@ -213,14 +215,17 @@ class Machine(Streaming):
             # The board's own banner and that of the reset sent to it crossed.
             self._identify(now, self.reason)
         else:
-            reason = "the board was reset by itself, its position is lost"
-            self._finish(Outcome.ABORTED, reason, now)
-            self._forget_position()
-            self._events.append(Note(level="error", text=f"{reason}; {len(event.lost)} lines unanswered"))
-            # Lines that were on the wire may reach the fresh board and be executed: hold, and reset once more.
-            self._synchronise(now, reason)
-            self.session.realtime(HOLD)
+            self._on_own_reset(len(event.lost), now)
         self._was_reset()
+
+    def _on_own_reset(self, lost: int, now: float) -> None:
+        reason = "the board was reset by itself, its position is lost"
+        self._finish(Outcome.ABORTED, reason, now)
+        self._forget_position()
+        self._events.append(Note(level="error", text=f"{reason}; {lost} lines unanswered"))
+        # Lines that were on the wire may reach the fresh board and be executed: hold, and reset once more.
+        self._synchronise(now, reason)
+        self.session.realtime(HOLD)
 
     def _was_reset(self) -> None:
         self._released_at = math.inf
@@ -289,7 +294,26 @@ class Machine(Streaming):
         elif self.phase in (Phase.MOVING, Phase.IDLE, Phase.HOMING, Phase.LIFTING):
             self._halt(event.reason, now)
 
+    def _counts_anew(self, report: Report, now: float) -> bool:
+        """Whether the board stands at zero, as one that was just switched on, and cannot have gone there."""
+        place, before = report.mpos_mm, self._stood_mm
+        if not self.homed or place is None or any(place) or before is None:
+            return False
+        moves = self.phase in (Phase.MOVING, Phase.HOLDING, Phase.LIFTING)
+        way_s = now - self._stood_at + REPORT_LATE_S if moves else 0.0
+        rates = self.config.machine.max_rate_mm_min
+        return any(abs(was) > SAME_PLACE_MM + rate * way_s / 60.0 for was, rate in zip(before, rates))
+
     def _on_report(self, report: Report, now: float) -> None:
+        if self.phase is not Phase.RESETTING:
+            if self._counts_anew(report, now):
+                # Noise may have spoilt its banner, and not every board locks itself. Of reports it spoils no two alike.
+                if self._doubted:
+                    self._on_own_reset(self.session.pending, now)
+                self._doubted = True
+                self.session.poll_now()
+                return
+            self._stood_mm, self._stood_at, self._doubted = report.mpos_mm, now, False
         if self.homed and report.mpos_mm is not None:
             # On its way up it counts as down: should an alarm end that way, this is the last that anybody hears of it.
             self.reading_m = reading_m(report.mpos_mm, self._stylus_is_down(), self.config)

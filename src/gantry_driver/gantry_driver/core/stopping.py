@@ -34,7 +34,10 @@ class Stopping(Connection):
         self._lift_timeout_s = 0.0
         self._old_holds = 0
         self._stood_mm: tuple[float, ...] | None = None
-        """Where the board stood in the last report of a hold, None where it did not say."""
+        """Where the board stood in the last report before a reset of a stop, None where it did not say."""
+        self._stood_at = 0.0
+        self._doubted = False
+        """Whether the last report told of a place where it cannot have gone."""
         self._moved_mm: tuple[float, ...] | None = None
         """The other place that it reported after the reset."""
 
@@ -158,7 +161,6 @@ class Stopping(Connection):
     # --- what the board says meanwhile -------------------------------------------------------------------------------
 
     def _report_holding(self, report: Report, now: float) -> None:
-        self._stood_mm = report.mpos_mm
         if report.state == "Hold" and self._old_holds:
             # Older than the resume, perhaps: a reset now could find the board moving, and lose its position.
             self._old_holds -= 1
