@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pty
+import re
 import select
 import statistics
 import time
@@ -17,6 +18,7 @@ import serial
 from nodes.grbl_board import PATIENT, AwakeClock, GrblBoard, LinkRig
 
 from gantry_driver.adapters import serial_link
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 
 HOMED = (-359.0, -219.0, -1.0)
@@ -141,6 +143,23 @@ def test_a_link_that_is_closed_before_the_machine_is_at_rest_says_so(
     assert rig.notes[-1] == (
         "closed 1.5 s after the stop, while resetting: what the machine does is not known, the stylus may be down"
     )
+
+
+def test_nothing_goes_on_when_a_computer_that_slept_wakes(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock of the heartbeat's age stood still meanwhile: a motion went on after hours."""
+    _, rig = start()
+    rig.home()
+    assert rig.go((0.3, 0.2, 0.0), slow_after=0).outcome.value == "accepted"
+
+    def beat(machine: Machine, now: float) -> None:
+        machine._heartbeat_at = now + 60.0  # it does not end by itself in this test
+
+    rig.link.call(beat)
+    clock = time.clock_gettime
+    monkeypatch.setattr(time, "clock_gettime", lambda which: clock(which) + 3600.0)
+    rig.until(lambda: len(rig.results) == 2, 30.0)
+    assert rig.results[-1].outcome.value == "aborted"
+    assert re.match(r"operator's heartbeat lost: 35\d\d\.\d+ s old", rig.results[-1].reason)
 
 
 def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:

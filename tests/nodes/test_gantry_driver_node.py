@@ -8,10 +8,8 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -30,6 +28,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from gantry_driver.adapters import serial_link
 from gantry_driver.nodes.serial_driver_node import LINK_CHECK_S, SerialDriverNode
+from icu_common.adapters.real_time import steady_s
 from icu_common.core.frames import JOINTS
 from icu_common.core.results import GoalResult
 from icu_common.nodes.conversions import result_of_message
@@ -311,10 +310,9 @@ def test_reports_come_at_a_changed_rate_at_once(
 ) -> None:
     op = operator(status_rate_hz=1.0).ready()
     driver = next(node for node in ros.nodes if isinstance(node, SerialDriverNode))
-    begun_s = time.monotonic()
+    begun_s = steady_s()
     # A slower clock, by which who is held up for two seconds misses none of the times below.
-    slow = SimpleNamespace(monotonic=lambda: begun_s + (time.monotonic() - begun_s) / 5)
-    monkeypatch.setattr(serial_link, "time", slow)
+    monkeypatch.setattr(serial_link, "steady_s", lambda: begun_s + (steady_s() - begun_s) / 5)
     assert driver.set_parameters([Parameter("status_rate_hz", value=50.0)])[0].successful
     # Shorter than the reports were apart before.
     assert driver.set_parameters([Parameter("status_timeout_s", value=0.6)])[0].successful

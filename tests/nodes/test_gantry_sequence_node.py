@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +12,7 @@ from rclpy.duration import Duration
 from std_msgs.msg import Empty, String
 
 from gantry_driver.nodes.sequence_node import SequenceNode
+from icu_common.adapters.real_time import steady_s
 from icu_common.core.panel_state import ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
@@ -233,7 +233,7 @@ def test_a_sequencer_that_was_held_up_gives_no_step_that_nobody_expects_any_more
         "other": lambda node: node._on_sequence(String(data="id: next\nsteps: ['double:RUN_STOP']")),
     }
     for run_id, wake in waking.items():
-        rig.node._steady_s = time.monotonic
+        rig.node._steady_s = steady_s
         check = "" if run_id == "answer" else " => lamp:RUN_STOP=red"
         rig.commands.clear()
         rig.sequence.publish(String(data=f"id: {run_id}\nsteps: ['press:RUN_STOP{check}', 'long:RUN_STOP']"))

@@ -13,7 +13,6 @@ import select
 import signal
 import termios
 import threading
-import time
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -22,6 +21,7 @@ import serial
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_states import CloseRequested, Event, Note
 from gantry_driver.core.session import HOLD
+from icu_common.adapters.real_time import steady_s
 
 T = TypeVar("T")
 
@@ -85,7 +85,7 @@ class SerialLink:
         Before :meth:`start` there is no port, and what follows is said at once.
         """
         with self._changed:
-            result = action(self._machine, time.monotonic())
+            result = action(self._machine, steady_s())
         if self._thread.ident is None:
             self._publish()
         self._wake()
@@ -177,11 +177,11 @@ class SerialLink:
             self._turn()
             if self._machine.connected:
                 self._retry_s = FIRST_RETRY_S
-        elif time.monotonic() < self._next_try:
-            self._wait(self._next_try - time.monotonic())
+        elif steady_s() < self._next_try:
+            self._wait(self._next_try - steady_s())
         else:
             # A board that resets at every opening must not be opened in a tight loop.
-            self._next_try = time.monotonic() + self._retry_s
+            self._next_try = steady_s() + self._retry_s
             self._retry_s = min(2.0 * self._retry_s, LAST_RETRY_S)
             self._open()
         self._publish()
@@ -201,13 +201,13 @@ class SerialLink:
             self._poller.register(self._fd, select.POLLIN)
             self._writing = False
             self._pending.clear()
-            self._machine.opened(time.monotonic())
+            self._machine.opened(steady_s())
             self._changed.notify_all()
 
     def _turn(self) -> None:
         """Wait for bytes, a wake-up or a deadline, and do what is due."""
         with self._changed:
-            now = time.monotonic()
+            now = steady_s()
             wait_s = max(0.0, self._machine.deadline(now) - now)
         readable = self._wait(wait_s)
         try:
@@ -216,7 +216,7 @@ class SerialLink:
             self._lost(f"{self._port_name}: {_plain(error)}")
             return
         with self._changed:
-            now = time.monotonic()
+            now = steady_s()
             if data:
                 # The board may show the hold before who asked for it had the lock; it is no hold of the board's own.
                 self._take_stop(self._machine, now, hold_written=False)
@@ -259,7 +259,7 @@ class SerialLink:
     def _lost(self, reason: str) -> None:
         self._close_port()
         with self._changed:
-            self._machine.closed(reason, time.monotonic())
+            self._machine.closed(reason, steady_s())
             self._changed.notify_all()
 
     def _close_port(self) -> None:

@@ -9,7 +9,6 @@ answer came.
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,6 +18,7 @@ from std_msgs.msg import Empty, String
 from gantry_driver.core.goal_job import WORKING
 from gantry_driver.core.sequence import Action, SendCommand, SequenceConfig, SequenceRun, StopMachine
 from gantry_driver.core.world import AT_AN_END
+from icu_common.adapters.real_time import steady_s
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import Sequence, SequenceError, parse_file, unfit
 from icu_common.nodes import qos
@@ -48,7 +48,7 @@ class SequenceNode(Node):
         super().__init__("sequencer", **options)
         self._live = LiveParameters(self, SequenceConfig)
         self._run: SequenceRun | None = None
-        self._steady_s = time.monotonic
+        self._steady_s = steady_s
         self._awake_s = self._steady_s()
         self._panel: DiagnosticArray | None = None
         self._controller = self._driver = ""
