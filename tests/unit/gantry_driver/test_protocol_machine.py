@@ -858,11 +858,38 @@ def test_a_restart_whose_banner_noise_has_spoilt_is_noticed_by_the_place(phase: 
     rig.until(lambda: rig.state == "connecting", 0.5)
     reason = "the board was reset by itself, its position is lost"
     assert rig.states[-1] == f"connecting: {reason}"
-    assert max(x for x, _, _ in rig.positions[told:]) < 0.21, "the false place was never told"
+    assert all(x < 0.21 for x, _, _ in rig.positions[told:]), "the false place was never told"
     rig.until(lambda: rig.state not in ("connecting",))
     stopped = phase in ("STOPPED", "HOLDING")
     assert rig.states[-1] == ("stopped: stop requested" if stopped else f"unhomed: {reason}")
     assert not rig.machine.homed and rig.outcomes()[-1] == ("reached" if phase == "IDLE" else "aborted")
+
+
+def test_steps_that_are_changed_behind_its_back_are_found_by_the_place() -> None:
+    """By a firmware's own page: the board counts the same motor steps as other millimetres from then on."""
+    rig = Rig().homed()
+    rig.go((0.1, 0.05, 0.0))
+    rig.until(lambda: "reached" in rig.outcomes())
+    rig.run_for(0.5)
+    told = len(rig.positions)
+    rig.board.settings[100] = "100.000"
+    rig.board.mpos[0] *= 0.8
+    rig.until(lambda: rig.state == "connecting", 0.5)
+    lost = "the board stands elsewhere without a command from here, its position is lost"
+    assert rig.states[-1] == f"connecting: {lost}" and all(x < 0.11 for x, _, _ in rig.positions[told:])
+    rig.until(lambda: rig.state == "mismatch")
+    assert rig.states[-1] == "mismatch: $100 is 100.000, the configuration says 80" and not rig.machine.homed
+
+
+def test_a_step_of_a_pendant_that_no_report_has_shown_is_found_by_the_place_also_after_a_stop() -> None:
+    rig = Rig().homed()
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    rig.run_for(0.5)
+    rig.board.mpos[0] += 1.0
+    rig.run_for(3.0)
+    assert rig.states[-1] == "stopped: stop requested" and not rig.machine.homed
+    assert rig.machine.reset(rig.now) == "" and rig.state == "unhomed"
 
 
 def test_noise_that_makes_one_report_tell_the_place_of_a_restart_is_none() -> None:

@@ -39,6 +39,8 @@ from gantry_driver.core.stylus_state import Stylus
 from gantry_driver.core.trajectory_gcode import lift_lines, reading_m, stylus_dwell
 from icu_common.core.results import Outcome
 
+OWN_RESET = "the board was reset by itself, its position is lost"
+ELSEWHERE = "the board stands elsewhere without a command from here, its position is lost"
 BANNER_TIMEOUT_S = 5.0
 CRITICAL_ALARM_PAUSE_S = 0.6
 """After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
@@ -215,11 +217,10 @@ class Machine(Streaming):
             # The board's own banner and that of the reset sent to it crossed.
             self._identify(now, self.reason)
         else:
-            self._on_own_reset(len(event.lost), now)
+            self._on_own_reset(OWN_RESET, len(event.lost), now)
         self._was_reset()
 
-    def _on_own_reset(self, lost: int, now: float) -> None:
-        reason = "the board was reset by itself, its position is lost"
+    def _on_own_reset(self, reason: str, lost: int, now: float) -> None:
         self._finish(Outcome.ABORTED, reason, now)
         self._forget_position()
         self._events.append(Note(level="error", text=f"{reason}; {lost} lines unanswered"))
@@ -294,26 +295,33 @@ class Machine(Streaming):
         elif self.phase in (Phase.MOVING, Phase.IDLE, Phase.HOMING, Phase.LIFTING):
             self._halt(event.reason, now)
 
-    def _counts_anew(self, report: Report, now: float) -> bool:
-        """Whether the board stands at zero, as one that was just switched on, and cannot have gone there."""
+    def _strayed(self, report: Report, now: float) -> str:
+        """Return why the place that a report tells is none where the board can have gone; empty if it can."""
         place, before = report.mpos_mm, self._stood_mm
-        if not self.homed or place is None or any(place) or before is None:
-            return False
-        moves = self.phase in (Phase.MOVING, Phase.HOLDING, Phase.LIFTING)
-        way_s = now - self._stood_at + REPORT_LATE_S if moves else 0.0
-        rates = self.config.machine.max_rate_mm_min
-        return any(abs(was) > SAME_PLACE_MM + rate * way_s / 60.0 for was, rate in zip(before, rates))
+        if not self.homed or place is None or before is None or self.phase is Phase.RESETTING:
+            return ""
+        if self.phase in (Phase.IDLE, Phase.STOPPED):
+            there = report.state != "Idle" or not elsewhere(place, before)
+        else:
+            way_s = now - self._stood_at + REPORT_LATE_S
+            rates = self.config.machine.max_rate_mm_min
+            near = all(abs(was) <= SAME_PLACE_MM + rate * way_s / 60.0 for was, rate in zip(before, rates))
+            there = near or any(place)
+        if there:
+            return ""
+        return ELSEWHERE if any(place) else OWN_RESET
 
     def _on_report(self, report: Report, now: float) -> None:
+        if strayed := self._strayed(report, now):
+            # Counting from zero: its banner was spoilt, and not every board locks itself. Otherwise its steps were
+            # changed, or a pendant has moved it. Noise may do the same to a report, but to no two alike.
+            if self._moved_mm == report.mpos_mm:
+                self._on_own_reset(strayed, self.session.pending, now)
+            self._moved_mm = report.mpos_mm
+            self.session.poll_now()
+            return
         if self.phase is not Phase.RESETTING:
-            if self._counts_anew(report, now):
-                # Noise may have spoilt its banner, and not every board locks itself. Of reports it spoils no two alike.
-                if self._doubted:
-                    self._on_own_reset(self.session.pending, now)
-                self._doubted = True
-                self.session.poll_now()
-                return
-            self._stood_mm, self._stood_at, self._doubted = report.mpos_mm, now, False
+            self._stood_mm, self._stood_at, self._moved_mm = report.mpos_mm, now, None
         if self.homed and report.mpos_mm is not None:
             # On its way up it counts as down: should an alarm end that way, this is the last that anybody hears of it.
             self.reading_m = reading_m(report.mpos_mm, self._stylus_is_down(), self.config)

@@ -36,10 +36,8 @@ class Stopping(Connection):
         self._stood_mm: tuple[float, ...] | None = None
         """Where the board stood in the last report before a reset of a stop, None where it did not say."""
         self._stood_at = 0.0
-        self._doubted = False
-        """Whether the last report told of a place where it cannot have gone."""
         self._moved_mm: tuple[float, ...] | None = None
-        """The other place that it reported after the reset."""
+        """The other place that the last report told, where it cannot have gone."""
 
     def stop(self, reason: str, now: float, *, hold_written: bool = False) -> None:
         """Hold, flush everything that is buffered, lift the stylus, and stay stopped until :meth:`reset`.

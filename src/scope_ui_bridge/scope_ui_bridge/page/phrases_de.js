@@ -126,6 +126,7 @@ export const PHRASES_DE = [
   ["is its safety door open", "ist ihre Schutztür offen"],
   ["is its hold button pressed", "ist ihre Halt-Taste gedrückt"],
   ["no answer in {} s while {}", "keine Antwort in {} s, während {}"],
+  ["the board stands elsewhere without a command from here, its position is lost", "die Platine steht ohne einen Befehl von hier anderswo, ihre Position ist verloren"],
   ["the board was reset by itself, its position is lost", "die Platine hat sich selbst zurückgesetzt, ihre Position ist verloren"],
   ["homing refused: {}", "Referenzfahrt verweigert: {}"],
   ["no banner within {} s of a reset", "keine Begrüßung innerhalb von {} s nach einem Zurücksetzen"],
