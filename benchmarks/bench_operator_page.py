@@ -3,7 +3,9 @@
 The camera's pictures carry the moment they were made; the browser reads it from the canvas as soon as it is drawn, so
 "glass to glass" is from the camera node's stamp to pixels on the page (the monitor's own delay comes on top). The slow
 link is a proxy with 3 Mbit/s and 20 ms one way in each direction. A stop is counted from the page's key to ``!`` at the
-mock board. How other ways to show a camera on a page fare is in docs/decisions/operator-page.md.
+mock board. With many viewers it is also looked how regularly the operator's heartbeat comes, how old corners are when
+they come (of a node on the same pictures), and how much of a processor the bridge takes with real-time scheduling, as
+nobody else gets that. How other ways to show a camera on a page fare is in docs/decisions/operator-page.md.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import argparse
 import asyncio
 import json
 import os
+import subprocess
 import sys
 import tempfile
 import threading
@@ -28,8 +31,11 @@ from rows import Row, bound, write
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from system.barcode_camera import READER
+from system.conftest import executable
 from system.machine_rig import MachineRig
-from system.operator_browser import OPTIONS, Operator
+from system.operator_browser import OPTIONS, Operator, browser_program
+
+from icu_common.adapters.real_time import is_real_time
 
 SLOW = {"bits_per_s": 3e6, "delay_s": 0.020}
 VIEWERS = 20
@@ -41,7 +47,7 @@ def chromium() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=OPTIONS)
+        running = playwright.chromium.launch(executable_path=browser_program(), args=OPTIONS)
         yield running
         running.close()
 
@@ -180,24 +186,87 @@ class Crowd:
         self._thread.join(10.0)
 
 
+def real_time_s(pid: int) -> float:
+    """Return the processor's time of a process's threads that are scheduled before ordinary ones."""
+    used = 0.0
+    for thread in Path(f"/proc/{pid}/task").iterdir():
+        if is_real_time(int(thread.name)):
+            fields = (thread / "stat").read_text().rpartition(")")[2].split()
+            used += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return used
+
+
+class Beside:
+    """The corners node on the camera's pictures, and who hears its corners and the operator's heartbeat."""
+
+    def __init__(self, rig: MachineRig) -> None:
+        corners = executable("harris_perception", "corners")
+        remapped = ["image_raw:=stereo/left/image_raw", "corners:=stereo/left/corners"]
+        options = [text for one in remapped for text in ("-r", one)]
+        environment = rig.graph.environment
+        self._corners = subprocess.Popen([corners, "--ros-args", *options], env=environment)
+        self._ear = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("page_listener.py"))],
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def heard(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return, since the last look, the ms from one heartbeat to the next, and the ages of corners in ms."""
+        assert self._ear.stdin is not None and self._ear.stdout is not None
+        self._ear.stdin.write("\n")
+        self._ear.stdin.flush()
+        beats, corners = json.loads(self._ear.stdout.readline())
+        return np.diff(beats), np.array(corners)
+
+    def close(self) -> None:
+        assert self._ear.stdin is not None
+        self._ear.stdin.close()
+        self._corners.terminate()
+        for process in (self._ear, self._corners):
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
 def crowd(rig: MachineRig, operator: Operator, seconds: float) -> list[Row]:
-    alone, alone_rate = ages(operator, seconds / 2)
-    before = memory_mb(rig.bridge.pid)
-    viewers = Crowd(rig, VIEWERS)
+    if operator.page.is_visible("#lease-take"):
+        operator.page.click("#lease-take")
+    beside = Beside(rig)
     try:
-        with_all, rate = ages(operator, seconds)
-        after = memory_mb(rig.bridge.pid)
-        operator.page.wait_for_timeout(500 * seconds)
-        late = memory_mb(rig.bridge.pid)
+        # The first time on a computer the node compiles, for a minute or more.
+        operator.until(lambda: len(beside.heard()[1]), 300.0, lambda: "corners come")
+        alone, alone_rate = ages(operator, seconds / 2)
+        before = memory_mb(rig.bridge.pid)
+        viewers = Crowd(rig, VIEWERS)
+        try:
+            beside.heard()
+            used_s, begin_s = real_time_s(rig.bridge.pid), time.monotonic()
+            with_all, rate = ages(operator, seconds)
+            share = (real_time_s(rig.bridge.pid) - used_s) / (time.monotonic() - begin_s)
+            gaps, corners = beside.heard()
+            after = memory_mb(rig.bridge.pid)
+            operator.page.wait_for_timeout(500 * seconds)
+            late = memory_mb(rig.bridge.pid)
+        finally:
+            viewers.close()
     finally:
-        viewers.close()
+        beside.close()
     print(f"{VIEWERS} viewers, one stalled: {alone_rate:.1f} -> {rate:.1f} pictures per second, p95")
     print(
         f"  {np.percentile(alone, 95):.0f} -> {np.percentile(with_all, 95):.0f} ms, {viewers.pictures} pictures to them"
     )
+    print(f"  heartbeat: {len(gaps)} gaps, median {np.median(gaps):.0f}, longest {gaps.max():.0f} ms")
+    print(f"  corners: {len(corners)}, age p50 {np.median(corners):.0f}, p95 {np.percentile(corners, 95):.0f} ms")
+    print(f"  {100 * share:.0f} % of a processor with real-time scheduling")
     print(f"  memory {before:.0f} -> {after:.0f} -> {late:.0f} MB")
     return [
         bound(f"{VIEWERS} viewers, one stalled: share of the operator's rate", rate / alone_rate, 0.9, at_least=True),
+        bound(f"{VIEWERS} viewers, one stalled: longest from heartbeat to heartbeat [ms]", float(gaps.max()), 400.0),
         bound(f"{VIEWERS} viewers, one stalled: growth of memory while they look [MB]", late - after, 5.0),
     ]
 
@@ -236,8 +305,6 @@ def main() -> int:
 
 def render(folder: Path) -> Path:
     """Return a picture of the bench: what the camera would see, with its detail and noise."""
-    import subprocess
-
     picture = folder / "bench.png"
     command = [sys.executable, "-m", "scope_bench.cli.render", "--out", str(picture)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)

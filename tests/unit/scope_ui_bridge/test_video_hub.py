@@ -5,23 +5,24 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
 from unit.scope_ui_bridge.desk_rig import Rig
 
+from scope_ui_bridge.adapters.jpeg_encoder import to_jpeg
 from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
 
 
-class ByHand(Executor):
+class ByHand:
     """Encodes when told to."""
 
     def __init__(self) -> None:
         self.jobs: list[tuple[Future[Any], Any]] = []
 
-    def submit(self, function: Any, /, *arguments: Any, **_: Any) -> Future[Any]:
-        self.jobs.append((Future(), lambda: function(*arguments)))
+    def __call__(self, *arguments: Any) -> Future[bytes]:
+        self.jobs.append((Future(), lambda: to_jpeg(*arguments)))
         return self.jobs[-1][0]
 
     async def finish(self) -> None:

@@ -13,23 +13,21 @@ import logging
 import struct
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any
 
-import cv2
-import numpy.typing as npt
 from aiohttp import web
 
+from scope_ui_bridge.adapters.jpeg_encoder import Picture
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.frame_window import FORMS, Form, FrameWindow
 from scope_ui_bridge.core.wire import CAMERAS, encode
 
 _LOG = logging.getLogger(__name__)
 _LAYERS_PERIOD_S = 0.5  # of corners and edges on a slow link, where they would delay the pictures
-_CONVERSIONS = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR}
 
-Picture = npt.NDArray[Any]
+Encode = Callable[[Picture, str, int, Form], Future[bytes]]
 
 
 @dataclass(slots=True, eq=False)
@@ -82,17 +80,17 @@ class VideoHub:
     ----------
     desk
         Gives the overlay, and is told which pictures were handed out.
-    executor
-        Where JPEGs are made.
+    encode
+        Makes a JPEG of a picture, its encoding, a quality and a form.
     quality
         Returns the JPEG quality in force.
     ros_ns
         Returns ROS time in ns.
     """
 
-    def __init__(self, desk: Desk, executor: Executor, quality: Callable[[], int], ros_ns: Callable[[], int]) -> None:
+    def __init__(self, desk: Desk, encode: Encode, quality: Callable[[], int], ros_ns: Callable[[], int]) -> None:
         self._desk = desk
-        self._executor = executor
+        self._to_jpeg = encode
         self._quality = quality
         self._ros_ns = ros_ns
         self._viewers: set[VideoViewer] = set()
@@ -169,7 +167,7 @@ class VideoHub:
         form = FORMS[level]
         loop = asyncio.get_running_loop()
         try:
-            jpeg = await loop.run_in_executor(self._executor, to_jpeg, picture, encoding, self._quality(), form)
+            jpeg = await asyncio.wrap_future(self._to_jpeg(picture, encoding, self._quality(), form))
             self.encoded += 1
             if stream.raw is None:  # forgotten meanwhile
                 return
@@ -178,8 +176,9 @@ class VideoHub:
             for viewer in self._viewers:
                 if viewer.stream == key:
                     viewer.changed.set()
-        except (ValueError, cv2.error) as error:
-            stream.raw = None
+        except (ValueError, OSError) as error:
+            if stream.raw_seq == seq:  # else a newer one has come, which may be better
+                stream.raw = None
             if stream.complaint != str(error):  # once, not with every picture
                 stream.complaint = str(error)
                 _LOG.error("the %s picture cannot be shown: %s", camera, error)
@@ -221,23 +220,3 @@ class VideoHub:
         about |= scene.moving_parts(camera, stamp_ns) | self._desk.path(camera)
         layers = {name: scene.layers.text(name, camera, stamp_ns) for name, at in self.wanted if at == camera}
         return _Frame(seq=seq, stamp_ns=stamp_ns, about=encode(about)[1:-1], layers=layers, jpeg=jpeg)
-
-
-def to_jpeg(picture: Picture, encoding: str, quality: int, form: Form = FORMS[0]) -> bytes:
-    """Encode a picture in a form.
-
-    Raises
-    ------
-    ValueError
-        For an encoding that people cannot look at as it is.
-    """
-    if encoding in _CONVERSIONS:
-        picture = cv2.cvtColor(picture, _CONVERSIONS[encoding])
-    elif encoding not in ("bgr8", "mono8"):
-        raise ValueError(f"encoding {encoding!r} is none of bgr8, mono8, {', '.join(_CONVERSIONS)}")
-    if form.scale < 1:
-        picture = cv2.resize(picture, None, fx=form.scale, fy=form.scale, interpolation=cv2.INTER_AREA)
-    good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, round(quality * form.quality)])
-    if not good:
-        raise ValueError("OpenCV could not encode the picture")
-    return jpeg.tobytes()

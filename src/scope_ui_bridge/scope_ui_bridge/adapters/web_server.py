@@ -23,11 +23,12 @@ from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 from icu_common.core.config import ConfigError
 from scope_ui_bridge.adapters.front_door import FrontDoor
 from scope_ui_bridge.adapters.graph_port import GraphError, GraphPort
+from scope_ui_bridge.adapters.jpeg_encoder import JpegEncoder
 from scope_ui_bridge.adapters.mailbox import Mailbox
 from scope_ui_bridge.adapters.recorder import Recorder
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.adapters.turned_away import SUSPECT
-from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer, to_jpeg
+from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import (
@@ -94,9 +95,9 @@ class WebServer:
         self._audit = audit
         self._loop = asyncio.new_event_loop()
         self.mailbox = Mailbox(self._loop)
-        self._encoder = ThreadPoolExecutor(1, "jpeg")
+        self.encoder = JpegEncoder()
         self._writer = ThreadPoolExecutor(1, "audit")  # one thread keeps the records in order
-        self.video = VideoHub(desk, self._encoder, lambda: desk.config.jpeg_quality, graph.ros_ns)
+        self.video = VideoHub(desk, self.encoder, lambda: desk.config.jpeg_quality, graph.ros_ns)
         self.recorder = Recorder(
             config.record_folder, ended=lambda success, text: self.post(desk.recording_ended, success, text)
         )
@@ -138,7 +139,7 @@ class WebServer:
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._closing.set)
             self._thread.join(_START_TIMEOUT_S)
-        self._encoder.shutdown(wait=False, cancel_futures=True)
+        self.encoder.close()
         self.door.close()
         self.recorder.close()
         self._writer.shutdown(wait=True)
@@ -252,7 +253,7 @@ class WebServer:
         if self._held is None or request.query.get("stamp", str(self._held[0])) != str(self._held[0]):  # by this name
             raise web.HTTPNotFound(reason="no picture is held")
         _, encoding, picture = self._held
-        jpeg = await self._loop.run_in_executor(self._encoder, to_jpeg, picture, encoding, _HELD_QUALITY)
+        jpeg = await asyncio.wrap_future(self.encoder(picture, encoding, _HELD_QUALITY))
         return web.Response(body=jpeg, content_type="image/jpeg")
 
     def _hold(self, viewer: str) -> None:

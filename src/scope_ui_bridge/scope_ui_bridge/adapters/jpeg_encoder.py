@@ -1,0 +1,155 @@
+"""JPEGs, made in a process of its own: the bridge has real-time scheduling, and they must not come before perception.
+
+A thread with ordinary scheduling would not do: one that waits for its turn with the interpreter's lock holds up all
+others, and with them the operator's heartbeat (docs/decisions/operator-page.md).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import mmap
+import os
+import subprocess
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from multiprocessing.connection import Connection, Pipe
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.adapters.real_time import give_up_real_time
+from scope_ui_bridge.core.frame_window import FORMS, Form
+
+_CONVERSIONS = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR}
+
+Picture = npt.NDArray[Any]
+
+
+class _Shared:
+    """The picture at work, in memory that both processes have: through a pipe it took half as long as encoding it."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self._memory: mmap.mmap | None = None
+
+    def bytes(self, size: int) -> npt.NDArray[np.uint8]:
+        """Return the first bytes, (size,)."""
+        if self._memory is None or len(self._memory) < size:
+            if os.fstat(self.number).st_size < max(size, 1):
+                os.ftruncate(self.number, max(size, 1))
+            self._memory = mmap.mmap(self.number, 0)
+        return np.frombuffer(self._memory, np.uint8, size)
+
+    def close(self) -> None:
+        """Give the memory back once nobody looks at it."""
+        os.close(self.number)
+        self._memory = None
+
+
+class JpegEncoder:
+    """One picture after the other; the process is started with the first one, and anew when it has died."""
+
+    def __init__(self) -> None:
+        self._asks = ThreadPoolExecutor(1, "jpeg")
+        self._process: subprocess.Popen[bytes] | None = None
+        self._line: Connection | None = None
+        self._shared = _Shared(os.memfd_create("picture"))
+
+    @property
+    def pid(self) -> int | None:
+        """The number of the process, None before the first picture."""
+        return None if self._process is None else self._process.pid
+
+    def __call__(self, picture: Picture, encoding: str, quality: int, form: Form = FORMS[0]) -> Future[bytes]:
+        """Encode a picture, (H, W) or (H, W, C) uint8, in a form; the future raises as :func:`to_jpeg`, or OSError."""
+        return self._asks.submit(self._ask, picture, encoding, quality, form)
+
+    def close(self) -> None:
+        """End the process, also in the middle of a picture."""
+        self._asks.shutdown(wait=False, cancel_futures=True)
+        if (process := self._process) is not None:
+            process.kill()  # else what is asked of it would be waited for
+        self._asks.shutdown(wait=True)
+        self._end()
+        self._shared.close()
+
+    def _ask(self, picture: Picture, encoding: str, quality: int, form: Form) -> bytes:
+        whole = np.ascontiguousarray(picture)
+        try:
+            line = self._line or self._start()
+            self._shared.bytes(whole.nbytes)[:] = whole.reshape(-1).view(np.uint8)
+            line.send((whole.shape, whole.dtype.str, encoding, quality, form))
+            jpeg: bytes | str = line.recv()
+        except (OSError, EOFError) as error:
+            self._end()
+            raise OSError(f"the process that makes the JPEGs has ended: {error!r}") from error
+        if isinstance(jpeg, str):
+            raise ValueError(jpeg)
+        return jpeg
+
+    def _start(self) -> Connection:
+        self._line, theirs = Pipe()
+        numbers = theirs.fileno(), self._shared.number
+        path = os.pathsep.join(map(os.path.abspath, sys.path))
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", __name__, *map(str, numbers)],
+                env={**os.environ, "PYTHONPATH": path},
+                pass_fds=numbers,
+                start_new_session=True,  # Ctrl-C is for the bridge, which ends this one
+            )
+        give_up_real_time(self._process.pid)
+        return self._line
+
+    def _end(self) -> None:
+        line, process, self._line, self._process = self._line, self._process, None, None
+        if line is not None:
+            line.close()
+        if process is not None:
+            process.kill()  # it keeps nothing
+            process.wait()
+
+
+def to_jpeg(picture: Picture, encoding: str, quality: int, form: Form = FORMS[0]) -> bytes:
+    """Encode a picture in a form.
+
+    Raises
+    ------
+    ValueError
+        For an encoding that people cannot look at as it is.
+    """
+    if encoding in _CONVERSIONS:
+        picture = cv2.cvtColor(picture, _CONVERSIONS[encoding])
+    elif encoding not in ("bgr8", "mono8"):
+        raise ValueError(f"encoding {encoding!r} is none of bgr8, mono8, {', '.join(_CONVERSIONS)}")
+    if form.scale < 1:
+        picture = cv2.resize(picture, None, fx=form.scale, fy=form.scale, interpolation=cv2.INTER_AREA)
+    good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, round(quality * form.quality)])
+    if not good:
+        raise ValueError("OpenCV could not encode the picture")
+    return jpeg.tobytes()
+
+
+def serve(line: Connection, shared: _Shared) -> None:
+    """Encode what comes until the other end is gone."""
+    cv2.setNumThreads(1)  # the other processors are for those who look at the pictures
+    while True:
+        shape, kind, encoding, quality, form = line.recv()
+        picture = shared.bytes(math.prod(shape) * np.dtype(kind).itemsize).view(kind).reshape(shape)
+        try:
+            line.send(to_jpeg(picture, encoding, quality, form))
+        except (ValueError, cv2.error) as error:
+            line.send(str(error))
+
+
+def main() -> int:
+    with contextlib.suppress(EOFError, ConnectionError):
+        serve(Connection(int(sys.argv[1])), _Shared(int(sys.argv[2])))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
