@@ -10,6 +10,8 @@ from system.operator_browser import Operator
 from system.test_operator_desk import instrument, operator
 from system.test_operator_page import Instrument
 
+from scope_ui_bridge.adapters.front_door import PAGE
+
 __all__ = ["instrument", "operator"]  # fixtures
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -315,3 +317,52 @@ def test_escape_stops_at_once_from_everywhere(operator: Operator) -> None:
     assert new_stops() == 0, "a press that was meant for the browser, as for its search, is released anywhere"
     operator.hits("#reset")
     operator.sees("#chip-driver", "Idle")
+
+
+_NO_DRAWN_LISTS = "CSS.supports = (...what) => !what.join().includes('base-select') && true"
+
+
+def test_escape_stops_at_once_beside_an_open_list_also_where_the_browser_cannot_let_the_page_draw_it(
+    browser: Any, instrument: Instrument
+) -> None:
+    operator = Operator(browser, instrument.new_address())
+    page, keyboard = operator.page, operator.page.keyboard
+    page.add_init_script(_NO_DRAWN_LISTS)
+    style = (PAGE / "style.css").read_text().replace("(appearance: base-select)", "(appearance: nothing-known)")
+    page.route("**/style.css", lambda route: route.fulfill(body=style, content_type="text/css"))
+    page.reload()
+    operator.takes_control()
+    new_stops = operator.counts_stops()
+    options = page.locator(".choices option")
+    for way in ("mouse", "Space", "Enter", "Alt+ArrowDown"):
+        page.focus("#chooser")
+        page.click("#chooser") if way == "mouse" else keyboard.press(way)
+        assert options.count() == page.locator("#chooser option").count() > 5, way
+        operator.shoots("own_list")
+        keyboard.press("End")
+        keyboard.down("Escape")
+        assert new_stops() == 1, f"{way}: when the key goes down"
+        keyboard.up("Escape")
+        assert new_stops() == 0, f"{way}: one press is one stop"
+        assert (options.count(), page.input_value("#chooser")) == (0, ""), "nothing is chosen"
+        assert page.evaluate("document.activeElement.id") == "chooser"
+        operator.hits("#reset")
+        operator.sees("#chip-driver", "Idle")
+    page.click("#chooser")
+    options.filter(has_text="Run / Stop").click()
+    operator.sees("#selection-name", "Run / Stop")
+    assert (options.count(), page.input_value("#chooser")) == (0, "RUN_STOP")
+    page.click("#tab-move")
+    page.focus("#jog-step")
+    for key in ("Enter", "ArrowDown", "Enter"):
+        keyboard.press(key)
+    assert page.input_value("#jog-step") == "5", "one further than 1"
+    page.click("#jog-step")
+    page.click("#jog-step")
+    assert options.count() == 0, "a second click shuts it"
+    page.click("#jog-step")
+    page.click("#stop")
+    assert (new_stops(), options.count()) == (1, 0), "STOP beside it is no click that only shuts it"
+    operator.hits("#reset")
+    operator.sees("#chip-driver", "Idle")
+    operator.leaves()

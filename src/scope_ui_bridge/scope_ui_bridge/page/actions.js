@@ -1,5 +1,6 @@
 // What people do at the desk: stop, control, select, confirm, services; by pointer and by key.
 
+import { openList, wireChoices } from "./choices.js";
 import { desk } from "./desk.js";
 import { answers, find, say } from "./dom.js";
 import { act, wireGestures } from "./gestures.js";
@@ -131,7 +132,7 @@ function wireKeys() {
     },
     true,
   );
-  // A list of the browser's own, as of choices or of what was typed before, takes the press; its end comes here.
+  // A list of the browser's own, as of what was typed before, takes the press; its end comes here.
   document.addEventListener(
     "keyup",
     (event) => {
@@ -147,28 +148,6 @@ function wireKeys() {
   find("help").addEventListener("close", () => shut(false));
   find("help").addEventListener("focusout", ({ relatedTarget: next }) => {
     if (next && !find("help").contains(next)) find("help").close();
-  });
-}
-
-const OPEN_LIST = "select:open";
-
-/** The list of choices that is open, where the browser tells. */
-function openList() {
-  return CSS.supports(`selector(${OPEN_LIST})`) ? document.querySelector(OPEN_LIST) : null;
-}
-
-/** Arrows choose in a list that is shut, as in one of the browser's own; one that the page draws would open. */
-function wireChoices() {
-  document.addEventListener("keydown", (event) => {
-    const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-    const list = event.target;
-    if (!step || !list.matches?.("select") || event.altKey || event.shiftKey || openList()) return;
-    event.preventDefault();
-    let index = list.selectedIndex + step;
-    while (list.options[index]?.disabled) index += step;
-    if (!list.options[index]) return;
-    list.selectedIndex = index;
-    for (const kind of ["input", "change"]) list.dispatchEvent(new Event(kind, { bubbles: true }));
   });
 }
 
