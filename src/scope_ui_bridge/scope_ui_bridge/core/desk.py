@@ -51,7 +51,10 @@ from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
 from scope_ui_bridge.core.viewer import Viewer
 
 HEARTBEAT_PERIOD_S = 0.1
-"""Far below the driver's patience (0.6 s): a bridge that is held up on a busy computer is late by so much more."""
+"""The newest beat that the driver has is, at the next one, at most that one's own delay and 0.1 s old.
+
+So of the driver's patience (0.6 s) 0.5 s are left for a bridge that is held up on a busy computer.
+"""
 STATE_PERIOD_S = (0.1, 1.0)
 _SAME_STOP_S = 0.5
 _WATCHDOG, _RECORDER = "Watchdog", "bag_record"
