@@ -28,7 +28,15 @@ ONLY_ELSEWHERE = {
         *("harris", "edges", "edge_kernels", "harris_kernels", "harris_laplace", "edge_tracing", "deriche", "matching"),
         *("stereo_matching", "stylus", "ball_view", "ball_fit", "plane_fit", "planar_pose", "reprojection"),
         *("structure", "lanes", "edge_alignment", "overlay", "foxglove_sidecar", "passwords", "secret_files", "audit"),
-        *("turned_away", "front_door", "executables", "compiling", "transport_profile", "unix_listener"),
+        *(
+            "turned_away",
+            "front_door",
+            "executables",
+            "compiling",
+            "transport_profile",
+            "unix_listener",
+            "jpeg_encoder",
+        ),
     ),
 }
 _UNSAID = re.compile(  # calls whose texts go to a log, or to nobody

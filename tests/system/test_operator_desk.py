@@ -839,6 +839,44 @@ def test_who_only_watches_sees_that_a_recording_runs_whoever_started_it(
     watcher.leaves()
 
 
+def test_a_beginner_is_told_what_to_do_next(browser: Any, instrument: Instrument) -> None:
+    """And not that something is wrong, where nothing is."""
+    first = Operator(browser, instrument.new_address(), viewport={"width": 360, "height": 740})
+    second = Operator(browser, instrument.new_address())
+    page = first.page
+    try:
+        second.sees_controls()
+        second.sees("#refusal", "^Take control first.$")
+        first.takes_control()
+        second.sees("#refusal", "^Ask for control first.$")
+        name = str(second.page.inner_text("#you")).partition(" ·")[0]
+        page.evaluate("scrollTo(0, 0)")
+        second.page.click("#lease-request")
+        first.sees("#banner", f"{name} asks for control", within_s=10.0)
+        second.page.context.close()
+        first.sees("#banner", "Ready. Select a control")
+        instrument.tell("motion 60")
+        first.selects("RUN_STOP", "Run / Stop")
+        first.confirms()
+        first.sees("#chip-controller", "Moving")
+        first.sees("#refusal", "^Not while something moves.$")
+        page.click("#stop")
+        first.sees("#chip-driver", "Stopped")
+        first.sees("#refusal", "^Press “Reset after stop” first.$")
+        instrument.tell("motion 1.5")
+        first.hits("#reset")
+        first.sees("#chip-driver", "Idle")
+        first.selects("CH1_SCALE", "Channel 1 scale")
+        signs = page.locator("[data-act=turn], [data-act=click]").all_inner_texts()
+        told = "{ action: 'record', target: '', status: 'sent', reason: '', error_mm: null }"
+        said = page.evaluate(f"import('/page/command_log.js').then(({{ spoken }}) => spoken({told}))")
+        assert said.startswith("Record: starting, nothing is recorded yet."), "its program takes seconds to begin"
+        assert signs == ["↺ Turn", "Turn ↻", "↺ Click", "Click ↻"], "counter-clockwise is + in the angle beside it"
+    finally:
+        first.context.close()
+        second.context.close()
+
+
 def test_two_tabs_of_one_person_are_told_apart(operator: Operator) -> None:
     page, other = operator.page, operator.context.new_page()
     name = operator.sees("#you", "Operator").partition(" ·")[0]

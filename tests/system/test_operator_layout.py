@@ -319,6 +319,44 @@ def test_escape_stops_at_once_from_everywhere(operator: Operator) -> None:
     operator.sees("#chip-driver", "Idle")
 
 
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_a_telephone_cuts_no_word_of_a_button_and_none_of_the_log_in_pieces(
+    browser: Any, instrument: Instrument, language: str
+) -> None:
+    operator = Operator(browser, instrument.new_address(), viewport={"width": 360, "height": 740})
+    page = operator.page
+    operator.takes_control()
+    if page.get_attribute("html", "lang") != language:
+        page.click("#language")
+    cut: list[str] = []
+    for tab in page.locator("[role=tab]:visible").all():
+        tab.click()
+        too_wide = "all => all.filter((b) => b.scrollWidth > b.clientWidth).map((b) => b.id || b.innerText)"
+        cut += page.eval_on_selector_all("main button:not([data-control])", too_wide)
+    assert cut == []
+    widest = page.evaluate(
+        """async () => {
+          const { desk } = await import('/page/desk.js');
+          const place = '/home/somebody/.local/state/icu_gantry/sessions/2026-11-27_00-54-42-714746';
+          const what = { entry: 9999, wall_ms: Date.now(), who: 'Ada', action: 'end_record', target: '' };
+          const entry = { ...what, status: 'done', reason: `recorded to ${place}: 991 messages`, error_mm: 0.4 };
+          desk.link.dispatchEvent(new CustomEvent('log', { detail: { entry } }));
+          const [cell] = [...document.querySelectorAll('#log tr')].map((row) => row.cells[1]);
+          const word = document.createElement('span');
+          word.style.cssText = 'position: absolute; white-space: nowrap';
+          word.textContent = cell.textContent.split(' ').reduce((a, b) => (a.length > b.length ? a : b));
+          cell.append(word);
+          const found = [word.offsetWidth, cell.clientWidth];
+          word.remove();
+          return found;
+        }"""
+    )
+    operator.shoots(f"telephone_log_{language}")
+    assert widest[0] <= widest[1], "its longest word is in one piece"
+    assert page.evaluate("document.documentElement.scrollWidth") == 360
+    operator.leaves()
+
+
 _NO_DRAWN_LISTS = "CSS.supports = (...what) => !what.join().includes('base-select') && true"
 
 

@@ -97,7 +97,7 @@ export class CommandLog {
     icon.setAttribute("aria-hidden", "true");
     icon.textContent = ICONS[entry.status] ?? "";
     const text = document.createElement("strong");
-    text.textContent = t(`status_${entry.status}`);
+    text.textContent = statusText(entry);
     result.replaceChildren(icon, text, entry.reason ? ` ${said(entry.reason)}` : "");
     error.className = "number";
     error.textContent = entry.error_mm === null ? "" : t("mm", { value: entry.error_mm.toFixed(2) });
@@ -135,9 +135,15 @@ export function targetText(entry) {
   return entry.action === "stop" ? t(entry.target) : entry.target; // why it was stopped; all else are names
 }
 
+/** How far it is; what takes long before it is answered says what it does meanwhile. */
+function statusText({ status, action }) {
+  const own = `under_way_${action}`;
+  return t(status === "sent" && has(own) ? own : `status_${status}`);
+}
+
 /** What a screen reader says when a command has ended. */
 export function spoken(entry) {
-  const values = { action: actionText(entry), target: targetText(entry), status: t(`status_${entry.status}`) };
+  const values = { action: actionText(entry), target: targetText(entry), status: statusText(entry) };
   if (entry.error_mm !== null) return t("said_error", { ...values, error: entry.error_mm.toFixed(2) });
   const reason = said(entry.reason);
   return t("said", { ...values, reason: reason.charAt(0).toUpperCase() + reason.slice(1) });

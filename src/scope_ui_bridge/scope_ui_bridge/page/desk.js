@@ -6,6 +6,7 @@ import { said } from "./said.js";
 import { has, t } from "./strings.js";
 import { Video } from "./video.js";
 
+const AT_WORK = ["moving", "looking", "touching"]; // of the controller
 const REQUESTED = "stop requested"; // the driver knows no more; the banner says who or what asked
 
 class Desk {
@@ -55,7 +56,7 @@ class Desk {
   get hindrance() {
     if (this.link.silent) return { code: "link_down" };
     if (this.replay) return { code: "replay" };
-    if (!this.mine) return { code: this.me.role === "viewer" ? "role_viewer" : "no_lease" };
+    if (!this.mine) return { code: this.me.role === "viewer" ? "role_viewer" : this.state?.lease.holder ? "ask_first" : "no_lease" };
     if (this.frozen) return { code: "frozen_no_action" };
     if (this.teaching) return { code: "teaching_no_action" };
     const age = this.video.ageMs;
@@ -65,7 +66,15 @@ class Desk {
 
   /** What keeps every gesture from being done now. */
   get gestureHindrance() {
-    return this.hindrance ?? this.state?.refusal ?? null;
+    return this.hindrance ?? this.#unready ?? this.state?.refusal ?? null;
+  }
+
+  /** What is meant by a controller that is not ready, where that is no fault of it. */
+  get #unready() {
+    const { refusal, driver } = this.state ?? {};
+    if (refusal?.code !== "not_ready") return null;
+    if (AT_WORK.includes(refusal.values.state)) return { code: "busy_moving" };
+    return driver.state === "stopped" ? { code: "reset_first" } : null; // the banner says why it has stopped
   }
 
   /** Why nothing can be moved at all now; empty when it can. */

@@ -280,13 +280,13 @@ function keepFocusBeneath(stale) {
   }
 }
 
+/** Tabs of one browser, and browsers with one password, bear one name. */
+const called = (name) => (name === desk.me.name ? t("other_page", { name }) : name);
+
 function renderLease() {
   const { me, mine } = desk;
   const { holder, requester } = desk.state.lease;
-  // Tabs of one browser, and browsers with one password, bear one name.
-  const [name, asking] = [desk.state.lease.holder_name, desk.state.lease.requester_name].map((called) =>
-    called === me.name ? t("other_page", { name: called }) : called,
-  );
+  const [name, asking] = [desk.state.lease.holder_name, desk.state.lease.requester_name].map(called);
   const asked = mine && requester;
   const may = me.role !== "viewer" && !desk.replay;
   let text = mine ? t("lease_mine") : holder ? t("lease_other", { name }) : t("lease_free");
@@ -356,6 +356,7 @@ function renderAge() {
   const rtt = link.rttMs === null ? "–" : Math.round(link.rttMs);
   chip("chip-link", silent ? "bad" : "good", silent ? t("link_lost") : t("link_ok", { rtt }));
   const { state: driver, reason } = state?.driver ?? {};
+  const asking = desk.mine && state.lease.requester ? called(state.lease.requester_name) : "";
   const viewing = state?.lease.holder ? "banner_viewing_other" : "banner_viewing";
   if (AT_REST.includes(driver) && !silent) desk.unstopped = false;
   banner(find("banner"), [
@@ -367,6 +368,7 @@ function renderAge() {
     { when: driver === "stopped", look: "bad", text: state && stopBanner(state) },
     { when: age > limits.max_age_ms, look: "waiting", text: t(state?.moving ? "banner_moving_stale" : "banner_stale") },
     { when: state?.moving, look: "busy", text: t("banner_moving") },
+    { when: asking, look: "waiting", text: t("lease_asked", { name: asking }) },
     { when: lostControl, look: "waiting", text: t("banner_lost_control") },
     { when: !state, look: "none", text: t("banner_connecting") },
     { when: !desk.mine, look: "none", text: t(desk.me.role === "viewer" ? "role_viewer" : viewing) },
