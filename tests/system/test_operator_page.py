@@ -216,7 +216,7 @@ def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrume
     assert operator.lit(), "the motion did not end in a touch"
     operator.shoots("stopped_dark")
     assert not page.is_enabled("[data-act=press]")
-    operator.sees("#refusal", "not ready: Stopped")
+    operator.sees("#refusal", "Press “Reset after stop” first.")
     page.click("[data-call=reset]")
     operator.sees("#chip-driver", "Idle")
     operator.sees("#banner", "Ready")
