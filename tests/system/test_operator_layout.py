@@ -329,10 +329,21 @@ def test_a_telephone_cuts_no_word_of_a_button_and_none_of_the_log_in_pieces(
     if page.get_attribute("html", "lang") != language:
         page.click("#language")
     cut: list[str] = []
+
+    def look() -> None:
+        too_wide = "all => all.filter((b) => b.scrollWidth > b.clientWidth).map((b) => b.id || b.innerText)"
+        cut.extend(page.eval_on_selector_all("main button:not([data-control])", too_wide))
+
     for tab in page.locator("[role=tab]:visible").all():
         tab.click()
-        too_wide = "all => all.filter((b) => b.scrollWidth > b.clientWidth).map((b) => b.id || b.innerText)"
-        cut += page.eval_on_selector_all("main button:not([data-control])", too_wide)
+        look()
+    for control, label in (("RUN_STOP", "Run / Stop"), ("CH1_SCALE", "Channel 1 scale")):
+        operator.selects(control, label)
+        look()
+        widths = page.eval_on_selector_all(
+            "[data-act=press], [data-act=double]", "all => all.map((b) => b.offsetWidth)"
+        )
+        assert widths[0] >= 0.9 * widths[1], "what is done most is no smaller than what is done less"
     assert cut == []
     widest = page.evaluate(
         """async () => {
