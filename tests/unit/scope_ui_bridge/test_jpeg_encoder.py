@@ -96,6 +96,15 @@ def test_pages_see_on_when_the_process_has_died() -> None:
     with_rig(scenario)
 
 
+def test_closing_it_twice_closes_no_file_of_others(tmp_path: Path) -> None:
+    encoder = JpegEncoder()
+    encoder.close()
+    with (tmp_path / "a").open("w") as other:  # has the number that was given back
+        encoder.close()
+        other.write("whole")
+    assert (tmp_path / "a").read_text() == "whole"
+
+
 @pytest.mark.parametrize("way", ["closed", "killed"])
 def test_it_ends_with_the_bridge(way: str) -> None:
     code = f"""import os, numpy as np

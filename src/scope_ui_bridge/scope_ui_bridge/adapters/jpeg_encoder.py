@@ -44,9 +44,10 @@ class _Shared:
         return np.frombuffer(self._memory, np.uint8, size)
 
     def close(self) -> None:
-        """Give the memory back once nobody looks at it."""
-        os.close(self.number)
-        self._memory = None
+        """Give the memory back; again does nothing, as the number may be another file's by then."""
+        if self.number >= 0:
+            os.close(self.number)
+        self.number, self._memory = -1, None
 
 
 class JpegEncoder:
