@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
+import signal
 import subprocess
 import sys
 from importlib import import_module
@@ -28,6 +30,33 @@ def programs() -> list[str]:
 @pytest.mark.parametrize("module", programs())
 def test_every_program_ends_quietly(module: str) -> None:
     assert hasattr(import_module(module).main, "__wrapped__")
+
+
+def entries() -> list[str]:
+    """Return the modules that console scripts of all packages start; the mock board shares no code with the rest."""
+    found = re.findall(r'"\w+ = ([\w.]+):', "".join(path.read_text() for path in ROOT.glob("src/*/setup.py")))
+    return sorted({module for module in found if ".mock." not in module})
+
+
+INTERRUPTED_IMPORT = """
+import sys
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name in ("argparse", "numpy", "rclpy"):
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupts())
+import importlib
+importlib.import_module(sys.argv[1])
+"""
+
+
+@pytest.mark.parametrize("module", entries())
+def test_ctrl_c_while_libraries_are_imported_is_told_in_one_line(module: str) -> None:
+    """Which takes a second or more, before ``main`` is there to be called."""
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED_IMPORT, module], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "interrupted\n")
 
 
 def test_ctrl_c_is_told_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

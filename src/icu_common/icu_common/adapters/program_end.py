@@ -10,6 +10,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable
+from types import TracebackType
 from typing import ParamSpec
 
 INTERRUPTED, UNREAD, UNWRITTEN = 130, 141, os.EX_IOERR
@@ -28,6 +29,19 @@ def end_signals() -> list[signal.Signals]:
 def help_text(documentation: str | None) -> str:
     """Return a module's documentation as a terminal shows it, without the marks for names and code."""
     return re.sub(r":\w+:`~?([^`]*)`", r"\1", documentation or "").replace("``", "")
+
+
+def interrupts_in_one_line() -> None:
+    """Let Ctrl-C end this process without a traceback while it still imports what its ``main`` needs."""
+    usual = sys.excepthook
+
+    def told(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        if issubclass(kind, KeyboardInterrupt):
+            print("interrupted", file=sys.stderr)
+        else:
+            usual(kind, error, trace)
+
+    sys.excepthook = told
 
 
 def ends_quietly(main: Callable[P, int]) -> Callable[P, int]:
