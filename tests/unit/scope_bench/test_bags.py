@@ -89,6 +89,22 @@ def test_what_is_written_is_read(tmp_path: Path, storage: str) -> None:
 
 
 @both
+@pytest.mark.parametrize("name", ["a#b", "100% of it", "50%20b", "why?", "r\xf6ntgen", "r\udcf6ntgen"])
+def test_a_bag_may_have_any_name(tmp_path: Path, storage: str, name: str) -> None:
+    """Also one that a locale without UTF-8 does not know: it comes as single bytes."""
+    folder = tmp_path / name
+    rows = write(folder / name, storage)
+    for path in (folder / name, *(folder / name).glob("*.[md]*")):
+        if path.name != "metadata.yaml":
+            with BagReader(path) as bag:
+                assert list(bag.messages()) == rows
+    assert repair(folder / name, tmp_path / "new" / name) == (len(rows), "")
+    with BagReader(tmp_path / "new" / name) as bag:
+        assert bag.check() == len(rows)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([name, "new"]), "nothing is written elsewhere"
+
+
+@both
 def test_metadata_is_what_rosbag2_of_jazzy_decodes(tmp_path: Path, storage: str) -> None:
     """The keys that rosbag2_storage/yaml.hpp of Jazzy reads without a default, with the values that it understands."""
     write(tmp_path / "bag", storage)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import os
 import shlex
 import shutil
 import sqlite3
@@ -22,12 +23,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
+from urllib.parse import quote
 
 import apsw
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader, Sqlite3Writer
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -98,8 +101,35 @@ class _McapWriter(McapWriter):
         self.bio.seek(end)
 
 
+def _in_uri(path: Path) -> Path:
+    """Return a path as in the URI by which rosbags opens sqlite, where ``#``, ``?`` and ``%`` have a meaning."""
+    return Path(quote(os.fsencode(path)))
+
+
+class _Sqlite3Reader(Sqlite3Reader):
+    def __init__(self, path: Path) -> None:
+        super().__init__(_in_uri(path))
+
+
+class _Sqlite3Writer(Sqlite3Writer):
+    def __init__(self, path: Path, compression: CompressionMode) -> None:
+        super().__init__(_in_uri(path), compression)
+        self.path = path / f"{path.name}.db3"
+
+
+class _DirectoryReader(DirectoryReader):
+    STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS, "sqlite3": _Sqlite3Reader}  # noqa: RUF012
+
+
+class _Reader(Reader):
+    STORAGE_PLUGINS = {**Reader.STORAGE_PLUGINS, "dir": _DirectoryReader, ".db3": _Sqlite3Reader}  # noqa: RUF012
+
+
 class _Writer(Writer):
-    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapWriter}  # noqa: RUF012
+    STORAGE_PLUGINS = {  # noqa: RUF012
+        StoragePlugin.MCAP: _McapWriter,
+        StoragePlugin.SQLITE3: _Sqlite3Writer,
+    }
 
 
 class BagWriter:
@@ -266,7 +296,7 @@ class BagReader:
         storage_files(path)
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise BagError(f"{path} has no metadata.yaml: its recording was cut off; {_advice(path)}")
-        self._reader = self._explained(lambda: Reader(path))
+        self._reader = self._explained(lambda: _Reader(path))
         self._explained(self._reader.open)
         self.types = _types_of(self._reader)
 
