@@ -144,7 +144,7 @@ def test_a_port_that_is_busy_ends_the_program_with_the_reason(program: Callable[
         code, output = run(str(program(*GOOD)), "--port", os.ttyname(slave), within_s=60.0)
     os.close(slave)
     os.close(master)
-    assert code == 1 and "Resource temporarily unavailable" in output.splitlines()[-1], output
+    assert code == 1 and "in use by another program" in output.splitlines()[-1], output
 
 
 def test_the_check_alone_says_how_long_it_takes(

@@ -283,4 +283,6 @@ class SerialLink:
 
 def _plain(error: Exception) -> str:
     number = getattr(error, "errno", None)
+    if number == errno.EAGAIN:  # of the lock
+        return "in use by another program, as while a driver runs"
     return os.strerror(number) if number else str(error)
