@@ -25,7 +25,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from virtual_robot import VirtualRobot
 
 from gantry_driver.core.goal_job import LOOKING, Phase
-from icu_common.core.panel_layout import PanelLayout
+from icu_common.core.panel_layout import Control, PanelLayout
 from icu_common.core.results import Outcome
 
 REFERENCE_MM = 5.94
@@ -56,9 +56,15 @@ def free_point(layout: PanelLayout, rng: np.random.Generator) -> tuple[float, fl
             return x, y
 
 
+def lies_on(control: Control, x: float, y: float) -> bool:
+    """Tell whether the point (x, y) in mm lies on the control's face."""
+    across, up = (abs(p - centre) / (side / 2) for p, centre, side in zip((x, y), control.position_mm, control.size_mm))
+    return across**2 + up**2 <= 1 if control.shape == "circle" else max(across, up) <= 1
+
+
 def meant(layout: PanelLayout, x: float, y: float) -> str:
     """Return the name of the control whose face is under the point, "FACE" for none."""
-    inside = [c for c in layout.controls if c.contains_mm(x, y)]
+    inside = [c for c in layout.controls if lies_on(c, x, y)]
     return min(inside, key=lambda c: c.size_mm[0] * c.size_mm[1]).name if inside else "FACE"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from harris_perception.core.hand_eye import DegenerateError
-from harris_perception.core.wrist_camera import METHODS, calibrate_wrist, closed_form
+from harris_perception.core.wrist_camera import METHODS, calibrate_wrist, closed_form, relative_motions
 from icu_common.core.geometry import Transform
 
 
@@ -44,7 +44,7 @@ def apart(a: Transform, b: Transform) -> tuple[float, float]:
 @pytest.mark.parametrize("count", [3, 12])
 def test_closed_forms_are_exact_on_exact_motions(method: str, count: int) -> None:
     for seed in range(10):
-        angle, shift = apart(closed_form(method, *motions(count, np.random.default_rng(seed))), X)
+        angle, shift = apart(closed_form(method, relative_motions(*motions(count, np.random.default_rng(seed)))), X)
         assert angle < 1e-6 and shift < 1e-6, (seed, angle, shift)
 
 
@@ -90,7 +90,7 @@ def test_error_is_as_predicted_and_below_every_closed_form() -> None:
         squares.append(error @ np.linalg.solve(result.covariance[:6, :6], error) / 6)
         ours.append(apart(X, result.gripper_from_camera)[1])
         for method in METHODS:
-            peers[method].append(apart(X, closed_form(method, *poses))[1])
+            peers[method].append(apart(X, closed_form(method, relative_motions(*poses)))[1])
     rms = {name: float(np.sqrt(np.mean(np.square(v)))) * 1e3 for name, v in {"joint": ours, **peers}.items()}
     print({k: round(v, 3) for k, v in rms.items()}, f"chi-square/dof {np.mean(squares):.2f}")
     assert 0.8 < np.mean(squares) < 1.25
@@ -257,7 +257,7 @@ def test_closed_forms_agree_with_opencv(method: str, name: str) -> None:
     arguments = [[getattr(p, part) for p in side] for side in poses for part in ("rotation", "translation")]
     rotation, translation = cv2.calibrateHandEye(*arguments, method=getattr(cv2, f"CALIB_HAND_EYE_{name}"))
     theirs = Transform(np.asarray(rotation), np.asarray(translation)[:, 0])
-    angle, shift = apart(closed_form(method, *poses), theirs)
+    angle, shift = apart(closed_form(method, relative_motions(*poses)), theirs)
     assert angle < 0.0005 and shift < 0.0003
 
 

@@ -144,22 +144,8 @@ def calibrate_wrist(
     return result
 
 
-def closed_form(
-    method: str, base_from_gripper: Sequence[Transform], camera_from_target: Sequence[Transform]
-) -> Transform:
-    """Return gripper_from_camera by one of ``METHODS``, unrefined.
-
-    Raises
-    ------
-    ValueError
-        For another method.
-    """
-    if method not in METHODS:
-        raise ValueError(f"method {method!r} is none of {', '.join(METHODS)}")
-    return _closed_form(method, _motions(base_from_gripper, camera_from_target))
-
-
-def _closed_form(method: str, pairs: Sequence[tuple[Transform, Transform]]) -> Transform:
+def closed_form(method: str, pairs: Sequence[tuple[Transform, Transform]]) -> Transform:
+    """Return gripper_from_camera by one of ``METHODS``, unrefined, from pairs of ``relative_motions``."""
     if method == "daniilidis":
         return _daniilidis(pairs)
     rotation = _park(pairs) if method == "park" else _horaud(pairs)
@@ -229,8 +215,11 @@ def _most_below(value: int, size: int) -> int:
     return low
 
 
-def _motions(a: Sequence[Transform], b: Sequence[Transform]) -> list[tuple[Transform, Transform]]:
-    """Return pairs A' X = X B': the motions of the gripper and of the camera between two poses."""
+def relative_motions(a: Sequence[Transform], b: Sequence[Transform]) -> list[tuple[Transform, Transform]]:
+    """Return pairs A' X = X B': the motions of the gripper and of the camera between two poses.
+
+    ``a`` is base_from_gripper and ``b`` camera_from_target of each pose.
+    """
     # A_i X B_i = A_j X B_j, so (A_j^-1 A_i) X = X (B_j B_i^-1).
     return [
         (a_j.inverse() @ a_i, b_j @ b_i.inverse()) for (a_i, a_j), (b_i, b_j) in zip(_pairs(list(a)), _pairs(list(b)))
@@ -312,7 +301,7 @@ def _start(
     halves: Sequence[Array],
 ) -> tuple[float, Transform, Transform]:
     """Return the squares, X and Z of the closed form, or of it turned by one of ``halves`` where these are less."""
-    x = _closed_form(method, pairs)
+    x = closed_form(method, pairs)
     found = [(x, _mean_target(a, b, x)), *_turned(x, a, b, pairs, halves)]
     return min(((_squares(a, b, x, z), x, z) for x, z in found), key=lambda start: start[0])
 
@@ -332,7 +321,7 @@ def _solve(
     more: Sequence[tuple[str, Transform, Transform]],
 ) -> tuple[WristCamera, list[WristCamera]]:
     """Refine the best of the closed forms and of ``more``; return also those a half turn away that fit as well."""
-    pairs = _motions(a, b)
+    pairs = relative_motions(a, b)
     halves = _half_turns(pairs)
     starts = [(*_start(method, a, b, pairs, halves), method) for method in METHODS]
     # Where some turns of 180 degrees seem to be a little more, some a little less, no closed form need be near.
@@ -442,7 +431,7 @@ def _consensus(
             check_turns(some_a, config)
         except DegenerateError:
             continue
-        pairs = _motions(some_a, some_b)
+        pairs = relative_motions(some_a, some_b)
         _, x, z = _start("park", some_a, some_b, pairs, _half_turns(pairs))
         size = _misfit(a, b, x, z)
         middle = np.maximum(np.sort(size, axis=0)[keep - 1], 1e-9)

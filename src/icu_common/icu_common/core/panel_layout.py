@@ -60,14 +60,6 @@ class Control:
     marks: tuple[tuple[str, float], ...] = ()
     dimple: Dimple | None = None
 
-    def contains_mm(self, x: float, y: float) -> bool:
-        """Tell whether the point (x, y) in mm lies on the control's face."""
-        dx, dy = x - self.position_mm[0], y - self.position_mm[1]
-        half_width, half_height = self.size_mm[0] / 2, self.size_mm[1] / 2
-        if self.shape == "circle":
-            return (dx / half_width) ** 2 + (dy / half_height) ** 2 <= 1
-        return abs(dx) <= half_width and abs(dy) <= half_height
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rectangle:
