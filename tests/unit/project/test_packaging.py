@@ -331,3 +331,9 @@ def test_documents_name_modules_that_are_there(path: Path) -> None:
     packages = "|".join(package.name for package in PACKAGES)
     for name in re.findall(rf"\b(?:{packages})(?:\.\w+)+", path.read_text()):
         assert pkgutil.resolve_name(name), name
+
+
+def test_the_map_of_perception_names_every_module() -> None:
+    folder = ROOT / "src" / "harris_perception" / "harris_perception" / "core"
+    named = re.findall(r"``(\w+)``", ast.get_docstring(ast.parse((folder / "__init__.py").read_text())) or "")
+    assert sorted(named) == sorted(path.stem for path in folder.glob("*.py") if path.stem != "__init__")

@@ -3,7 +3,8 @@
 Sources: C. Harris, M. Stephens, "A Combined Corner and Edge Detector", Alvey Vision Conference 1988; C. Schmid,
 R. Mohr, C. Bauckhage, "Evaluation of Interest Point Detectors", IJCV 37(2), 2000 (derivatives and window of Gaussians);
 J. Shi, C. Tomasi, "Good Features to Track", CVPR 1994; J. A. Noble, "Finding Corners", IVC 6(2), 1988; for the
-recursive filters see deriche.py.
+recursive filters see deriche.py. The paper of 1988 derives by -1 0 1 in one row and sums in a Gaussian window; the
+default here takes three rows, as J. Prewitt's kernels do, and a box, which is what is fast.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ class HarrisConfig(Config):
 
     gradient: str = setting(
         "harris",
-        "Derivative: the 3x3 kernels of 1988, Sobel's, or of a Gaussian, also by Deriche's recursion",
+        "Derivative: -1 0 1 of 1988 over three rows (Prewitt's 3x3 kernels), Sobel's, or of a Gaussian, also by "
+        "Deriche's recursion",
         choices=("harris", "sobel", "gaussian", "deriche"),
     )
     sigma_d_px: float = setting(

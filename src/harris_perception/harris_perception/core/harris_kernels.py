@@ -319,7 +319,7 @@ def fused_peaks(
     gray
         (H, W) uint8 or float32.
     weight
-        (1,) weight of the centre in the gradient's smoothing: 1 for the kernels of 1988, 2 for Sobel's. Its dtype is
+        (1,) weight of the centre in the gradient's smoothing: 1 for Prewitt's kernels, 2 for Sobel's. Its dtype is
         that of the gradients: int16 for uint8 pictures (exact), float32 for float32.
     border
         Columns at the left and right edge without peaks, at least 3.
