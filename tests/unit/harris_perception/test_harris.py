@@ -233,6 +233,52 @@ def test_checkerboard_crossing_is_found_to_a_tenth_of_a_pixel(dx: float, dy: flo
     np.testing.assert_allclose(corners.xy[0], (cx, cy), atol=0.1)
 
 
+def places_of(peaks: list[np.ndarray]) -> np.ndarray:
+    """How far from their middle, (N, 2) px, the only corners of responses (3, 3) are set."""
+    response = np.zeros((13, 7 * len(peaks) + 6), np.float32)
+    for number, peak in enumerate(peaks):
+        response[5:8, 7 * number + 5 : 7 * number + 8] = peak
+    xy = HarrisDetector(HarrisConfig(relative_threshold=0.0, max_corners=0)).corners_of(response).xy
+    assert len(xy) == len(peaks)
+    middles = np.column_stack((7 * np.arange(len(peaks)) + 6, np.full(len(peaks), 6)))
+    return np.asarray(xy[np.argsort(xy[:, 0])] - middles)
+
+
+@given(
+    flat=st.floats(0.02, 0.1),
+    steep=st.floats(0.1, 0.2),
+    turn=st.floats(0, np.pi),
+    way=st.floats(0, 2 * np.pi),
+)
+def test_a_place_does_not_jump_where_the_fit_is_ill_conditioned(
+    flat: float, steep: float, turn: float, way: float
+) -> None:
+    """The maximum of a ridge leaves the pixel: once out of it, each axis was taken alone, a quarter of a pixel off."""
+    y, x = np.mgrid[-1:2, -1:2]
+    along, across = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
+    ridge = 1.0 - (flat * along**2 + steep * across**2) / 2
+    slope = (np.cos(way) * x + np.sin(way) * y) * flat
+    peaks = [ridge + amount * slope for amount in np.linspace(0.0, 1.0, 400)]
+    places = places_of([peak for peak in peaks if (peak < peak[1, 1]).sum() == 8])
+    assert np.abs(np.diff(places, axis=0)).max() < 0.02
+
+
+@given(seed=st.integers(0, 100_000))
+def test_a_place_is_where_the_quadratic_is_greatest_in_its_pixel(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[-1:2, -1:2]
+    hxx, hyy = -rng.uniform(0.05, 0.3, 2)
+    hxy = rng.uniform(-0.7, 0.7) * np.sqrt(hxx * hyy)
+    gx, gy = rng.uniform(-0.5, 0.5, 2) * (-hxx, -hyy)
+    peak = 1.0 + gx * x + gy * y + (hxx * x * x + hyy * y * y) / 2 + hxy * x * y
+    if (peak.ravel()[[0, 1, 2, 3, 5, 6, 7, 8]] >= peak[1, 1]).any():
+        return
+    v, u = np.mgrid[-0.5:0.5:501j, -0.5:0.5:501j]
+    value = gx * u + gy * v + (hxx * u * u + hyy * v * v) / 2 + hxy * u * v
+    best = np.unravel_index(value.argmax(), value.shape)
+    np.testing.assert_allclose(places_of([peak])[0], (u[best], v[best]), atol=0.004)
+
+
 @pytest.mark.parametrize("response", ["harris", "shi_tomasi", "noble", "geometric"])
 @pytest.mark.parametrize("gradient", ["harris", "gaussian"])
 def test_ramps_and_straight_edges_have_no_corner(response: str, gradient: str) -> None:

@@ -33,6 +33,9 @@ _ONE, _ALL = np.uint64(1), np.uint64(2**64 - 1)
 # Below this fraction of the product of the two diagonal elements a determinant is rounding of float32, no corner.
 _RANK_ONE = np.float32(2.0**-21)
 
+# Greatest hxy^2 / (hxx hyy) of a peak's quadratic; 1 is a ridge, more a saddle.
+_RIDGE = np.float32(0.5)
+
 
 @inlined
 def _smooth_and_difference(p0: Any, p1: Any, p2: Any, p3: Any, rows: Any, n: int, centre: Any) -> None:
@@ -139,9 +142,18 @@ def _mark_all(
     strong[eighths - 1] &= last
 
 
+@called
+def _gain(gx: Any, gy: Any, hxx: Any, hyy: Any, hxy: Any, dx: Any, dy: Any) -> Any:
+    """Return twice by how much a quadratic with these derivatives is greater at (dx, dy) than in its middle."""
+    return dx * (gx + gx + hxx * dx + hxy * dy) + dy * (gy + gy + hxy * dx + hyy * dy)
+
+
 @inlined
 def _quadratic_peak(above: Any, here: Any, below: Any, x: np.uint64, half: Any) -> tuple[Any, Any]:
-    """Return the offset (dx, dy) of the maximum of the quadratic through a 3x3 neighbourhood, at most half a pixel.
+    """Return where the quadratic through a 3x3 neighbourhood is greatest within half a pixel of its middle (dx, dy).
+
+    At a corner that is nearly an edge the quadratic is a ridge or a saddle, and noise alone says how far along it the
+    maximum lies: so no more than ``_RIDGE`` of a ridge is believed, and the place does not jump with the responses.
 
     Only ratios of derivatives count, so all are as many times smaller as ``half`` tells, and of its precision: float32
     does not hold products of the responses to pictures of any unit.
@@ -154,16 +166,27 @@ def _quadratic_peak(above: Any, here: Any, below: Any, x: np.uint64, half: Any) 
     hxx = half * ((here[right] - here[x]) + (here[left] - here[x]))
     hyy = half * ((below[x] - here[x]) + (above[x] - here[x]))
     hxy = limit * quarter * ((below[right] - below[left]) - (above[right] - above[left]))
-    det = hxx * hyy - hxy * hxy
-    if det > np.float32(1e-6) * hxx * hyy:
-        dx = (hxy * gy - hyy * gx) / det
-        dy = (hxy * gx - hxx * gy) / det
-        if abs(dx) <= limit and abs(dy) <= limit:
-            return dx, dy
-    # A ridge or saddle beside the peak: each axis alone. A maximum has no positive curvature; zero means a plateau.
-    dx = min(max(-gx / hxx, -limit), limit) if hxx < 0 else zero
-    dy = min(max(-gy / hyy, -limit), limit) if hyy < 0 else zero
-    return dx, dy
+    if not (hxx < 0 and hyy < 0):  # a plateau, or as small as rounding
+        dx = min(max(-gx / hxx, -limit), limit) if hxx < 0 else zero
+        dy = min(max(-gy / hyy, -limit), limit) if hyy < 0 else zero
+        return dx, dy
+    product = hxx * hyy
+    if hxy * hxy > _RIDGE * product:
+        steepest = np.sqrt(_RIDGE * product)
+        hxy = steepest if hxy > zero else -steepest
+    det = product - hxy * hxy
+    dx = (hxy * gy - hyy * gx) / det
+    dy = (hxy * gx - hxx * gy) / det
+    beyond_x, beyond_y = abs(dx) > limit, abs(dy) > limit
+    if not (beyond_x or beyond_y):
+        return dx, dy
+    # The best of the square's sides towards the maximum.
+    side_x, side_y = limit if dx > zero else -limit, limit if dy > zero else -limit
+    on_x = min(max(-(gy + hxy * side_x) / hyy, -limit), limit)
+    on_y = min(max(-(gx + hxy * side_y) / hxx, -limit), limit)
+    if beyond_x and beyond_y:
+        beyond_x = _gain(gx, gy, hxx, hyy, hxy, side_x, on_x) >= _gain(gx, gy, hxx, hyy, hxy, on_y, side_y)
+    return (side_x, on_x) if beyond_x else (on_y, side_y)
 
 
 @inlined
