@@ -232,13 +232,13 @@ def fit_pose(
         pose = Transform(nearest_rotation(turn @ pose.rotation), turn @ (pose.translation - centre) + centre + step[3:])
         if np.abs(step).max() < 1e-9:
             break
-    # The residuals are smaller than the errors by what the pose took up of them.
-    freedom = max(len(world) - 6, 1) / max(len(world), 1)
+    error = points.residuals(pose.apply(world), camera)[0]
+    certain = (_scale(error, floor_px) / _deviation(error, floor_px)) ** 2
     return PoseFit(
         camera_from_panel=pose,
-        error_px=points.residuals(pose.apply(world), camera)[0],
+        error_px=error,
         centre=centre,
-        covariance=inverse(freedom * (information - known) + known + np.eye(6) / _UNMEASURED**2),
+        covariance=inverse(certain * (information - known) + known + np.eye(6) / _UNMEASURED**2),
     )
 
 
@@ -312,6 +312,21 @@ def _by_turn_and_shift(by_point: Array, arm: Array) -> Array:
 def _scale(error: Array, floor: float) -> float:
     """Return the standard deviation of residuals around zero but for outliers, at least ``floor``."""
     return max(_MAD * float(np.median(np.abs(error))), floor)
+
+
+def _deviation(error: Array, floor: float) -> float:
+    """Return the standard deviation, at least ``floor``, by which a pose of measurements of Tukey's weights is told.
+
+    That of the M-estimator (P. J. Huber, "Robust Statistics", 1981, 7.6): outliers widen ``_scale``, but not how much
+    those measurements scatter that count. Six of their degrees of freedom went into the pose.
+    """
+    far = np.minimum(np.abs(error) / (_TUKEY * _scale(error, floor)), 1.0) ** 2
+    weight, slope = (1 - far) ** 2, (1 - far) * (1 - 5 * far)
+    count, steep = float(weight.sum()), float(slope.sum())
+    if steep <= 0:
+        return _scale(error, floor)
+    spread = float(np.sqrt(((weight * error) ** 2).sum() * count)) / steep
+    return max(spread, floor) * float(np.sqrt(max(count, 1.0) / max(count - 6, 1.0)))
 
 
 def tukey(error: Array, floor: float) -> Array:
