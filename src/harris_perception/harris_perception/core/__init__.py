@@ -14,7 +14,7 @@ Panel
     ``panel_template`` (what a layout looks like), ``panel_search`` (found from nothing), ``recognition`` (begin here),
     ``face_measurement`` with ``face_patches`` and ``edge_alignment`` (its pose to a fraction of a pixel),
     ``planar_pose``, ``pose_agreement``, ``fiducials`` and ``face_depth`` (second opinions), ``panel_state`` (lamps,
-    knobs, screens, hands), ``panel_teaching`` (a new one).
+    knobs, screens, hands) with ``tip_record`` (what the stylus hides), ``panel_teaching`` (a new one).
 Stylus and hand-eye
     ``stylus`` with ``ball_view`` and ``ball_fit`` (the tip in both pictures), ``hand_eye`` (begin here: a machine that
     only translates), ``reprojection`` (its last step, in pixels), ``backlash``, ``carriage_camera`` (cameras that ride
