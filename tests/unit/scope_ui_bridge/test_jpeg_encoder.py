@@ -49,7 +49,12 @@ def encoder() -> Iterator[JpegEncoder]:
 
 def test_pictures_are_not_encoded_before_ordinary_programs_have_their_turn() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", IN_REAL_TIME], capture_output=True, text=True, timeout=3 * WITHIN_S, check=False
+        [sys.executable, "-c", IN_REAL_TIME],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},  # with the tests' own folder
+        capture_output=True,
+        text=True,
+        timeout=3 * WITHIN_S,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     bridge, here, beside = json.loads(done.stdout)
