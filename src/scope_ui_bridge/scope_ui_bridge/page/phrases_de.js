@@ -88,6 +88,7 @@ export const PHRASES_DE = [
   ["no answer to {} within {} s although the board is at rest", "keine Antwort auf {} innerhalb von {} s, obwohl die Platine ruht"],
   ["line {} has {} bytes with its newline, 2 to {} can be sent", "Zeile {} hat mit dem Zeilenende {} Byte, 2 bis {} können gesendet werden"],
   ["line {}, column {}: {} cannot be part of a line", "Zeile {}, Spalte {}: {} kann nicht Teil einer Zeile sein"],
+  ["in use by another program, as while a driver runs", "von einem anderen Programm belegt, etwa von einem laufenden Treiber"],
   ["the thread of the port has ended", "der Thread des Anschlusses ist zu Ende"],
   ["the driver is ending", "der Treiber wird beendet"],
   ["accepted: homing", "angenommen: Referenzfahrt"],
