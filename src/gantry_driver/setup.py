@@ -13,8 +13,10 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),
         ("share/" + NAME + "/launch", ["launch/gantry.launch.py"]),
+        ("share/" + NAME + "/config", ["config/example.yaml"]),
     ],
     install_requires=["setuptools"],
+    extras_require={"libraries": ["numpy", "pyserial", "PyYAML"]},  # for pip
     zip_safe=True,
     description="GRBL serial driver, gantry controller and mock serial port for an XY stage with a stylus",
     license="Apache-2.0",

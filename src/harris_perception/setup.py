@@ -13,8 +13,10 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),
         ("share/" + NAME + "/launch", ["launch/perception.launch.py"]),
+        ("share/" + NAME + "/config", ["config/example.yaml"]),
     ],
     install_requires=["setuptools"],
+    extras_require={"libraries": ["numpy", "opencv-python-headless", "PyYAML", "numba"]},  # for pip
     zip_safe=True,
     description="Harris corners, stereo matching, hand-eye calibration and panel recognition",
     license="Apache-2.0",

@@ -15,6 +15,7 @@ setup(
         ("share/" + NAME + "/launch", ["launch/page.launch.py"]),
     ],
     install_requires=["setuptools"],
+    extras_require={"libraries": ["numpy", "opencv-python-headless", "aiohttp"]},  # for pip
     zip_safe=True,
     description="Operator page: live picture, clicks, stop; served by aiohttp from a bridge to the graph",
     license="Apache-2.0",

@@ -21,6 +21,7 @@ import pytest
 import setuptools
 import yaml
 from catkin_pkg.package import parse_package
+from parameter_files import file_values, parameters
 
 from scope_bench.core.graph_description import GraphError, load_graph
 
@@ -37,6 +38,15 @@ SYSTEM_KEYS = {
     "python3-yaml": "yaml",
 }
 """Keys of rosdep (rosdistro/rosdep/python.yaml) and their modules; rosbags has none, numba none for Ubuntu."""
+BY_NAME = {
+    "aiohttp": "aiohttp",
+    "numba": "numba",
+    "numpy": "numpy",
+    "opencv-python-headless": "cv2",
+    "pyserial": "serial",
+    "PyYAML": "yaml",
+}
+"""Names for pip and their modules."""
 OF_ROS = {
     "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "launch", "launch_ros",
     "lifecycle_msgs", "rcl_interfaces", "rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "stereo_msgs",
@@ -88,6 +98,18 @@ def test_setup_py_says_the_same(package: Path, monkeypatch: pytest.MonkeyPatch) 
         tree = ast.parse((package / (module.replace(".", "/") + ".py")).read_text())
         assert function in {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}, entry
     assert f"## {description.version}" in (ROOT / "CHANGELOG.md").read_text()
+    if "extras_require" in given:  # what pip brings where there is no rosdep
+        keys = {d.name for d in description.exec_depends} & set(SYSTEM_KEYS)
+        assert {BY_NAME[name] for name in given["extras_require"]["libraries"]} == {SYSTEM_KEYS[key] for key in keys}
+    for _, files in given["data_files"]:
+        assert all((package / file).is_file() for file in files), files
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.glob("src/*/config/example.yaml")), ids=lambda path: path.parts[-3])
+def test_a_packages_example_sets_what_its_nodes_have(path: Path) -> None:
+    for pattern, values in file_values(path).items():
+        known = parameters(pattern.rpartition("/")[2])
+        assert {key: type(value) for key, value in values.items()} == {key: type(known[key]) for key in values}
 
 
 def test_the_workflow_calls_what_exists() -> None:
@@ -326,7 +348,11 @@ def test_the_readmes_example_runs_without_ros(tmp_path: Path) -> None:
     assert done.returncode == 0 and done.stdout.startswith("[["), done.stderr
 
 
-@pytest.mark.parametrize("path", [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))], ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "path",
+    [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md")), *sorted(ROOT.glob("src/*/README.md"))],
+    ids=lambda p: str(p.relative_to(ROOT)),
+)
 def test_documents_name_modules_that_are_there(path: Path) -> None:
     packages = "|".join(package.name for package in PACKAGES)
     for name in re.findall(rf"\b(?:{packages})(?:\.\w+)+", path.read_text()):
