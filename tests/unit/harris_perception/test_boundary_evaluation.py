@@ -47,6 +47,38 @@ def test_nearest_pairs_come_first() -> None:
     assert np.argwhere(boundaries.matched(found, drawn, offsets)).tolist() == [[50, 51]]
 
 
+def test_a_pair_changes_its_partner_where_that_makes_one_pair_more() -> None:
+    # The middle one is nearest to the left of two drawn; it goes on to the right one, which only it can reach.
+    found, drawn = mask((50, 50), (52, 50)), mask((52, 51), (54, 50))
+    offsets = np.array([(1, 0), (0, 2), (1, 2)])
+    assert np.argwhere(boundaries.matched(found, drawn, offsets)).tolist() == [[50, 50], [50, 52]]
+
+
+def test_as_many_pairs_are_made_as_scipy_makes() -> None:
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import maximum_bipartite_matching
+
+    rng = np.random.default_rng(5)
+    more = 0
+    for reach, share in [(1, 0.1), (2, 0.1), (4, 0.05), (4, 0.2)] * 5:
+        found, drawn = (rng.random((2, 30, 40)) < share) & (np.indices((30, 40)).sum(axis=0) % 5 < 3)
+        span = range(-reach, reach + 1)
+        offsets = np.array(sorted(((y, x) for y in span for x in span), key=lambda at: at[0] ** 2 + at[1] ** 2))
+        one, other = np.argwhere(found), np.argwhere(drawn)
+        near = (abs(one[:, None] - other) <= reach).all(axis=2)
+        expected = (maximum_bipartite_matching(csr_array(near), perm_type="column") >= 0).sum()
+        taken = boundaries.matched(found, drawn, offsets)
+        assert taken.sum() == expected and not (taken & ~found).any()
+        nearest, free = 0, drawn.copy()  # what is left where no pair changes its partner
+        for dy, dx in offsets:
+            for y, x in one:
+                if 0 <= y + dy < 30 and 0 <= x + dx < 40 and found[y, x] and free[y + dy, x + dx]:
+                    found[y, x] = free[y + dy, x + dx] = False
+                    nearest += 1
+        more += int(expected - nearest)
+    assert more > 20  # else nothing was tested
+
+
 def test_one_threshold_for_all_and_the_best_for_each() -> None:
     # Found, right, drawn, met: the first picture is perfect at the first threshold, the second at the second.
     counts = np.array([[(10, 10, 10, 10), (10, 0, 10, 0)], [(10, 5, 10, 5), (10, 10, 10, 10)]])
