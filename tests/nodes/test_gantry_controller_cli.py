@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -149,6 +151,15 @@ def test_ctrl_c_stops_the_machine(ros: Any, bench: GantryBench) -> None:
     assert code == 1, output
     assert "interrupted: stopping" in output and "aborted: the driver is 'stopped: stop requested'" in output, output
     assert "accepted" not in output.partition("interrupted")[2], "told again, it reads as if the stop had been too late"
+
+
+def test_an_answer_from_before_the_interrupt_that_comes_after_it_is_not_told(capsys: pytest.CaptureFixture) -> None:
+    answer = GoalResult(goal_id="g", goal="press:RUN", outcome=Outcome.ACCEPTED)
+    session: Any = SimpleNamespace(results=[], interrupted=True, latest=lambda topic: "touching")
+    session.stop = lambda: session.results.extend([answer, replace(answer, outcome=Outcome.ABORTED, reason="stopped")])
+    session.wait_for_answer = lambda final, *others: final()
+    assert gantry_goal._stop(session, "g") == gantry_goal.FAILED
+    assert capsys.readouterr().out.splitlines() == ["interrupted: stopping", "aborted: stopped"]
 
 
 def test_a_controller_that_dies_with_the_goal_is_not_waited_for(ros: Any, bench: GantryBench) -> None:

@@ -152,16 +152,15 @@ def carry_out(session: OperatorSession, request: Request) -> int:
         return _stop(session, goal_id)
 
 
-def _answers(session: OperatorSession, goal_id: str) -> list[GoalResult]:
-    return [result for result in session.results if result.goal_id == goal_id]
+def _follow(session: OperatorSession, goal_id: str, until: float, *, stopping: bool = False) -> int:
+    shown = 0
 
-
-def _follow(session: OperatorSession, goal_id: str, until: float, shown: int = 0) -> int:
     def final() -> GoalResult | None:
         nonlocal shown
-        mine = _answers(session, goal_id)
+        mine = [result for result in session.results if result.goal_id == goal_id]
         for result in mine[shown:]:
-            say(describe(result))
+            if result.outcome.final or not stopping:  # "accepted" now would read as if the stop had been too late
+                say(describe(result))
         shown = len(mine)
         return mine[-1] if mine and mine[-1].outcome.final else None
 
@@ -184,11 +183,10 @@ def _stop(session: OperatorSession, goal_id: str) -> int:
         say("interrupted before the goal was sent")
         return FAILED
     say("interrupted: stopping")
-    shown = len(_answers(session, goal_id))
     session.stop()
     session.interrupted = False
     try:
-        _follow(session, goal_id, time.monotonic() + STOP_ANSWER_S, shown)
+        _follow(session, goal_id, time.monotonic() + STOP_ANSWER_S, stopping=True)
     except (TimedOut, Interrupted):
         say("stop was requested; no answer from the controller")
     return FAILED
