@@ -121,7 +121,8 @@ def test_goals_that_come_at_once_are_each_answered_and_the_first_is_done(ros: An
             assert refused.outcome is Outcome.REJECTED and refused.reason == f"busy with {first[0].goal!r}"
 
 
-def test_driver_stopped_in_the_middle(ros: Any) -> None:
+def in_a_press(ros: Any) -> GantryBench:
+    """Return a bench whose driver has been given the motion of a press, and does not answer."""
     bench = GantryBench(ros)
     bench.see()
     bench.spin_until_state("ready")
@@ -129,6 +130,11 @@ def test_driver_stopped_in_the_middle(ros: Any) -> None:
     bench.obey = False
     bench.command.publish(String(data="press:RUN_STOP"))
     ros.spin_until(lambda: bench.trajectories, 10.0)
+    return bench
+
+
+def test_driver_stopped_in_the_middle(ros: Any) -> None:
+    bench = in_a_press(ros)
     bench.driver_state.publish(String(data="stopped: stop requested"))
     result = bench.spin_until_final()
     assert result.outcome is Outcome.ABORTED and "stopped: stop requested" in result.reason
@@ -138,13 +144,7 @@ def test_driver_stopped_in_the_middle(ros: Any) -> None:
 
 def test_a_stop_that_was_reset_while_the_controller_was_held_up_ends_the_goal(ros: Any) -> None:
     """Only the driver's newest state was kept for a node that was held up."""
-    bench = GantryBench(ros)
-    bench.see()
-    bench.spin_until_state("ready")
-    bench.connect_goals()
-    bench.obey = False
-    bench.command.publish(String(data="press:RUN_STOP"))
-    ros.spin_until(lambda: bench.trajectories, 10.0)
+    bench = in_a_press(ros)
     for state in ("stopped: stop requested", "idle"):
         bench.driver_state.publish(String(data=state))
     result = bench.spin_until_final()
