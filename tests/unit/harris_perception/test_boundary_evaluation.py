@@ -48,7 +48,7 @@ def test_nearest_pairs_come_first() -> None:
 
 
 def test_a_pair_changes_its_partner_where_that_makes_one_pair_more() -> None:
-    # The middle one is nearest to the left of two drawn; it goes on to the right one, which only it can reach.
+    # The right one is nearest to what alone the left one can reach, gives it up, and has the other one that was drawn.
     found, drawn = mask((50, 50), (52, 50)), mask((52, 51), (54, 50))
     offsets = np.array([(1, 0), (0, 2), (1, 2)])
     assert np.argwhere(boundaries.matched(found, drawn, offsets)).tolist() == [[50, 50], [50, 52]]
