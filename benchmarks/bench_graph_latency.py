@@ -166,7 +166,7 @@ def main() -> int:
     if arguments.publish:
         return publish(arguments.publish)
     if arguments.peer:
-        return run(PeerNode)
+        return run(PeerNode, [])
     os.environ.setdefault("ROS_DOMAIN_ID", str(100 + os.getpid() % 100))
     prepare_transport()
     count = int(arguments.seconds * RATE_HZ)
