@@ -88,7 +88,7 @@ def ours(latency_ms: float) -> tuple[float, float]:
         try:
             rig.home(30.0)
             begin, busy = time.monotonic(), time.process_time()
-            rig.go(*path(MOVES))
+            rig.go(*path(MOVES), slow_after=MOVES)
             rig.until(lambda: len(rig.results) == 2, 60.0)
             share = (time.process_time() - busy) / (time.monotonic() - begin)
             if rig.results[-1].outcome.value != "reached":
