@@ -10,8 +10,9 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
 from launch import LaunchContext, LaunchDescription
+from scope_bench.adapters.configuration_folder import true_configuration
 from scope_bench.adapters.graph_names import hold_names
-from scope_bench.cli.bring_up import state_folder, true_configuration
+from scope_bench.cli.bring_up import state_folder
 from scope_bench.core.graph_description import check_namespace, load_graph
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.cli import bring_up, composed
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -92,10 +93,10 @@ def test_files_that_are_added_to_the_sources_configuration_are_found_without_a_n
     (built / "graph.yaml").symlink_to(source / "graph.yaml")
     monkeypatch.delenv("ICU_CONFIG", raising=False)
     monkeypatch.setattr("sys.argv", [str(tmp_path / "install" / "scope_bench" / "lib" / "scope_bench" / "bring_up")])
-    assert bring_up.configuration_folder() == source.resolve()
+    assert configuration_folder() == source.resolve()
     (built / "graph.yaml").unlink()
     (built / "graph.yaml").write_text("programs: {}")  # as without --symlink-install
-    assert bring_up.configuration_folder() == built.resolve()
+    assert configuration_folder() == built.resolve()
 
 
 def test_a_configuration_that_is_named_and_not_there_is_not_replaced_by_another(
@@ -108,7 +109,7 @@ def test_a_configuration_that_is_named_and_not_there_is_not_replaced_by_another(
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     monkeypatch.setenv("ICU_CONFIG", str(tmp_path / "mine"))
     with pytest.raises(FileNotFoundError, match=rf"no graph.yaml in {tmp_path}/mine, which ICU_CONFIG names"):
-        bring_up.configuration_folder()
+        configuration_folder()
 
 
 PROGRAM = """\

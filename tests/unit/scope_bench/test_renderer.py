@@ -152,6 +152,16 @@ def test_the_command_writes_picture_and_truth(tmp_path: Path) -> None:
         render.main([*arguments, "--set", "light.noise=-1"])
 
 
+def test_the_panel_of_the_configuration_is_drawn_from_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was looked for in config/ of the folder that one is in."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ICU_CONFIG", str(ROOT / "config"))
+    assert render.main(["--out", "bench.png"]) == 0
+    assert set(json.loads(Path("bench.json").read_text())["controls_px"]) == {c.name for c in LAYOUT.controls}
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [

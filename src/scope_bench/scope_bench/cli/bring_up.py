@@ -23,6 +23,7 @@ from icu_common.adapters.state_folder import default_state_folder
 from icu_common.core.yaml_text import values_of_pairs
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import prepare_transport
+from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.adapters.graph_names import hold_names
 from scope_bench.adapters.processes import ProcessGroup
 from scope_bench.core.graph_description import GraphError, Program, check_namespace, load_graph
@@ -34,39 +35,6 @@ WAIT_S = 60.0
 LAST_WORDS_S = 1.0
 """For what is still to be printed at the end."""
 _SETTING = re.compile(r"\w+\.[\w.]+=.*", re.DOTALL)
-
-
-def configuration_folder() -> Path:
-    """Return the folder with graph.yaml: $ICU_CONFIG, else :func:`true_configuration` of what was installed.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is none, or not where $ICU_CONFIG says.
-    """
-    if named := os.environ.get("ICU_CONFIG"):
-        if not Path(named, "graph.yaml").is_file():
-            raise FileNotFoundError(f"no graph.yaml in {named}, which ICU_CONFIG names")
-        return Path(named).resolve()
-    own = Path(sys.argv[0]).resolve()
-    shares = [own.parents[2] / "share"] if len(own.parents) > 2 else []
-    shares += [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    places = [share / "scope_bench" / "config" for share in shares]
-    for place in places:
-        if (place / "graph.yaml").is_file():
-            return true_configuration(place)
-    raise FileNotFoundError(
-        f"no graph.yaml in {', '.join(map(str, places))}; name its folder with --config or ICU_CONFIG"
-    )
-
-
-def true_configuration(installed: Path) -> Path:
-    """Return the folder to which the link of an installed graph.yaml leads, else that folder itself.
-
-    ``colcon build --symlink-install`` links each file alone: calibrations, layouts and what is taught would be missing
-    in the installed folder until the next build, or lost with it.
-    """
-    return (installed / "graph.yaml").resolve().parent
 
 
 def _folder(text: str) -> Path:

@@ -13,12 +13,14 @@ from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import from_mapping
 from icu_common.core.panel_layout import PanelLayout, load_layout
 from icu_common.core.yaml_text import values_of_pairs
+from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.core.bench import matrix
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.instrument import InstrumentState, press, turn
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel, control_pixels
 
 _FARTHEST_M = 10.0
+_LAYOUT = "scopes/dso_bench_4.yaml"
 
 
 def _finite(text: str) -> float:
@@ -55,8 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--layout",
         type=Path,
-        default=Path("config/scopes/dso_bench_4.yaml"),
-        help="panel's file (default: %(default)s)",
+        help=f"panel's file (default: {_LAYOUT} of the configuration)",
     )
     parser.add_argument("--out", type=Path, required=True, help="picture to write, for example left.png")
     parser.add_argument("--truth", type=Path, help="JSON file with the truth; default: beside the picture, .json")
@@ -81,17 +82,18 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     truth_file = options.truth or options.out.with_suffix(".json")
     try:
+        layout_file = options.layout or configuration_folder() / _LAYOUT
         if truth_file.resolve() == options.out.resolve():
             raise ValueError(f"--truth {truth_file}: the picture is written there")
         for name, file in (("--truth", truth_file), ("--out", options.out)):
-            if file.resolve() == options.layout.resolve():
+            if file.resolve() == layout_file.resolve():
                 raise ValueError(f"{name} {file}: the layout is read from there")
         if not max(map(abs, options.tip)) <= _FARTHEST_M:
             raise ValueError(f"{_tip(options)}: at most {_FARTHEST_M:g} m from base_link's origin are drawn")
         if options.hide and min(options.hide[2:]) <= 0:
             raise ValueError(f"--hide {' '.join(f'{v:g}' for v in options.hide)}: W and H above 0 are needed")
         config = from_mapping(BenchConfig, values_of_pairs(options.set))
-        layout = load_layout(options.layout)
+        layout = load_layout(layout_file)
         state = _state(options, layout)
     except (ValueError, OSError) as error:
         parser.error(str(error))

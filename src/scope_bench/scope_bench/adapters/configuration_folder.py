@@ -1,0 +1,40 @@
+"""Where the configuration is: the graph's table, parameters, cameras and layouts."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+
+def configuration_folder() -> Path:
+    """Return the folder with graph.yaml: $ICU_CONFIG, else :func:`true_configuration` of what was installed.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none, or not where $ICU_CONFIG says.
+    """
+    if named := os.environ.get("ICU_CONFIG"):
+        if not Path(named, "graph.yaml").is_file():
+            raise FileNotFoundError(f"no graph.yaml in {named}, which ICU_CONFIG names")
+        return Path(named).resolve()
+    own = Path(sys.argv[0]).resolve()
+    shares = [own.parents[2] / "share"] if len(own.parents) > 2 else []
+    shares += [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    places = [share / "scope_bench" / "config" for share in shares]
+    for place in places:
+        if (place / "graph.yaml").is_file():
+            return true_configuration(place)
+    raise FileNotFoundError(
+        f"no graph.yaml in {', '.join(map(str, places))}; name its folder with ICU_CONFIG, or --config of bring_up"
+    )
+
+
+def true_configuration(installed: Path) -> Path:
+    """Return the folder to which the link of an installed graph.yaml leads, else that folder itself.
+
+    ``colcon build --symlink-install`` links each file alone: calibrations, layouts and what is taught would be missing
+    in the installed folder until the next build, or lost with it.
+    """
+    return (installed / "graph.yaml").resolve().parent
