@@ -23,6 +23,8 @@ _BESIDE_PX = np.array([-2.0, -1.0, 0.0, 1.0, 2.0], np.float32)
 _LEAST_GRADIENT = 4.0
 _CELL_PX = 6
 _CONTRAST = 2.5
+# Points are on one line when they look within so much the same way, and lie so near to it.
+_LINE_RAD, _LINE_PX = np.pi / 18, 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -39,6 +41,8 @@ class EdgePoints:
         (N, K) grey values across the edge, mean zero and length one.
     contrast
         (N,) their lengths before.
+    line
+        (N,) which line of print each is on.
     half_px
         How far the profiles reach to either side.
     """
@@ -47,6 +51,7 @@ class EdgePoints:
     across: Array
     profiles: Array
     contrast: Array
+    line: npt.NDArray[np.intp]
     half_px: float
 
     def __len__(self) -> int:
@@ -59,6 +64,7 @@ class EdgePoints:
             across=self.across[which],
             profiles=self.profiles[which],
             contrast=self.contrast[which],
+            line=self.line[which],
             half_px=self.half_px,
         )
 
@@ -91,7 +97,14 @@ def edge_points(gray: npt.NDArray[np.uint8], allowed: npt.NDArray[np.bool_], hal
     profiles = _profiles(gray, px, across, half_px)
     profiles = profiles - profiles.mean(axis=1, keepdims=True)
     contrast = np.maximum(np.linalg.norm(profiles, axis=1), 1e-6)
-    return EdgePoints(px=px, across=across, profiles=profiles / contrast[:, None], contrast=contrast, half_px=half_px)
+    return EdgePoints(
+        px=px,
+        across=across,
+        profiles=profiles / contrast[:, None],
+        contrast=contrast,
+        line=_lines(px, across),
+        half_px=half_px,
+    )
 
 
 def shifts(
@@ -130,6 +143,13 @@ def shifts(
     gain = found / points.contrast
     usual = float(np.median(gain[good])) if good.any() else 1.0
     return shift, good & (gain > usual / _CONTRAST) & (gain < usual * _CONTRAST)
+
+
+def _lines(px: Array, across: Array) -> npt.NDArray[np.intp]:
+    """Return which line each edge point is on, (N,) numbers from 0: by its direction and how far off the line is."""
+    turns = np.rint(np.arctan2(across[:, 1], across[:, 0]) / _LINE_RAD) % round(2 * np.pi / _LINE_RAD)
+    off = np.rint((np.cos(turns * _LINE_RAD) * px[:, 0] + np.sin(turns * _LINE_RAD) * px[:, 1]) / _LINE_PX)
+    return np.asarray(np.unique(np.column_stack([turns, off]), axis=0, return_inverse=True)[1]).ravel()
 
 
 def _running(values: Array, count: int) -> Array:

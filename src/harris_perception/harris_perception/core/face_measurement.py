@@ -38,8 +38,8 @@ from icu_common.core.panel_layout import PanelLayout
 
 # The template is tried as a picture so blurred (px) shows it; it must look that much more like the picture than the one
 # before.
-_BLURS_PX = (0.0, 1.0, 1.6, 2.3)
-_BLURRED = 0.01
+_BLURS_PX = (0.0, 0.6, 1.0, 1.6, 2.3)
+_BLURRED = 0.005
 # So much of the patches that agree at most must agree with a blur that is believed.
 _COMPARED = 0.5
 # The corners are mostly text, whose typeface is not the maker's, and a word's corners err together: their covariance
@@ -152,8 +152,8 @@ class FaceMeter:
 
     def by_edges(
         self, rectified: Gray, start: PoseFit | Transform, camera: CameraModel, blur_px: float
-    ) -> tuple[PoseFit, FacePoints, float] | None:
-        """Return the pose, the edge points that fit, and their rms misfit in px; None where there are too few.
+    ) -> tuple[PoseFit, FacePoints, npt.NDArray[np.intp], float] | None:
+        """Return the pose, the edge points that fit, the line of each, and their rms misfit in px; None for too few.
 
         Where a pose comes from a few crowded points, far edges are measured only once the nearer ones have told where
         to look for them.
@@ -208,7 +208,7 @@ class FaceMeter:
         rms = float(np.sqrt(np.mean(error[near] ** 2)))
         if int(near.sum()) < max(config.edge_points, 0.5 * len(error)) or rms > config.max_rms_px:
             return None
-        return fit, measured.chosen(near), rms
+        return fit, measured.chosen(near), edges.line[near], rms
 
     def blur(self, rectified: Gray, pose: Transform, camera: CameraModel, before_px: float) -> float:
         """Return by how much (px) the template must be blurred to look most like the picture; it was ``before_px``.

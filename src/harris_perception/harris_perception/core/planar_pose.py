@@ -6,7 +6,7 @@ Pictures are rectified: no distortion, intrinsics from the camera's projection m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -18,10 +18,10 @@ from icu_common.core.geometry import Array, Transform, nearest_rotation
 
 # Tukey's biweight at 95 % efficiency, and the median absolute deviation of a normal distribution.
 _TUKEY, _MAD = 4.685, 1.4826
-# Edge points of one line, and corners of one word, err together: their fits are so many times less certain (variance)
-# than independent points would make them. Measured on renders with known truth; binned pictures err by up to six
-# deviations instead of four (docs/decisions/recognition.md).
-_EDGES_SHARE, _CORNERS_SHARE = 16.0, 4.0
+# Edge points of one line err together by so much (px, standard deviation), whatever the scale, the noise and the blur.
+# Corners of one word do too: a plane fitted to them is so many times less certain (variance) than independent points
+# would make it. Measured on renders with known truth (docs/decisions/recognition.md).
+_SHARED_PX, _CORNERS_SHARE = 0.055, 4.0
 # What is known of a pose before anything was measured: half a radian, half a metre.
 _UNMEASURED = 0.5
 # Standard deviations by which a plane that was measured otherwise may differ.
@@ -242,6 +242,18 @@ def fit_pose(
     )
 
 
+def sharing(fit: PoseFit, points: FacePoints, line: npt.NDArray[np.intp], camera: CameraModel) -> PoseFit:
+    """Return the fit as sure as it is where the points of each ``line`` (N,) have an error in common."""
+    seen = fit.camera_from_panel.apply(points.in_space)
+    slopes = _by_turn_and_shift(points.residuals(seen, camera)[1], seen - fit.centre)
+    sums = np.zeros((int(line.max()) + 1, 6))
+    np.add.at(sums, line, slopes.T)
+    # The information of points that are 1 px off each, and what of each line's error goes into the pose.
+    information = slopes @ slopes.T + (_SHARED_PX / _UNMEASURED) ** 2 * np.eye(6)
+    taken = _SHARED_PX * np.linalg.solve(information, sums.T)
+    return replace(fit, covariance=fit.covariance + taken @ taken.T)
+
+
 def with_plane(fit: PoseFit, plane_pose: Transform, covariance: Array) -> PoseFit | None:
     """Improve a pose by a plane that was measured otherwise, each weighted by its covariance.
 
@@ -257,7 +269,7 @@ def with_plane(fit: PoseFit, plane_pose: Transform, covariance: Array) -> PoseFi
         (6, 6) of that, as :class:`~harris_perception.core.plane_fit.PlaneFit` has it.
     """
     normal, point = plane_pose.rotation[:, 2], plane_pose.translation
-    before, covariance = _EDGES_SHARE * fit.covariance, _CORNERS_SHARE * covariance
+    before, covariance = fit.covariance, _CORNERS_SHARE * covariance
     # The plane's place is compared at three of its points, an arm's length of 0.1 m apart.
     places = point + 0.1 * np.array([np.zeros(3), plane_pose.rotation[:, 0], plane_pose.rotation[:, 1]])
     measured = np.column_stack([np.tile(normal, (3, 1)), np.cross(places - point, normal)])

@@ -34,6 +34,7 @@ from harris_perception.core.planar_pose import (
     PoseFit,
     fit_pose,
     planar_poses,
+    sharing,
 )
 from harris_perception.core.pose_agreement import AgreementConfig
 from icu_common.core.camera_model import CameraModel
@@ -79,7 +80,7 @@ class Sighting:
     rms_px
         Their misfit under the pose.
     deviation_px
-        Standard deviation to which the pose tells where the face's corners are seen.
+        Standard deviation to which the pose tells where the face's corners are seen, each edge erring for itself.
     tracked
         Followed from the frame before rather than searched.
     patches
@@ -320,7 +321,7 @@ class PanelRecogniser:
         measured = self._meter.by_edges(rectified, start, camera, blur_px)
         if measured is None:
             return None
-        fit, points, rms = measured
+        fit, points, line, rms = measured
         pose = fit.camera_from_panel
         patches = self._meter.compared(rectified, pose, camera, blur_px)
         if patches is None:
@@ -332,7 +333,7 @@ class PanelRecogniser:
             deviation_px=float(fit.deviation_px(self._outline_m(), camera).max()),
             tracked=tracked,
             patches=patches,
-            fit=fit,
+            fit=sharing(fit, points, line, camera),
         )
 
     def _outline_m(self) -> Array:
