@@ -110,6 +110,20 @@ def test_wrong_detections_are_left_out(wrong: int) -> None:
         np.testing.assert_allclose(result.camera_from_base.translation, TRUE_POSE.translation, atol=0.0004)
 
 
+def test_what_is_left_out_does_not_change_what_is_told_of_the_rest() -> None:
+    """A tip that was seen at the tracker's greatest depth once told a noise of half as much again."""
+    data = samples(grid(), np.random.default_rng(1))
+    query, places = grid(2, 2), (2, 9, 15, 20)
+    rest = [sample for number, sample in enumerate(data) if number not in places]
+    for number in places:
+        far = data[number].tip * 1.5 / data[number].tip[2]
+        data[number] = Sample(reading=data[number].reading, tip=far, covariance=pair_covariance(far, SIGMA_PX))
+    alone, found = calibrate(rest, CAMERAS), calibrate(data, CAMERAS)
+    assert set(np.flatnonzero(~found.fit.used)) == set(places)
+    assert found.sigma_m(query) == pytest.approx(alone.sigma_m(query), rel=0.01)
+    assert found.fit.variance_factor == pytest.approx(alone.fit.variance_factor, rel=0.05)
+
+
 @pytest.mark.parametrize("wrong", [0, 1, 4])
 @pytest.mark.parametrize("seed", range(3))
 def test_of_many_samples_the_first_ones_count_no_more_than_others(seed: int, wrong: int) -> None:

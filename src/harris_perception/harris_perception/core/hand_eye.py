@@ -293,11 +293,12 @@ def fit_tip(design: Array, samples: Sequence[Sample], places: int, cameras: Ster
         As :func:`robust_fit`.
     """
     tips = np.array([s.tip for s in samples], dtype=np.float64)
-    by_pixel = np.linalg.inv(pair_pixels(tips.mean(axis=0, keepdims=True), cameras)[1][0])
+    # Medians: which are wrong is not known yet, and one that was seen far away would make all seem to be noisier.
+    by_pixel = np.linalg.inv(pair_pixels(np.median(tips, axis=0, keepdims=True), cameras)[1][0])
     shape = by_pixel @ by_pixel.T
     seen, derivative = pair_pixels(tips, cameras)
     told = np.einsum("nij,njk,nik->n", derivative, np.array([s.covariance for s in samples]), derivative) / 3
-    expected_px = float(np.sqrt(np.mean(told) + config.tip_sigma_px**2))
+    expected_px = float(np.sqrt(np.median(told) + config.tip_sigma_px**2))
     fit = robust_fit(design, tips, expected_px**2 * shape, config)
     used, regression = fit.used, fit.regression
     for _ in range(10):
@@ -310,7 +311,7 @@ def fit_tip(design: Array, samples: Sequence[Sample], places: int, cameras: Ster
         _check_left_out(used, config)
     # Two pictures see depth by the difference of their errors, and what both share is no part of it.
     shared = max(sigma, config.tip_sigma_px)
-    far = float(np.mean(tips[:, 2]))
+    far = float(np.mean(tips[used, 2]))
     pixel_m = far / cameras.focal_px
     return dataclasses.replace(
         fit,
