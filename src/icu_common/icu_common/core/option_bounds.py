@@ -7,7 +7,7 @@ import math
 
 
 def check_bounds(options: argparse.Namespace, **bounds: tuple[float, float]) -> None:
-    """Check options by name against their least and greatest value, both allowed.
+    """Check options by name against their least and greatest value, both allowed; one that is None was not given.
 
     Raises
     ------
@@ -16,6 +16,6 @@ def check_bounds(options: argparse.Namespace, **bounds: tuple[float, float]) -> 
     """
     for name, (least, most) in bounds.items():
         value = getattr(options, name)
-        if not least <= value <= most:
+        if value is not None and not least <= value <= most:
             allowed = f"{least:g} or more" if math.isinf(most) else f"{least:g} to {most:g}"
             raise ValueError(f"--{name.replace('_', '-')} {value:g}: {allowed} is needed")

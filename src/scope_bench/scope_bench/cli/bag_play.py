@@ -39,11 +39,14 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--topics", nargs="+", metavar="NAME", help="only these")
     result.add_argument("--exclude", nargs="+", default=[], metavar="NAME", help="all but these")
     result.add_argument("--start-offset", type=float, default=0.0, metavar="S", help="leave out the beginning")
-    result.add_argument("--clock", type=float, default=0.0, metavar="HZ", help="publish /clock so often")
+    result.add_argument("--clock", type=float, metavar="HZ", help="publish /clock so often (default: not at all)")
     result.add_argument("--keep-compressed", action="store_true", help="do not unpack compressed pictures")
     result.add_argument("--moving", action="store_true", help=f"play also {', '.join(MOVING)}")
     result.add_argument(
-        "--in-step", type=int, default=0, metavar="N", help="wait for N processes of bring_up --in-step at each message"
+        "--in-step",
+        type=int,
+        metavar="N",
+        help="wait for N processes of bring_up --in-step at each message (default: play by the clock)",
     )
     result.add_argument("--wait", type=float, default=1.0, metavar="S", help="at most so long for subscribers")
     result.add_argument(
@@ -229,8 +232,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(given[:split])
     most = math.inf
     try:
-        check_bounds(options, start_offset=(0, most), duration=(0, most), clock=(0, 1e4), wait=(0, most))
-        check_bounds(options, in_step=(0, most), patience=(0, most))
+        check_bounds(options, start_offset=(0, most), duration=(0, most), clock=(0.001, 1e4), wait=(0, most))
+        check_bounds(options, in_step=(1, most), patience=(0, most))
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
