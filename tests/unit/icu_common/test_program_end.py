@@ -59,6 +59,48 @@ def test_ctrl_c_while_libraries_are_imported_is_told_in_one_line(module: str) ->
     assert (done.returncode, done.stderr) == (-signal.SIGINT, "interrupted\n")
 
 
+WITHOUT_ROS = """
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.startswith("rclpy") or name.partition(".")[0].endswith(("_msgs", "_srvs", "_interfaces")):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Missing())
+import importlib
+importlib.import_module(sys.argv[1])
+"""
+NEED_NO_ROS = {
+    *(f"harris_perception.cli.{name}" for name in ("calibrate", "hand_eye", "harris", "panel_teach", "stereo")),
+    *("gantry_driver.cli.gantry_gcode", "scope_bench.cli.bag_info", "scope_bench.cli.render"),
+    "scope_ui_bridge.cli.page_admin",
+}
+
+
+@pytest.mark.parametrize("module", entries())
+def test_without_a_ros_environment_one_line_says_what_to_source(module: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_ROS, module], capture_output=True, text=True, timeout=60, check=False
+    )
+    if module in NEED_NO_ROS:
+        assert (done.returncode, done.stderr) == (0, "")
+    else:
+        told = rf"error: No module named '[\w.]+' for {re.escape(sys.executable)}: source ROS 2 first .*\n"
+        assert done.returncode == 1 and re.fullmatch(told, done.stderr), done.stderr
+        assert "/opt/ros/jazzy/setup.bash" in done.stderr and "scripts/setup.sh" in done.stderr
+
+
+def test_another_module_that_is_missing_is_no_matter_of_ros() -> None:
+    script = WITHOUT_ROS.replace('name.startswith("rclpy")', 'name == "yaml"')
+    done = subprocess.run(
+        [sys.executable, "-c", script, "harris_perception.cli.harris"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1 and "Traceback" in done.stderr and "No module named 'yaml'" in done.stderr
+
+
 def test_ctrl_c_is_told_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     @ends_quietly
     def main() -> int:

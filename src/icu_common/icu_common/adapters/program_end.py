@@ -16,6 +16,8 @@ from typing import ParamSpec
 INTERRUPTED, UNREAD, UNWRITTEN = 130, 141, os.EX_IOERR
 """Exit codes: as shells have them, 128 and the number of SIGINT or SIGPIPE; standard output could not be written."""
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+_OF_ROS = re.compile(r"(rclpy|rpyutils|rosidl_\w+|ament_\w+|\w+_(msgs|srvs|interfaces))(\.|$)")
+"""Modules that come with ROS 2; what a distribution brings beside them is not told by its name."""
 
 P = ParamSpec("P")
 
@@ -31,13 +33,22 @@ def help_text(documentation: str | None) -> str:
     return re.sub(r":\w+:`~?([^`]*)`", r"\1", documentation or "").replace("``", "")
 
 
-def interrupts_in_one_line() -> None:
-    """Let Ctrl-C end this process without a traceback while it still imports what its ``main`` needs."""
+def starts_in_one_line() -> None:
+    """Let a start that cannot be end by one line, while this process imports what its ``main`` needs.
+
+    That is Ctrl-C, and a shell in which ROS is not sourced.
+    """
     usual = sys.excepthook
 
     def told(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         if issubclass(kind, KeyboardInterrupt):
             print("interrupted", file=sys.stderr)
+        elif isinstance(error, ImportError) and _OF_ROS.match(error.name or ""):
+            print(
+                f"error: {str(error).partition(chr(10))[0]} for {sys.executable}: source ROS 2 first "
+                "(source /opt/ros/jazzy/setup.bash), or use the programs of scripts/setup.sh in ros2_ws/install",
+                file=sys.stderr,
+            )
         else:
             usual(kind, error, trace)
 
