@@ -147,5 +147,14 @@ def test_waits_that_are_changed_hold_at_once(ros: Any, tmp_path: Path) -> None:
 def test_settings_that_cannot_work_end_the_node_at_once(ros: Any, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="bench_socket"):
         ros.node(CameraNode, {"source": "bench"})
-    with pytest.raises(ConfigError, match=r"absent\.yaml"):
-        ros.node(CameraNode, {"source": "v4l2", "left_calibration": str(tmp_path / "absent.yaml")})
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "broken.yaml").write_text("image_width: 640\n", encoding="utf-8")
+    for side in ("left", "right"):
+        for name, why in (
+            ("absent.yaml", r"No such file or directory; camera_calibration makes it \(docs/calibration\.md\)"),
+            ("folder", "Is a directory"),
+            ("broken.yaml", "not a camera calibration: .*'distortion_model'"),
+        ):
+            said = rf"the {side} camera's {side}_calibration: {tmp_path}/{name}: {why}"
+            with pytest.raises(ConfigError, match=said):
+                ros.node(CameraNode, {"source": "v4l2", f"{side}_calibration": str(tmp_path / name)})

@@ -64,10 +64,18 @@ class Eye:
 def _load(side: str, calibration: str) -> CameraModel | None:
     if not calibration:
         return None
+    file, which = Path(calibration).expanduser(), f"the {side} camera's {side}_calibration"
     try:
-        return CameraModel.load(Path(calibration).expanduser())
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{side}_calibration: {error}") from error
+        return CameraModel.load(file)
+    except FileNotFoundError as error:
+        raise ConfigError(
+            f"{which}: {file}: {error.strerror}; camera_calibration makes it (docs/calibration.md), "
+            "and without one an empty text is needed"
+        ) from error
+    except OSError as error:
+        raise ConfigError(f"{which}: {file}: {error.strerror}") from error
+    except ValueError as error:
+        raise ConfigError(f"{which}: {error}") from error
 
 
 def _waits(config: CameraConfig) -> dict[str, float]:
