@@ -426,3 +426,18 @@ def test_program_leaves_a_file_in_the_links_place_alone(tmp_path: Path, capsys: 
         assert "exists and is not a" in capsys.readouterr().err
         assert (tmp_path / "precious").read_text() == "data"
         assert sorted(path.name for path in tmp_path.iterdir()) == ["precious"]
+
+
+@pytest.mark.parametrize("option", ["--link", "--truth-socket", "--control-socket", "--log"])
+def test_program_makes_no_folder(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With a misspelt path it would serve where nobody looks."""
+    assert main(["--link", str(tmp_path / "port"), option, str(tmp_path / "nope" / "x")]) == 2
+    expected = f"error: {option} {tmp_path}/nope/x: there is no folder {tmp_path}/nope\n"
+    assert capsys.readouterr() == ("", expected)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["--truth-socket", "--control-socket"])
+def test_program_names_a_socket_that_cannot_be(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([option, "/proc/socket"]) == 2
+    assert capsys.readouterr() == ("", "error: /proc/socket: No such file or directory\n")

@@ -110,3 +110,8 @@ def test_a_path_that_is_too_long_for_a_socket_is_said_with_the_bound(tmp_path: P
     path = tmp_path / ("x" * 108)
     with pytest.raises(OSError, match=rf"{path}: a socket's path may have 107 bytes"):
         listen_at(path)
+
+
+def test_a_place_that_takes_no_socket_is_named() -> None:
+    with pytest.raises(OSError, match=r"^/proc/socket: No such file or directory$"):
+        listen_at(Path("/proc/socket"))

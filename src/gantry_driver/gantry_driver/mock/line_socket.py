@@ -24,12 +24,15 @@ class LineServer:
         self._clients: dict[socket.socket, tuple[bytearray, bytearray]] = {}
         if len(os.fsencode(path)) > _LONGEST_PATH:
             raise OSError(f"{path}: a socket's path may have {_LONGEST_PATH} bytes")
-        path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists() and not stat.S_ISSOCK(path.stat().st_mode):
             raise FileExistsError(f"{path} exists and is not a socket")
         path.unlink(missing_ok=True)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._listener.bind(os.fspath(path))
+        try:
+            self._listener.bind(os.fspath(path))
+        except OSError as error:  # which names no file
+            self._listener.close()
+            raise OSError(f"{path}: {error.strerror}") from error
         self._listener.listen(8)
         self._listener.setblocking(False)
         selector.register(self._listener, selectors.EVENT_READ, self._accept)

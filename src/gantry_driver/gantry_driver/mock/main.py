@@ -11,7 +11,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import TextIO
 
 from gantry_driver.mock.machine import MAX_MM, Machine
 from gantry_driver.mock.mechanics import MechanicsOptions
@@ -79,9 +78,11 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _open_log(path: Path) -> TextIO:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path.open("w", encoding="utf-8")
+def _check_folders(options: argparse.Namespace) -> None:
+    for name in ("link", "truth_socket", "control_socket", "log"):
+        path: Path | None = getattr(options, name)
+        if path is not None and not path.parent.is_dir():
+            raise NotADirectoryError(f"--{name.replace('_', '-')} {path}: there is no folder {path.parent}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -95,6 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = make_parser().parse_args([f" {text}" if re.match("-[0-9.]", text) else text for text in given])
     with contextlib.ExitStack() as stack:
         try:
+            _check_folders(options)
             assignments = read_settings_file(options.settings) if options.settings else {}
             assignments.update(parse_assignment(text) for text in options.set)
             mechanics = MechanicsOptions() if options.start is None else MechanicsOptions(start_mm=options.start)
@@ -109,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 mechanics=mechanics,
                 seed=options.seed,
             )
-            log = stack.enter_context(_open_log(options.log)) if options.log else None
+            log = stack.enter_context(options.log.open("w", encoding="utf-8")) if options.log else None
             service = Service(
                 machine,
                 link=options.link,

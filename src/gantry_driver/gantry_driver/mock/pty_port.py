@@ -71,7 +71,6 @@ class PtyPort:
         self._master = master
         self.is_open = False
         if self._link is not None:
-            self._link.parent.mkdir(parents=True, exist_ok=True)
             fresh = self._link.with_name(self._link.name + ".new")
             fresh.unlink(missing_ok=True)
             fresh.symlink_to(self.path)

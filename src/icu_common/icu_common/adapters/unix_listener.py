@@ -17,7 +17,7 @@ def listen_at(path: Path) -> socket.socket:
     Raises
     ------
     OSError
-        If the folder cannot be made or the path is too long for a socket.
+        If the folder cannot be made, the path is too long for a socket, or there can be no socket.
     FileExistsError
         If something else than a socket is there.
     """
@@ -29,6 +29,10 @@ def listen_at(path: Path) -> socket.socket:
     path.unlink(missing_ok=True)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     listener.setblocking(False)
-    listener.bind(bytes(path))
+    try:
+        listener.bind(bytes(path))
+    except OSError as error:  # which names no file
+        listener.close()
+        raise OSError(f"{path}: {error.strerror}") from error
     listener.listen(_BACKLOG)
     return listener
