@@ -62,6 +62,13 @@ def program(package: str, name: str) -> str:
     return str(ROOT / "ros2_ws" / "install" / package / "lib" / package / name)
 
 
+def settings() -> dict[str, float]:
+    """Return what the graph of a replay is told, as the maker of the bag was."""
+    nodes = (("stylus_tracker", TRACKER), ("gantry_controller", CONTROLLER))
+    told = {f"{node}.{key}": value for node, values in nodes for key, value in values.items()}
+    return {"hand_eye.still.tips": TIPS, **told}
+
+
 @dataclass(slots=True)
 class Results:
     """What was published during a replay; stamps in ns, lengths in m."""
@@ -121,12 +128,9 @@ class ReplayGraph:
             "ROS_LOG_DIR": str(folder / "ros_log"),
             "PYTHONUNBUFFERED": "1",
         }
-        settings = {"hand_eye.still.tips": TIPS}
-        for node, values in (("stylus_tracker", TRACKER), ("gantry_controller", CONTROLLER)):
-            settings.update({f"{node}.{key}": value for key, value in values.items()})
         command = [program("scope_bench", "bring_up"), "--profile", "replay", "--in-step", "--without", "sequencer"]
         command += ["--state", str(folder / "state"), "--run-dir", str(folder / "run"), "--verbose"]
-        command += [part for key, value in settings.items() for part in ("--set", f"{key}={value}")]
+        command += [part for key, value in settings().items() for part in ("--set", f"{key}={value}")]
         self._log = folder / "bring_up.log"
         with self._log.open("wb") as log:
             self.process = subprocess.Popen(command, env=self.environment, stdout=log, stderr=subprocess.STDOUT)

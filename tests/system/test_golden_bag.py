@@ -7,6 +7,7 @@ artifacts/golden.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,8 @@ import pytest
 from golden import replay
 from golden.replay import ReplayGraph, Results
 from ros_rig import domain_of_worker
+
+from scope_bench.adapters.bags import BagReader
 
 EXPECTED = json.loads(replay.EXPECTED.read_text(encoding="utf-8"))
 BEGINNING_S = 3.0
@@ -50,6 +53,18 @@ def test_the_replay_gives_the_recorded_results(replayed: Results) -> None:
     print("\n" + replay.table(replay.compare(EXPECTED, replayed), everything=True))
     found = difference(replayed, "replay.png")
     assert not found, found
+
+
+def test_the_documentation_replays_it_with_the_same_settings() -> None:
+    text = (replay.ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
+    told = re.findall(r"--set ([\w.]+)=([\d.]+)", text)
+    assert {name: float(value) for name, value in told} == replay.settings()
+    with BagReader(replay.BAG) as bag:
+        assert f"`{bag.count - trajectories(bag)} messages played`" in text
+
+
+def trajectories(bag: BagReader) -> int:
+    return next(topic.count for topic in bag.topics if topic.name == "/gantry/trajectory")
 
 
 def test_no_picture_is_dropped_and_speed_changes_nothing(graph: ReplayGraph, replayed: Results) -> None:
