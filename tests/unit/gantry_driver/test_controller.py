@@ -913,7 +913,7 @@ def test_shutdown_stops_a_goal_in_work() -> None:
 
 
 def test_the_table_has_an_entry_for_every_end_of_every_phase() -> None:
-    seeing = {*LOOKING, Phase.WAIT, Phase.READ}
+    seeing = {*LOOKING, Phase.SIGHT, Phase.WAIT, Phase.READ}
     expected = {(p, Step.ARRIVED) for p in MOVING} | {(p, s) for p in seeing for s in (Step.SEEN, Step.UNSEEN)}
     assert set(Controller._NEXT) == expected
     assert set(MOVING) | seeing | {Phase.IDLE} == set(Phase)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, KNOB, Bench, RidingBench
+from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, KNOB, Bench, RidingBench
 from unit.gantry_driver.test_controller_gestures import BUTTON_Z, details
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.goal_job import Phase
+from icu_common.core.geometry import Transform
 from icu_common.core.results import Outcome
 
 
@@ -111,3 +112,137 @@ def test_the_panel_is_not_taken_along_by_a_carriage_from_where_it_was_not_seen_y
         bench.talking.add("panel")
         bench.run(0.5)
         assert bench.go(0.1, 0.1).outcome is Outcome.REACHED
+
+
+DRAG = "drag:0.05,0.06@panel_link:0.12,0.06@panel_link"
+
+
+def unseen_after_a_drag() -> RidingBench:
+    """A bench whose cameras have been carried along, and have not seen the panel from there."""
+    bench = RidingBench(seed=3)
+    bench.talking.add("state")
+    bench.start()
+    bench.on_phase[Phase.LIFT] = lambda b: b.talking.discard("panel")
+    assert bench.do(DRAG).outcome is Outcome.REACHED
+    return bench
+
+
+def waits(bench: Bench, command: str = "press:RUN_STOP id=late") -> None:
+    """Give a command and see it accepted, and nothing sent to the driver for it."""
+    before = len(bench.paths)
+    bench.tell(msg.Command(text=command))
+    bench.run(1.0)
+    result = bench.results[-1]
+    assert (result.outcome, result.reason) == (Outcome.ACCEPTED, "waiting for the panel to be seen"), result
+    assert bench.controller.phase is Phase.SIGHT and bench.controller.state == "looking"
+    assert len(bench.paths) == before
+
+
+@pytest.mark.parametrize("command", ["press:RUN_STOP id=late", "set:CH1_SCALE:UP id=late", f"{DRAG} id=late"])
+def test_what_comes_after_a_drag_waits_until_the_panel_is_seen_from_there(command: str) -> None:
+    bench = unseen_after_a_drag()
+    waits(bench, command)
+    if command.startswith("press"):
+        shift = (0.004, -0.003, 0.0)
+        bench.base_from_panel = Transform(BASE_FROM_PANEL.rotation, BASE_FROM_PANEL.translation + shift)
+    count = len(bench.finals)
+    bench.talking.add("panel")
+    result = bench.run_goal()
+    answers = [(r.goal_id, r.outcome) for r in bench.results if r.goal_id == "late"]
+    assert answers == [("late", Outcome.ACCEPTED), ("late", Outcome.REACHED)] and len(bench.finals) == count + 1, result
+    assert result.duration_s > 1.0, "the wait counts"
+    if command.startswith("press"):
+        target = [float(v) for v in details(result)["target_base_m"].split()]
+        assert target[:2] == pytest.approx(bench.base_from_panel.apply(BUTTON)[:2], abs=1e-4), "as it is seen now"
+
+
+def test_a_stop_ends_the_wait_for_the_panel_at_once() -> None:
+    bench = unseen_after_a_drag()
+    waits(bench)
+    before = len(bench.paths)
+    bench.driver = "stopped: on request"
+    bench.tell(msg.DriverState(text=bench.driver))
+    result = bench.finals[-1]
+    assert result.goal_id == "late" and result.outcome is Outcome.ABORTED
+    assert "stopped: on request" in result.reason and "nothing more was moved" in result.reason
+    bench.talking.add("panel")
+    bench.run(1.0)
+    bench.driver = "idle"
+    bench.tell(msg.DriverState(text=bench.driver))
+    bench.run(1.0)
+    assert len(bench.paths) == before and bench.controller.phase is Phase.IDLE
+
+
+def test_an_operator_who_goes_ends_the_wait_for_the_panel() -> None:
+    bench = unseen_after_a_drag()
+    waits(bench)
+    before = len(bench.paths)
+    bench.talking.discard("heartbeat")
+    bench.run(1.0)
+    result = bench.finals[-1]
+    assert result.goal_id == "late" and "lost the operator" in result.reason and len(bench.paths) == before
+
+
+def test_while_one_waits_for_the_panel_another_is_refused_as_busy() -> None:
+    bench = unseen_after_a_drag()
+    waits(bench)
+    for answer in (bench.do("press:SINGLE id=second"), bench.go(0.1, 0.1)):
+        assert answer.outcome is Outcome.REJECTED and answer.reason == "busy with 'press:RUN_STOP id=late'"
+    bench.talking.add("panel")
+    assert bench.run_goal().goal_id == "late"
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [("press:NOBODY", "NOBODY"), ("press:0.9,0.06@panel_link", "0.9"), ("press:CRAMPED", "CRAMPING")],
+)
+def test_what_cannot_be_touched_is_told_once_the_panel_is_seen(command: str, reason: str) -> None:
+    bench = unseen_after_a_drag()
+    waits(bench, command)
+    before = len(bench.paths)
+    bench.talking.add("panel")
+    result = bench.run_goal()
+    assert result.outcome is Outcome.ABORTED and result.reason.endswith("; nothing was moved"), result
+    assert reason in result.reason and len(bench.paths) == before
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "press:640,360@camera_left_optical_frame",
+        "drag:0.05,0.06@panel_link:640,360@camera_left_optical_frame",
+        "drag:640,360@camera_left_optical_frame:0.05,0.06@panel_link",
+    ],
+)
+def test_a_pixel_of_a_picture_from_elsewhere_is_refused_at_once(command: str) -> None:
+    bench = unseen_after_a_drag()
+    result = bench.do(command)
+    assert result.outcome is Outcome.REJECTED and "from where the cameras have come to" in result.reason, result
+
+
+def test_what_the_controls_show_is_awaited_with_the_panel() -> None:
+    """What was seen before the cameras were carried on is hidden, or not, at another place."""
+    bench = RidingBench(seed=3)
+    bench.talking.add("state")
+    bench.hidden["RUN_STOP"] = "stylus"
+    bench.start()
+    bench.on_phase[Phase.MOVE] = lambda b: b.talking.discard("state")
+    assert bench.go(0.02, 0.02).outcome is Outcome.REACHED
+    before = len(bench.paths)
+    bench.tell(msg.Command(text="press:RUN_STOP"))
+    bench.run(0.5)
+    assert bench.controller.phase is Phase.SIGHT and len(bench.paths) == before
+    bench.hidden.clear()
+    bench.talking.add("state")
+    went_aside: list[Bench] = []
+    bench.on_phase[Phase.ASIDE] = went_aside.append
+    assert bench.run_goal().outcome is Outcome.REACHED
+    assert not went_aside, "it is not hidden from here"
+
+
+def test_no_fixed_camera_waits_for_a_panel_that_it_does_not_see() -> None:
+    bench = Bench(seed=3).start()
+    assert bench.go(0.2, 0.1).outcome is Outcome.REACHED
+    bench.talking.discard("panel")
+    bench.run(2.5)
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REJECTED

@@ -14,7 +14,7 @@ import numpy as np
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core import goal_intake
-from gantry_driver.core.goal_job import MOVING, NANO, OTHERWISE, STATES, Fault, Job
+from gantry_driver.core.goal_job import MOVING, NANO, OTHERWISE, STATES, Fault, Job, Phase
 from gantry_driver.core.goal_phases import GoalPhases
 from gantry_driver.core.goal_run import nanoseconds
 from gantry_driver.core.motion_plan import OutOfReach
@@ -198,7 +198,8 @@ class Controller(GoalPhases):
             if self._job is not None:
                 raise Refused(f"busy with {self._job.text!r}")
             job = make_job()
-            self._way_to(job)
+            if not job.unplanned:
+                self._way_to(job)
         except OutOfReach as error:
             self._reject(goal_id, text, f"{text}: {error}")
             return
@@ -207,8 +208,7 @@ class Controller(GoalPhases):
             return
         self._job = job
         self._world.unchecked = False
-        self._publish(job, Outcome.ACCEPTED)
-        self._actions.append(msg.ShowTarget(in_base=job.goal_base()))
+        self._publish(job, Outcome.ACCEPTED, Phase.SIGHT.value if job.unplanned else "")
         self._start(job)
 
     def _reject(self, goal_id: str, text: str, reason: str) -> None:

@@ -37,7 +37,13 @@ class ControllerConfig(Config):
         0.0006, "Largest distance of one of them from their mean, sideways", minimum=1e-5, maximum=0.01, unit="m"
     )
     settle_s: float = setting(0.1, "Standstill before a picture counts", minimum=0.0, maximum=5.0, unit="s")
-    look_timeout_s: float = setting(3.0, "Time for one look", minimum=0.1, maximum=30.0, unit="s")
+    look_timeout_s: float = setting(
+        3.0,
+        "Time for one look, and for the panel to be seen from where cameras on the carriage have come to",
+        minimum=0.1,
+        maximum=30.0,
+        unit="s",
+    )
     beside_m: float = setting(
         0.02,
         "Way beside a target above which the tip is not seen, to look at it from there; 0: it is not touched then",

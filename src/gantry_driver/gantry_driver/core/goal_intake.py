@@ -98,7 +98,7 @@ def _check_clear(goal: Array, world: World, config: ControllerConfig) -> None:
 
 
 def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config: ControllerConfig) -> Job:
-    """Return the job of a gesture, which is ``text`` for people.
+    """Return the job of a gesture, which is ``text`` for people; an unplanned one where the panel is about to be seen.
 
     Raises
     ------
@@ -108,7 +108,10 @@ def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config:
     if isinstance(gesture.target, Point) and gesture.target.frame not in targets.FRAMES:
         raise Refused(f"frame {gesture.target.frame!r} is none of {', '.join(targets.FRAMES)}")
     for obstacle in world.obstacles(config):
-        raise Refused(obstacle.reason)
+        if not obstacle.passing or _in_picture(gesture):
+            raise Refused(obstacle.reason)
+        aim = Aim(base_from_reading=np.eye(2))
+        return Job(goal_id=goal_id, text=text, kind=gesture.kind, started_ns=world.now_ns, aim=aim, gesture=gesture)
     scene, seen = world.scene(), world.recently_seen(config)
     knob = None
     if gesture.kind in TURNING and isinstance(gesture.target, str):
@@ -138,6 +141,11 @@ def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config:
         before=seen,
         hold_s=hold_s.get(gesture.kind, 0.0),
     )
+
+
+def _in_picture(gesture: Gesture) -> bool:
+    """Whether a place is meant by its pixel, which in the next picture is another place."""
+    return any(isinstance(place, Point) and place.frame == CAMERA_LEFT for place in (gesture.target, gesture.to))
 
 
 def _check_marker_not_old(name: str, kind: str, world: World, config: ControllerConfig) -> None:

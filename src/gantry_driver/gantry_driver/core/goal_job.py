@@ -23,6 +23,7 @@ class Phase(str, Enum):
     """Where a goal stands; the value is for diagnostics."""
 
     IDLE = "idle"
+    SIGHT = "waiting for the panel to be seen"
     WAIT = "waiting for a free view"
     MOVE = "moving to the point"
     APPROACH = "moving above the target"
@@ -69,6 +70,7 @@ STATES = {
     Phase.MEASURE: "looking",
     Phase.READ: "looking",
     Phase.WAIT: "looking",
+    Phase.SIGHT: "looking",
 }
 OTHERWISE = "moving"
 WORKING = frozenset((*STATES.values(), OTHERWISE))
@@ -146,6 +148,11 @@ class Job:
     left_ns: int = 0
     """When the stylus began to leave what it had touched."""
     fault: Fault | None = None
+
+    @property
+    def unplanned(self) -> bool:
+        """Whether it is not known yet where it goes: the panel has not been seen from where the cameras are."""
+        return self.point is None and self.touch is None
 
     def look_before(self, seen: PanelSeen) -> None:
         """Take what is seen before the touch: a lamp may have changed since the goal was taken, or been hidden then."""

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from gantry_driver.core import controller_messages as msg
 from gantry_driver.core import goal_intake, motion_plan
 from gantry_driver.core.effects import Knob, effect, knob_of
 from gantry_driver.core.goal_job import LOOKING, NANO, Aim, Fault, Job, Phase, Step
@@ -27,6 +28,8 @@ class GoalPhases(GoalRun):
     # Every transition of a goal. A method either enters another phase or finishes the goal.
     _NEXT: ClassVar[dict[tuple[Phase, Step], Callable[[GoalPhases, Job], None]]] = {
         (Phase.MOVE, Step.ARRIVED): lambda self, job: self._finish_move(job),
+        (Phase.SIGHT, Step.SEEN): lambda self, job: self._plan_in_sight(job),
+        (Phase.SIGHT, Step.UNSEEN): lambda self, job: self._plan_in_sight(job),
         (Phase.WAIT, Step.SEEN): lambda self, job: self._begin_anew(job),
         (Phase.WAIT, Step.UNSEEN): lambda self, job: self._finish_hidden(job),
         (Phase.APPROACH, Step.ARRIVED): lambda self, job: self._look_at_hover(job),
@@ -56,6 +59,8 @@ class GoalPhases(GoalRun):
             self._NEXT[self.phase, step](self, self._job)
 
     def _ended(self, job: Job) -> Step | None:
+        if self.phase is Phase.SIGHT:
+            return self._looked(self._may_plan())
         if self.phase is Phase.WAIT:
             return self._looked(job.touch is not None and job.touch.control not in self._world.hidden_ns)
         if self.phase is Phase.READ:
@@ -81,11 +86,39 @@ class GoalPhases(GoalRun):
     # Beginning
 
     def _start(self, job: Job) -> None:
-        """Begin at once, or wait until whatever hides the control has gone."""
+        """Begin at once, or wait until the panel is seen, or until whatever hides the control has gone."""
+        if job.unplanned:
+            self._enter(Phase.SIGHT, self.config.look_timeout_s)
+            return
+        self._actions.append(msg.ShowTarget(in_base=job.goal_base()))
         if job.touch is not None and job.touch.control in self._world.hidden_ns:
             self._enter(Phase.WAIT, self.config.hidden_wait_s)
         else:
             self._begin(job)
+
+    def _may_plan(self) -> bool:
+        """Whether the panel has been seen from here, with what its controls show, or will not be."""
+        world = self._world
+        obstacle = next(world.obstacles(self.config), None)
+        if obstacle is not None:
+            return not obstacle.passing
+        seen = world.recently_seen(self.config)
+        return seen is None or world.from_here(seen.stamp_ns, self.config)
+
+    def _plan_in_sight(self, waiting: Job) -> None:
+        """Take the goal as if it came now; who gave it has its first answer already."""
+        assert waiting.gesture is not None
+        try:
+            for obstacle in self._world.obstacles(self.config):
+                raise Refused(obstacle.reason)
+            job = goal_intake.gesture_job(waiting.gesture, waiting.text, waiting.goal_id, self._world, self.config)
+            self._way_to(job)
+        except (Refused, OutOfReach) as error:
+            self._finish(waiting, Outcome.ABORTED, f"{error}; nothing was moved")
+            return
+        job.started_ns = waiting.started_ns
+        self._job = job
+        self._start(job)
 
     def _begin(self, job: Job) -> None:
         knob = job.knob

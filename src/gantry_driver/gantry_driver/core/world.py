@@ -39,11 +39,15 @@ _LIFTS_NOTHING = ("disconnected", "connecting", "unhomed", "mismatch", "alarm")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacle:
-    """What keeps goals from starting: ``state`` for /gantry/state, ``reason`` with value and bound for a rejection."""
+    """What keeps goals from starting: ``state`` for /gantry/state, ``reason`` with value and bound for a rejection.
+
+    One that is ``passing`` may go away by itself: cameras on the carriage have not seen the panel from where they are.
+    """
 
     state: str
     reason: str
     every_goal: bool
+    passing: bool = False
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -137,8 +141,11 @@ class World:
 
     def panel_is_still(self, config: ControllerConfig) -> bool:
         """Whether the panel's pose was seen from where the cameras are now."""
-        settled_ns = self.crossed_ns + round(config.settle_s * NANO)
-        return not config.camera_on_carriage or self.panel_stamp_ns > settled_ns
+        return not config.camera_on_carriage or self.from_here(self.panel_stamp_ns, config)
+
+    def from_here(self, stamp_ns: int, config: ControllerConfig) -> bool:
+        """Whether a picture was taken since the carriage has come to rest."""
+        return stamp_ns > self.crossed_ns + round(config.settle_s * NANO)
 
     def base_from_camera(self, scene: Scene, config: ControllerConfig) -> Transform | None:
         """Return where the camera that sees the tip is; None while cameras on the carriage have not told."""
@@ -274,20 +281,30 @@ class World:
         yield from self._panel_obstacles(config)
 
     def _panel_obstacles(self, config: ControllerConfig) -> Iterator[Obstacle]:
-        pose_age = self.age_s(self.panel_stamp_ns if self.panel_is_still(config) else None)
+        pose_age, still = self.age_s(self.panel_stamp_ns), self.panel_is_still(config)
+        known = self.camera_from_panel is not None and self.panel is not None
         if not self.confidence >= config.min_confidence:
             yield Obstacle(
                 state="waiting: panel not recognised",
                 reason=f"the panel is recognised with confidence {self.confidence:.2f}, "
                 f"at least {config.min_confidence:g} is needed",
                 every_goal=False,
+                passing=known and not still,
             )
-        elif self.camera_from_panel is None or self.panel is None:
+        elif not known:
             missing = "pose" if self.camera_from_panel is None else "controls"
             yield Obstacle(
                 state="waiting: panel not recognised",
                 reason=f"the panel is not recognised: no {missing} yet",
                 every_goal=False,
+            )
+        elif not still:
+            yield Obstacle(
+                state="waiting: panel pose is old",
+                reason="the panel has not been seen from where the cameras have come to, "
+                f"at most {config.look_timeout_s:g} s are waited for it",
+                every_goal=False,
+                passing=True,
             )
         elif pose_age > config.panel_max_age_s:
             yield Obstacle(

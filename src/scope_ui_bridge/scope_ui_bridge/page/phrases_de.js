@@ -240,6 +240,7 @@ export const PHRASES_DE = [
   ["the panel is recognised with confidence {}, at least {} is needed", "die Front ist mit {} erkannt, mindestens {} ist nötig"],
   ["{}, at most {} s are allowed", "{}, höchstens {} s sind erlaubt"],
   ["the panel is not recognised: no {} yet", "die Front ist nicht erkannt: bisher keine {}"],
+  ["the panel has not been seen from where the cameras have come to, at most {} s are waited for it", "die Front wurde von dort, wo die Kameras jetzt sind, noch nicht gesehen, höchstens {} s wird darauf gewartet"],
   ["no pose of the panel {}, at most {} s are allowed", "{} keine Lage der Front, höchstens {} s sind erlaubt"],
   ["the controller has ended", "die Steuerung ist beendet"],
   ["the controller is shutting down", "die Steuerung wird beendet"],
@@ -285,6 +286,7 @@ export const PHRASES_DE = [
 
   // Steuerung: unterwegs
   ["waiting for a free view", "wartet auf freie Sicht"],
+  ["waiting for the panel to be seen", "wartet, bis die Front zu sehen ist"],
   ["moving to the point", "fährt zur Stelle"],
   ["moving above the target", "fährt über das Ziel"],
   ["looking at the tip", "schaut auf die Spitze"],
