@@ -230,7 +230,7 @@ def test_what_the_controls_show_is_awaited_with_the_panel() -> None:
     assert bench.go(0.02, 0.02).outcome is Outcome.REACHED
     before = len(bench.paths)
     bench.tell(msg.Command(text="press:RUN_STOP"))
-    bench.run(0.5)
+    bench.run(2.0)
     assert bench.controller.phase is Phase.SIGHT and len(bench.paths) == before
     bench.hidden.clear()
     bench.talking.add("state")

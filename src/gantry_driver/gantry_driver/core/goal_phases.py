@@ -102,8 +102,7 @@ class GoalPhases(GoalRun):
         obstacle = next(world.obstacles(self.config), None)
         if obstacle is not None:
             return not obstacle.passing
-        seen = world.recently_seen(self.config)
-        return seen is None or world.from_here(seen.stamp_ns, self.config)
+        return world.seen is None or world.from_here(world.seen.stamp_ns, self.config)
 
     def _plan_in_sight(self, waiting: Job) -> None:
         """Take the goal as if it came now; who gave it has its first answer already."""
