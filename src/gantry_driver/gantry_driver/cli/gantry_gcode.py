@@ -39,6 +39,7 @@ from gantry_driver.core.trajectory_gcode import TrajectoryError
 from icu_common.adapters.program_end import end_signals, ends_quietly, help_text
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.config import ConfigError, from_mapping
+from icu_common.core.option_bounds import named_path
 from icu_common.core.parameter_file import values_for
 from icu_common.core.results import GoalResult, Outcome
 
@@ -303,7 +304,7 @@ def make_parser() -> argparse.ArgumentParser:
     board.add_argument("--port", help="device of the board (from --params, else /dev/ttyUSB0)")
     board.add_argument(
         "--params",
-        type=Path,
+        type=named_path,
         action="append",
         default=[],
         metavar="YAML",
@@ -311,15 +312,15 @@ def make_parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="run | settings", dest="command")
     run = commands.add_parser("run", parents=[board], help="check and run a program")
-    run.add_argument("file", type=Path, metavar="FILE")
+    run.add_argument("file", type=named_path, metavar="FILE")
     only = run.add_mutually_exclusive_group()
     only.add_argument("--check", action="store_true", help="check the file only; the port is not opened")
     only.add_argument("--dry-run", action="store_true", help="let the board check it in $C mode; nothing moves")
     settings = commands.add_parser("settings", parents=[board], help="compare, keep or write the board's settings")
     what = settings.add_mutually_exclusive_group()
-    what.add_argument("--save", type=Path, metavar="FILE", help="keep the board's settings in a file")
+    what.add_argument("--save", type=named_path, metavar="FILE", help="keep the board's settings in a file")
     what.add_argument("--write", action="store_true", help="write the configured machine's, and read them back")
-    what.add_argument("--write-file", type=Path, metavar="FILE", help="write those of a file, and read them back")
+    what.add_argument("--write-file", type=named_path, metavar="FILE", help="write those of a file, and read them back")
     return parser
 
 

@@ -14,7 +14,6 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 import yaml
 from std_msgs.msg import String
@@ -32,6 +31,7 @@ from gantry_driver.cli.operator_session import (
     say,
 )
 from icu_common.adapters.program_end import ends_quietly
+from icu_common.core.option_bounds import named_path
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import SequenceError, parse_file, parse_steps
 from icu_common.nodes import qos
@@ -47,7 +47,7 @@ def parse(arguments: Sequence[str]) -> tuple[str, float]:
         prog="gantry_sequence", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("steps", nargs="*", metavar="STEP", help="gesture:target[:argument][ => checks]")
-    parser.add_argument("--file", type=Path, help="YAML file with steps")
+    parser.add_argument("--file", type=named_path, help="YAML file with steps")
     parser.add_argument("--timeout", type=number, default=600.0, metavar="S", help="whole time (default: %(default)s)")
     given = parser.parse_args(arguments)
     if (given.file is None) == (not given.steps):

@@ -32,7 +32,7 @@ from harris_perception.core.view_coverage import CalibrationError, coverage
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import settings_of
-from icu_common.core.option_bounds import check_bounds
+from icu_common.core.option_bounds import check_bounds, named_path
 
 Say: TypeAlias = Callable[[str], None]
 
@@ -305,6 +305,11 @@ def stereo(options: argparse.Namespace) -> int:
     return 0
 
 
+def _place(text: str) -> str:
+    named_path(text)
+    return text
+
+
 def _add_board(parser: argparse.ArgumentParser) -> None:
     choices = {item.name: item.setting.choices for item in settings_of(Board)}["dictionary"]
     which = parser.add_mutually_exclusive_group()
@@ -324,7 +329,7 @@ def _add_calibration(parser: argparse.ArgumentParser) -> None:
             parser.add_argument(option, action="store_true", help=text)
         else:
             parser.add_argument(option, type=item.kind, default=item.default, help=f"{text} (default {item.default:g})")
-    parser.add_argument("-o", "--output", type=Path, default=Path(), help="folder for results (default: here)")
+    parser.add_argument("-o", "--output", type=named_path, default=Path(), help="folder for results (default: here)")
     parser.add_argument("--live", action="store_true", help="first fill the folders from running cameras")
     parser.add_argument("--views", type=int, default=20, help="live: so many are enough (default 20)")
     parser.add_argument("--within", type=float, default=600.0, help="live: end after so many seconds (default 600)")
@@ -335,21 +340,21 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     draw = commands.add_parser("board", help="draw a board to print, of true size")
-    draw.add_argument("files", type=Path, nargs="+", help="files ending in .svg or .pdf")
+    draw.add_argument("files", type=named_path, nargs="+", help="files ending in .svg or .pdf")
     draw.add_argument("--paper", choices=("fit", *PAPERS_MM), default="fit", help="sheet (default: fits the board)")
     _add_board(draw)
     draw.set_defaults(run=draw_board)
 
     one = commands.add_parser("mono", help="calibrate one camera")
-    one.add_argument("pictures", help="folder, or pattern in quotes: 'folder/left*.png'")
+    one.add_argument("pictures", type=_place, help="folder, or pattern in quotes: 'folder/left*.png'")
     one.add_argument("--name", type=_camera_name, default="camera", help="the camera's, and the file's, name")
     one.add_argument("--topic", default="/camera/image_raw", help="live: pictures (default /camera/image_raw)")
     _add_calibration(one)
     one.set_defaults(run=mono)
 
     two = commands.add_parser("stereo", help="calibrate a pair")
-    two.add_argument("left", help="folder, or pattern in quotes: 'folder/left*.png'")
-    two.add_argument("right", help="the same for the right camera; paired by the last number in the names")
+    two.add_argument("left", type=_place, help="folder, or pattern in quotes: 'folder/left*.png'")
+    two.add_argument("right", type=_place, help="the same for the right camera; paired by the last number in the names")
     two.add_argument("--names", type=_camera_name, nargs=2, default=["left", "right"], help="the cameras' names")
     two.add_argument("--namespace", default="/stereo", help="live: left/image_raw and right/image_raw are below this")
     _add_calibration(two)

@@ -18,6 +18,7 @@ import yaml
 from harris_perception.core.wrist_camera import WristCamera, WristConfig, calibrate_wrist
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.geometry import Array, Transform
+from icu_common.core.option_bounds import named_path
 
 COLUMNS = 14
 _UNIT = 0.01
@@ -83,12 +84,12 @@ def _pose(values: Array) -> Transform:
 def parser() -> argparse.ArgumentParser:
     """Return the command line's description."""
     result = argparse.ArgumentParser(prog="hand_eye_solve", description=__doc__)
-    result.add_argument("poses", type=Path, help="CSV file")
+    result.add_argument("poses", type=named_path, help="CSV file")
     result.add_argument("--fixed-camera", action="store_true", help="the camera stands still and sees the gripper")
     result.add_argument("--min-turn-deg", type=float, default=10.0, help="least turn that counts (%(default)s)")
     result.add_argument("--max-misfit-deg", type=float, default=3.0, help="greatest misfit of the turns (%(default)s)")
     result.add_argument("--max-misfit-mm", type=float, default=20.0, help="greatest misfit of the shifts (%(default)s)")
-    result.add_argument("-o", "--output", type=Path, help="write the result there as YAML")
+    result.add_argument("-o", "--output", type=named_path, help="write the result there as YAML")
     return result
 
 

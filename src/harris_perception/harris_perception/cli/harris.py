@@ -6,7 +6,6 @@ import argparse
 import sys
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,6 +23,7 @@ from harris_perception.core.repeatability import EPSILONS_PX, mapped
 from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import from_mapping, settings_of
+from icu_common.core.option_bounds import named_path
 from icu_common.core.yaml_text import values_of_pairs
 
 T = TypeVar("T")
@@ -137,9 +137,9 @@ def _parser() -> argparse.ArgumentParser:
             )
         ),
     )
-    one.add_argument("picture", type=Path, help="of more than 8 bits is stretched to its largest value")
-    one.add_argument("-o", "--output", type=Path, help="picture with the corners drawn")
-    one.add_argument("--table", type=Path, help="corners as .csv or .json")
+    one.add_argument("picture", type=named_path, help="of more than 8 bits is stretched to its largest value")
+    one.add_argument("-o", "--output", type=named_path, help="picture with the corners drawn")
+    one.add_argument("--table", type=named_path, help="corners as .csv or .json")
     one.add_argument(
         "--edges",
         nargs="?",
@@ -158,8 +158,8 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="the corners that repeat best when the picture changes: those that stand out from its noise",
     )
-    one.add_argument("--labels", type=Path, help="picture of labels: 0 flat, 128 edge, 255 corner; needs --edges")
-    one.add_argument("--chains", type=Path, help="linked pixels of the edges as .csv or .json; needs --edges")
+    one.add_argument("--labels", type=named_path, help="picture of labels: 0 flat, 128 edge, 255 corner; needs --edges")
+    one.add_argument("--chains", type=named_path, help="linked pixels of the edges as .csv or .json; needs --edges")
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="see below")
     one.add_argument("--set-edges", action="append", default=[], metavar="KEY=VALUE", help="see below; needs --edges")
     one.set_defaults(run=detect)
@@ -170,10 +170,10 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=_told("--set", HarrisConfig) + "\n\n" + _told("--set-match", MatchConfig),
     )
-    two.add_argument("first", type=Path)
-    two.add_argument("second", type=Path)
-    two.add_argument("-o", "--output", type=Path, help="both pictures with the matches drawn")
-    two.add_argument("--table", type=Path, help="matches as .csv or .json")
+    two.add_argument("first", type=named_path)
+    two.add_argument("second", type=named_path)
+    two.add_argument("-o", "--output", type=named_path, help="both pictures with the matches drawn")
+    two.add_argument("--table", type=named_path, help="matches as .csv or .json")
     two.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="see below")
     two.add_argument("--set-match", action="append", default=[], metavar="KEY=VALUE", help="see below")
     two.add_argument(
@@ -186,12 +186,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     many.add_argument(
         "sources",
-        type=Path,
+        type=named_path,
         nargs="+",
         help="folders of sequences (img1.., H1to2p.., or as HPatches 1.., H_1_2..; also .txt, .xml), or photographs; "
         "folders of pictures with drawn boundaries (<name>.mat as in BSDS500) for edges",
     )
-    many.add_argument("-o", "--output", type=Path, required=True, help="folder for tables and curves")
+    many.add_argument("-o", "--output", type=named_path, required=True, help="folder for tables and curves")
     many.add_argument("--count", type=int, default=1000, help="strongest so many points of each picture")
     many.add_argument(
         "--equal-counts", action="store_true", help="only as many points of each as the detector with the fewest has"

@@ -20,6 +20,7 @@ from harris_perception.core.panel_teaching import Lesson, TeachingError, parse_p
 from harris_perception.core.panel_template import draw_panel
 from harris_perception.core.recognition import PanelRecogniser
 from icu_common.adapters.program_end import ends_quietly
+from icu_common.core.option_bounds import named_path
 from icu_common.core.panel_layout import PanelLayout, load_layout
 
 
@@ -30,17 +31,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     commands = parser.add_subparsers(dest="command", required=True)
     check = commands.add_parser("check", help="is a layout right, and has its face enough print to be recognised?")
-    check.add_argument("layout", type=Path)
-    check.add_argument("--drawing", type=Path, metavar="PNG", help="also write the face as recognition draws it")
+    check.add_argument("layout", type=named_path)
+    check.add_argument("--drawing", type=named_path, metavar="PNG", help="also write the face as recognition draws it")
     picture = commands.add_parser("picture", help="make a layout and a template from a picture")
-    picture.add_argument("picture", type=Path)
+    picture.add_argument("picture", type=named_path)
     picture.add_argument("--model", required=True)
     picture.add_argument("--title", default="")
     picture.add_argument("--size-mm", nargs=2, type=float, required=True, metavar=("WIDTH", "HEIGHT"))
     picture.add_argument("--corners", nargs=4, required=True, metavar="U,V", help="lower left, then counter-clockwise")
     picture.add_argument("--control", action="append", required=True, metavar="NAME:kind:u,v:WxH[:height]")
     picture.add_argument("--px-per-mm", type=float, default=4.0)
-    picture.add_argument("-o", "--out", type=Path, default=Path())
+    picture.add_argument("-o", "--out", type=named_path, default=Path())
     given = parser.parse_args(arguments)
     try:
         return _check(given) if given.command == "check" else _picture(given)

@@ -16,6 +16,7 @@ from harris_perception.adapters.picture_files import write_picture
 from harris_perception.adapters.stereo_folders import scenes
 from harris_perception.core.stereo_evaluation import MAX_POINTS, error_picture, evaluate
 from icu_common.adapters.program_end import ends_quietly
+from icu_common.core.option_bounds import named_path
 
 DENSE = {
     "bad-0.5": "bad_half",
@@ -75,8 +76,10 @@ def _evaluate(options: argparse.Namespace) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; errors in what the user gave end with code 2 and one line."""
     parser = argparse.ArgumentParser(prog="stereo evaluate", description=__doc__)
-    parser.add_argument("folder", type=Path, help="folder with rectified pairs and their disparity, at any depth")
-    parser.add_argument("-o", "--output", type=Path, default=Path("stereo_evaluation"), help="folder for the results")
+    parser.add_argument("folder", type=named_path, help="folder with rectified pairs and their disparity, at any depth")
+    parser.add_argument(
+        "-o", "--output", type=named_path, default=Path("stereo_evaluation"), help="folder for the results"
+    )
     parser.add_argument("--scale", type=float, default=1.0, help="make pictures and disparities smaller first")
     parser.add_argument("--truth-scale", type=float, default=1.0, help="px of disparity for each unit in the file")
     try:

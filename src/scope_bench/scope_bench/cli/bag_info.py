@@ -7,9 +7,9 @@ import os
 import sys
 from collections.abc import Sequence
 from datetime import datetime, timezone
-from pathlib import Path
 
 from icu_common.adapters.program_end import ends_quietly
+from icu_common.core.option_bounds import named_path
 from scope_bench.adapters.bag_repair import repair
 from scope_bench.adapters.bags import BagError, BagReader
 
@@ -17,9 +17,9 @@ from scope_bench.adapters.bags import BagError, BagReader
 def parser() -> argparse.ArgumentParser:
     """Return the command line's description."""
     result = argparse.ArgumentParser(prog="bag_info", description=__doc__)
-    result.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
+    result.add_argument("bag", type=named_path, help="folder with metadata.yaml, or a .mcap or .db3 file")
     result.add_argument("--check", action="store_true", help="read every message")
-    result.add_argument("--repair", type=Path, metavar="NEW_BAG", help="save all whole messages into a new bag")
+    result.add_argument("--repair", type=named_path, metavar="NEW_BAG", help="save all whole messages into a new bag")
     return result
 
 

@@ -13,11 +13,10 @@ import os
 import sys
 import time
 from collections.abc import Callable, Collection, Sequence
-from pathlib import Path
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.terminal_keys import terminal_keys
-from icu_common.core.option_bounds import check_bounds
+from icu_common.core.option_bounds import check_bounds, named_path
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bag_pictures import SUFFIX
@@ -32,7 +31,7 @@ from scope_bench.nodes.step_player import StepPlayer
 def parser() -> argparse.ArgumentParser:
     """Return the command line's description."""
     result = argparse.ArgumentParser(prog="bag_play", description=__doc__, epilog="--ros-args ... as for every node")
-    result.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
+    result.add_argument("bag", type=named_path, help="folder with metadata.yaml, or a .mcap or .db3 file")
     result.add_argument("-r", "--rate", type=float, default=1.0, help="speed (default: %(default)s)")
     result.add_argument("-l", "--loop", action="store_true", help="begin anew at the end")
     result.add_argument("-p", "--start-paused", action="store_true", help="wait for space, or ~/toggle_paused")

@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.option_bounds import check_bounds
+from icu_common.core.option_bounds import check_bounds, named_path
 from icu_common.nodes.runtime import Session, ros_session
 from icu_common.nodes.topic_names import check_names
 from scope_bench.adapters.bag_pictures import PictureCodec
@@ -35,7 +35,7 @@ def parser() -> argparse.ArgumentParser:
     """Return the command line's description."""
     result = argparse.ArgumentParser(prog="bag_record", description=__doc__, epilog="--ros-args ... as for every node")
     result.add_argument("topics", nargs="*", help="names; without any, all topics as they appear")
-    result.add_argument("-o", "--output", type=Path, help="folder to be made (default: the date and time)")
+    result.add_argument("-o", "--output", type=named_path, help="folder to be made (default: the date and time)")
     result.add_argument("-s", "--storage", choices=STORAGES, default="mcap", help="default: %(default)s")
     result.add_argument("-x", "--exclude", default="", metavar="REGEX", help="leave these out when all are recorded")
     result.add_argument("--compress", choices=("jpeg", "png"), help="pictures as topic/compressed")

@@ -20,6 +20,7 @@ from types import FrameType
 from icu_common.adapters.executables import find_executable
 from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
+from icu_common.core.option_bounds import named_path
 from icu_common.core.yaml_text import values_of_pairs
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import prepare_transport
@@ -38,7 +39,7 @@ _SETTING = re.compile(r"\w+\.[\w.]+=.*", re.DOTALL)
 
 
 def _folder(text: str) -> Path:
-    return Path(text).expanduser()  # which a shell does not do behind an equals sign
+    return named_path(text).expanduser()  # which a shell does not do behind an equals sign
 
 
 def parser() -> argparse.ArgumentParser:

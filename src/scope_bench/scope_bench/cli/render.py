@@ -11,6 +11,7 @@ import cv2
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import from_mapping
+from icu_common.core.option_bounds import named_path
 from icu_common.core.panel_layout import PanelLayout, load_layout
 from icu_common.core.yaml_text import values_of_pairs
 from scope_bench.adapters.configuration_folder import configuration_folder
@@ -56,11 +57,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="bench_render", description=__doc__)
     parser.add_argument(
         "--layout",
-        type=Path,
+        type=named_path,
         help=f"panel's file (default: {_LAYOUT} of the configuration)",
     )
-    parser.add_argument("--out", type=Path, required=True, help="picture to write, for example left.png")
-    parser.add_argument("--truth", type=Path, help="JSON file with the truth; default: beside the picture, .json")
+    parser.add_argument("--out", type=named_path, required=True, help="picture to write, for example left.png")
+    parser.add_argument("--truth", type=named_path, help="JSON file with the truth; default: beside the picture, .json")
     parser.add_argument("--side", choices=("left", "right"), default="left", help="camera (default: %(default)s)")
     parser.add_argument(
         "--tip",

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 import yaml
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import from_mapping
+from icu_common.core.option_bounds import named_path
 from icu_common.core.parameter_file import values_for
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.optics import stereo_rig
@@ -18,10 +18,10 @@ from scope_bench.core.optics import stereo_rig
 @ends_quietly
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="write_calibration", description=__doc__)
-    parser.add_argument("folder", type=Path, help="where bench_left.yaml and bench_right.yaml go")
+    parser.add_argument("folder", type=named_path, help="where bench_left.yaml and bench_right.yaml go")
     parser.add_argument(
         "--params",
-        type=Path,
+        type=named_path,
         metavar="YAML",
         help="the bench's parameter file (default: params/bench.yaml beside the folder, where there is one)",
     )

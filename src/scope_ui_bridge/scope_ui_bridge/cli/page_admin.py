@@ -18,6 +18,7 @@ from pathlib import Path
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
+from icu_common.core.option_bounds import named_path
 from scope_ui_bridge.adapters.secret_files import older_files, read_users, write_secret
 from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, line_before, verify
 from scope_ui_bridge.core.config import BridgeConfig
@@ -39,12 +40,12 @@ def parser() -> argparse.ArgumentParser:
     password.add_argument("name")
     password.add_argument("--role", choices=[role.value for role in Role], default=Role.OPERATOR.value)
     password.add_argument("--remove", action="store_true", help="let this name in no longer")
-    password.add_argument("--file", type=Path, default=state / "passwords", help="default: %(default)s")
+    password.add_argument("--file", type=named_path, default=state / "passwords", help="default: %(default)s")
     certificate = commands.add_parser("certificate", help="make a certificate for TLS, signed by itself")
     certificate.add_argument("host", nargs="+", help="names or addresses by which browsers reach this machine")
-    certificate.add_argument("--folder", type=Path, default=state / "tls", help="default: %(default)s")
+    certificate.add_argument("--folder", type=named_path, default=state / "tls", help="default: %(default)s")
     audit = commands.add_parser("audit", help="check that no record was changed, removed or inserted")
-    audit.add_argument("file", type=Path, nargs="?", default=state / "audit.jsonl", help="default: %(default)s")
+    audit.add_argument("file", type=named_path, nargs="?", default=state / "audit.jsonl", help="default: %(default)s")
     audit.add_argument("--hash", help="hash of the last line that was noted before, which must be among the records")
     return result
 
