@@ -213,7 +213,8 @@ def test_a_profile_with_a_value_that_no_board_keeps_is_refused(
     path = tmp_path / "profile"
     path.write_text("$22=1\n$110=-1" + "0" * (digits - 1) + "\n")
     assert main(["settings", "--port", "no-such-port", "--write-file", str(path)]) == 2
-    assert capsys.readouterr().err.endswith(" is not within -1e+09 to 1e+09\n")
+    told = capsys.readouterr().err
+    assert told.startswith(f"error: {path}: line 2: ") and told.endswith(" is not within -1e+09 to 1e+09\n")
 
 
 def test_a_comment_ends_where_its_line_ends_for_a_board(

@@ -52,6 +52,10 @@ def test_negative_numbers_are_no_options(arguments: list[str], xyz: tuple[float,
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["--control", "MODE", "--set", "A B"], "--set 'A B': a mark's name or degrees are needed, without blanks"),
+        (["--control", "MODE", "--set", "AUTO id=7"], "--set 'AUTO id=7': a mark's name or degrees are needed"),
+        (["--control", "MODE", "--set", ""], "--set '': a mark's name or degrees are needed"),
+        (["0.1", "0.1", "--z", "0.02"], "--z 0.02: 0 or below is needed, above it the stylus is retracted"),
         (["--control", "MODE", "--set", "200"], "set needs a marked position's name or degrees from -180 to 180"),
         (["--control", "MODE", "--click", "0.5"], "click needs a whole number"),
         (["--control", "MODE", "--long", "--double"], "not allowed with argument"),

@@ -346,7 +346,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # To a board only these are ends of lines; what splitlines() takes for one besides may stand in a comment.
         source = name.read_text(encoding="utf-8-sig", errors="replace").split("\n") if name else []
         profile = parse_profile(source) if given.command == "settings" and name else None
-    except (ConfigError, OSError, ProfileError) as error:
+    except ProfileError as error:
+        print(f"error: {given.write_file}: {error}", file=sys.stderr)
+        return USAGE
+    except (ConfigError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return USAGE
     # A shell that starts a program in the background lets it ignore SIGINT; one that moves a machine must not.

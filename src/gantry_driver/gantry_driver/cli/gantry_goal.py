@@ -89,10 +89,14 @@ def parse(arguments: Sequence[str]) -> Request:
         parser.error(f"--control {given.control!r}: a name of letters, digits and '_' is needed")
     if given.control is not None and given.frame is not None:
         parser.error("--frame belongs to X Y")
+    if given.set is not None and len(given.set.split()) != 1:
+        parser.error(f"--set {given.set!r}: a mark's name or degrees are needed, without blanks")
     if not given.timeout > 0:
         parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
     kind, extra = _gesture(given)
     touch = given.press or kind != "press" or given.control is not None or given.frame in (PANEL, CAMERA_LEFT)
+    if given.z is not None and given.z > 0:
+        parser.error(f"--z {given.z:g}: 0 or below is needed, above it the stylus is retracted")
     if given.z is not None and touch:
         parser.error("--z belongs to a move in base_link; a touch finds the surface itself")
     if not touch:
