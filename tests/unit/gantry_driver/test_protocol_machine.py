@@ -1224,6 +1224,12 @@ def test_no_more_points_may_be_allowed_than_are_written_within_a_heartbeat() -> 
     assert rig.state == "moving"
 
 
+def test_a_board_without_a_device_is_refused() -> None:
+    """As where a script's variable is not set; the driver had looked for it for ever."""
+    with pytest.raises(ConfigError, match=r"port = '': the path of the board's device is needed"):
+        DriverConfig(port="")
+
+
 @pytest.mark.parametrize("rate", ["status_rate_hz", "moving_status_rate_hz"])
 def test_a_silence_shorter_than_the_time_between_reports_is_refused(rate: str) -> None:
     with pytest.raises(ConfigError, match=r"status_timeout_s = 0\.2: .* 0\.3 s at 5 Hz"):

@@ -30,6 +30,10 @@ DEADLINE_S = 60.0
         (["--set", "mock_grbl.link=/tmp/b"], "error: --set mock_grbl.link=/tmp/b: mock_grbl is no node"),
         (["--set", "nobody.rate_hz=5"], "error: no program nobody; there are "),
         (["--only", "nobody"], "error: no program nobody; there are "),
+        (
+            ["--only", "camera", "--without", "camera"],
+            "error: nothing is left to start: --only camera, --without camera",
+        ),
         (["--profile", "replay", "--prepare"], "error: --prepare moves the machine; profile replay has none"),
         *((["--namespace", name], f"error: namespace {name}: ") for name in ("a b", "1bed", "a-b", "b\u00e4d", "a//b")),
         (["--namespace", "../../elsewhere"], "error: namespace ../../elsewhere: names of letters, digits and _"),

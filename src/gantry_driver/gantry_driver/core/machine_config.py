@@ -174,6 +174,8 @@ class DriverConfig(Config):
 
     def __post_init__(self) -> None:
         super(DriverConfig, self).__post_init__()
+        if not self.port:
+            raise ConfigError("port = '': the path of the board's device is needed")
         slowest = min(self.status_rate_hz, self.moving_status_rate_hz)
         if self.status_timeout_s * slowest < REPORTS_MISSED - 1e-9:
             raise ConfigError(

@@ -119,6 +119,9 @@ class BringUp:
         given = {*self.options.only, *self.options.without, *(text.partition(".")[0] for text in self.options.set)}
         if given - names:
             raise GraphError(f"no program {', '.join(sorted(given - names))}; there are {', '.join(sorted(names))}")
+        if names and not self._chosen(programs):
+            which = [f"--{how} {name}" for how in ("only", "without") for name in getattr(self.options, how)]
+            raise GraphError(f"nothing is left to start: {', '.join(which)}")
 
     def _chosen(self, programs: list[Program]) -> list[Program]:
         wanted = {*self.options.only} or {p.name for p in programs}
