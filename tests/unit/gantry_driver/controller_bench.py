@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -103,11 +104,13 @@ class Bench:
         self.lamp = "green"
         self.dazzle_m = 0.0  # so near to RUN_STOP its lamp, if it shines, hides the tip
         self.hidden: dict[str, str] = {}
+        self.state_late_s = 0.0  # so long after its picture comes what is seen of the controls
         self.screen_changed_ns = 0
         self.actions: list[msg.Action] = []
         self.lowest: list[Array] = []
         self._motion: tuple[msg.SendTrajectory, int, Array] | None = None
         self._steps = 0
+        self._states: deque[PanelSeen] = deque()
 
     # What the controller is told
 
@@ -206,6 +209,8 @@ class Bench:
             self.tell(msg.Joints(readings=self.readings.copy()))
         if self._steps % 3 == 1:
             self._take_picture()
+        while self._states and self._states[0].stamp_ns <= self.now_ns - self.state_late_s * 1e9:
+            self.tell(msg.PanelState(seen=self._states.popleft()))
         self.tell(msg.Tick())
 
     def _take_picture(self) -> None:
@@ -218,7 +223,7 @@ class Bench:
             if self._steps < 10:
                 self.tell(msg.PanelControls(panel=PANEL))
         if "state" in self.talking and self._steps % 9 == 1:
-            self.tell(msg.PanelState(seen=self._panel_seen()))
+            self._states.append(self._panel_seen())
         if "tip" in self.talking and not self._dazzled():
             seen = self.tip_seen_in_base() + self.noise_m * self.rng.standard_normal(3)
             self.tell(msg.TipSeen(in_camera=self.camera_from_base().apply(seen), stamp_ns=self.now_ns))

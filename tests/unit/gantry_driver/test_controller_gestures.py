@@ -285,6 +285,37 @@ def test_a_lamp_that_is_not_seen_from_aside_either_is_pressed_all_the_same() -> 
     assert result.outcome is Outcome.REACHED and details(result)["effect"] == "screen changed", result
 
 
+@pytest.mark.parametrize(("lamp", "effect"), [("red", "lamp green -> red"), ("green", "none seen")])
+def test_pictures_that_arrive_late_tell_the_effect_by_when_they_were_taken(lamp: str, effect: str) -> None:
+    bench = seeing()
+    bench.state_late_s = 1.4  # beyond effect_wait_s, as on a computer with ten times as much to do as it has cores
+    bench.run(2.0)
+
+    def press(b: Bench) -> None:
+        b.lamp, b.hidden["RUN_STOP"] = lamp, "stylus"
+        if lamp == "red":
+            b.screen_changed_ns = b.now_ns
+
+    bench.on_phase[Phase.CONTACT] = press
+    bench.on_phase[Phase.READ] = lambda b: b.hidden.clear()
+    result = bench.do("press:RUN_STOP")
+    assert result.outcome is Outcome.REACHED and details(result)["effect"] == effect
+
+
+@pytest.mark.parametrize("required", [False, True])
+def test_without_a_picture_since_the_touch_nobody_says_that_there_was_no_effect(required: bool) -> None:
+    bench = seeing(require_effect=required)
+    bench.on_phase[Phase.CONTACT] = lambda b: b.talking.discard("state")
+    bench.on_phase[Phase.READ] = lambda b: began.append(b.now_ns)
+    began: list[int] = []
+    result = bench.do("press:RUN_STOP")
+    assert (bench.now_ns - began[0]) / 1e9 == pytest.approx(4.0, abs=0.1), "effect_wait_s and read_timeout_s"
+    told = "not seen: nothing was read of the panel for 4.7 s since the touch"
+    whole = f"touched, but its effect was {told}; the stylus is up"
+    assert result.reason == whole if required else details(result)["effect"] == told, result
+    assert result.outcome is (Outcome.ABORTED if required else Outcome.REACHED)
+
+
 def test_what_must_have_an_effect_needs_somebody_who_sees_it() -> None:
     """Before it is touched: afterwards nobody could tell."""
     bench = Bench(config(require_effect=True)).start()

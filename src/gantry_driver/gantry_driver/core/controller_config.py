@@ -69,13 +69,19 @@ class ControllerConfig(Config):
     contact_tip_count: int = setting(2, "Tip observations needed from the time in contact", minimum=1, maximum=50)
     effect_wait_s: float = setting(
         1.0,
-        "Time after the lift for lamps and screens to show an effect; 0: nothing is looked for",
+        "Time after the lift, by the pictures' stamps, for lamps and screens to show an effect; 0: none is looked for",
         minimum=0.0,
         maximum=10.0,
         unit="s",
     )
     require_effect: bool = setting(False, "A press without an effect that is seen counts as failed")
-    read_timeout_s: float = setting(3.0, "Time for reading a knob's marker", minimum=0.2, maximum=30.0, unit="s")
+    read_timeout_s: float = setting(
+        3.0,
+        "Time for reading a knob's marker, and for the last picture of effect_wait_s to arrive",
+        minimum=0.2,
+        maximum=30.0,
+        unit="s",
+    )
     state_max_age_s: float = setting(
         1.5, "Age of what is seen of the controls before a gesture", minimum=0.1, maximum=10.0, unit="s"
     )

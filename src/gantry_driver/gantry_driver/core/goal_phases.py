@@ -187,10 +187,14 @@ class GoalPhases(GoalRun):
         self._try(job, Phase.ASIDE, lambda: motion_plan.aside(self._world.here, middle, by_m, config.motion))
 
     def _read_from_aside(self, job: Job) -> None:
-        config = self.config
-        # Cameras on the carriage have gone aside, too, and have to find the panel anew from there.
-        for_effect = job.knob is None and job.touched_ns and not config.camera_on_carriage
-        self._enter(Phase.READ, config.effect_wait_s if for_effect else config.read_timeout_s)
+        if job.knob is None and job.touched_ns:
+            self._look_for_effect()
+        else:
+            self._enter(Phase.READ, self.config.read_timeout_s)
+
+    def _look_for_effect(self) -> None:
+        """Look at the pictures of ``effect_wait_s``, however late they come, within bounds, on a busy computer."""
+        self._enter(Phase.READ, self.config.effect_wait_s + self.config.read_timeout_s)
 
     def _finish_move(self, job: Job) -> None:
         readings = self._world.here
@@ -306,7 +310,7 @@ class GoalPhases(GoalRun):
         elif job.knob is not None and not math.isnan(job.knob.goal_deg):
             self._move_aside(job, job.knob.name)
         elif job.knob is None and job.before is not None and job.touch.control and self.config.effect_wait_s > 0:
-            self._enter(Phase.READ, self.config.effect_wait_s)
+            self._look_for_effect()
         else:
             self._finish(job, Outcome.REACHED)
 
@@ -325,7 +329,8 @@ class GoalPhases(GoalRun):
             # Contact comes before the driver reports the end of the way down, and what it does may be seen as early.
             job.effect, told = effect(job.before, after, job.touch.control, job.plunge_ns, job.left_ns)
             late = after.stamp_ns > self._phase_ns + nanoseconds(self.config.effect_wait_s)
-            return told or (job.went_aside and late and still and not self._out_of_view(job))
+            # Cameras on the carriage have gone aside, too, and have to find the panel anew from there.
+            return told or (late and not (job.went_aside and self._out_of_view(job)))
         knob = after.control(job.knob.name)
         return still and knob is not None and not math.isnan(knob.angle_deg)
 
@@ -339,11 +344,21 @@ class GoalPhases(GoalRun):
             job.went_aside = True
             self._move_aside(job, job.touch.control)
         elif job.effect or not self.config.require_effect:
-            job.effect = job.effect or "none seen"
+            job.effect = job.effect or self._unread_text(job) or "none seen"
             self._finish(job, Outcome.REACHED)
         else:
-            wait_s = self.config.effect_wait_s
-            self._finish(job, Outcome.ABORTED, f"touched, but no effect was seen within {wait_s:g} s; the stylus is up")
+            wait_s, unread = self.config.effect_wait_s, self._unread_text(job)
+            reason = f"touched, but no effect was seen within {wait_s:g} s; the stylus is up"
+            if unread:
+                reason = f"touched, but its effect was {unread}; the stylus is up"
+            self._finish(job, Outcome.ABORTED, reason)
+
+    def _unread_text(self, job: Job) -> str:
+        """Say so where nobody could see whether there was an effect; empty where a picture has been read since."""
+        if self._world.seen is not None and self._world.seen.stamp_ns > job.left_ns:
+            return ""
+        for_s = (self._now_ns - job.left_ns) / NANO
+        return f"not seen: nothing was read of the panel for {for_s:.1f} s since the touch"
 
     def _hides_lamp(self, job: Job) -> bool:
         """Whether the lamp that may tell the effect is still out of view, though the stylus is up."""

@@ -206,7 +206,7 @@ class SequenceRun:
         details = dict(answer.details)
         effect = details.get("effect", "not looked for")
         if check.kind == "effect":
-            return effect if effect in ("none seen", "not looked for") else ""
+            return effect if effect.startswith(("none seen", "not seen: ", "not looked for")) else ""
         # Only a picture of this step says what the step has done.
         seen = self._seen if self._seen is not None and self._seen.stamp_ns > self._step_ns else None
         if check.kind == "screen":
