@@ -121,3 +121,35 @@ def test_a_recording_that_starts_anew_is_not_read_by_the_tips_of_its_end(ros: An
     rig.look(restart, rig.over)
     rig.tell_tip(restart, rig.over)
     assert rig.told(2).hidden_by == "stylus"
+
+
+def test_a_tracker_that_is_late_but_at_work_is_waited_for(ros: Any) -> None:
+    """What its stylus hides was told as hidden by something, or its ball read as a lamp."""
+    rig = Watched(ros, tip_wait_s=3.0)
+    rig.tell_tip(1, AWAY)
+    rig.look(1, AWAY)
+    assert rig.told(1).lamp == "green"
+    rig.look(2, rig.over)
+    for late in range(15):  # 4.5 s, in which it works off older pictures
+        until_s = time.monotonic() + 0.3
+        ros.spin_until(lambda until_s=until_s: time.monotonic() >= until_s, 5.0)
+        rig.tell_tip(1, AWAY, later_ns=late * FRAME // 8)
+    assert len(rig.states) == 1, "its own tip has not come yet"
+    rig.tell_tip(2, rig.over)
+    assert (rig.told(2).lamp, rig.told(2).hidden_by) == ("", "stylus")
+
+
+def test_a_tracker_that_is_far_behind_gets_fewer_pictures_instead_of_unread_ones(ros: Any) -> None:
+    rig = Watched(ros)
+    rig.tell_tip(1, AWAY)
+    rig.look(1, AWAY)
+    assert rig.told(1).lamp == "green"
+    for number in range(2, 12):
+        rig.look(number, rig.over)
+    assert len(rig.states) == 1
+    for number in range(2, 10):
+        rig.tell_tip(number, rig.over)
+        assert rig.told(number).hidden_by == "stylus"
+    rig.look(12, AWAY)
+    rig.tell_tip(12, AWAY)
+    assert rig.told(10).lamp == "green", "those between were left out"

@@ -60,6 +60,8 @@ from icu_common.nodes.timers import every
 
 _KEPT_CORNERS = 8
 _KEPT_UNREAD = 8
+_GIVEN_UP = 10.0
+"""A picture waits no longer than so many ``tip_wait_s`` for a tracker that speaks of others only."""
 _TICK_S = 0.02
 _STEREO_AGE_NS = 3_000_000_000
 """Stereo looks at other pictures, on a busy computer a second later; a panel that stands still is as far in them."""
@@ -231,6 +233,8 @@ class RecognitionNode(Node):
         if self._camera is None:
             self.get_logger().warning("waiting for camera_info", throttle_duration_sec=5.0)
         elif not early and self._waiting is None:
+            if stamp < self._last_stamp:
+                self._unread.clear()
             self._last_stamp = stamp
             self._waiting = (message, time.monotonic() + self._live.config.corners_wait_s)
             self._try_waiting()
@@ -324,7 +328,8 @@ class RecognitionNode(Node):
             found = self._with_plane(sighting, stamp_ns(message.header.stamp))
         pose = self._agreement.add(found)
         self._publish(sighting, pose, message)
-        if sighting is not None and pose is not None:
+        # Of a tracker that is far behind fewer pictures are read: without their own tips they tell what is not so.
+        if sighting is not None and pose is not None and len(self._unread) < _KEPT_UNREAD:
             self._unread.append(_Unread(message=message, sighting=sighting, pose=pose, since_s=time.monotonic()))
         self._frames += 1
         self._found += sighting is not None
@@ -373,18 +378,17 @@ class RecognitionNode(Node):
     def _read_unread(self) -> None:
         """Read what the stylus tracker has looked at, too; in order, as a screen is compared with what it was before.
 
-        A tracker that is silent, or farther behind than is kept, is not waited for.
+        A tracker that is silent is not waited for; one that is late, but at work, is.
         """
         while self._unread:
-            first = self._unread[0]
-            silent_s = time.monotonic() - min(first.since_s, self._tracker_s)
-            if (
-                not self._tips.is_complete(stamp_ns(first.message.header.stamp))
-                and silent_s < self._live.config.tip_wait_s
-                and len(self._unread) <= _KEPT_UNREAD
-            ):
+            first, now_s = self._unread[0], time.monotonic()
+            silent = now_s - self._tracker_s >= self._live.config.tip_wait_s
+            if silent or self._tips.is_complete(stamp_ns(first.message.header.stamp)):
+                self._read(self._unread.popleft())
+            elif now_s - first.since_s > _GIVEN_UP * self._live.config.tip_wait_s:
+                self._unread.popleft()  # it has left out more than it tells
+            else:
                 return
-            self._read(self._unread.popleft())
 
     def _read(self, unread: _Unread) -> None:
         assert self._camera is not None
