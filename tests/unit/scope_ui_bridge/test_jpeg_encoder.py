@@ -101,6 +101,26 @@ def test_pages_see_on_when_the_process_has_died() -> None:
     with_rig(scenario)
 
 
+def test_pages_see_on_when_the_process_hangs(caplog: pytest.LogCaptureFixture) -> None:
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, control=False) as client:
+            await client.open_video()
+            rig.offer()
+            await client.frame()
+            for told in (1, 2):  # each time
+                first = rig.server.encoder.pid
+                assert first is not None
+                os.kill(first, signal.SIGSTOP)
+                rig.offer()  # is lost with it
+                await until(lambda: rig.server.encoder.pid is None, "the hang is noticed")
+                await until(lambda first=first: not works(first), "it is ended")
+                stamp = rig.offer()
+                assert (await client.frame())[0]["stamp"] == str(stamp)
+                assert caplog.text.count("started anew: TimeoutError('it hung for 3 s')") == told
+
+    with_rig(scenario)
+
+
 def test_closing_it_twice_closes_no_file_of_others(tmp_path: Path) -> None:
     encoder = JpegEncoder()
     encoder.close()

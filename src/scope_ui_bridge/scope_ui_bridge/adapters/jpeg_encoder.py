@@ -25,6 +25,10 @@ from scope_ui_bridge.core.frame_window import FORMS, Form
 
 _CONVERSIONS = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR}
 
+_START_S = 30.0
+_PICTURE_S = 3.0
+"""What takes 10 ms is given so long, on a busy computer, before the process counts as hung."""
+
 Picture = npt.NDArray[Any]
 
 
@@ -51,7 +55,7 @@ class _Shared:
 
 
 class JpegEncoder:
-    """One picture after the other; the process is started with the first one, and anew when it has died."""
+    """One picture after the other; the process is started with the first one, and anew when it has died or hangs."""
 
     def __init__(self) -> None:
         self._asks = ThreadPoolExecutor(1, "jpeg")
@@ -80,13 +84,15 @@ class JpegEncoder:
     def _ask(self, picture: Picture, encoding: str, quality: int, form: Form) -> bytes:
         whole = np.ascontiguousarray(picture)
         try:
-            line = self._line or self._start()
+            begins, line = self._line is None, self._line or self._start()
             self._shared.bytes(whole.nbytes)[:] = whole.reshape(-1).view(np.uint8)
             line.send((whole.shape, whole.dtype.str, encoding, quality, form))
+            if not line.poll(within_s := _START_S if begins else _PICTURE_S):
+                raise TimeoutError(f"it hung for {within_s:g} s")
             jpeg: bytes | str = line.recv()
         except (OSError, EOFError) as error:
             self._end()
-            raise OSError(f"the process that makes the JPEGs has ended: {error!r}") from error
+            raise OSError(f"the process that makes the JPEGs is started anew: {error!r}") from error
         if isinstance(jpeg, str):
             raise ValueError(jpeg)
         return jpeg

@@ -168,7 +168,7 @@ class VideoHub:
         loop = asyncio.get_running_loop()
         try:
             jpeg = await asyncio.wrap_future(self._to_jpeg(picture, encoding, self._quality(), form))
-            self.encoded += 1
+            self.encoded, stream.complaint = self.encoded + 1, ""
             if stream.raw is None:  # forgotten meanwhile
                 return
             stream.frame = self._frame(key, seq, stamp_ns, picture, jpeg)
