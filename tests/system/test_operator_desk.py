@@ -119,6 +119,49 @@ def test_the_page_speaks_german(operator: Operator) -> None:
     operator.sees("#lease-text", "You are in control")
 
 
+def test_numbers_have_the_languages_decimal_sign_and_are_taken_with_either(
+    operator: Operator, instrument: Instrument
+) -> None:
+    """A browser's own field of numbers makes 905 of 90,5 where its language has points."""
+    page = operator.page
+    instrument.tell("motion 0.3")
+    page.click("#tab-move")
+    page.click("#language")
+    try:
+        operator.sees("#position-x", r"^\d+,\d mm$")
+        assert page.locator("#jog-step option").all_inner_texts() == ["0,1 mm", "1 mm", "5 mm", "10 mm"]
+        for x, y in (("90,5", "40.2"), ("91.5", "41,2")):
+            for field, typed in (("#go-x", x), ("#go-y", y)):
+                page.fill(field, "")
+                page.locator(field).press_sequentially(typed)
+            page.press("#go-y", "Enter")
+            place = f"({x}; {y})".replace(".", ",")
+            operator.logs(rf"Fahren nach {re.escape(place)} mm.*erledigt", 15.0)
+            operator.sees("#banner", "Bereit")
+        page.focus("#go-x")
+        page.keyboard.press("ArrowUp")
+        assert page.input_value("#go-x") == "91,6"
+        rows = page.locator("#log tr:not(.nothing)").count()
+        for wrong in ("1000,5", "1.000,5", "9o", "-1"):
+            page.fill("#go-x", wrong)
+            page.press("#go-x", "Enter")
+            said = page.eval_on_selector("#go-x", "(field) => field.validationMessage")
+            assert said == "Bitte eine Zahl von 0 bis 1000."
+        page.fill("#go-x", "90")
+        assert page.eval_on_selector("#go-form", "(form) => form.checkValidity()")
+        assert page.locator("#log tr:not(.nothing)").count() == rows, "nothing was sent"
+        said = """async (text) => (await import("/page/said.js")).said(text)"""
+        for text, german in (
+            ("lost the operator: no heartbeat for 0.6 s", "0,6 s"),
+            ("press:0.120,0.080@base_link", "press:0.120,0.080@base_link"),
+            ("at 10.0.0.5, GRBL 1.1h: $100=80.000", "at 10.0.0.5, GRBL 1.1h: $100=80.000"),
+        ):
+            assert german in page.evaluate(said, text)
+    finally:
+        page.click("#language")
+    operator.sees("#position-x", r"^\d+\.\d mm$")
+
+
 def test_what_is_shown_already_changes_its_language_too(operator: Operator, instrument: Instrument) -> None:
     page = operator.page
     instrument.tell("motion 0.3")
@@ -152,7 +195,7 @@ REASONS = {
         "der Treiber ist 'gestoppt: Stop verlangt', er muss ruhen"
     ),
     "lost the operator: no heartbeat for 0.6 s; the machine was told to stop": (
-        "Bediener verloren: seit 0.6 s kein Herzschlag; die Maschine soll anhalten"
+        "Bediener verloren: seit 0,6 s kein Herzschlag; die Maschine soll anhalten"
     ),
     "step 2 of 3, press:M: not seen in time: lamp:RUN_STOP=red (lamp green), effect (none seen)": (
         "Schritt 2 von 3, press:M: nicht rechtzeitig zu sehen: lamp:RUN_STOP=red (Lampe grün), effect (keine gesehen)"
@@ -177,12 +220,12 @@ def speaks_german_for_the_graph(operator: Operator) -> None:
     made = "24 samples, rms 0.085 mm, predicted 0.047 mm, 2026-07-04T02:32:13+00:00"
     local = datetime(2026, 7, 4, 2, 32, 13, tzinfo=timezone.utc).astimezone()
     (german,) = operator.page.evaluate(say, [made])
-    assert german == f"24 Stellen, rms 0.085 mm, vorhergesagt 0.047 mm, {local:%d.%m.%Y, %H:%M}", (
+    assert german == f"24 Stellen, rms 0,085 mm, vorhergesagt 0,047 mm, {local:%d.%m.%Y, %H:%M}", (
         "the time of the reader's clock"
     )
     others = "async (action) => (await import('/page/command_log.js')).actionText({ action })"
     said = operator.page.evaluate(others, "move to (0.1, 0.2, 0) m in base_link")
-    assert said == "fahren nach (0.1, 0.2, 0) m in base_link", "where somebody else's goal goes"
+    assert said == "fahren nach (0,1; 0,2; 0) m in base_link", "where somebody else's goal goes"
     target = "async (entry) => (await import('/page/command_log.js')).targetText(entry)"
     for name in ("lamp", "constructor"):  # a key of the page's sentences, and one of every object
         assert operator.page.evaluate(target, {"action": "teach", "target": name}) == name, "a name is no sentence"
@@ -807,12 +850,16 @@ def test_who_only_watches_sees_that_a_recording_runs_whoever_started_it(
     page = watcher.page
     watcher.sees("#lease-text", "is in control")
     assert page.is_hidden("#chip-recording") and page.is_hidden("#recordings")
+    can = lambda call: operator.page.is_enabled(f"[data-call={call}]")  # noqa: E731
+    operator.until(lambda: can("record"), 15.0, lambda: "recording can be begun")
+    assert not can("end_record"), "nothing is recorded"
     operator.page.click("[data-call=record]")
     name = operator.page.inner_text("#you").partition(" ·")[0]
     for person in (watcher, operator):
         person.until(lambda person=person: person.page.is_visible("#chip-recording"), STARTS_S, lambda: "a recording")
         person.sees("#chip-recording", r"Recording\s*●\s*\d:\d\d$")
         person.sees("#recordings", rf"^Recording for \d:\d\d, begun by {name}\.$")
+    operator.until(lambda: can("end_record") and not can("record"), 15.0, lambda: "it can be ended")
     said = watcher.page.inner_text("#recordings")
     watcher.until(lambda: page.inner_text("#recordings") != said, 15.0, lambda: f"more than {said!r}")
     page.click("#language")
@@ -831,6 +878,7 @@ def test_who_only_watches_sees_that_a_recording_runs_whoever_started_it(
         watcher.sees("#recordings", r"\nRecording for \d:\d\d, by the program /bag_recorder\.$", within_s=STARTS_S)
         operator.page.click("[data-call=end_record]")
         watcher.sees("#recordings", r"^Recording for \d:\d\d, by the program /bag_recorder\.$", within_s=STARTS_S)
+        operator.until(lambda: can("record") and not can("end_record"), 15.0, lambda: "another program's is not ended")
     finally:
         recorder.send_signal(signal.SIGINT)
         recorder.wait(STARTS_S)

@@ -2,6 +2,7 @@
 
 import { timeText, wallNow } from "./clock.js";
 import { fileTime, put, save } from "./dom.js";
+import { localNumbers } from "./numbers.js";
 import { said } from "./said.js";
 import { has, t } from "./strings.js";
 
@@ -122,9 +123,9 @@ export function actionText(entry) {
     {
       hold: ` ${value} s`,
       sequence: ` (${value})`,
-      turn: ` ${value > 0 ? "↺" : "↻"} ${Math.abs(value)}°`,
+      turn: ` ${value > 0 ? "↺" : "↻"} ${localNumbers(Math.abs(value))}°`,
       click: ` ${value > 0 ? "↻" : "↺"} ${Math.abs(value)}`,
-      set: ` ${Number.isFinite(value) ? `${value}°` : argument}`,
+      set: ` ${Number.isFinite(value) ? localNumbers(`${value}°`) : argument}`,
     }[name] ?? "";
   // A goal of somebody else comes as it was published, such as "move to (0.1, 0.2, 0) m in base_link".
   if (!has(`action_${name}`) || (argument && !details)) return said(entry.action);
@@ -132,7 +133,7 @@ export function actionText(entry) {
 }
 
 export function targetText(entry) {
-  return entry.action === "stop" ? t(entry.target) : entry.target; // why it was stopped; all else are names
+  return entry.action === "stop" ? t(entry.target) : localNumbers(entry.target); // why it was stopped; all else are names and places
 }
 
 /** How far it is; what takes long before it is answered says what it does meanwhile. */

@@ -11,7 +11,7 @@ export function put(element, text) {
 
 const STEADY_MS = 5000;
 const written = new WeakMap(); // when an element's text was put steadily
-const words = (text) => text.replace(/[\d.]+/g, "");
+const words = (text) => text.replace(/[\d.,]+/g, "");
 
 /** As put; but a number that runs, such as an age, is written every 5 s only: screen readers would never end. */
 export function putSteady(element, text) {

@@ -2,6 +2,7 @@
 
 import { desk } from "./desk.js";
 import { find, press, say } from "./dom.js";
+import { numberOf, putNumber } from "./number_fields.js";
 import { t } from "./strings.js";
 
 const DRAG_PX = 6; // a pointer that moves less has clicked
@@ -78,7 +79,7 @@ export function wireDraw(overlay) {
   find("line-form").addEventListener("submit", (event) => {
     event.preventDefault();
     const fields = ["x_mm", "y_mm", "to_x_mm", "to_y_mm"];
-    const line = Object.fromEntries(fields.map((name) => [name, find(`line-${name}`).valueAsNumber]));
+    const line = Object.fromEntries(fields.map((name) => [name, numberOf(find(`line-${name}`))]));
     if (Object.values(line).every(Number.isFinite)) choose(line);
   });
 }
@@ -98,5 +99,5 @@ export function renderDraw(controls) {
   const [x, y] = selection.panel_mm;
   const half = SHARE * selection.size_mm[0];
   const proposed = { x_mm: x - half, y_mm: y, to_x_mm: x + half, to_y_mm: y };
-  for (const [name, value] of Object.entries(proposed)) find(`line-${name}`).value = value.toFixed(1);
+  for (const [name, value] of Object.entries(proposed)) putNumber(find(`line-${name}`), Number(value.toFixed(1)));
 }

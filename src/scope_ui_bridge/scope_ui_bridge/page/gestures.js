@@ -2,6 +2,7 @@
 
 import { desk } from "./desk.js";
 import { find, svg } from "./dom.js";
+import { numberOf, putNumber } from "./number_fields.js";
 import { seenOf } from "./panel_seen.js";
 import { collect, collecting } from "./sequence.js";
 
@@ -11,7 +12,7 @@ let dialOf = 0; // the selection whose angle the dial was set to
 function wanted(button) {
   const gesture = button.dataset.act;
   const sign = Number(button.dataset.sign ?? 1);
-  const value = (id) => (find(id).value === "" ? NaN : Number(find(id).value)); // Number("") would be zero
+  const value = (id) => numberOf(find(id));
   if (gesture === "hold") return { argument: value("hold-seconds") };
   if (gesture === "turn") return { argument: sign * value("turn-degrees") };
   if (gesture === "click") return { argument: sign * value("click-count") };
@@ -52,7 +53,7 @@ function turned(event) {
   const area = find("dial").getBoundingClientRect();
   const [x, y] = [event.clientX - area.left - area.width / 2, event.clientY - area.top - area.height / 2];
   if (Math.hypot(x, y) < 6) return;
-  find("set-degrees").value = String(Math.round((Math.atan2(-x, -y) * 180) / Math.PI));
+  putNumber(find("set-degrees"), Math.round((Math.atan2(-x, -y) * 180) / Math.PI));
   find("set-mark").value = "";
   renderDial();
 }
@@ -67,14 +68,14 @@ function renderDial() {
   const seen = seenOf(desk.selection?.control);
   const mark = find("set-mark").value;
   hand("seen", seen?.angle_deg ?? NaN);
-  hand("wanted", mark ? seen?.marks[mark] ?? NaN : find("set-degrees").valueAsNumber);
+  hand("wanted", mark ? seen?.marks[mark] ?? NaN : numberOf(find("set-degrees")));
 }
 
 function newKnob(seen) {
   const marks = Object.keys(seen?.marks ?? {});
   find("set-mark").replaceChildren(new Option("–", ""), ...marks.map((name) => new Option(name, name)));
   find("set-mark").closest("label").hidden = marks.length === 0;
-  find("set-degrees").value = String(seen?.angle_deg ?? ""); // where it stands is not known: nobody has said where to
+  putNumber(find("set-degrees"), seen?.angle_deg ?? NaN); // where it stands is not known: nobody has said where to
   const ticks = Object.values(seen?.marks ?? {}).map((degrees) =>
     svg("path", { d: "M0 -46V-38", transform: `rotate(${-degrees})` }),
   );

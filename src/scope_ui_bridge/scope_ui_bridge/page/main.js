@@ -9,10 +9,11 @@ import { find, press, put, putSteady, reachable, say } from "./dom.js";
 import { renderDraw, wireDraw } from "./draw.js";
 import { renderGestures } from "./gestures.js";
 import { renderMove, wireMove } from "./move.js";
+import { relabelNumbers, wireNumbers } from "./number_fields.js";
 import { Overlay } from "./overlay.js";
 import { renderPanel, seenText, setPanel } from "./panel_seen.js";
 import { addError, renderPlots, sample } from "./plots.js";
-import { renderRecordings, setRecordings } from "./recordings.js";
+import { records, renderRecordings, setRecordings } from "./recordings.js";
 import { renderSequence, setSequence, setSequences, wireSequence } from "./sequence.js";
 import { said } from "./said.js";
 import { renderStay, wireStay } from "./stay.js";
@@ -189,6 +190,7 @@ find("language").addEventListener("click", () => {
   log.relabel();
   if (last) showLast(last);
   relabelTeach();
+  relabelNumbers();
   render();
 });
 
@@ -331,7 +333,9 @@ function renderSelection() {
 function renderMachine() {
   const { driver, moving } = desk.state;
   for (const button of document.querySelectorAll("[data-call]")) {
-    button.disabled = !desk.mine || (moving && !["disable", "record", "end_record"].includes(button.dataset.call));
+    const { call } = button.dataset;
+    const inVain = (call === "record" && records()) || (call === "end_record" && !records());
+    button.disabled = !desk.mine || inVain || (moving && !["disable", "record", "end_record"].includes(call));
   }
   find("reset").hidden = !["stopped", "alarm", "mismatch"].includes(driver.state);
   find("accept").hidden = driver.state !== "mismatch" || desk.me.role !== "engineer";
@@ -421,6 +425,7 @@ document.addEventListener("visibilitychange", () => document.visibilityState ===
 wireActions();
 wireDraw(overlay);
 wireMove();
+wireNumbers();
 wireSequence();
 wireStay();
 wireTools();

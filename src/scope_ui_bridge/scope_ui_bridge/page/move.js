@@ -2,6 +2,7 @@
 
 import { desk } from "./desk.js";
 import { find } from "./dom.js";
+import { numberOf } from "./number_fields.js";
 import { t } from "./strings.js";
 
 const HOLD_MS = 100;
@@ -79,7 +80,7 @@ export function wireMove() {
   document.addEventListener("visibilitychange", release);
   find("go-form").addEventListener("submit", (event) => {
     event.preventDefault();
-    const [x_mm, y_mm] = ["go-x", "go-y"].map((id) => find(id).valueAsNumber);
+    const [x_mm, y_mm] = ["go-x", "go-y"].map((id) => numberOf(find(id)));
     if (Number.isFinite(x_mm) && Number.isFinite(y_mm)) desk.ask("move", { x_mm, y_mm, ...desk.seen });
   });
 }

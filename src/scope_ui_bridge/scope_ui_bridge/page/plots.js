@@ -2,6 +2,7 @@
 
 import { desk } from "./desk.js";
 import { find, put, svg } from "./dom.js";
+import { localNumbers } from "./numbers.js";
 import { t } from "./strings.js";
 
 const SPAN_MS = 60_000;
@@ -38,9 +39,9 @@ function draw(id, lines, unit, digits) {
   );
   drawing.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
   drawing.replaceChildren(...paths);
-  const told = ({ label, last }) => `${label} ${last?.toFixed(digits) ?? "–"}`;
+  const told = ({ label, last }) => `${label} ${localNumbers(last?.toFixed(digits) ?? "–")}`;
   put(figure.querySelector(".values"), `${lines.map(told).join(" · ")} ${unit}`);
-  put(figure.querySelector(".range"), all.length ? `${low.toFixed(digits)} … ${high.toFixed(digits)} ${unit}` : t("plot_empty"));
+  put(figure.querySelector(".range"), all.length ? localNumbers(`${low.toFixed(digits)} … ${high.toFixed(digits)} ${unit}`) : t("plot_empty"));
 }
 
 export function renderPlots(now) {

@@ -13,6 +13,9 @@ export function setRecordings(list) {
   running = list;
 }
 
+/** Whether the bridge itself records: another program's recording is not ended from here. */
+export const records = () => running.some(({ who }) => who !== "");
+
 function duration({ for_s: seconds }) {
   const two = (value) => String(value).padStart(2, "0");
   const [hours, minutes] = [Math.floor(seconds / 3600), Math.floor(seconds / 60) % 60];

@@ -1,6 +1,7 @@
 // What the programs of the graph say (reasons, states in sentences), in the page's language and its time; unknown text
 // stays as it is.
 
+import { localNumbers } from "./numbers.js";
 import { PHRASES_DE } from "./phrases_de.js";
 
 const PHRASES = { de: phrases(PHRASES_DE) };
@@ -62,7 +63,7 @@ function translated(text, { whole, parts }, depth) {
     if (at <= 0) continue;
     return `${again(text.slice(0, at))}${glue}${again(text.slice(at + glue.length))}`;
   }
-  return text;
+  return localNumbers(text);
 }
 
 /** What stands between the pieces, each value as short as it can be but of `least` letters; null when they are not

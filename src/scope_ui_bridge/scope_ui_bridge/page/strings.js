@@ -1,5 +1,6 @@
 // The page's sentences in the language that was chosen; strings_en.js and strings_de.js have the same keys.
 
+import { localNumbers } from "./numbers.js";
 import { DE } from "./strings_de.js";
 import { EN } from "./strings_en.js";
 
@@ -10,7 +11,7 @@ let table = EN;
 /** Return the sentence of a key with its values put in; an unknown key comes back as it is (text from the graph). */
 export function t(key, values = {}) {
   const sentence = table[key] ?? String(key);
-  const filled = sentence.replace(/\{(\w+)\}/g, (whole, name) => isolated(values[name] ?? ""));
+  const filled = sentence.replace(/\{(\w+)\}/g, (whole, name) => isolated(localNumbers(values[name] ?? "")));
   return filled.replace(/\s+(?=[:.](\s|$))/g, "").trim();
 }
 

@@ -202,6 +202,7 @@ export const EN = {
   picture_late: "The picture is {age_ms} ms old; at most {limit_ms} ms are allowed.",
   press_late: "This was pressed {late_ms} ms ago, while the page was held up; at most {limit_ms} ms are allowed. Look and press again.",
   no_number: "Enter a number first.",
+  number_wanted: "A number from {min} to {max}, please.",
   link_down: "There is no link to the bridge.",
 
   notice: "Notice",

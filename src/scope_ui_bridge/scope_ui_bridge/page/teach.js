@@ -2,6 +2,7 @@
 
 import { desk } from "./desk.js";
 import { doubled, find, put, say } from "./dom.js";
+import { numberOf, putNumber } from "./number_fields.js";
 import { said } from "./said.js";
 import { t } from "./strings.js";
 import { wasDragged } from "./tools.js";
@@ -117,12 +118,12 @@ function row(index) {
   });
   const fields = ["u", "v"].map((axis, part) => {
     const field = document.createElement("input");
-    field.type = "number";
-    field.step = "0.5";
+    field.inputMode = "decimal";
+    Object.assign(field.dataset, { step: 0.5, min: 0, max: 10000 });
     field.setAttribute("aria-label", t("teach_place", { name: name(index), axis }));
-    field.value = place(index) ? String(place(index)[part]) : "";
+    putNumber(field, place(index)?.[part] ?? NaN);
     field.addEventListener("change", () => {
-      const values = fields.map((one) => one.valueAsNumber);
+      const values = fields.map(numberOf);
       setPlace(index, values.every(Number.isFinite) ? values : null);
       drawMarks();
     });
@@ -157,7 +158,7 @@ function renderPlaces() {
 
 function added(event) {
   event.preventDefault();
-  const value = (id) => find(`teach-${id}`).valueAsNumber;
+  const value = (id) => numberOf(find(`teach-${id}`));
   const kind = find("teach-kind").value;
   controls.push({ name: find("teach-name").value.trim(), kind, size: [value("w"), value("h")], proud: value("z"), at: null });
   find("teach-name").value = "";
@@ -181,7 +182,7 @@ async function write(event) {
     stamp: held.stamp,
     model: find("teach-model").value.trim(),
     title: find("teach-title").value.trim(),
-    size_mm: [find("teach-width").valueAsNumber, find("teach-height").valueAsNumber],
+    size_mm: ["teach-width", "teach-height"].map((id) => numberOf(find(id))),
     corners,
     controls: controls.map(({ name: called, kind, size, proud, at }) => [called, kind, ...at, ...size, proud]),
   });
