@@ -229,6 +229,14 @@ def speaks_german_for_the_graph(operator: Operator) -> None:
     target = "async (entry) => (await import('/page/command_log.js')).targetText(entry)"
     for name in ("lamp", "constructor"):  # a key of the page's sentences, and one of every object
         assert operator.page.evaluate(target, {"action": "teach", "target": name}) == name, "a name is no sentence"
+    press = {"action": "press", "target": "Menu", "reason": "", "error_mm": 0.05, "effect": ""}
+    spoken = "async (entry) => (await import('/page/command_log.js')).spoken(entry)"
+    for more, german in (
+        ({"status": "reached", "effect": "lamp green -> red"}, "Wirkung: Lampe grün -> rot."),
+        ({"status": "reached", "effect": "none seen"}, "Wirkung: keine gesehen."),
+        ({"status": "aborted", "reason": "no reason given"}, "Ohne Grund"),
+    ):
+        assert operator.page.evaluate(spoken, press | more).endswith(f"gemessener Fehler 0,05 mm. {german}")
     closed = operator.page.evaluate(target, {"action": "stop", "target": "stopped_page_gone"})
     assert closed == "die Seite des Bedieners wurde geschlossen oder neu geladen"
 

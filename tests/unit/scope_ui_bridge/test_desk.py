@@ -57,6 +57,26 @@ def test_a_control_is_selected_then_pressed_and_its_result_is_shown() -> None:
 
 
 @pytest.mark.parametrize(
+    ("details", "effect", "error_mm"),
+    [
+        ((("measured_by", "cameras"), ("effect", "lamp green -> red")), "lamp green -> red", 0.234),
+        ((("measured_by", "cameras"), ("effect", "not looked for")), "", 0.234),
+        ((("measured_by", "readings"),), "", None),
+    ],
+)
+def test_what_a_press_did_is_told_and_readings_are_no_measurement(
+    details: tuple[tuple[str, str], ...], effect: str, error_mm: float | None
+) -> None:
+    rig = Rig()
+    done = GoalResult(goal_id="7", goal="press:RUN_STOP", outcome=Outcome.REACHED, error_m=0.000234, details=details)
+    rig.desk.result(dataclasses.replace(done, outcome=Outcome.ACCEPTED, details=()), rig.now)
+    effects = rig.desk.result(done, rig.now)
+    assert (logged(effects)[0]["effect"], logged(effects)[0]["error_mm"]) == (effect, error_mm)
+    written = of_type(effects, Record)[0].record
+    assert (written["effect"], written["error_mm"]) == (effect, error_mm)
+
+
+@pytest.mark.parametrize(
     ("control", "gesture", "argument", "expected"),
     [("RUN_STOP", "hold", 2.0, ("hold", 2.0)), ("CH1_SCALE", "turn", -15.0, ("turn", -15.0))],
 )
@@ -108,6 +128,7 @@ def test_results_of_others_are_shown_too() -> None:
         "reason": "",
         "error_mm": None,
         "duration_s": None,
+        "effect": "",
     }
     assert rig.desk.moving
     for goal in ("press:UNKNOWN", "press:0.1,0.2@base_link", "move to (0.1, 0.2, 0) m in base_link"):

@@ -30,11 +30,12 @@ class LogEntry:
     reason: str = ""
     error_mm: float | None = None
     duration_s: float | None = None
+    effect: str = ""
     sent_mono_s: float = 0.0
 
     def message(self) -> dict[str, Any]:
         """Return what the page gets."""
-        fields = ("entry", "wall_ms", "who", "action", "target", "status", "reason", "error_mm", "duration_s")
+        fields = ("entry", "wall_ms", "who", "action", "target", "status", "reason", "error_mm", "duration_s", "effect")
         return {name: getattr(self, name) for name in fields}
 
 
@@ -136,18 +137,22 @@ class CommandLog:
 
     def ended(self, entry: LogEntry, result: GoalResult, now: Now) -> list[Effect]:
         """Note a result, and return what shows and records it."""
-        measured = math.isfinite(result.error_m)
+        details = dict(result.details)
+        # A move's error by the board's own readings is no measurement: they say where it believes to be.
+        measured = math.isfinite(result.error_m) and details.get("measured_by") != "readings"
+        effect = details.get("effect", "")
         changed = self.update(
             entry,
             status=result.outcome.value,
             reason=result.reason,
             error_mm=round(result.error_m * 1e3, 3) if measured else None,
             duration_s=round(result.duration_s, 2) if math.isfinite(result.duration_s) else None,
+            effect="" if effect == "not looked for" else effect,
         )
         return [shown(changed), result_record(changed, now)]
 
 
 def result_record(entry: LogEntry, now: Now) -> Record:
     """Return the line of the audit file that tells how an entry ended."""
-    outcome = {"result": entry.status, "reason": entry.reason, "error_mm": entry.error_mm, "goal_id": entry.goal_id}
-    return Record(record=record(entry.who, entry.action, entry.target, now) | outcome)
+    outcome = {"result": entry.status, "reason": entry.reason, "error_mm": entry.error_mm, "effect": entry.effect}
+    return Record(record=record(entry.who, entry.action, entry.target, now) | outcome | {"goal_id": entry.goal_id})

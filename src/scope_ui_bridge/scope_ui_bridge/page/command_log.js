@@ -70,7 +70,7 @@ export class CommandLog {
 
   /** All entries (RFC 4180), the oldest first; a text that a spreadsheet would compute gets an apostrophe in front. */
   #csv() {
-    const fields = ["wall_ms", "who", "action", "target", "status", "reason", "error_mm", "duration_s"];
+    const fields = ["wall_ms", "who", "action", "target", "status", "reason", "error_mm", "duration_s", "effect"];
     const cell = (value) => `"${String(value ?? "").replace(/^(?=[=+@\t\r]|-\D)/, "'").replaceAll('"', '""')}"`;
     const rows = [...this.#entries.values()].map((entry) =>
       [new Date(entry.wall_ms).toISOString(), ...fields.slice(1).map((name) => entry[name])].map(cell).join(","),
@@ -99,7 +99,7 @@ export class CommandLog {
     icon.textContent = ICONS[entry.status] ?? "";
     const text = document.createElement("strong");
     text.textContent = statusText(entry);
-    result.replaceChildren(icon, text, entry.reason ? ` ${said(entry.reason)}` : "");
+    result.replaceChildren(icon, text, ` ${toldOf(entry)}`);
     error.className = "number";
     error.textContent = entry.error_mm === null ? "" : t("mm", { value: entry.error_mm.toFixed(2) });
     who.className = "who";
@@ -142,10 +142,15 @@ function statusText({ status, action }) {
   return t(status === "sent" && has(own) ? own : `status_${status}`);
 }
 
+/** What was seen of it, and why it ended so. */
+function toldOf({ effect, reason }) {
+  return [effect ? t("effect", { effect: said(effect) }) : "", said(reason)].filter(Boolean).join(" ");
+}
+
 /** What a screen reader says when a command has ended. */
 export function spoken(entry) {
   const values = { action: actionText(entry), target: targetText(entry), status: statusText(entry) };
-  if (entry.error_mm !== null) return t("said_error", { ...values, error: entry.error_mm.toFixed(2) });
-  const reason = said(entry.reason);
-  return t("said", { ...values, reason: reason.charAt(0).toUpperCase() + reason.slice(1) });
+  const told = toldOf(entry);
+  values.reason = told.charAt(0).toUpperCase() + told.slice(1);
+  return entry.error_mm === null ? t("said", values) : t("said_error", { ...values, error: entry.error_mm.toFixed(2) });
 }

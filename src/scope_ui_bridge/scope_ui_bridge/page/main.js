@@ -342,6 +342,8 @@ function renderMachine() {
   renderGuide();
 }
 
+const calibrating = () => desk.state && t("banner_calibrating", { progress: said(desk.state.calibration.reason) });
+
 function renderAge() {
   const { limits, state } = desk;
   const age = video.ageMs;
@@ -371,6 +373,7 @@ function renderAge() {
     { when: driver === "alarm", look: "bad", text: t("banner_alarm", { reason: said(reason) }) },
     { when: driver === "stopped", look: "bad", text: state && stopBanner(state) },
     { when: age > limits.max_age_ms, look: "waiting", text: t(state?.moving ? "banner_moving_stale" : "banner_stale") },
+    { when: state?.calibration.state === "calibrating", look: "busy", text: calibrating() },
     { when: state?.moving, look: "busy", text: t("banner_moving") },
     { when: asking, look: "waiting", text: t("lease_asked", { name: asking }) },
     { when: lostControl, look: "waiting", text: t("banner_lost_control") },

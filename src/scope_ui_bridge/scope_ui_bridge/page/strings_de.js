@@ -106,7 +106,8 @@ export const DE = {
   status_failed: "nicht gesendet",
   status_no_answer: "keine Antwort",
   said: "{action} {target}: {status}. {reason}",
-  said_error: "{action} {target}: {status}, gemessener Fehler {error} mm.",
+  said_error: "{action} {target}: {status}, gemessener Fehler {error} mm. {reason}",
+  effect: "Wirkung: {effect}.",
 
   unknown: "unbekannt",
   state_disconnected: "Getrennt",
@@ -140,6 +141,7 @@ export const DE = {
   banner_ready: "Bereit. Ein Element im Bild wählen, dann bestätigen.",
   banner_viewing: "Sie sehen zu. Zum Bedienen die Bedienung übernehmen.",
   banner_viewing_other: "Sie sehen zu. Zum Bedienen die Bedienung erbitten.",
+  banner_calibrating: "Kalibriert, {progress}: die Maschine bewegt sich von selbst. STOP oder Esc hält an.",
   banner_moving: "Bewegt sich. STOP oder Esc hält an.",
   banner_moving_stale: "Bewegt sich, und das Livebild ist alt. STOP oder Esc hält an.",
   banner_waiting: "Nicht bereit: {reason}",

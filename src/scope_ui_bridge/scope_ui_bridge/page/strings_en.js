@@ -106,7 +106,8 @@ export const EN = {
   status_failed: "not sent",
   status_no_answer: "no answer",
   said: "{action} {target}: {status}. {reason}",
-  said_error: "{action} {target}: {status}, measured error {error} mm.",
+  said_error: "{action} {target}: {status}, measured error {error} mm. {reason}",
+  effect: "Effect: {effect}.",
 
   unknown: "unknown",
   state_disconnected: "Disconnected",
@@ -140,6 +141,7 @@ export const EN = {
   banner_ready: "Ready. Select a control in the picture, then confirm.",
   banner_viewing: "Viewing. Take control to operate.",
   banner_viewing_other: "Viewing. Ask for control to operate.",
+  banner_calibrating: "Calibrating, {progress}: the machine moves by itself. STOP or Esc stops it.",
   banner_moving: "Moving. STOP or Esc stops it.",
   banner_moving_stale: "Moving, and the live picture is old. STOP or Esc stops it.",
   banner_waiting: "Not ready: {reason}",
