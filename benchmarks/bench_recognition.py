@@ -10,6 +10,7 @@ Renders are those of the tests (tests/unit/harris_perception/panel_scene.py); se
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -46,7 +47,6 @@ markers:
 CAMERA = scene.camera()
 POINTS = scene.control_points_m(LAYOUT)
 SCOPES = Path(__file__).resolve().parents[1] / "config" / "scopes"
-TRIALS = int(sys.argv[1]) if len(sys.argv) > 1 and sys.argv[1].isdigit() else 12
 HARDSHIPS: dict[str, dict[str, float]] = {
     "none": {},
     "occlusion 30 %": {"hidden": 0.3},
@@ -193,6 +193,9 @@ def negatives(finder: Finder) -> tuple[int, int]:
 
 
 def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("trials", nargs="?", type=int, default=12, help="views of each hardship (%(default)s)")
+    trials = parser.parse_args().trials
     finders: dict[str, Finder] = {"ours": Ours(), "ORB": Peer("ORB"), "SIFT": Peer("SIFT"), "ArUco": Markers()}
     rows: list[Row] = []
     every: dict[str, list[float]] = {name: [] for name in finders}
@@ -200,7 +203,7 @@ def main() -> int:
     times: dict[str, list[float]] = {name: [] for name in finders}
     for number, (hardship, change) in enumerate(HARDSHIPS.items()):
         scores = {name: Score(errors=[], ms=[]) for name in finders}
-        for trial in range(TRIALS):
+        for trial in range(trials):
             rng = np.random.default_rng(100 * number + trial)
             truth = view(rng)
             look = scene.Look(**change)
@@ -216,7 +219,7 @@ def main() -> int:
             every[name] += score.errors or []
             wrong[name] += score.wrong
             times[name] += score.ms or []
-        share = {name: 100 * s.good / TRIALS for name, s in scores.items()}
+        share = {name: 100 * s.good / trials for name, s in scores.items()}
         for peer in ("ORB", "SIFT", "ArUco"):
             rows.append(
                 row(f"{hardship}: found to 2 px [%]", share["ours"], share[peer], peer, 1.0, higher_is_better=True)
@@ -231,7 +234,7 @@ def main() -> int:
         rows.append(bound(text, count, limit) if limit is not None else row(text, count, None, ""))
     total, agreed = negatives(finders["ours"])
     rows.append(bound(f"ours: poses agreed on in {total} views of other panels", float(agreed), 0.0))
-    return 0 if write("recognition", rows, title=f"Recognition, {TRIALS} views of each hardship") else 1
+    return 0 if write("recognition", rows, title=f"Recognition, {trials} views of each hardship") else 1
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ disparities, on two threads; the node's time has rectification, colour and both 
 
 from __future__ import annotations
 
+import argparse
 import time
 
 import cv2
@@ -171,6 +172,7 @@ def panel_ms() -> float:
 
 
 def main() -> int:
+    argparse.ArgumentParser(description=__doc__).parse_args()
     keep_large_blocks()
     cv2.setNumThreads(2)
     write("stereo", errors() + on_the_panel() + speed(), title="stereo: errors and time")
