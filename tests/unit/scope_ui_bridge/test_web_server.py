@@ -105,16 +105,16 @@ def test_one_browser_is_signed_in_at_two_robots_of_one_host() -> None:
     async def scenario(rig: Rig) -> None:
         # Browsers keep cookies by host, whatever the port; so does this jar.
         with Rig() as other:
-            async with page(rig) as client:
-                beside = Page(other, client.session)
+            async with page(rig) as client, aiohttp.ClientSession(cookie_jar=client.session.cookie_jar) as browser:
+                beside = Page(other, browser)
                 token = other.sign_in.issue_token()  # the rigs' secrets are numbered: now both sessions' differ
-                async with client.session.get(f"{other.url}/", params={"token": token}) as answer:
+                async with browser.get(f"{other.url}/", params={"token": token}) as answer:
                     assert answer.status == 200
                 for bed in (client, beside):
-                    async with client.session.post(f"{bed.rig.url}/stop", headers=bed.origin) as answer:
+                    async with browser.post(f"{bed.rig.url}/stop", headers=bed.origin) as answer:
                         assert answer.status == 200
                     assert len(bed.rig.graph.named("stop")) == 1
-                async with client.session.post(f"{other.url}/sign-out", headers=beside.origin) as answer:
+                async with browser.post(f"{other.url}/sign-out", headers=beside.origin) as answer:
                     assert answer.status == 401
                 async with client.session.get("/session") as answer:
                     assert answer.status == 200, "who signs out there is still signed in here"

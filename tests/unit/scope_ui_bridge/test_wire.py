@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 
 import pytest
 from hypothesis import given, settings
@@ -48,7 +47,7 @@ def test_each_kind_of_message_is_typed() -> None:
         ('{"type":"alive","seq":1,"boot":"b","epoch":0,"client_ms":1e999}', "1e999"),
         ('{"type":"alive","seq":' + "9" * 400 + "}", "400 digits"),
         ('{"type":"stop","type":"alive","seq":1}', "twice"),
-        ("[" * 4000, "recursion" if sys.version_info < (3, 12) else "Expecting value"),  # since 3.12 it goes deeper
+        ("[" * 30000, "recursion"),  # how deep Python goes differs from 3.12.1 to 3.12.3
         ("", "Expecting"),
         ("[1]", "object"),
         (text(type="fly"), "fly"),
