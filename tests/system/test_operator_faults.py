@@ -122,7 +122,7 @@ def test_the_page_freezes(room: Room) -> None:
     check("page frozen", begin, room.rig.halted_s(since))
     row = room.witness.logs("STOP.*Seite des Bedieners antwortete nicht mehr", 5.0)
     assert "Watchdog" in row
-    room.witness.sees("#banner", r"GESTOPPT – die Seite des Bedieners antwortete nicht.*0\.\d s lang nichts")
+    room.witness.sees("#banner", r"GESTOPPT – die Seite des Bedieners antwortete nicht.*0,\d s lang nichts")
     room.operator.sees("#banner", "STOPPED – the operator’s page did not respond")
     room.operator.sees("#lease-text", "Nobody is in control")
     assert not room.operator.page.is_enabled("#reset"), "nothing resumes by itself"
