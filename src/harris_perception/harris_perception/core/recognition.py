@@ -7,7 +7,8 @@ measurement follows it from frame to frame.
 
 A patchwise correlation with the template decides whether to believe it, and several frames must agree before it counts.
 Few patches may agree, for most of the panel may be hidden; but where some do their neighbours must, and few may show
-other print instead, as another panel does.
+other print instead, as another panel does. Rows of like controls agree with themselves in a mirror, shifted: where much
+disagrees, the picture's mirror is searched too, and must not show more of the panel.
 
 Only what is printed on the face is used: controls stand proud (parallax), screens and lamps change. Text is good for
 finding the panel; where it was drawn from the layout its typeface is not the maker's, and it measures nothing.
@@ -197,9 +198,12 @@ class PanelRecogniser:
             raw = np.asarray(corners_px, dtype=np.float64).reshape(-1, 2)[: self.config.search.max_corners]
             best = self._best(rectified, suggested, camera)
             if best is None or not self._believed(best):
-                best = self._find(rectified, camera.rectify(raw).astype(np.float32), camera)
-            if best is None and self._failures % _ENLARGE_EVERY == 0:
-                best = self._find_enlarged(rectified, camera)
+                corners = camera.rectify(raw).astype(np.float32)
+                best = self._find(rectified, corners, camera)
+                if best is None and self._failures % _ENLARGE_EVERY == 0:
+                    best = self._find_enlarged(rectified, camera)
+                if best is not None and self._believed(best) and self._is_mirrored(rectified, corners, camera, best):
+                    best = None
             sighting = best if best is not None and self._believed(best) else None
         self._failures = 0 if sighting is not None else self._failures + 1
         self._last = sighting
@@ -220,6 +224,19 @@ class PanelRecogniser:
         corners = self._fine_detector.detect(larger).xy[: self.config.search.max_corners].astype(np.float32)
         matched = ((places, (pixels + 0.5) / _ENLARGED - 0.5) for _, places, pixels in self._matched(larger, corners))
         return self._best(rectified, self._suggested(matched, camera), camera)
+
+    def _is_mirrored(self, rectified: Gray, corners_px: Floats, camera: CameraModel, sighting: Sighting) -> bool:
+        """Tell whether the picture's mirror shows more of the panel than was seen in the picture."""
+        if sighting.agreement > _SURE:
+            return False
+        last = camera.width - 1
+        p = camera.p.copy()
+        p[0, 2] = last - p[0, 2]
+        corners = np.column_stack([last - corners_px[:, 0], corners_px[:, 1]])
+        blur_px = self._blur_px
+        other = self._find(np.ascontiguousarray(rectified[:, ::-1]), corners, dataclasses.replace(camera, p=p))
+        self._blur_px = blur_px
+        return other is not None and other.patches.count > sighting.patches.count
 
     def _best(self, rectified: Gray, poses: Iterable[Transform], camera: CameraModel) -> Sighting | None:
         """Measure at all suggested poses, and return what most print agrees with, not yet judged.
