@@ -288,6 +288,16 @@ def test_pictures_between_the_rate_are_left_out_and_others_refused(ros: Any) -> 
     assert told[0].startswith("not recognised: picture refused: ") and "480" in told[0]
 
 
+def test_a_camera_that_flips_its_pictures_is_told(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1})
+    reports: list[DiagnosticArray] = ros.collect(rig.probe, DiagnosticArray, "/diagnostics", qos.RESULTS)
+    for number in (1, 2):
+        assert rig.show(np.ascontiguousarray(picture(seed=number)[:, ::-1]), number) == 0.0
+    told = ros.spin_until(lambda: [s.message for r in reports for s in r.status if "mirror" in s.message], 10.0)
+    assert told[0].startswith("not recognised: the panel is seen in a mirror: switch off "), told
+    assert rig.show(picture(), 3) > 0.85 and not rig.node._recogniser.mirrored
+
+
 def test_template_picture_instead_of_the_drawing(ros: Any, tmp_path: Path) -> None:
     straight = Transform(np.diag([1.0, -1.0, -1.0]), np.array([-0.16, 0.075, 0.6]))
     lens = dataclasses.replace(CAMERA, d=np.zeros(5))

@@ -47,9 +47,10 @@ from icu_common.core.panel_layout import PanelLayout
 _SURE = 0.6
 # A tracked panel's blur is tried anew in every so many pictures.
 _BLUR_EVERY = 10
-# How much larger a picture is searched that shows no panel as it is, and every how many such pictures.
+# How much larger a picture is searched that shows no panel as it is.
 _ENLARGED = 1.5
-_ENLARGE_EVERY = 5
+# Of so many pictures without the panel in a row the first is also searched enlarged, the second mirrored.
+_FURTHER_EVERY = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,6 +108,11 @@ class Sighting:
 class PanelRecogniser:
     """Searches one designated panel and follows it; remembers where it was seen last.
 
+    Attributes
+    ----------
+    mirrored
+        The panel is not found as it is, but was in the mirror of a picture since: the camera flips its pictures.
+
     Parameters
     ----------
     layout
@@ -161,11 +167,13 @@ class PanelRecogniser:
         self._last: Sighting | None = None
         self._failures = self._tracked = 0
         self._blur_px = 0.0
+        self.mirrored = False
 
     def forget(self) -> None:
         """Search the next picture from nothing."""
         self._last = None
         self._failures = 0
+        self.mirrored = False
 
     def locate(
         self, gray: Gray, corners_px: npt.ArrayLike, camera: CameraModel, suggested: Sequence[Transform] = ()
@@ -195,19 +203,30 @@ class PanelRecogniser:
         rectified = self._rectify(gray, camera)
         sighting = self._track(rectified, camera) if self._last is not None else None
         if sighting is None:
-            raw = np.asarray(corners_px, dtype=np.float64).reshape(-1, 2)[: self.config.search.max_corners]
-            best = self._best(rectified, suggested, camera)
-            if best is None or not self._believed(best):
-                corners = camera.rectify(raw).astype(np.float32)
-                best = self._find(rectified, corners, camera)
-                if best is None and self._failures % _ENLARGE_EVERY == 0:
-                    best = self._find_enlarged(rectified, camera)
-                if best is not None and self._believed(best) and self._is_mirrored(rectified, corners, camera, best):
-                    best = None
-            sighting = best if best is not None and self._believed(best) else None
+            sighting = self._search(rectified, corners_px, camera, suggested)
         self._failures = 0 if sighting is not None else self._failures + 1
+        self.mirrored = self.mirrored and sighting is None
         self._last = sighting
         return sighting
+
+    def _search(
+        self, rectified: Gray, corners_px: npt.ArrayLike, camera: CameraModel, suggested: Sequence[Transform]
+    ) -> Sighting | None:
+        """Return what is believed of a picture that is searched from nothing."""
+        best = self._best(rectified, suggested, camera)
+        if best is not None and self._believed(best):
+            return best
+        raw = np.asarray(corners_px, dtype=np.float64).reshape(-1, 2)[: self.config.search.max_corners]
+        corners = camera.rectify(raw).astype(np.float32)
+        best = self._find(rectified, corners, camera)
+        if best is None and self._failures % _FURTHER_EVERY == 0:
+            best = self._find_enlarged(rectified, camera)
+        believed = best if best is not None and self._believed(best) else None
+        if believed is not None and believed.agreement > _SURE:
+            return believed
+        if believed is not None or self._failures % _FURTHER_EVERY == 1:
+            self.mirrored = self._is_mirrored(rectified, corners, camera, believed)
+        return None if self.mirrored else believed
 
     def _find(self, rectified: Gray, corners_px: Floats, camera: CameraModel) -> Sighting | None:
         matched = ((places, pixels) for _, places, pixels in self._matched(rectified, corners_px))
@@ -225,10 +244,8 @@ class PanelRecogniser:
         matched = ((places, (pixels + 0.5) / _ENLARGED - 0.5) for _, places, pixels in self._matched(larger, corners))
         return self._best(rectified, self._suggested(matched, camera), camera)
 
-    def _is_mirrored(self, rectified: Gray, corners_px: Floats, camera: CameraModel, sighting: Sighting) -> bool:
-        """Tell whether the picture's mirror shows more of the panel than was seen in the picture."""
-        if sighting.agreement > _SURE:
-            return False
+    def _is_mirrored(self, rectified: Gray, corners_px: Floats, camera: CameraModel, seen: Sighting | None) -> bool:
+        """Tell whether the picture's mirror shows the panel, and more of it than was ``seen`` in the picture."""
         last = camera.width - 1
         p = camera.p.copy()
         p[0, 2] = last - p[0, 2]
@@ -236,7 +253,9 @@ class PanelRecogniser:
         blur_px = self._blur_px
         other = self._find(np.ascontiguousarray(rectified[:, ::-1]), corners, dataclasses.replace(camera, p=p))
         self._blur_px = blur_px
-        return other is not None and other.patches.count > sighting.patches.count
+        return (
+            other is not None and self._believed(other) and (seen is None or other.patches.count > seen.patches.count)
+        )
 
     def _best(self, rectified: Gray, poses: Iterable[Transform], camera: CameraModel) -> Sighting | None:
         """Measure at all suggested poses, and return what most print agrees with, not yet judged.

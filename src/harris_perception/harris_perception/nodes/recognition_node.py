@@ -63,6 +63,7 @@ _KEPT_UNREAD = 8
 _GIVEN_UP = 10.0
 """A picture waits no longer than so many ``tip_wait_s`` for a tracker that speaks of others only."""
 _TICK_S = 0.02
+_MIRRORED = "the panel is seen in a mirror: switch off what flips this camera's pictures"
 _STEREO_AGE_NS = 3_000_000_000
 """Stereo looks at other pictures, on a busy computer a second later; a panel that stands still is as far in them."""
 
@@ -323,6 +324,8 @@ class RecognitionNode(Node):
             refusal = f"picture refused: {error}"
             self.get_logger().error(refusal, throttle_duration_sec=5.0)
         self._refusal = refusal
+        if self._recogniser.mirrored:
+            self.get_logger().error(_MIRRORED, throttle_duration_sec=30.0)
         found = None
         if sighting is not None and not self._alarm:
             found = self._with_plane(sighting, stamp_ns(message.header.stamp))
@@ -421,6 +424,8 @@ class RecognitionNode(Node):
         unaided = frames > 0 and without == frames
         if self._refusal:
             text += f": {self._refusal}"
+        elif self._recogniser.mirrored:
+            text += f": {_MIRRORED}"
         if unaided:
             text += ", no published corners: they are detected here"
         values: list[tuple[str, Any]] = [
