@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import inspect
 import re
@@ -20,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[3]
 PROFILES = ("bench", "test", "carriage", "hardware", "replay")
 
 
+@functools.cache
 def programs(profile: str) -> list[Program]:
     return load_graph(ROOT / "config", profile, run=Path("/run"), state=Path("/state"))
 
