@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,13 @@ def file_values(path: Path) -> dict[str, dict[str, Any]]:
     return {node: _flat(entry["ros__parameters"]) for node, entry in document.items()}
 
 
+@functools.cache
+def _of_every_node(name: str) -> dict[str, Any]:
+    return file_values(CONFIG / "params" / f"{name}.yaml")["/**"]
+
+
 def parameters(name: str, part: str = "") -> dict[str, Any]:
     """Return the values in the file of a node; with ``part`` those below it, without its name."""
-    values = file_values(CONFIG / "params" / f"{name}.yaml")["/**"]
+    values = _of_every_node(name)
     start = f"{part}." if part else ""
     return {key.removeprefix(start): value for key, value in values.items() if key.startswith(start)}
