@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 import cv2
@@ -264,12 +265,12 @@ def peer_detectors() -> dict[str, Detect]:
         create = getattr(api, f"{name}_create", getattr(contrib, f"{name}_create", None))
         if create is not None:
             peers[f"cv2 {name.removesuffix('FeatureDetector')}"] = further(create, settings)
-    try:
-        from skimage.feature import corner_harris, corner_peaks
-    except ImportError:
+    if find_spec("skimage") is None:
         return peers
 
     def skimage(gray: Gray, count: int) -> Points:
+        from skimage.feature import corner_harris, corner_peaks  # takes a second, and not all who ask for peers use it
+
         peaks = corner_peaks(corner_harris(gray, sigma=1), min_distance=1, threshold_rel=0.0, num_peaks=count)
         return np.asarray(peaks[:, ::-1], np.float64)
 
