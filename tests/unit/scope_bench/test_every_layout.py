@@ -24,13 +24,15 @@ FOLDER = Path(__file__).parents[3] / "config" / "scopes"
 PINK = ("#e0409a",)
 """Of the ball's own colour: shining, it hides the ball, which is measured beside it then."""
 LAYOUTS = sorted(path.stem for path in FOLDER.glob("*.yaml"))
+PANEL_BY_PANEL = pytest.mark.parametrize("name", LAYOUTS, scope="module")
+"""One after the other, as the bench keeps what it has drawn of the last panels."""
 
 
 def test_there_are_several_makes_and_one_that_is_no_scope() -> None:
     assert len(LAYOUTS) >= 5 and "ventilator_v1" in LAYOUTS
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
+@PANEL_BY_PANEL
 def test_is_drawn_recognised_and_read(name: str) -> None:
     layout = load_layout(FOLDER / f"{name}.yaml")
     assert layout.model == name
@@ -62,7 +64,7 @@ def test_is_drawn_recognised_and_read(name: str) -> None:
             assert (found.lamp == "off") is dark, (control.name, found.lamp)
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
+@PANEL_BY_PANEL
 def test_the_tip_is_measured_before_lamps_that_shine(name: str) -> None:
     """At contact, while looking before it, and between: lamps, their edges and printed bands are behind the ball."""
     layout, config = load_layout(FOLDER / f"{name}.yaml"), BenchConfig()
