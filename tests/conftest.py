@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Any
 
 import pytest
@@ -10,6 +11,12 @@ from xdist.scheduler import LoadFileScheduling
 from icu_common.adapters.memory import keep_large_blocks
 
 keep_large_blocks()
+
+
+def pytest_collection_finish() -> None:
+    """Leave the thousands of tests out of every later search for garbage; they stay until the end anyway."""
+    gc.collect()
+    gc.freeze()
 
 
 class Shares(LoadFileScheduling):
