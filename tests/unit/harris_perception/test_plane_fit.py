@@ -99,6 +99,27 @@ def test_no_plane_is_invented() -> None:
     assert fit_plane(one_place, np.full(50, 1e-4), config, rng) is None
 
 
+@pytest.mark.parametrize("value", [np.inf, np.nan, 0.0, -1e-4])
+def test_a_depth_as_sure_as_no_number_tells_is_refused(value: float) -> None:
+    """One of them was left out or counted as sure; of infinite ones the division by zero ended the node."""
+    points, sigma, _ = seen_plane(np.random.default_rng(1), 25, 0.65, 50, 0.08)
+    for which in (3, slice(3, None)):
+        wrong = sigma.copy()
+        wrong[which] = value
+        with pytest.raises(ValueError, match=rf"sigma_m\[3\] = {value:g} m: a finite number above 0 is needed"):
+            fit_plane(points, wrong, PlaneConfig(), np.random.default_rng(0))
+    with pytest.raises(ValueError, match=r"sigma_m has shape \(49,\), \(50,\) is needed"):
+        fit_plane(points, sigma[:49], PlaneConfig(), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("value", [np.inf, np.nan, 0.0, -0.6])
+def test_a_point_that_no_camera_sees_is_refused(value: float) -> None:
+    points, sigma, _ = seen_plane(np.random.default_rng(1), 25, 0.65, 50, 0.08)
+    points[7, 2] = value
+    with pytest.raises(ValueError, match=rf"points\[7\] = \[.*{value:g}.*\] m: finite numbers with z above 0"):
+        fit_plane(points, sigma, PlaneConfig(), np.random.default_rng(0))
+
+
 @pytest.mark.parametrize("noise_px", [0.08, 0.4, 1.0])
 def test_the_plane_is_as_sure_as_it_says_also_where_points_scatter_by_more_than_the_tolerance(noise_px: float) -> None:
     """The last are 2 mm: half of the points were cut off, and the plane's error was twice what was told."""

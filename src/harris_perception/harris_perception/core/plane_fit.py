@@ -94,14 +94,25 @@ def fit_plane(
     -------
     fit
         None when too few points agree.
+
+    Raises
+    ------
+    ValueError
+        If a point is not finite or not before the camera, or a deviation is not a finite number above zero for each.
     """
     xyz = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    sigma = np.asarray(sigma_m, dtype=np.float64)
     z = xyz[:, 2]
+    if sigma.shape != z.shape:
+        raise ValueError(f"sigma_m has shape {sigma.shape}, {z.shape} is needed: one for each point")
+    for i in np.flatnonzero(~(np.isfinite(xyz).all(axis=1) & (z > 0)))[:1]:
+        raise ValueError(f"points[{i}] = {xyz[i].tolist()} m: finite numbers with z above 0 are needed")
+    for i in np.flatnonzero(~(np.isfinite(sigma) & (sigma > 0)))[:1]:
+        raise ValueError(f"sigma_m[{i}] = {sigma[i]:g} m: a finite number above 0 is needed")
     if len(z) < config.min_points:
         return None
     design = np.column_stack([xyz[:, :2] / z[:, None], np.ones(len(z))])
     inverse = 1 / z
-    sigma = np.asarray(sigma_m, dtype=np.float64)
     # A small change of depth is a change of inverse depth by 1 / z^2 times it.
     within = np.maximum(config.tolerance_m, _SIGMAS * sigma) * inverse**2
     inlier = _consensus(design, inverse, within, config, rng)
