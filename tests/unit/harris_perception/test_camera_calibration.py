@@ -112,6 +112,45 @@ def test_uncertainties_hold_where_the_corners_of_a_view_err_together(moved_px: f
     assert 0.58 < within[0] < 0.88 and within[1] > 0.85
 
 
+def test_a_board_held_still_before_the_camera_does_not_count_as_many_views() -> None:
+    """Its noise is new in each picture, but not what light and lens do to its corners; the same 1.5 px were told."""
+    once, often, errors = [], [], []
+    for seed in range(20):
+        seen, rng = views(seed, 8, 0.2), np.random.default_rng(seed)
+        again = [
+            replaced(view, name=f"{view.name}.{i}", xy=view.xy + rng.normal(0, 0.02, view.xy.shape))
+            for view in seen
+            for i in range(4)
+        ]
+        for told, given in ((once, seen), (often, again)):
+            result = calibrate_camera(BOARD, given, CONFIG)
+            told.append(result.sigma["fx_px"])
+        errors.append(result.model.k[0, 0] - camera().k[0, 0])
+    true, told_once, told_often = (float(np.sqrt(np.mean(np.square(v)))) for v in (errors, once, often))
+    print("fx px, true", true, "told of 8 views", told_once, "of each four times", told_often)
+    assert 0.75 * true < told_often < 1.5 * true and told_often == pytest.approx(told_once, rel=0.15)
+
+
+def test_a_picture_given_twice_is_refused() -> None:
+    given = views(count=6)
+    given.insert(4, replaced(given[2], name="copy of left02"))
+    with pytest.raises(CalibrationError, match=r"^left02 and copy of left02 are one picture: .*take one of them out"):
+        calibrate_camera(BOARD, given, CONFIG)
+    both = pairs(count=6)
+    both[3] = (both[3][0], replaced(both[1][1], name="right03"))
+    with pytest.raises(CalibrationError, match=r"^right01 and right03 are one picture"):
+        calibrate_stereo(BOARD, both, CONFIG)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_corner_that_is_nowhere_is_refused(value: float) -> None:
+    """The board was said to be parallel to itself in all views."""
+    view = views(count=6)[2]
+    view.xy[7, 1] = value
+    with pytest.raises(ValueError, match=rf"^left02: corner 7 is at \[.*, {value}\] px: finite numbers are needed"):
+        calibrate_camera(BOARD, [replaced(view)], CONFIG)
+
+
 def test_pair_lies_within_its_stated_uncertainties() -> None:
     truth = {f"left_{n}": v for n, v in intrinsics(camera()).items()}
     truth |= {f"right_{n}": v for n, v in intrinsics(camera("right", baseline=0.12)).items()}
@@ -189,7 +228,7 @@ def test_pairs_of_different_moments_are_refused() -> None:
 
 def test_one_pair_of_different_moments_is_left_out_if_asked() -> None:
     given = pairs()
-    given[3] = (given[3][0], given[9][1])
+    given[3] = (given[3][0], given.pop(9)[1])
     named = rf"in {re.escape(given[3][0].name)} \+ .*taken at the same moment"
     with pytest.raises(CalibrationError, match=named):
         calibrate_stereo(BOARD, given, CONFIG)

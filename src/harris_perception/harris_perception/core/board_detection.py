@@ -32,12 +32,23 @@ class BoardView:
         (N,) numbers of the corners, as in :meth:`Board.points`.
     xy
         (N, 2) raw pixels; the centre of the first pixel is (0, 0).
+
+    Raises
+    ------
+    ValueError
+        If a corner's place is not finite.
     """
 
     name: str
     size: tuple[int, int]
     ids: npt.NDArray[np.int64]
     xy: Array
+
+    def __post_init__(self) -> None:
+        for i in np.flatnonzero(~np.isfinite(self.xy).all(axis=1))[:1]:
+            raise ValueError(
+                f"{self.name}: corner {self.ids[i]} is at {self.xy[i].tolist()} px: finite numbers are needed"
+            )
 
 
 def are_enough(board: Board, ids: npt.NDArray[np.int64]) -> bool:

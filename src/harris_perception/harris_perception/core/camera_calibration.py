@@ -16,7 +16,7 @@ import numpy as np
 
 from harris_perception.core.board import Board
 from harris_perception.core.board_detection import BoardView, are_enough
-from harris_perception.core.view_coverage import CalibrationError, spread_deg, tilt_spread_deg
+from harris_perception.core.view_coverage import CalibrationError, held_alike, spread_deg, tilt_spread_deg
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import Config, setting
 from icu_common.core.geometry import Array
@@ -138,7 +138,7 @@ def require_views(board: Board, views: Sequence[BoardView], config: CalibrationC
     Raises
     ------
     CalibrationError
-        For too few views, pictures of different sizes, or a board that was always held alike.
+        For too few views, pictures of different sizes, one picture given twice, or a board that was always held alike.
     """
     if len(views) < config.min_views:
         raise CalibrationError(
@@ -150,6 +150,13 @@ def require_views(board: Board, views: Sequence[BoardView], config: CalibrationC
             raise CalibrationError(
                 f"{view.name} is {view.size[0]} x {view.size[1]} px but {views[0].name} is {views[0].size[0]} x "
                 f"{views[0].size[1]} px: use pictures of one size, the one that the camera will run with"
+            )
+    seen: dict[bytes, BoardView] = {}
+    for view in views:
+        if (before := seen.setdefault(view.xy.tobytes(), view)) is not view:
+            raise CalibrationError(
+                f"{before.name} and {view.name} are one picture: every corner is at the same place, to the last digit; "
+                "take one of them out"
             )
     _require_tilts(tilt_spread_deg(board, views), len(views))
     return views[0].size
@@ -264,7 +271,7 @@ def calibrate_camera(
         # Slopes come by the board's turn and shift, then by INTRINSICS.
         slopes = [np.asarray(part, np.float64) for _, part in expected]
         blocks = [(part[:, 6:][:, _free(config)], part[:, :6]) for part in slopes]
-        deviations = np.sqrt(np.diag(_shared_covariance(blocks, residual)))
+        deviations = np.sqrt(np.diag(_shared_covariance(blocks, residual, held_alike(kept))))
         model = CameraModel(
             name=name, width=size[0], height=size[1], k=k, d=d, r=np.eye(3), p=np.column_stack([p, np.zeros(3)])
         )
@@ -417,7 +424,7 @@ def _rectified(
     )
 
 
-def _shared_covariance(blocks: Sequence[tuple[Array, Array]], residual: Array) -> Array:
+def _shared_covariance(blocks: Sequence[tuple[Array, Array]], residual: Array, alike: Sequence[int]) -> Array:
     """Return the covariance of what all views share, from each view's slopes by that and by the board's pose.
 
     It is ``s^2 (J^T J)^-1`` with the boards' poses eliminated (Schur complement; Triggs et al., "Bundle Adjustment - A
@@ -426,6 +433,7 @@ def _shared_covariance(blocks: Sequence[tuple[Array, Array]], residual: Array) -
 
     Corners of one view err together (a board that bends, light, a rolling shutter), so ``s^2`` alone tells too little.
     The covariance is made as large as the views pull at the shared parameters, over what independent corners would.
+    Views of a board that was not moved meanwhile, which have the same number in ``alike``, pull as one.
     """
     shared = blocks[0][0].shape[1]
     own = [j - j_pose @ np.linalg.lstsq(j_pose, j, rcond=None)[0] for j, j_pose in blocks]
@@ -435,8 +443,9 @@ def _shared_covariance(blocks: Sequence[tuple[Array, Array]], residual: Array) -
     inverse = np.linalg.inv(sum(rest.T @ rest for rest in own))
     variance = float(np.sum(residual**2)) / (residual.size - shared - 6 * len(blocks))
     parts = np.split(np.ravel(residual), np.cumsum([len(rest) for rest in own])[:-1])
-    pulls = np.array([rest.T @ off for rest, off in zip(own, parts, strict=True)])
-    shares = np.array([inverse @ rest.T @ rest for rest in own])
+    which = np.unique(alike, return_inverse=True)[1] == np.arange(len(set(alike)))[:, None]
+    pulls = which @ np.array([rest.T @ off for rest, off in zip(own, parts, strict=True)])
+    shares = np.tensordot(which, np.array([inverse @ rest.T @ rest for rest in own]), 1)
     independent = shared - float(np.einsum("nij,nji->", shares, shares))
     together = float(np.einsum("ni,ij,nj->", pulls, inverse, pulls)) / independent
     return np.asarray(inverse * np.outer(scale, scale) * max(variance, together))
@@ -459,6 +468,7 @@ class _PairBundle:
         shift: Array,
     ) -> None:
         self._turn = np.asarray(turn, dtype=np.float64)
+        self._alike = held_alike([a for a, _ in pairs])
         intrinsics = [(k[0, 0], k[1, 1], k[0, 2], k[1, 2], *d) for k, d in cameras]
         self._shared = np.concatenate([np.zeros(3), shift, *intrinsics])
         self._blocks: list[tuple[Array, Array]] = []
@@ -505,7 +515,7 @@ class _PairBundle:
         """Return the standard deviations; ``free`` tells which intrinsics were estimated."""
         used = [*range(6), *(6 + i for i in free), *(15 + i for i in free)]
         blocks = [(j_shared[:, used], j_pose) for j_shared, j_pose in self._blocks]
-        covariance = _shared_covariance(blocks, np.concatenate(self._residuals))
+        covariance = _shared_covariance(blocks, np.concatenate(self._residuals), self._alike)
         along = self._shared[3:6] / np.linalg.norm(self._shared[3:6])
         names = [f"{side}_{INTRINSICS[i]}" for side in ("left", "right") for i in free]
         deviations = np.sqrt(np.diag(covariance))

@@ -8,10 +8,9 @@ import numpy as np
 
 from harris_perception.core.board import Board
 from harris_perception.core.board_detection import BoardView
-from harris_perception.core.view_coverage import Reach, coverage, view_place
+from harris_perception.core.view_coverage import Reach, coverage, is_still, view_place
 
 _DIFFERENCE = 0.2  # summed over x, y, size and skew, as in ROS's camera_calibration
-_STILL_PX = 2.0
 
 
 class ViewCollection:
@@ -38,7 +37,7 @@ class ViewCollection:
             self._last = None
             return "the board is not seen whole" if len(views) == 1 else "the board is not seen by both cameras"
         last, self._last = self._last, found[0]
-        if last is None or self._moved_px(last, found[0]) > _STILL_PX:
+        if last is None or not is_still(last, found[0]):
             return "hold the board still"
         place = view_place(self.board, found[0])
         if self._places and min(np.abs(place - other).sum() for other in self._places) < _DIFFERENCE:
@@ -46,11 +45,6 @@ class ViewCollection:
         self._places.append(place)
         self.kept.append(tuple(found))
         return ""
-
-    @staticmethod
-    def _moved_px(before: BoardView, now: BoardView) -> float:
-        _, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
-        return float(np.abs(before.xy[i] - now.xy[j]).max()) if len(i) else np.inf
 
     @property
     def reaches(self) -> tuple[Reach, ...]:

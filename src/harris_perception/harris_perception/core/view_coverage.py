@@ -12,6 +12,8 @@ from harris_perception.core.board import Board
 from harris_perception.core.board_detection import BoardView
 from icu_common.core.geometry import Array
 
+_STILL_PX = 2.0
+
 
 class CalibrationError(ValueError):
     """The views cannot be calibrated from; the message says what to do."""
@@ -37,6 +39,20 @@ class Reach:
     low: float
     high: float
     missing: str
+
+
+def is_still(before: BoardView, now: BoardView) -> bool:
+    """Return whether the board was held alike in both views, but for the hand's trembling and the picture's noise."""
+    _, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
+    return len(i) > 0 and bool(np.abs(before.xy[i] - now.xy[j]).max() <= _STILL_PX)
+
+
+def held_alike(views: Sequence[BoardView]) -> list[int]:
+    """Return (N,) for each view the number of the first one in which the board was held alike."""
+    first: list[int] = []
+    for i, view in enumerate(views):
+        first.append(next((j for j in sorted(set(first)) if is_still(views[j], view)), i))
+    return first
 
 
 def _homography(board: Board, view: BoardView) -> Array:
