@@ -14,6 +14,9 @@ from icu_common.core.geometry import Array
 
 _WINDOW_SHARE = 0.35
 _MIN_CORNERS = 8
+_MOST_BENT = 0.3
+"""So far are corners out of line at most, as a part of the smallest spacing: 0.1 on photographs, 0.25 on a sharp board
+tilted by 70 degrees. What is covered, by a finger or a lamp's reflection, the finders put anywhere near by."""
 _LEAST_PX = 16
 """Smaller pictures show no board; OpenCV's finders fail on them."""
 
@@ -57,6 +60,23 @@ def are_enough(board: Board, ids: npt.NDArray[np.int64]) -> bool:
     return len(ids) >= _MIN_CORNERS and bool(np.ptp(rows) > 0 and np.ptp(columns) > 0)
 
 
+def _spacing(xy: Array) -> float:
+    """Return the smallest distance between two of the corners (N, 2)."""
+    distance = np.linalg.norm(xy[:, None] - xy[None], axis=2)
+    return float(distance[distance > 0].min())
+
+
+def _bent(board: Board, ids: npt.NDArray[np.int64], xy: Array) -> float:
+    """Return by how much, in spacings, a corner is out of line with its neighbours.
+
+    That is the largest third difference of four in a row or column, in which perspective and lens leave little.
+    """
+    grid = np.full((board.rows, board.columns, 2), np.nan)
+    grid[np.divmod(ids, board.columns)] = xy
+    left = [np.linalg.norm(np.diff(grid, 3, axis=axis), axis=2).ravel() for axis in (0, 1)]
+    return float(np.fmax.reduce(np.concatenate(left), initial=0.0)) / _spacing(xy)
+
+
 class BoardDetector:
     """Finds one board.
 
@@ -76,7 +96,7 @@ class BoardDetector:
         self._charuco = _CharucoFinder(board) if board.kind == "charuco" else None
 
     def detect(self, gray: npt.NDArray[np.uint8], name: str) -> BoardView | None:
-        """Return the view, or None where the board is not found (chessboard: not found whole).
+        """Return the view, or None where the board is not found (chessboard: not found whole), or a corner out of line.
 
         Parameters
         ----------
@@ -90,11 +110,13 @@ class BoardDetector:
         found = self._charuco.find(gray) if self._charuco is not None else self._chessboard(gray)
         if found is None:
             return None
-        ids, xy = found
+        ids, rough = found
         if not are_enough(self._board, ids):
             return None
-        size = (gray.shape[1], gray.shape[0])
-        return BoardView(name=name, size=size, ids=ids, xy=self._refined(gray, xy))
+        xy = self._refined(gray, rough)
+        if _bent(self._board, ids, xy) > _MOST_BENT:
+            return None
+        return BoardView(name=name, size=(gray.shape[1], gray.shape[0]), ids=ids, xy=xy)
 
     def _chessboard(self, gray: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.int64], Array] | None:
         board = self._board
@@ -107,8 +129,7 @@ class BoardDetector:
     def _refined(self, gray: npt.NDArray[np.uint8], rough: Array) -> Array:
         """Return the corners to a fraction of a pixel, (N, 2)."""
         board = self._board
-        distance = np.linalg.norm(rough[:, None] - rough[None], axis=2)
-        spacing = float(distance[distance > 0].min())
+        spacing = _spacing(rough)
         # cornerSubPix counts from the centre: a whole window of two thirds of the smallest spacing has no edges in it
         # but the corner's own four. A fixed window of 11 px takes in the neighbours of a small board: 0.9 px rms.
         # Between markers there is less room. OpenCV 4.6 leaves charuco corners half a pixel off; this mends that too.
