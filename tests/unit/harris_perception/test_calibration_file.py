@@ -129,9 +129,36 @@ def test_a_change_is_seen_in_a_picture_whose_corners_the_distortion_does_not_rea
         ({"rms_m": math.nan}, "rms_m = nan: finite numbers"),
         ({"predicted_sigma_m": math.inf}, "predicted_sigma_m = inf: finite numbers"),
         ({"rms_m": -0.001}, r"rms_m = -0\.001 is below 0"),
-        ({"left_camera": {}}, "distortion_model"),
-        ({"left_camera": {**camera().to_mapping(), "image_width": math.inf}}, "infinity"),
-        ({"samples": math.inf}, "infinity"),
+        ({"left_camera": {}}, r"left_camera: 'distortion_model' is missing"),
+        (
+            {"left_camera": {**camera().to_mapping(), "image_width": math.inf}},
+            r"left_camera: image_width = inf: a whole number from 1 to 32767 is needed",
+        ),
+        (
+            {"right_camera": {**camera().to_mapping(), "image_height": 720.5}},
+            r"right_camera: image_height = 720\.5: a whole number from 1 to 32767 is needed",
+        ),
+        (
+            {"right_camera": {**camera().to_mapping(), "camera_matrix": {"data": "abc"}}},
+            r"right_camera: camera_matrix = 'abc': 9 numbers are needed",
+        ),
+        ({"left_camera": None}, r"left_camera = None: a mapping is needed"),
+        ({"camera_from_base": [1, 2]}, r"camera_from_base = \[1, 2\]: a mapping is needed"),
+        (
+            {"camera_from_base": {"rotation": np.eye(3).tolist(), "translation_m": [-170.0, 90.0, 660.0]}},
+            r"camera_from_base: translation_m = \[-170\.0, 90\.0, 660\.0\]: at most 20 m are possible",
+        ),
+        (
+            {"base_from_panel": {"rotation": "x", "translation_m": [0, 0, 1]}},
+            r"base_from_panel: rotation = 'x': finite",
+        ),
+        ({"stylus_direction": "down"}, r"stylus_direction = 'down': finite numbers of shape \(3,\)"),
+        ({"backlash_sigma_m": [math.inf, 0.0]}, r"backlash_sigma_m = \[inf, 0\.0\]: finite numbers"),
+        ({"held_out_max_m": -0.001}, r"held_out_max_m = -0\.001 is below 0"),
+        ({"held_out_max_m": math.inf}, r"held_out_max_m = inf: finite numbers"),
+        ({"samples": math.inf}, r"samples = inf: a whole number from 0 is needed"),
+        ({"samples": 1.5}, r"samples = 1\.5: a whole number from 0 is needed"),
+        ({"samples": -3}, r"samples = -3: a whole number from 0 is needed"),
     ],
 )
 def test_broken_files_are_refused_by_name(tmp_path: Path, spoil: dict[str, Any], message: str) -> None:

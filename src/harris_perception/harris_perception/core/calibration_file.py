@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
@@ -16,6 +17,8 @@ from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 
 FORMAT = 2
+_FARTHEST_M = 20.0
+"""No camera of a bench is so far off: a pose beyond was written in other units."""
 _ALIKE_PX = 0.05
 """Cameras are the same while they project alike to this, over the whole picture."""
 
@@ -177,24 +180,24 @@ def load(path: Path) -> StoredCalibration:
         axes = _numbers(document, "base_from_reading", (2, 2))
         if not np.linalg.det(axes) > 0:
             raise CalibrationFileError(f"base_from_reading {axes.tolist()} cannot be inverted")
-        right = document["right_camera"]
+        panel, right = (document[key] is not None for key in ("base_from_panel", "right_camera"))
         return StoredCalibration(
-            camera_from_base=_pose_of(document["camera_from_base"]),
+            camera_from_base=_part(document, "camera_from_base", _pose_of),
             base_from_reading=axes,
             stylus_direction=_numbers(document, "stylus_direction", (3,)),
-            left=CameraModel.from_mapping(document["left_camera"]),
-            right=None if right is None else CameraModel.from_mapping(right),
+            left=_part(document, "left_camera", CameraModel.from_mapping),
+            right=_part(document, "right_camera", CameraModel.from_mapping) if right else None,
             machine=str(document["machine"]),
             rms_m=_error(document, "rms_m"),
             sigma_m=_error(document, "predicted_sigma_m"),
-            held_out_m=float(document["held_out_max_m"]),
-            samples=int(document["samples"]),
+            held_out_m=_error(document, "held_out_max_m", known=False),
+            samples=_count(document, "samples"),
             made_at=str(document["made_at"]),
             settings=str(document["settings"]),
             mounting=_mounting(document),
             backlash_m=_numbers(document, "backlash_m", (2,), known=False),
             backlash_sigma_m=_numbers(document, "backlash_sigma_m", (2,), known=False),
-            base_from_panel=None if document["base_from_panel"] is None else _pose_of(document["base_from_panel"]),
+            base_from_panel=_part(document, "base_from_panel", _pose_of) if panel else None,
             contact_offset_m=_numbers(document, "contact_offset_m", (3,), known=False),
         )
     except (KeyError, TypeError, ValueError, OverflowError, yaml.YAMLError) as error:
@@ -282,8 +285,27 @@ def _pose(transform: Transform) -> dict[str, Any]:
     return {"rotation": transform.rotation.tolist(), "translation_m": transform.translation.tolist()}
 
 
+_T = TypeVar("_T")
+
+
+def _part(document: Any, key: str, build: Callable[[Any], _T]) -> _T:
+    """Return what is built of a key's mapping; errors name the key."""
+    part = document[key]
+    if not isinstance(part, dict):
+        raise CalibrationFileError(f"{key} = {part!r}: a mapping is needed")
+    try:
+        return build(part)
+    except KeyError as error:
+        raise CalibrationFileError(f"{key}: {error} is missing") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise CalibrationFileError(f"{key}: {error}") from error
+
+
 def _pose_of(document: Any) -> Transform:
-    return Transform(_numbers(document, "rotation", (3, 3)), _numbers(document, "translation_m", (3,)))
+    shift = _numbers(document, "translation_m", (3,))
+    if not np.linalg.norm(shift) <= _FARTHEST_M:
+        raise CalibrationFileError(f"translation_m = {shift.tolist()}: at most {_FARTHEST_M:g} m are possible")
+    return Transform(_numbers(document, "rotation", (3, 3)), shift)
 
 
 def _mounting(document: Any) -> str:
@@ -293,15 +315,27 @@ def _mounting(document: Any) -> str:
     return mounting
 
 
-def _error(document: Any, key: str) -> float:
-    value = float(_numbers(document, key, ()))
+def _error(document: Any, key: str, *, known: bool = True) -> float:
+    value = float(_numbers(document, key, (), known=known))
     if value < 0.0:
         raise CalibrationFileError(f"{key} = {document[key]!r} is below 0")
     return value
 
 
+def _count(document: Any, key: str) -> int:
+    value = document[key]
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise CalibrationFileError(f"{key} = {value!r}: a whole number from 0 is needed")
+    return value
+
+
 def _numbers(document: Any, key: str, shape: tuple[int, ...], *, known: bool = True) -> Array:
-    value = np.array(document[key], dtype=np.float64)
-    if value.shape != shape or (known and not np.isfinite(value).all()):
-        raise CalibrationFileError(f"{key} = {document[key]!r}: finite numbers of shape {shape} are needed")
+    """Return (shape) float64; unless ``known``, NaN stands for what was not measured."""
+    given = document[key]
+    try:
+        value = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        value = None
+    if value is None or value.shape != shape or np.isinf(value).any() or (known and np.isnan(value).any()):
+        raise CalibrationFileError(f"{key} = {given!r}: finite numbers of shape {shape} are needed")
     return value

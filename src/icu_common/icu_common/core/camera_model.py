@@ -203,15 +203,26 @@ class CameraModel:
             raise ValueError(f"distortion_model {model!r}: only plumb_bob is known")
 
         def matrix(key: str, rows: int, columns: int) -> Array:
-            data = np.asarray(document[key]["data"], dtype=np.float64)
+            part = document[key]
+            given = part.get("data") if isinstance(part, Mapping) else part
+            try:
+                data = np.asarray(given if isinstance(part, Mapping) else (), dtype=np.float64)
+            except (TypeError, ValueError):
+                data = np.empty(0)
             if data.size != rows * columns:
-                raise ValueError(f"{key} has {data.size} values, {rows * columns} are needed")
+                raise ValueError(f"{key} = {given!r}: {rows * columns} numbers are needed")
             return data.reshape(rows, columns)
+
+        def pixels(key: str) -> int:
+            given = document[key]
+            if isinstance(given, bool) or not isinstance(given, int | float) or given not in range(1, _MOST_PX + 1):
+                raise ValueError(f"{key} = {given!r}: a whole number from 1 to {_MOST_PX} is needed")
+            return int(given)
 
         return cls(
             name=str(document["camera_name"]),
-            width=int(document["image_width"]),
-            height=int(document["image_height"]),
+            width=pixels("image_width"),
+            height=pixels("image_height"),
             k=matrix("camera_matrix", 3, 3),
             d=matrix("distortion_coefficients", 1, 5)[0],
             r=matrix("rectification_matrix", 3, 3),
