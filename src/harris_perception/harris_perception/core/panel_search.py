@@ -50,7 +50,7 @@ class Describer:
             self._extractor = cv2.ORB.create(edgeThreshold=2)
 
     def __call__(self, gray: Gray, corners_px: Floats) -> tuple[Floats, npt.NDArray[np.intp]]:
-        """Return unit descriptors (M, D) and the indices (M,) of the corners that have one."""
+        """Return unit descriptors (M, D) and the indices (M,) of the corners that have one; D is the same for M = 0."""
         angles = np.zeros(len(corners_px)) if self._config.upright else _directions(gray, corners_px)
         size = self._config.patch_px
         keypoints = [
@@ -59,7 +59,9 @@ class Describer:
         ]
         kept, descriptors = self._extractor.compute(gray, keypoints)
         if descriptors is None:
-            return np.empty((0, 128), np.float32), np.empty(0, np.intp)
+            # SIFT's size is in numbers, ORB's in bytes of eight bits.
+            count = self._extractor.descriptorSize() * (8 if self._config.descriptor == "orb" else 1)
+            return np.empty((0, count), np.float32), np.empty(0, np.intp)
         indices = np.array([k.class_id for k in kept], dtype=np.intp)
         if self._config.descriptor == "orb":
             bits = np.unpackbits(descriptors, axis=1).astype(np.float32) * 2 - 1
