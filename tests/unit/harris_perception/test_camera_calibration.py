@@ -16,7 +16,7 @@ from unit.harris_perception.drawn_board import SIZE, camera, exact, pair_poses, 
 
 from harris_perception.adapters.picture_files import read_gray
 from harris_perception.core.board import Board
-from harris_perception.core.board_detection import BoardDetector, BoardView, size_shown
+from harris_perception.core.board_detection import BoardDetector, BoardView, out_of_line, size_shown
 from harris_perception.core.camera_calibration import (
     CalibrationConfig,
     calibrate_camera,
@@ -402,6 +402,21 @@ def test_a_board_with_a_covered_corner_is_not_found_rather_than_with_a_made_up_o
             assert view is None or np.abs(view.xy - truth).max() < 4.0
     print("found", found, "of 12")
     assert found <= 3
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(-0.35, 0.12), (0.1, -0.05)])
+def test_no_lens_and_no_tilt_puts_corners_out_of_line(k1: float, k2: float) -> None:
+    """A wide lens before a board that fills half of the picture, tilted by up to 50 degrees."""
+    k, rng, seen = np.array([[320.0, 0, 320], [0, 320, 240], [0, 0, 1]]), np.random.default_rng(8), []
+    centre = np.array([0.1, 0.0625, 0.0])
+    while len(seen) < 100:
+        turn = cv2.Rodrigues(rng.normal(size=3) * (0.4, 0.4, 1.0))[0]
+        xyz = (BOARD.points() - centre) @ turn.T + rng.uniform((-0.05, -0.05, 0.15), (0.05, 0.05, 0.3))
+        xy = cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), k, np.array([k1, k2, 0, 0]))[0].reshape(-1, 2)
+        if abs(turn[2, 2]) > 0.64 and (xy > 5).all() and (xy < (635, 475)).all():
+            seen.append(out_of_line(BOARD, np.arange(54), xy))
+    print("most", max(seen))
+    assert max(seen) < 0.2
 
 
 def test_wrong_size_is_recognised() -> None:

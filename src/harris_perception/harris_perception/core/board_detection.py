@@ -14,9 +14,9 @@ from icu_common.core.geometry import Array
 
 _WINDOW_SHARE = 0.35
 _MIN_CORNERS = 8
-_MOST_BENT = 0.3
-"""So far are corners out of line at most, as a part of the smallest spacing: 0.1 on photographs, 0.25 on a sharp board
-tilted by 70 degrees. What is covered, by a finger or a lamp's reflection, the finders put anywhere near by."""
+_OUT_OF_LINE = 0.3
+"""So far are corners out of line at most, as a part of their spacing: 0.1 on photographs, 0.25 on a board tilted by 70
+degrees. What is covered, by a finger or a lamp's reflection, the finders put anywhere near by."""
 _LEAST_PX = 16
 """Smaller pictures show no board; OpenCV's finders fail on them."""
 
@@ -60,21 +60,18 @@ def are_enough(board: Board, ids: npt.NDArray[np.int64]) -> bool:
     return len(ids) >= _MIN_CORNERS and bool(np.ptp(rows) > 0 and np.ptp(columns) > 0)
 
 
-def _spacing(xy: Array) -> float:
-    """Return the smallest distance between two of the corners (N, 2)."""
-    distance = np.linalg.norm(xy[:, None] - xy[None], axis=2)
-    return float(distance[distance > 0].min())
-
-
-def _bent(board: Board, ids: npt.NDArray[np.int64], xy: Array) -> float:
+def out_of_line(board: Board, ids: npt.NDArray[np.int64], xy: Array) -> float:
     """Return by how much, in spacings, a corner is out of line with its neighbours.
 
     That is the largest third difference of four in a row or column, in which perspective and lens leave little.
     """
     grid = np.full((board.rows, board.columns, 2), np.nan)
     grid[np.divmod(ids, board.columns)] = xy
-    left = [np.linalg.norm(np.diff(grid, 3, axis=axis), axis=2).ravel() for axis in (0, 1)]
-    return float(np.fmax.reduce(np.concatenate(left), initial=0.0)) / _spacing(xy)
+    bent = 0.0
+    for rows in (grid, grid.swapaxes(0, 1)):
+        step = np.linalg.norm(rows[3:] - rows[:-3], axis=2) / 3
+        bent = float(np.fmax.reduce((np.linalg.norm(np.diff(rows, 3, axis=0), axis=2) / step).ravel(), initial=bent))
+    return bent
 
 
 class BoardDetector:
@@ -114,7 +111,7 @@ class BoardDetector:
         if not are_enough(self._board, ids):
             return None
         xy = self._refined(gray, rough)
-        if _bent(self._board, ids, xy) > _MOST_BENT:
+        if out_of_line(self._board, ids, xy) > _OUT_OF_LINE:
             return None
         return BoardView(name=name, size=(gray.shape[1], gray.shape[0]), ids=ids, xy=xy)
 
@@ -129,7 +126,8 @@ class BoardDetector:
     def _refined(self, gray: npt.NDArray[np.uint8], rough: Array) -> Array:
         """Return the corners to a fraction of a pixel, (N, 2)."""
         board = self._board
-        spacing = _spacing(rough)
+        distance = np.linalg.norm(rough[:, None] - rough[None], axis=2)
+        spacing = float(distance[distance > 0].min())
         # cornerSubPix counts from the centre: a whole window of two thirds of the smallest spacing has no edges in it
         # but the corner's own four. A fixed window of 11 px takes in the neighbours of a small board: 0.9 px rms.
         # Between markers there is less room. OpenCV 4.6 leaves charuco corners half a pixel off; this mends that too.
