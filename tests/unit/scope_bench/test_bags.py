@@ -287,6 +287,23 @@ def test_what_may_not_be_opened_is_told_without_advice(
         assert capsys.readouterr().err == f"error: {reason}\n"
 
 
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("notes.mcap", "it does not begin as an MCAP file does"), ("notes.db3", "file is not a database")],
+)
+def test_of_a_file_that_is_no_bag_inside_no_empty_bag_is_made(
+    name: str, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "notes"
+    folder.mkdir()
+    (folder / name).write_text("no bag")
+    for given in (folder, folder / name):
+        assert bag_info.main([str(given), "--repair", str(tmp_path / "new")]) == 1
+        told = f"error: {given}: no message can be saved: {name}: {why}\n"
+        assert capsys.readouterr() == ("", told)
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["notes"]
+
+
 def test_advice_can_be_typed_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "of today.mcap").write_bytes(b"torn")
     assert bag_info.main([str(tmp_path / "of today.mcap")]) == 1

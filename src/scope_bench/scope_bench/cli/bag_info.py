@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import sys
 from collections.abc import Sequence
 from datetime import datetime, timezone
@@ -30,6 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if options.repair is not None:
             count, end = repair(options.bag, options.repair)
+            if end and not count:
+                shutil.rmtree(options.repair)
+                raise BagError(f"{options.bag}: no message can be saved: {end}")
             print(f"{count} messages saved in {options.repair}" + (f"; not all: {end}" if end else ""))
             return 0
         with BagReader(options.bag) as bag:
