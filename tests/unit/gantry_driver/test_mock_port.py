@@ -308,6 +308,14 @@ def test_program_prints_its_port_logs_and_cleans_up(
     assert [e["byte"] for e in entries if e["kind"] == "realtime"] == [ord("?")]
 
 
+def test_program_ends_with_one_line_when_the_logs_disk_is_full(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "gantry_driver.mock.main", "--log", "/dev/full", "--link", str(tmp_path / "port")]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S)
+    told = "error: --log /dev/full: No space left on device\n"
+    assert (ended.stderr, ended.returncode) == (told, os.EX_IOERR)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_board_whose_port_nobody_reads_is_at_its_link(program: tuple[subprocess.Popen[str], Path]) -> None:
     process, folder = program
     assert process.stdout is not None

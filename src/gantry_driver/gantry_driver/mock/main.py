@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import os
 import re
 import signal
@@ -86,7 +87,7 @@ def _check_folders(options: argparse.Namespace) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the board until SIGINT or SIGTERM; return the exit code."""
+    """Run the board until SIGINT or SIGTERM, or until its log's disk is full; return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if "--ros-args" in given:  # bring-up starts the board beside nodes; it has no use for theirs
         begin = given.index("--ros-args")
@@ -94,6 +95,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         del given[begin:end]
     # Behind a blank a start of -180,-110,-5 is no option.
     options = make_parser().parse_args([f" {text}" if re.match("-[0-9.]", text) else text for text in given])
+    try:
+        return _run(options)
+    except OSError as error:  # while it runs, nothing but the log is written to a disk
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        print(f"error: --log {options.log}: {error.strerror}", file=sys.stderr)
+        return os.EX_IOERR
+
+
+def _run(options: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         try:
             _check_folders(options)
