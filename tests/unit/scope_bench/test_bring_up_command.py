@@ -194,6 +194,33 @@ def test_bring_up_says_why_it_ends_on_a_full_disk(two: Callable[..., subprocess.
         assert process.wait(DEADLINE_S) == 1
 
 
+PREPARED = """\
+scope: dial
+profiles: {bench: {about: a machine and its page}}
+programs:
+  mock_grbl: {package: p, executable: mock_grbl, ros: false, arguments: [/tmp/a board]}
+  serial_driver: {package: p, executable: driver, set: {port: /tmp/a board}}
+  ui_bridge: {package: p, executable: ui_bridge, ros: false}
+"""
+
+
+@pytest.mark.parametrize("without", [(), ("--without", "ui_bridge")])
+def test_a_page_that_is_not_started_is_not_to_be_opened(
+    without: tuple[str, ...], tmp_path: Path, two: Callable[..., subprocess.Popen[str]]
+) -> None:
+    (tmp_path / "config" / "graph.yaml").write_text(PREPARED)
+    (tmp_path / "lib" / "gantry_driver").mkdir()
+    for name in ("p/mock_grbl", "p/ui_bridge", "gantry_driver/gantry_prepare"):
+        shutil.copy(tmp_path / "lib" / "p" / "driver", tmp_path / "lib" / name)
+    (tmp_path / "lib" / "gantry_driver" / "gantry_prepare").write_text("#!/bin/sh\n")
+    with two("--prepare", *without) as process:
+        assert process.stdout is not None
+        ready = next(line for line in process.stdout if line.startswith("Ready."))
+        process.terminate()
+        process.stdout.read()
+    assert ready == ("Ready.\n" if without else "Ready. Open the operator page\n")
+
+
 TALKATIVE = """\
 #!/bin/sh
 trap 'echo "$0 ends" >> "$LOG"; exit 0' INT

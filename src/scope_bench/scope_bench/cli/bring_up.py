@@ -84,6 +84,7 @@ class BringUp:
         self.stopping = self.unprinted = False
         self.complete = False
         self.page = ""
+        self.serves_page = False
         self._lines: SimpleQueue[str | None] = SimpleQueue()
 
     def run(self) -> int:
@@ -153,6 +154,7 @@ class BringUp:
         printer.start()
         try:
             waiting = self._chosen(programs)
+            self.serves_page = any(p.executable == "ui_bridge" for p in waiting)
             together = [p for p in waiting if self.options.composed and p.is_node and not p.ends_last]
             waiting = [p for p in waiting if p not in together]
             patience = time.monotonic() + WAIT_S
@@ -243,7 +245,8 @@ class BringUp:
     def _event(self, name: str, text: str) -> None:
         self.say(f"{name:>17} ! {text}")
         if name == "prepare" and text == "done":
-            self.say(f"\nReady. Open {self.page or 'the operator page'}\nCtrl-C ends every program.\n")
+            page = f" Open {self.page or 'the operator page'}" if self.serves_page else ""
+            self.say(f"\nReady.{page}\nCtrl-C ends every program.\n")
 
 
 @ends_quietly
