@@ -294,7 +294,7 @@ class RecordedSource:
         self._streams = []
 
 
-def picture_files(place: str) -> list[Path]:
+def picture_files(place: str | Path) -> list[Path]:
     """Return the picture files of a folder, or of a pattern such as ``folder/left*.png``, in natural order.
 
     Raises

@@ -211,14 +211,13 @@ def _finish(folder: Path, report: dict[str, Any], written: Sequence[Path], say: 
     say("written: " + ", ".join(str(p) for p in (*written, path)))
 
 
-def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], places: Sequence[str]) -> None:
+def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], folders: Sequence[Path]) -> None:
     """Fill the folders from live topics."""
     # Only here, so that everything else runs where ROS is not installed.
     from harris_perception.nodes.calibration_capture import capture
     from icu_common.nodes.topic_names import check_names
 
     check_names(topics)
-    folders = [Path(place) for place in places]
     for folder in (options.output, *folders):
         folder.mkdir(parents=True, exist_ok=True)
         if folder in folders and any(folder.iterdir()):
@@ -277,9 +276,9 @@ def stereo(options: argparse.Namespace) -> int:
         raise ValueError(f"--names {' '.join(options.names)}: two different names are needed")
     check_bounds(options, views=(1, math.inf), within=(0, math.inf))
     board, config = _board(options), _config(options)
-    places = (options.left, options.right)
     if options.live:
-        _capture(options, board, [f"{options.namespace}/{side}/image_raw" for side in ("left", "right")], places)
+        topics = [f"{options.namespace}/{side}/image_raw" for side in ("left", "right")]
+        _capture(options, board, topics, [options.left, options.right])
     with _telling() as say:
         files = _paired(picture_files(options.left), picture_files(options.right), say)
         found = []
@@ -303,11 +302,6 @@ def stereo(options: argparse.Namespace) -> int:
         written += [_write_residuals(alone, options.output) for _, alone, _ in models]
         _finish(options.output, _report(board, result, [pair[0] for pair in pairs]), written, say)
     return 0
-
-
-def _place(text: str) -> str:
-    named_path(text)
-    return text
 
 
 def _add_board(parser: argparse.ArgumentParser) -> None:
@@ -346,15 +340,17 @@ def _parser() -> argparse.ArgumentParser:
     draw.set_defaults(run=draw_board)
 
     one = commands.add_parser("mono", help="calibrate one camera")
-    one.add_argument("pictures", type=_place, help="folder, or pattern in quotes: 'folder/left*.png'")
+    one.add_argument("pictures", type=named_path, help="folder, or pattern in quotes: 'folder/left*.png'")
     one.add_argument("--name", type=_camera_name, default="camera", help="the camera's, and the file's, name")
     one.add_argument("--topic", default="/camera/image_raw", help="live: pictures (default /camera/image_raw)")
     _add_calibration(one)
     one.set_defaults(run=mono)
 
     two = commands.add_parser("stereo", help="calibrate a pair")
-    two.add_argument("left", type=_place, help="folder, or pattern in quotes: 'folder/left*.png'")
-    two.add_argument("right", type=_place, help="the same for the right camera; paired by the last number in the names")
+    two.add_argument("left", type=named_path, help="folder, or pattern in quotes: 'folder/left*.png'")
+    two.add_argument(
+        "right", type=named_path, help="the same for the right camera; paired by the last number in the names"
+    )
     two.add_argument("--names", type=_camera_name, nargs=2, default=["left", "right"], help="the cameras' names")
     two.add_argument("--namespace", default="/stereo", help="live: left/image_raw and right/image_raw are below this")
     _add_calibration(two)
