@@ -27,7 +27,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
 class Instrument:
     """The bridge and a synthetic instrument as two processes."""
 
-    def __init__(self, folder: Path, limits: dict[str, float]) -> None:
+    def __init__(self, folder: Path, limits: dict[str, float], *scope: str) -> None:
         self.folder = folder
         self.limits = limits
         environment = {
@@ -39,7 +39,7 @@ class Instrument:
         self.environment = environment
         script = str(ROOT / "tests" / "system" / "synthetic_scope.py")
         self.scope = subprocess.Popen(
-            [sys.executable, script], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, script, *scope], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         try:
             self.start_bridge(0)
@@ -121,6 +121,33 @@ def strict_instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
 
 
 # --- with the synthetic instrument ---
+
+
+@pytest.mark.parametrize(
+    ("topic", "english", "german"),
+    [
+        ("left/image_raw", "No picture has come from the camera yet", "Von der Kamera kam noch kein Bild"),
+        ("left/camera_info", "A camera is not calibrated", "Eine Kamera ist nicht kalibriert"),
+        ("panel/pose", "No panel is recognised: the left camera must", "Keine Front erkannt"),
+    ],
+)
+def test_where_there_is_no_control_the_list_of_controls_says_why(
+    browser: Any, tmp_path: Path, topic: str, english: str, german: str
+) -> None:
+    """It was an empty box, beside which the page asked for a click on a control."""
+    instrument = Instrument(tmp_path, PATIENT, "--ros-args", "-r", f"{topic}:=elsewhere")
+    try:
+        operator = Operator(browser, instrument.address())
+        listed = lambda: operator.page.locator("#chooser option").all_inner_texts()  # noqa: E731
+        for name, why in (("No panel in view", english), ("Keine Front in Sicht", german)):
+            operator.sees("#selection-detail", why)
+            assert listed() == [name, operator.page.inner_text("#selection-detail")]
+            assert operator.page.is_disabled("#chooser option >> nth=1"), "it is no control"
+            operator.shoots(f"no_control_{topic.replace('/', '_')}_{name[:2]}")
+            operator.page.click("#language")
+        operator.leaves()
+    finally:
+        instrument.close()
 
 
 def test_from_sign_in_to_the_measured_result(browser: Any, instrument: Instrument) -> None:

@@ -153,11 +153,13 @@ def test_a_way_that_is_told_before_its_motion_is_drawn_with_it() -> None:
 
 
 def test_without_a_calibration_or_a_pose_nothing_is_drawn() -> None:
-    assert Scene().panel("left") == {"version": 0, "outline": [], "controls": []}
+    assert Scene().panel("left") == {"version": 0, "outline": [], "controls": [], "missing": "camera"}
     blind = Scene(left=camera(), faces=FACES)
-    assert blind.panel("left")["controls"] == []
+    assert blind.panel("left") == {"version": 0, "outline": [], "controls": [], "missing": "panel"}
     assert blind.panel_point((1.0, 1.0)) is None
-    assert scene_without_right().panel("right")["controls"] == []
+    lone = scene_without_right()
+    assert (lone.panel("right")["controls"], lone.panel("right")["missing"]) == ([], "camera")
+    assert lone.panel("left")["controls"] and lone.panel("left")["missing"] == ""
 
 
 def scene_without_right() -> Scene:

@@ -99,7 +99,8 @@ class Scene:
     def panel(self, camera: str) -> dict[str, Any]:
         """Return what changes only with the panel: its outline and its controls, each with outline and box in pixels.
 
-        A control that is not wholly inside the picture is left out.
+        A control that is not wholly inside the picture is left out. ``missing`` says what keeps the panel from being
+        drawn at all: the cameras' calibration or a pose.
         """
         if camera not in self._panels:
             self._panels[camera] = {"version": self.version, **self._build(camera)}
@@ -107,14 +108,15 @@ class Scene:
 
     def _build(self, camera: str) -> dict[str, Any]:
         model = self.left if camera == "left" else self.right
-        if self._drawn is None or model is None:
-            return {"outline": [], "controls": []}
+        if model is None or self.left is None:  # where things are is known by the left one
+            return {"outline": [], "controls": [], "missing": "camera"}
+        if self._drawn is None:
+            return {"outline": [], "controls": [], "missing": "panel"}
         controls = []
         outlines = [face.outline() for face in self.faces]
         stacked = np.vstack(outlines) if outlines else np.empty((0, 3))
         pixels = self.project(camera, self._drawn.apply(stacked))
-        if pixels is None:
-            return {"outline": [], "controls": []}
+        assert pixels is not None
         ends = np.cumsum([len(outline) for outline in outlines])
         for face, part in zip(self.faces, np.split(pixels, ends[:-1])):
             low, high = part.min(axis=0), part.max(axis=0)
@@ -130,7 +132,7 @@ class Scene:
                     "box": [round(float(v), 1) for v in box],
                 }
             )
-        return {"outline": self._panel_outline(camera), "controls": controls}
+        return {"outline": self._panel_outline(camera), "controls": controls, "missing": ""}
 
     def _panel_outline(self, camera: str) -> list[list[float]]:
         if self.outline is None or len(self.outline) < 2 or self._drawn is None:

@@ -113,6 +113,7 @@ video.addEventListener("frame", ({ detail }) => {
   find("stage").classList.remove("empty");
 });
 overlay.addEventListener("controls", showChoices);
+showChoices();
 overlay.addEventListener("choose", ({ detail }) => choose(detail));
 
 function entitle() {
@@ -120,7 +121,13 @@ function entitle() {
 }
 
 function showChoices() {
-  const options = [new Option(t("choose_placeholder"), "")];
+  const { missing } = overlay;
+  const options = [new Option(t(missing ? "choose_nothing" : "choose_placeholder"), "")];
+  if (missing) {
+    const why = new Option(t(`missing_${missing}`));
+    why.disabled = true;
+    options.push(why);
+  }
   const sorted = [...overlay.controls].sort((a, b) => a.label.localeCompare(b.label));
   for (const control of sorted) if (control.kind !== "connector") options.push(new Option(control.label, control.name));
   find("chooser").replaceChildren(...options);
@@ -318,7 +325,7 @@ function renderSelection() {
   const detail = selection?.to_mm
     ? t("selection_line", { x: x.toFixed(1), y: y.toFixed(1), to_x: selection.to_mm[0], to_y: selection.to_mm[1] })
     : selection && t("selection_detail", { kind: t(`kind_${selection.kind}`), x: x?.toFixed(1), y: y?.toFixed(1) });
-  put(find("selection-detail"), detail ? `${detail}${seen && ` · ${seen}`}` : t("selection_hint"));
+  put(find("selection-detail"), detail ? `${detail}${seen && ` · ${seen}`}` : t(overlay.missing ? `missing_${overlay.missing}` : "selection_hint"));
   renderGestures();
   renderDraw(overlay.controls);
   find("clear").hidden = !selection;

@@ -12,7 +12,7 @@ export class Overlay extends EventTarget {
   #stage;
   #layers = {};
   #buttons = new Map();
-  #panel = { outline: [], controls: [] };
+  #panel = { outline: [], controls: [], missing: "picture" };
   #selection = null;
   #size = [1280, 720];
   #seen;
@@ -35,6 +35,11 @@ export class Overlay extends EventTarget {
 
   get controls() {
     return this.#panel.controls;
+  }
+
+  /** What keeps the panel from being drawn, "picture", "camera" or "panel"; empty when nothing does. */
+  get missing() {
+    return this.#panel.missing;
   }
 
   frame(about) {
@@ -86,13 +91,14 @@ export class Overlay extends EventTarget {
 
   #show(panel) {
     const before = this.#panel.controls.map((control) => control.name).join();
+    const missed = this.#panel.missing;
     this.#panel = panel;
     const names = panel.controls.map((control) => control.name);
     if (names.join() !== before) this.#makeButtons(panel.controls);
     this.#placeAll();
     this.#layers.outline.replaceChildren(...doubled(path(panel.outline, true)));
     this.#drawControls();
-    if (names.join() !== before) this.dispatchEvent(new CustomEvent("controls"));
+    if (names.join() !== before || panel.missing !== missed) this.dispatchEvent(new CustomEvent("controls"));
   }
 
   #makeButtons(controls) {
