@@ -361,6 +361,28 @@ def test_the_way_of_the_tip_is_shown_while_it_moves(ros: Any, bridge: Any) -> No
     assert np.allclose(frame["path"], CAMERA.project(base.apply(np.array(driven))), atol=0.06)
 
 
+def test_a_camera_that_is_not_calibrated_is_told_once_and_draws_nothing(ros: Any, bridge: Any) -> None:
+    graph, browser, _, _ = bridge
+    said: list[Log] = ros.collect(graph.probe, Log, "/rosout", qos.RESULTS)
+    shown(ros, graph, browser)
+    missing = lambda: [f["panel"]["missing"] for f in browser.frames if "panel" in f]  # noqa: E731
+    assert missing()[-1] == ""
+
+    def look() -> Any:
+        head = header(graph.now(), CAMERA_LEFT)
+        graph.publish("left/camera_info", CameraInfo(header=head, width=640, height=480))
+        graph.publish("left/image_raw", image_message(np.full((480, 640, 3), 90, np.uint8), "bgr8", head))
+        told = [line for line in said if line.name.endswith("ui_bridge") and "camera" in line.msg]
+        return missing()[-1] == "camera" and told
+
+    ros.spin_until(look, WITHIN_S, lambda: (missing(), said))
+    seen = len(browser.frames)
+    ros.spin_until(lambda: look() and len(browser.frames) > seen + 5, WITHIN_S)
+    assert [(line.level, line.msg) for line in look()] == [
+        (20, "the left camera is not calibrated: no control is drawn in its picture")
+    ]
+
+
 def test_nothing_is_drawn_by_a_calibration_that_was_withdrawn(ros: Any, bridge: Any) -> None:
     graph, browser, _, _ = bridge
     base = Transform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.7]))

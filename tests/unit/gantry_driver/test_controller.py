@@ -430,7 +430,7 @@ def test_driver_fault_in_every_phase(phase: Phase, state: str) -> None:
     bench.on_phase[phase] = fail
     result = bench.do("press:RUN_STOP")
     sent = len(bench.paths)
-    aborted(bench, result, f"the driver is {state!r}", "nothing more was moved")
+    aborted(bench, result, f"the driver is {state!r}", "no more motion was ordered")
     assert len(bench.paths) == sent == {"APPROACH": 1, "LOOK": 1, "TOUCH": 2, "CONTACT": 2, "LIFT": 3}[phase.name]
 
 
@@ -456,7 +456,7 @@ def test_a_refused_motion_does_not_leave_the_stylus_down(phase: Phase, outcome: 
         b.answer, b.answer_reason = outcome, "stale"
 
     bench.on_phase[phase] = fail
-    aborted(bench, bench.do("press:RUN_STOP"), "stale", "told to stop" if stops else "nothing more was moved")
+    aborted(bench, bench.do("press:RUN_STOP"), "stale", "told to stop" if stops else "no more motion was ordered")
     assert bench.stops == stops
 
 
@@ -720,7 +720,7 @@ def test_driver_that_claims_to_have_arrived() -> None:
     bench.tell(msg.Command(text="press:RUN_STOP"))
     answer_at_once(bench)
     bench.run(0.3)
-    aborted(bench, bench.finals[-1], "mm beside it, 0.2 mm are allowed", "nothing more was moved")
+    aborted(bench, bench.finals[-1], "mm beside it, 0.2 mm are allowed", "no more motion was ordered")
 
 
 def test_results_of_other_trajectories_are_not_ours() -> None:
@@ -817,7 +817,7 @@ GONE_DOWN = "the stylus had gone down: look at the panel before trying again"
     [
         (shift_panel, "the stylus is up"),
         (lambda b: b.talking.discard("joints"), "the machine was told to stop"),
-        (lambda b: b._say_driver("stopped: by hand"), "nothing more was moved"),
+        (lambda b: b._say_driver("stopped: by hand"), "no more motion was ordered"),
     ],
 )
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.CONTACT])

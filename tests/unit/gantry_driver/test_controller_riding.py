@@ -164,7 +164,7 @@ def test_a_stop_ends_the_wait_for_the_panel_at_once() -> None:
     bench.tell(msg.DriverState(text=bench.driver))
     result = bench.finals[-1]
     assert result.goal_id == "late" and result.outcome is Outcome.ABORTED
-    assert "stopped: on request" in result.reason and "nothing more was moved" in result.reason
+    assert "stopped: on request" in result.reason and "no more motion was ordered" in result.reason
     bench.talking.add("panel")
     bench.run(1.0)
     bench.driver = "idle"

@@ -129,7 +129,7 @@ class GoalRun:
             self._actions.append(msg.CallStop(reason=cause))
             self._abort(job, f"{cause}; the machine was told to stop")
         elif not fault.lift or job.fault is not None:
-            self._abort(job, f"{cause}; nothing more was moved")
+            self._abort(job, f"{cause}; no more motion was ordered")
         else:
             job.fault = fault
             if self.phase not in MOVING:

@@ -265,7 +265,9 @@ class BridgeNode(Node):
     def _camera_seen(self, side: str, message: CameraInfo) -> None:
         # Every picture repeats the calibration; only a new one is work.
         if not same_camera(self._cameras.get(side), message):
-            model = camera_model(message, side)
+            model = camera_model(message, side) if message.k[0] else None  # CameraInfo.msg: 0 is "uncalibrated"
+            if model is None:
+                self.get_logger().info(f"the {side} camera is not calibrated: no control is drawn in its picture")
             self._cameras[side] = message
             self._mail.each(self._set_scene, {side: model})
 

@@ -325,7 +325,7 @@ export const PHRASES_DE = [
   ["{}; then {}", "{}; dann {}"],
   ["{}; the stylus had gone down: look at the panel before trying again", "{}; der Stift war schon unten: erst auf die Front sehen, dann noch einmal versuchen"],
   ["{}; the machine was told to stop", "{}; die Maschine soll anhalten"],
-  ["{}; nothing more was moved", "{}; nichts weiter wurde bewegt"],
+  ["{}; no more motion was ordered", "{}; keine weitere Bewegung wurde befohlen"],
   ["touched, but its effect was {}; the stylus is up", "berührt, aber die Wirkung wurde {}; der Stift ist oben"],
   ["not seen: nothing was read of the panel for {} s since the touch", "nicht gesehen: seit der Berührung war {} s lang von der Front nichts zu lesen"],
   ["not seen: {}", "nicht gesehen: {}"],
