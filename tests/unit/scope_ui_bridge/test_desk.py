@@ -76,6 +76,25 @@ def test_what_a_press_did_is_told_and_readings_are_no_measurement(
     assert (written["effect"], written["error_mm"]) == (effect, error_mm)
 
 
+def test_a_result_names_its_control_as_the_page_does_elsewhere() -> None:
+    rig = Rig()
+
+    def told(goal: str, reason: str, effect: str) -> tuple[str, str]:
+        done = GoalResult(
+            goal_id=goal, goal=goal, outcome=Outcome.ABORTED, reason=reason, details=(("effect", effect),)
+        )
+        rig.desk.result(dataclasses.replace(done, outcome=Outcome.ACCEPTED), rig.now)
+        (entry,) = logged(rig.desk.result(done, rig.now))
+        return entry["reason"], entry["effect"]
+
+    hidden = "something (a hand?) hides RUN_STOP since 0.4 s"
+    assert told("click:CH1_SCALE:2 id=7", "", "CH1_SCALE at -32.0 degrees") == ("", "Scale at -32.0 degrees")
+    assert told("press:RUN_STOP", hidden, "none seen")[0] == hidden.replace("RUN_STOP", "Run / Stop")
+    assert told("hold:RUN_STOP:1", "not RUN_STOPPED", "")[0] == "not RUN_STOPPED", "another word"
+    assert told("press:0.1,0.05@panel_link", hidden, "")[0] == hidden
+    assert told("press:NOBODY", "there is no control NOBODY", "")[0] == "there is no control NOBODY"
+
+
 @pytest.mark.parametrize(
     ("control", "gesture", "argument", "expected"),
     [("RUN_STOP", "hold", 2.0, ("hold", 2.0)), ("CH1_SCALE", "turn", -15.0, ("turn", -15.0))],

@@ -44,7 +44,14 @@ from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.recordings import Recordings
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.scene import Scene
-from scope_ui_bridge.core.selection import Selection, action_text, goal_words, make_gesture, make_selection
+from scope_ui_bridge.core.selection import (
+    Selection,
+    action_text,
+    goal_words,
+    make_gesture,
+    make_selection,
+    result_words,
+)
 from scope_ui_bridge.core.sequencing import SequenceView
 from scope_ui_bridge.core.stop_cause import StopCauses
 from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
@@ -647,7 +654,7 @@ class Desk:
             self._jog = None
             if result.outcome is not Outcome.REACHED:  # as at a limit: what is held on to is not tried again
                 self._refused_jog = (jog, result.reason)
-        return self._log.ended(known, result, now)
+        return self._log.ended(known, result_words(result, self.scene.faces), now)
 
     def set_path(self, path: Array) -> None:
         """Take the way that the tip is sent along now, (N, 3) m in base_link; it begins where the tip is."""

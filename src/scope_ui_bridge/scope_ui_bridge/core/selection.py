@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from icu_common.core.frames import CAMERA_LEFT, PANEL
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
 from icu_common.core.panel_state import ControlSeen, PanelSeen
+from icu_common.core.results import GoalResult
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.scene import Face, Scene, moved_m
@@ -235,3 +237,20 @@ def goal_words(goal: str, faces: Iterable[Face]) -> tuple[str, str]:
         return goal, ""
     label = next((face.label for face in faces if face.name == gesture.target), "")
     return (action_text(gesture), label) if label else (goal, "")
+
+
+def result_words(result: GoalResult, faces: Iterable[Face]) -> GoalResult:
+    """Return the result with its control's label in place of its name, in its reason and effect."""
+    try:
+        target = parse_gesture(result.goal.partition(" id=")[0]).target
+    except GestureError:
+        return result
+    face = next((face for face in faces if face.name == target), None)
+    if face is None:
+        return result
+
+    def labelled(text: str) -> str:
+        return re.sub(rf"\b{re.escape(face.name)}\b", lambda _: face.label, text)
+
+    details = tuple((key, labelled(value) if key == "effect" else value) for key, value in result.details)
+    return replace(result, reason=labelled(result.reason), details=details)
