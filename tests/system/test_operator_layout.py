@@ -141,6 +141,42 @@ def test_a_telephone_shows_every_cause_of_a_stop_as_a_whole(browser: Any, instru
     operator.leaves()
 
 
+# Which states lie under the banner, by their values' places, once the page has drawn the stop.
+_COVERED = """async (cause) => {
+  const { desk } = await import('/page/desk.js');
+  const stopped = { state: 'stopped', reason: 'stop requested' };
+  const detail = { ...desk.state, driver: stopped, controller: stopped, stop_cause: cause };
+  desk.link.dispatchEvent(new CustomEvent('state', { detail }));
+  desk.changed();
+  const top = document.getElementById('banner').getBoundingClientRect().top;
+  const values = [...document.querySelectorAll('.chip:not([hidden]) dd')];
+  const below = (value) => value.getBoundingClientRect().bottom - 3 > top; // letters end above their line's end
+  return [values.length, values.filter(below).map((value) => value.parentElement.id)];
+}"""
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_a_telephones_banner_of_a_stop_covers_nothing_that_it_does_not_tell(
+    browser: Any, instrument: Instrument, language: str
+) -> None:
+    """How old the picture is, and whether there is a link, lay under it."""
+    operator = Operator(browser, instrument.new_address(), viewport={"width": 360, "height": 740})
+    page = operator.page
+    operator.takes_control()
+    if page.get_attribute("html", "lang") != language:
+        page.click("#language")
+    button = page.locator("#reset")
+    told = {"stopped_by_person": [], "stopped_page_blind": ["chip-driver", "chip-controller", "chip-calibration"]}
+    for code, allowed in told.items():
+        count, covered = page.evaluate(_COVERED, {"code": code, "who": "Operator 12", "silence_s": 1.2})
+        operator.shoots(f"{code}_{language}")
+        assert count == 6 and set(covered) <= set(allowed), (code, covered)
+        assert button.bounding_box()["height"] >= 44, "for a thumb"
+    spoken = "Nothing moves before" if language == "en" else "Nichts bewegt sich vor"
+    assert spoken in page.inner_text("#banner p"), "for who cannot see the button beside it"
+    operator.leaves()
+
+
 @pytest.mark.parametrize("width", [1000, 1280, 1600])
 def test_letters_of_twice_the_size_leave_all_of_the_head_in_reach(
     browser: Any, instrument: Instrument, width: int

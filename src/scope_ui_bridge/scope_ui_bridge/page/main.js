@@ -378,7 +378,7 @@ function renderAge() {
     { when: silent, look: "bad", text: t(wasMine ? "banner_link" : "banner_link_viewer") },
     { when: desk.replay, look: "waiting", text: t("banner_replay") },
     { when: driver === "alarm", look: "bad", text: t("banner_alarm", { reason: said(reason) }) },
-    { when: driver === "stopped", look: "bad", text: state && stopBanner(state) },
+    { when: driver === "stopped", look: "bad", text: state && stopBanner(state), beside: t("banner_until_reset") },
     { when: age > limits.max_age_ms, look: "waiting", text: t(state?.moving ? "banner_moving_stale" : "banner_stale") },
     { when: state?.calibration.state === "calibrating", look: "busy", text: calibrating() },
     { when: state?.moving, look: "busy", text: t("banner_moving") },

@@ -40,10 +40,18 @@ export function stateChip(id, { state: found, reason: told }) {
   chip(id, LOOK_OF[state] ?? "none", text, full);
 }
 
+/** What the button beside the banner says as well: a telephone has no room for it. */
+function besideButton(text) {
+  const element = document.createElement("span");
+  element.className = "beside";
+  element.textContent = text;
+  return element;
+}
+
 /** Show the most urgent of the sentences that apply; the line is always there, so that nothing jumps. */
 export function banner(element, candidates) {
   const found = candidates.find((candidate) => candidate.when);
-  const key = `${found.look} ${found.text}`;
+  const key = `${found.look} ${found.text} ${found.beside ?? ""}`;
   if (element.dataset.key === key) return;
   element.dataset.key = key;
   element.dataset.look = found.look;
@@ -52,5 +60,6 @@ export function banner(element, candidates) {
   line.setAttribute("role", found.look === "bad" ? "alert" : "status");
   if (found.look === "waiting") putSteady(line, found.text);
   else line.textContent = found.text;
+  if (found.beside) line.append(" ", besideButton(found.beside));
   reachable(line);
 }

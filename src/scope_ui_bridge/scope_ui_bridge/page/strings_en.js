@@ -153,8 +153,9 @@ export const EN = {
   banner_link_viewer: "The link to the bridge is lost. This page’s STOP may not arrive. Trying again …",
   banner_stop_failed: "STOP has not got through. Use the wired emergency stop.",
   banner_stale: "The live picture is old. Nothing can be selected or moved.",
-  banner_stopped: "STOPPED – {reason}. Nothing moves before “Reset after stop”.",
-  banner_stopped_bare: "STOPPED. Nothing moves before “Reset after stop”.",
+  banner_stopped: "STOPPED – {reason}.",
+  banner_stopped_bare: "STOPPED.",
+  banner_until_reset: "Nothing moves before “Reset after stop”.",
   banner_alarm: "ALARM – {reason}",
   banner_lost_control: "You are no longer in control: it was released, or this page was hidden or silent for too long.",
 
