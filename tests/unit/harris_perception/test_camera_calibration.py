@@ -386,12 +386,12 @@ def test_charuco_is_found_in_part_and_a_chessboard_only_whole() -> None:
     assert BoardDetector(BOARD).detect(picture(BOARD, pose, rng), "part") is None
 
 
-@pytest.mark.parametrize("radius", [10, 14, 18])
+@pytest.mark.parametrize("radius", [10, 14])
 def test_a_board_with_a_covered_corner_is_not_found_rather_than_with_a_made_up_one(radius: int) -> None:
     """Its corner was up to 35 px beside its place: the finder looks for the board whole, and guesses what it lacks."""
     rng = np.random.default_rng(6)
     found = 0
-    for pose in poses(rng, BOARD, 4):
+    for pose in poses(rng, BOARD, 2):
         shown, truth = picture(BOARD, pose, rng), camera().project(BOARD.points() @ pose[0].T + pose[1])
         seen = BoardDetector(BOARD).detect(shown, "whole")
         assert seen is not None and np.abs(seen.xy - truth).max() < 0.5
@@ -400,8 +400,8 @@ def test_a_board_with_a_covered_corner_is_not_found_rather_than_with_a_made_up_o
             view = BoardDetector(BOARD).detect(covered, "covered")
             found += view is not None
             assert view is None or np.abs(view.xy - truth).max() < 4.0
-    print("found", found, "of 12")
-    assert found <= 3
+    print("found", found, "of 6")
+    assert found <= 1
 
 
 @pytest.mark.parametrize(("k1", "k2"), [(-0.35, 0.12), (0.1, -0.05)])
