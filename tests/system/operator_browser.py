@@ -126,6 +126,11 @@ class Operator:
     def sees_controls(self) -> None:
         self.page.wait_for_selector("[data-control=RUN_STOP]", timeout=PICTURE_MS)
 
+    def reads(self, language: str) -> None:
+        """Have the page in a language."""
+        if self.page.get_attribute("html", "lang") != language:
+            self.page.click("#language", timeout=5000)
+
     def takes_control(self) -> None:
         self.sees_controls()
         self.page.click("#lease-take")

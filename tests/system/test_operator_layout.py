@@ -95,8 +95,7 @@ def test_no_banner_moves_what_can_be_clicked(browser: Any, instrument: Instrumen
             page.evaluate("document.documentElement.style.fontSize = '22px'")
         moved: list[str] = []
         for tab, language in (("machine", "de"), ("move", "en"), ("sequence", "de"), ("calibrate", "en")):
-            if page.get_attribute("html", "lang") != language:
-                page.click("#language")
+            operator.reads(language)
             page.click(f"#tab-{tab}")
             page.evaluate("scrollTo(0, 0)")
             before = page.evaluate(_PLACES, "nothing")
@@ -120,8 +119,7 @@ def test_a_telephone_shows_every_cause_of_a_stop_as_a_whole(browser: Any, instru
     operator.takes_control()
     cut: list[str] = []
     for language in ("en", "de"):
-        if page.get_attribute("html", "lang") != language:
-            page.click("#language")
+        operator.reads(language)
         cut += page.evaluate(
             """async () => {
               const { desk } = await import('/page/desk.js');
@@ -163,8 +161,7 @@ def test_a_telephones_banner_of_a_stop_covers_nothing_that_it_does_not_tell(
     operator = Operator(browser, instrument.new_address(), viewport={"width": 360, "height": 740})
     page = operator.page
     operator.takes_control()
-    if page.get_attribute("html", "lang") != language:
-        page.click("#language")
+    operator.reads(language)
     button = page.locator("#reset")
     told = {"stopped_by_person": [], "stopped_page_blind": ["chip-driver", "chip-controller", "chip-calibration"]}
     for code, allowed in told.items():
@@ -187,8 +184,7 @@ def test_letters_of_twice_the_size_leave_all_of_the_head_in_reach(
     operator.takes_control()
     page.evaluate("document.documentElement.style.fontSize = '30px'")
     for language in ("de", "en"):
-        if page.get_attribute("html", "lang") != language:
-            page.click("#language", timeout=5000)
+        operator.reads(language)
         assert page.evaluate(_OUT_OF_SIGHT, [".brand button", "#stop", ".chip"]) == []
     operator.leaves()
 
@@ -362,8 +358,7 @@ def test_a_telephone_cuts_no_word_of_a_button_and_none_of_the_log_in_pieces(
     operator = Operator(browser, instrument.new_address(), viewport={"width": 360, "height": 740})
     page = operator.page
     operator.takes_control()
-    if page.get_attribute("html", "lang") != language:
-        page.click("#language")
+    operator.reads(language)
     cut: list[str] = []
 
     def look() -> None:
