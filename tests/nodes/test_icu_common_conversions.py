@@ -226,6 +226,12 @@ def test_a_region_of_interest_and_binning_move_the_pixels() -> None:
         cv.camera_model(info)
 
 
+def test_an_uncalibrated_camera_is_called_that() -> None:
+    """By CameraInfo.msg K is 0 then; what else is missing in it is of no interest."""
+    with pytest.raises(ValueError, match=r"^the camera is not calibrated \(K is 0\)$"):
+        cv.camera_model(CameraInfo(width=800, height=480))
+
+
 def test_another_frame_than_expected_is_refused_by_name() -> None:
     cv.check_frame(HEAD, "camera_left_optical_frame")
     with pytest.raises(ValueError, match="frame 'camera_left_optical_frame', 'panel_link' is needed"):

@@ -61,4 +61,4 @@ def _model(side: str, info: CameraInfo) -> CameraModel:
     try:
         return camera_model(info, f"camera_{side}")
     except ValueError as error:
-        raise ValueError(f"{side} camera is not calibrated: {error}") from error
+        raise ValueError(f"{side} camera_info: {error}") from error

@@ -219,6 +219,8 @@ def camera_model(info: CameraInfo, name: str = "camera") -> CameraModel:
     ValueError
         If the camera is not calibrated, has another distortion model than plumb_bob, or a region outside its picture.
     """
+    if not info.k[0]:
+        raise ValueError("the camera is not calibrated (K is 0)")
     if info.distortion_model != "plumb_bob" or len(info.d) != 5:
         raise ValueError(f"distortion {info.distortion_model!r} with {len(info.d)} values: plumb_bob with 5 is needed")
     # The message tells the size and the matrices of the whole picture, the region before binning, and 0 is "whole".
