@@ -97,7 +97,7 @@ def watched(folder: Path, domain: int, *extra: str) -> Iterator[tuple[RunningGra
         yield graph, watcher
     finally:
         watcher.close()
-        rclpy.shutdown()
+        rclpy.try_shutdown()  # Ctrl-C has already shut it down
         if graph.process.poll() is None:
             graph.stop()
 
