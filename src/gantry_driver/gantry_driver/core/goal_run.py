@@ -145,7 +145,7 @@ class GoalRun:
     def _abort(self, job: Job, reason: str) -> None:
         """End a goal that was broken off: who presses once more what has acted presses twice."""
         if job.touched_ns and not reason.startswith("touched"):
-            reason = f"{reason}; the stylus had gone down: look at the panel before trying again"
+            reason = f"the stylus had gone down: look at the panel before trying again; {reason}"
         self._finish(job, Outcome.ABORTED, reason)
 
     def _finish(self, job: Job, outcome: Outcome, reason: str = "") -> None:

@@ -323,7 +323,7 @@ export const PHRASES_DE = [
   ["the next turn: {}; the stylus is up", "die nächste Drehung: {}; der Stift ist oben"],
   ["{}; the stylus is up", "{}; der Stift ist oben"],
   ["{}; then {}", "{}; dann {}"],
-  ["{}; the stylus had gone down: look at the panel before trying again", "{}; der Stift war schon unten: erst auf die Front sehen, dann noch einmal versuchen"],
+  ["the stylus had gone down: look at the panel before trying again; {}", "der Stift war schon unten: erst auf die Front sehen, dann noch einmal versuchen; {}"],
   ["{}; the machine was told to stop", "{}; die Maschine soll anhalten"],
   ["{}; no more motion was ordered", "{}; keine weitere Bewegung wurde befohlen"],
   ["touched, but its effect was {}; the stylus is up", "berührt, aber die Wirkung wurde {}; der Stift ist oben"],
