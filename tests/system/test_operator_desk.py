@@ -963,6 +963,7 @@ def test_a_screen_reader_hears_of_requests_and_results_and_not_of_each_millimetr
         operator.selects(control, label)
         operator.confirms()
         operator.sees("#last", f"Press {label}: done")
+    assert page.get_by_role("group", name="Selected Single").count() == 1, "what the buttons in it are for is said"
     other = Operator(browser, instrument.new_address())
     other.page.click("#lease-request")
     name = re.search(r"Operator \d+", operator.sees("#lease-text", "asks for control"))[0]
@@ -971,8 +972,20 @@ def test_a_screen_reader_hears_of_requests_and_results_and_not_of_each_millimetr
     assert "Press Single: done, measured error 0.42 mm." in heard
     assert [text for text in heard if re.fullmatch(r"[\d.]+ mm", text)] == [], "it would be at them all the way"
     other.leaves()
+    said = page.evaluate(_TWO_ENDS)
+    assert "look at the panel" in said and said.endswith("STOP: done."), "the one is not cut off by the other"
 
 
+# What is said at once when a stop ends a press: the bridge tells both ends in one go.
+_TWO_ENDS = """async () => {
+  const { desk } = await import('/page/desk.js');
+  const common = { wall_ms: Date.now(), who: 'Ada', error_mm: null, duration_s: null, effect: '' };
+  for (const [entry, own] of [
+    [9001, { action: 'press', target: 'Menu', status: 'aborted', reason: 'it broke off: look at the panel' }],
+    [9002, { action: 'stop', target: '', status: 'done', reason: '' }],
+  ]) desk.link.dispatchEvent(new CustomEvent('log', { detail: { entry: { ...common, entry, ...own } } }));
+  return document.getElementById('say-now').textContent.trim();
+}"""
 # What stands in live regions whenever they change, into `heard`.
 _HEAR = """() => {
   window.heard = [];

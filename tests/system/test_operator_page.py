@@ -324,6 +324,20 @@ def test_control_is_handed_over(browser: Any, instrument: Instrument) -> None:
     first.takes_control()
     second = Operator(browser, instrument.new_address())
     second.sees_controls()
+    second.page.click("[data-control=MENU]")
+    second.sees("#refusal", "Ask for control first")  # there is no "Take control" that could be pressed
+    places = [second.page.locator(part).bounding_box() for part in ("#selection-card", "#lease-request")]
+    second.page.dblclick("#lease-request")
+    first.sees("#lease-text", "Operator 2 asks for control")
+    waits = "You have asked for control: wait until it is handed over"
+    for part in ("#refusal", "#banner"):
+        second.sees(part, waits)
+    assert second.page.is_disabled("#lease-request"), "it is asked for already"
+    now = [second.page.locator(part).bounding_box() for part in ("#selection-card", "#lease-request")]
+    assert now == places, "nothing moves under a hand"
+    second.page.click("#lease-withdraw")
+    first.sees("#lease-text", "You are in control")
+    second.sees("#refusal", "Ask for control first")
     second.page.click("#lease-request")
     first.sees("#lease-text", "Operator 2 asks for control")
     first.page.click("#lease-decline")

@@ -183,6 +183,7 @@ export function wireActions() {
   for (const step of ["take", "request", "release"]) {
     find(`lease-${step}`).addEventListener("click", () => desk.ask("lease", { step }));
   }
+  find("lease-withdraw").addEventListener("click", () => desk.ask("lease", { step: "release" })); // of the request alone
   for (const step of ["grant", "decline"]) {
     // The request whose name stands there: another one may have come since.
     find(`lease-${step}`).addEventListener("click", () => desk.ask("lease", { step, to: find("lease-text").dataset.asking }));

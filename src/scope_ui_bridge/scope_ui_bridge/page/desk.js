@@ -36,6 +36,11 @@ class Desk {
     return Boolean(this.state && this.me.id && this.state.lease.holder === this.me.id && !this.link.silent);
   }
 
+  /** Whether this page has asked for control and has no answer yet. */
+  get waiting() {
+    return Boolean(this.me.id) && this.state?.lease.requester === this.me.id;
+  }
+
   /** Whether a STOP that the bridge has heard is not seen to be heard by the machine: its driver or its line may hang. */
   get unheard() {
     const mayMove = ["moving", "homing", "disconnected", ""].includes(this.state?.driver.state);
@@ -56,12 +61,19 @@ class Desk {
   get hindrance() {
     if (this.link.silent) return { code: "link_down" };
     if (this.replay) return { code: "replay" };
-    if (!this.mine) return { code: this.me.role === "viewer" ? "role_viewer" : this.state?.lease.holder ? "ask_first" : "no_lease" };
+    if (!this.mine) return { code: this.#uncontrolled };
     if (this.frozen) return { code: "frozen_no_action" };
     if (this.teaching) return { code: "teaching_no_action" };
     const age = this.video.ageMs;
     if (age <= this.limits.max_age_ms) return null;
     return { code: "picture_late", values: { age_ms: Number.isFinite(age) ? Math.round(age) : "?", limit_ms: this.limits.max_age_ms } };
+  }
+
+  /** Why a page that is not in control has to do something else first. */
+  get #uncontrolled() {
+    if (this.me.role === "viewer") return "role_viewer";
+    if (this.waiting) return "wait_for_control";
+    return this.state?.lease.holder ? "ask_first" : "no_lease";
   }
 
   /** What keeps every gesture from being done now. */
@@ -98,7 +110,8 @@ class Desk {
   /** Select something of the picture that is being looked at, which is not the live one while another lies over it. */
   async select(what) {
     const held = (this.frozen && "frozen_no_action") || (this.teaching && "teaching_no_action");
-    return held ? this.refuse({ code: held }) : this.ask("select", { ...this.seen, ...what });
+    if (held || !this.mine) return this.refuse(held ? { code: held } : this.hindrance);
+    return this.ask("select", { ...this.seen, ...what });
   }
 
   /** Show and say what keeps it from being done. What is drawn is up to 100 ms old: a button may have been enabled still. */

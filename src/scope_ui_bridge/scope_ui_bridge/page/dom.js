@@ -36,9 +36,14 @@ export function answers(event, askedAt) {
   return event.detail <= 1 && event.timeStamp > askedAt;
 }
 
-/** Say it to screen readers. */
+const TOGETHER_MS = 1000;
+
+/** Say it to screen readers; what was urgent just before is not cut off: a stop ends a press, and both ends count. */
 export function say(text, urgent = false) {
-  find(urgent ? "say-now" : "say").textContent = text;
+  const place = find(urgent ? "say-now" : "say");
+  const isNew = !urgent || performance.now() - (written.get(place) ?? -Infinity) > TOGETHER_MS;
+  if (isNew) written.set(place, performance.now());
+  place.textContent = isNew || place.textContent === text ? text : `${place.textContent} ${text}`;
 }
 
 /** Make an element of a drawing. */

@@ -302,14 +302,16 @@ function renderLease() {
   if (declinedBy) text = t("lease_declined", { name });
   if (overtakenBy) text = t("lease_overtaken", { name: asking });
   if (asked) text = t("lease_asked", { name: asking });
-  if (requester === me.id && me.id) text = t("lease_waiting", { name });
+  if (desk.waiting) text = t("lease_waiting", { name });
   if (desk.link.silent) text = t("link_down"); // who has it by now nobody sees
   put(find("lease-text"), text);
   find("lease-text").dataset.asking = asked ? requester : "";
   find("lease-card").dataset.look = mine ? "mine" : "";
   if (desk.link.silent) return; // nothing changes its place, and nothing is done either
   find("lease-take").hidden = Boolean(holder) || !may;
-  find("lease-request").hidden = !holder || mine || requester === me.id || !may;
+  find("lease-request").hidden = !holder || mine || !may;
+  find("lease-request").disabled = desk.waiting;
+  find("lease-withdraw").hidden = !desk.waiting;
   find("lease-release").hidden = !mine;
   find("lease-grant").hidden = find("lease-decline").hidden = !asked;
 }
@@ -370,7 +372,7 @@ function renderAge() {
   chip("chip-link", silent ? "bad" : "good", silent ? t("link_lost") : t("link_ok", { rtt }));
   const { state: driver, reason } = state?.driver ?? {};
   const asking = desk.mine && state.lease.requester ? called(state.lease.requester_name) : "";
-  const viewing = state?.lease.holder ? "banner_viewing_other" : "banner_viewing";
+  const viewing = desk.waiting ? "wait_for_control" : state?.lease.holder ? "banner_viewing_other" : "banner_viewing";
   if (AT_REST.includes(driver) && !silent) desk.unstopped = false;
   banner(find("banner"), [
     { when: desk.unstopped, look: "bad", text: t("banner_stop_failed") },
