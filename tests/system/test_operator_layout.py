@@ -189,6 +189,15 @@ def test_letters_of_twice_the_size_leave_all_of_the_head_in_reach(
     operator.leaves()
 
 
+# By how much the words beside the buttons are longer than their place.
+_CUT = "(({ scrollHeight, clientHeight }) => scrollHeight - clientHeight)(document.getElementById('verdict'))"
+_LONG_RESULT = """async () => {
+  const { desk } = await import('/page/desk.js');
+  const own = { entry: 9001, action: 'press', target: 'Menu', status: 'aborted', reason: 'look; '.repeat(60) };
+  const entry = { ...own, wall_ms: Date.now(), who: 'Ada', error_mm: null, duration_s: null, effect: '' };
+  desk.link.dispatchEvent(new CustomEvent('log', { detail: { entry } }));
+}"""
+
 # What of these is not wholly in the window, or lies under something else in its middle.
 _OUT_OF_SIGHT = """(selectors) => selectors.flatMap((s) => [...document.querySelectorAll(s)])
   .filter((e) => e.checkVisibility())
@@ -230,6 +239,17 @@ def test_a_telephone_shows_picture_gestures_result_and_stop_at_once(
                 operator.sees("#last", done)
                 assert page.evaluate(_OUT_OF_SIGHT, needed) == []
                 assert page.evaluate("scrollY") == 0, "nobody had to scroll"
+                top = page.locator("#confirm").bounding_box()["y"]
+                operator.insists(lambda: page.tap("#controls [data-control=CH1_IN]", force=True), "not_operable")
+                operator.sees("#refusal", "Channel 1 input")
+                assert page.evaluate(_CUT) == 0, "a refusal and a result are read together"
+                assert page.locator("#confirm").bounding_box()["y"] == top
+        sign = "getComputedStyle(document.getElementById('verdict'), '::after').content"
+        assert page.evaluate(sign) == "none"
+        page.evaluate(_LONG_RESULT)
+        operator.until(lambda: "▼" in page.evaluate(sign), 15.0, lambda: "a sign that there is more to read")
+        page.evaluate("document.getElementById('verdict').scrollTop = 1e4")
+        operator.until(lambda: page.evaluate(sign) == "none", 15.0, lambda: "all is read")
         for part in ("#stop", "#stage"):
             assert page.evaluate(_OUT_OF_SIGHT, [part]) == []
         wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")

@@ -21,9 +21,11 @@ export function putSteady(element, text) {
   put(element, text);
 }
 
-/** A text that is longer than its place is scrolled by keyboard, too; else its place is none to go to. */
+/** A text that is longer than its place is scrolled by keyboard, too, and marked until its end is seen; else its place is none to go to. */
 export function reachable(element) {
-  if (element.scrollHeight > element.clientHeight) element.tabIndex = 0;
+  const below = element.scrollHeight - element.clientHeight;
+  element.toggleAttribute("data-more", below - element.scrollTop > 2);
+  if (below > 0) element.tabIndex = 0;
   else if (element !== document.activeElement) element.removeAttribute("tabindex");
 }
 
