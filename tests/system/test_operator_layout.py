@@ -416,9 +416,30 @@ def test_a_telephone_cuts_no_word_of_a_button_and_none_of_the_log_in_pieces(
     operator.shoots(f"telephone_log_{language}")
     assert widest[0] <= widest[1], "its longest word is in one piece"
     assert page.evaluate("document.documentElement.scrollWidth") == 360
+    assert page.evaluate(_CUT_TAGS) == [], "controls whose names differ at their end are told apart in the picture"
     operator.leaves()
 
 
+# Which controls' names do not fit into the picture, where a panel has long ones, all around.
+_CUT_TAGS = """async () => {
+  const { desk } = await import('/page/desk.js');
+  const label = 'Infusion pump channel A: bolus volume, upper alarm limit, increase';
+  const places = [5, 300, 420, 640, 850, 950, 1255].flatMap((x) => [5, 180, 350, 380, 690].map((y) => [x, y, 20, 20]));
+  const controls = places.map((box) => ({ kind: 'button', label, box, outline: [], name: `AT_${box}` }));
+  const panel = { outline: [], controls, missing: '' };
+  const drawn = { width: 1280, height: 720, panel, tip: null, target: null, path: [], planned: false };
+  desk.video.dispatchEvent(new CustomEvent('frame', { detail: drawn }));
+  const stage = document.getElementById('stage').getBoundingClientRect();
+  const buttons = [...document.querySelectorAll('#controls button')];
+  const cut = buttons.filter((button) => {
+    const [at, tag] = [button.getBoundingClientRect(), getComputedStyle(button, '::before')];
+    const [left, top, width, height] = ['left', 'top', 'width', 'height'].map((side) => parseFloat(tag[side]));
+    const [x, y] = [at.left + left + new DOMMatrix(tag.transform).e, at.top + top];
+    const [right, bottom] = [x + width + 18, y + height + 6]; // with what is around the letters
+    return x < stage.left || y < stage.top || right > stage.right || bottom > stage.bottom;
+  });
+  return buttons.length === places.length ? cut.map((button) => button.dataset.control) : ['other buttons'];
+}"""
 _NO_DRAWN_LISTS = "CSS.supports = (...what) => !what.join().includes('base-select') && true"
 
 

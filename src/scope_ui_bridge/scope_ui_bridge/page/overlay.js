@@ -4,6 +4,7 @@
 import { doubled, svg } from "./dom.js";
 import { t } from "./strings.js";
 
+const ONE_LINE = 30; // letters of a name that surely stand in one
 const ROOM = 1000; // px of the picture around a control that is alone: more than is ever wanted
 
 export class Overlay extends EventTarget {
@@ -136,6 +137,7 @@ export class Overlay extends EventTarget {
       style.setProperty("--h", `${(100 * h) / width}%`);
       style.setProperty("--room-x", `${(100 * rooms[number][0]) / width}%`);
       style.setProperty("--room-y", `${(100 * rooms[number][1]) / width}%`);
+      this.#buttons.get(control.name).dataset.tagAt = tagPlace(control, this.#size);
       style.zIndex = String(Math.max(1, 1000 - Math.round(Math.sqrt(w * h)))); // small controls lie on top
     }
   }
@@ -237,6 +239,13 @@ function roomsOf(controls) {
     }
   }));
   return rooms;
+}
+
+/** Where a control's name is shown so that it is not cut off at the picture's edge; elsewhere above its middle. */
+function tagPlace({ label, box }, [width, height]) {
+  const [x, y] = [(box[0] + box[2] / 2) / width, box[1] / height];
+  const [side] = [x < 1 / 3 && "left", x > 2 / 3 && "right"].filter(Boolean);
+  return [side, y < (label.length > ONE_LINE ? 1 / 2 : 1 / 10) && "below"].filter(Boolean).join(" ");
 }
 
 function centre(control) {
