@@ -12,7 +12,7 @@ from unit.scope_ui_bridge.desk_rig import FACES, Rig, pose, scene
 from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Transform
 from scope_ui_bridge.core.config import BridgeConfig
-from scope_ui_bridge.core.scene import Scene
+from scope_ui_bridge.core.scene import Scene, labels_of
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -45,6 +45,19 @@ def test_in_the_right_picture_everything_is_shifted_by_the_disparity() -> None:
     for face, control in zip(FACES, left["controls"]):
         shift = np.array(control["outline"]) - np.array(by_name[face.name]["outline"])
         assert shift == pytest.approx(np.tile([1700 * 0.12 / (0.65 - face.centre[2]), 0], (len(shift), 1)), abs=0.11)
+
+
+def test_no_two_controls_are_called_alike_and_none_by_a_name_that_cannot_be_seen() -> None:
+    written = {"UP": "Volume", "DOWN": " volume ", "STOP_KEY": "\u200b", "BELL": "\U0001f514", "MUTE": "إيقاف"}
+    assert labels_of([*written, "SET", "BED_7"], written) == {
+        "UP": "Volume (UP)",
+        "DOWN": "volume (DOWN)",
+        "STOP_KEY": "Stop key",
+        "BELL": "\U0001f514",
+        "MUTE": "إيقاف",
+        "SET": "Set",
+        "BED_7": "Bed 7",
+    }
 
 
 def test_distortion_bends_the_panels_outline() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import unicodedata
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -19,6 +22,19 @@ _CIRCLE_POINTS = 24
 _REDRAW_M = 0.0001  # a fifth of a pixel on the bench; less is the noise of the pose
 _PROBES = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.3, 0.0]])
 _TIP_LIFE_NS = 500_000_000  # a tip seen longer ago than this is not drawn
+
+
+def labels_of(names: Iterable[str], written: Mapping[str, str]) -> dict[str, str]:
+    """Return what people call each control, by name: its label as ``written`` in the layout, or one made of its name.
+
+    Labels that are alike get the name, too: who sees the one must not think of the other.
+    """
+    labels = {name: written.get(name, "").strip() for name in names}
+    for name, label in labels.items():
+        if not any(unicodedata.category(sign)[0] in "LNPS" for sign in label):  # nothing of it is seen
+            labels[name] = name.replace("_", " ").capitalize()
+    alike = Counter(label.casefold() for label in labels.values())
+    return {name: label if alike[label.casefold()] == 1 else f"{label} ({name})" for name, label in labels.items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -71,7 +71,7 @@ from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.layers import CORNERS, EDGES
 from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.roll import Roll
-from scope_ui_bridge.core.scene import Face
+from scope_ui_bridge.core.scene import Face, labels_of
 from scope_ui_bridge.core.sequencing import stored_name
 from scope_ui_bridge.core.sign_in import SignIn
 
@@ -277,16 +277,14 @@ class BridgeNode(Node):
 
     def _controls_seen(self, message: MarkerArray) -> None:
         controls, outline = controls_of_message(message)
-        faces = tuple(_face(control, self._label(control)) for control in controls)
+        written = {control.name: control.label for control in self._layout.controls} if self._layout else {}
+        labels = labels_of((control.name for control in controls), written)
+        faces = tuple(_face(control, labels[control.name]) for control in controls)
         self._mail.newest("controls", self._set_scene, {"faces": faces, "outline": outline})
 
     def _panel_seen(self, message: DiagnosticArray) -> None:
         seen = panel_state_of_message(message)
         self._mail.newest("panel", self._server.post_value, self._desk.panel.show, seen)
-
-    def _label(self, control: Control) -> str:
-        known = {c.name: c.label for c in self._layout.controls} if self._layout else {}
-        return known.get(control.name) or control.name.replace("_", " ").capitalize()
 
     def _set_scene(self, values: dict[str, Any]) -> None:
         for name, value in values.items():
