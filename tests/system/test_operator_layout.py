@@ -91,6 +91,12 @@ def test_no_banner_moves_what_can_be_clicked(browser: Any, instrument: Instrumen
             operator.insists(lambda: page.click("[data-control=SCREEN]"))  # what a line can be drawn on
         else:
             operator.selects("CH1_SCALE", "Channel 1 scale")
+        if size == "desktop":
+            for view in ((1280, 800), (1024, 768), (820, 1180), (768, 1024)):
+                page.set_viewport_size({"width": view[0], "height": view[1]})
+                page.evaluate("scrollTo(0, 0)")
+                assert page.evaluate(_OUT_OF_SIGHT, ["#stop", "#stage", "#verdict"]) == [], f"at {view}"
+            page.set_viewport_size({"width": width, "height": height})
         if "letters" in size:
             page.evaluate("document.documentElement.style.fontSize = '22px'")
         moved: list[str] = []
