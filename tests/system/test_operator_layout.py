@@ -65,6 +65,12 @@ _PLACES = """async (what) => {
   told({});
   return places;
 }"""
+# What has the focus, if the head lies over all of it.
+_UNDER_HEAD = """() => {
+  const { bottom } = document.activeElement.getBoundingClientRect();
+  const under = bottom <= document.querySelector('.top').getBoundingClientRect().bottom;
+  return under && !document.activeElement.closest('.head') ? document.activeElement.outerHTML.slice(0, 60) : '';
+}"""
 # Whether anything can be clicked at one of these points.
 _HIT = (
     "(points) => points.some(([x, y]) => document.elementFromPoint(x, y)?.closest('button, input, select, a, #stage'))"
@@ -113,6 +119,11 @@ def test_no_banner_moves_what_can_be_clicked(browser: Any, instrument: Instrumen
                 assert new or cause not in ("stop", "wrong settings", "request"), "the button that is needed is there"
                 moved += [f"{where}{n} lies over another" for n in new if page.evaluate(_HIT, points(now[n]))]
         assert moved == []
+        if "zoomed" in size:
+            page.focus("#log-export")
+            for _ in range(45):
+                page.keyboard.press("Shift+Tab")
+                assert page.evaluate(_UNDER_HEAD) == "", "who goes back by keyboard sees where (WCAG 2.4.11)"
         assert operator.complaints == []
     finally:
         operator.context.close()
