@@ -1279,6 +1279,26 @@ def test_the_log_is_searched_and_exported(operator: Operator) -> None:
     assert any((row["action"], row["target"], row["status"]) == ("press", "Menu", "reached") for row in rows)
     assert len(rows) > len(shown) - 1
     page.fill("#log-search", "")
+    page.emulate_media(media="print")
+    for width in (1280, 794):  # in a wide window, and on paper
+        page.set_viewport_size({"width": width, "height": 800})
+        assert page.evaluate(_PRINTED) == 0, "a printed log lacks nothing"
+    page.emulate_media(media="screen")
+
+
+# How much of a long log, px, is not on the page that is printed.
+_PRINTED = """async () => {
+  const { desk } = await import('/page/desk.js');
+  const entry = { wall_ms: Date.now(), who: 'Ada', action: 'press', target: 'Menu', status: 'done', reason: '' };
+  const more = { error_mm: null, duration_s: null, effect: '' };
+  for (let number = 9001; number < 9061; number += 1) {
+    const detail = { entry: { ...entry, ...more, entry: number } };
+    desk.link.dispatchEvent(new CustomEvent('log', { detail }));
+  }
+  const bottom = document.querySelector('#log tr:last-child').getBoundingClientRect().bottom;
+  const boxes = ['.log-rows', '.log', 'main'].map((part) => document.querySelector(part).getBoundingClientRect());
+  return Math.round(Math.max(0, ...boxes.map((box) => bottom - box.bottom)));
+}"""
 
 
 def test_engineers_read_what_the_programs_say(operator: Operator, instrument: Instrument) -> None:
