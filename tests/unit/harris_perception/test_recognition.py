@@ -15,7 +15,7 @@ from pinhole import pinhole
 from unit.harris_perception import panel_scene as scene
 
 from harris_perception.core.edge_alignment import edge_points
-from harris_perception.core.face_measurement import RefineConfig
+from harris_perception.core.face_measurement import FaceMeter, RefineConfig
 from harris_perception.core.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.panel_search import SearchConfig
 from harris_perception.core.panel_template import draw_panel
@@ -191,6 +191,36 @@ def test_a_panel_in_a_mirror_is_not_found(panel: str, seeds: tuple[int, ...]) ->
             assert finder.locate(mirrored, corners, CAMERA) is None, seed
         assert finder.mirrored, "it is told why"
         assert finder.locate(picture, DETECTOR.detect(picture).xy, CAMERA) is not None and not finder.mirrored, seed
+
+
+def test_a_mirrored_panel_is_told_no_longer_than_it_is_seen() -> None:
+    recogniser().forget()
+    mirrored = np.ascontiguousarray(scene.picture(LAYOUT, CAMERA, scene.pose(LAYOUT), scene.Look(), 3)[:, ::-1])
+    told = []
+    for picture in (mirrored, mirrored, mirrored, np.full_like(mirrored, 100)):
+        assert recogniser().locate(picture, DETECTOR.detect(picture).xy, CAMERA) is None
+        told.append(recogniser().mirrored)
+    assert told == [False, True, True, False]
+
+
+def test_a_part_of_the_panel_is_found_without_measuring_poses_in_the_mirror(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A camera on the carriage sees no more of it, and every search would take twice as long."""
+    layout = load_layout(scene.LAYOUT.with_name("mso_dark_6.yaml"))
+    finder = PanelRecogniser(layout)
+    truth = scene.pose(layout, distance_m=0.45, below_deg=15.0, shift_m=(0.16, 0.0))
+    picture = scene.picture(layout, CAMERA, truth, scene.Look(arm_x_mm=None), 0)
+    measured, by_corners = [], FaceMeter.by_corners
+
+    def recorded(self: FaceMeter, gray: Any, start: Transform, camera: CameraModel, blur_px: float) -> Any:
+        measured.append(camera is CAMERA)
+        return by_corners(self, gray, start, camera, blur_px)
+
+    monkeypatch.setattr(FaceMeter, "by_corners", recorded)
+    sighting = finder.locate(picture, DETECTOR.detect(picture).xy, CAMERA)
+    assert sighting is not None and sighting.agreement < 0.6
+    points = scene.control_points_m(layout)
+    assert np.abs(sighting.camera_from_panel.apply(points) - truth.apply(points)).max() < 1e-3
+    assert measured and all(measured)
 
 
 def test_panel_that_disappears_is_lost_at_once() -> None:

@@ -51,6 +51,9 @@ _BLUR_EVERY = 10
 _ENLARGED = 1.5
 # Of so many pictures without the panel in a row the first is also searched enlarged, the second mirrored.
 _FURTHER_EVERY = 5
+# What a mirror's matches suggest is measured where they are more than this part of the picture's own. Of a panel as it
+# is they were a third at most, of a mirrored one at least 2.8 times as many (docs/decisions/recognition.md).
+_MIRRORED_MATCHES = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +114,8 @@ class PanelRecogniser:
     Attributes
     ----------
     mirrored
-        The panel is not found as it is, but was in the mirror of a picture since: the camera flips its pictures.
+        The last picture does not show the panel as it is, but its mirror does, as far as it was searched: the camera
+        flips its pictures.
 
     Parameters
     ----------
@@ -218,19 +222,29 @@ class PanelRecogniser:
             return best
         raw = np.asarray(corners_px, dtype=np.float64).reshape(-1, 2)[: self.config.search.max_corners]
         corners = camera.rectify(raw).astype(np.float32)
-        best = self._find(rectified, corners, camera)
+        best, matched = self._find(rectified, corners, camera, self.config.search.min_matches)
         if best is None and self._failures % _FURTHER_EVERY == 0:
             best = self._find_enlarged(rectified, camera)
         believed = best if best is not None and self._believed(best) else None
         if believed is not None and believed.agreement > _SURE:
             return believed
-        if believed is not None or self._failures % _FURTHER_EVERY == 1:
-            self.mirrored = self._is_mirrored(rectified, corners, camera, believed)
+        if believed is not None or self.mirrored or self._failures % _FURTHER_EVERY == 1:
+            self.mirrored = self._is_mirrored(rectified, corners, camera, believed, matched)
         return None if self.mirrored else believed
 
-    def _find(self, rectified: Gray, corners_px: Floats, camera: CameraModel) -> Sighting | None:
-        matched = ((places, pixels) for _, places, pixels in self._matched(rectified, corners_px))
-        return self._best(rectified, self._suggested(matched, camera), camera)
+    def _find(
+        self, rectified: Gray, corners_px: Floats, camera: CameraModel, least: int
+    ) -> tuple[Sighting | None, int]:
+        """Return what is seen, not yet judged, and the most matches that suggested it; fewer than ``least`` do not."""
+        most = 0
+
+        def matched() -> Iterator[tuple[Array, Array]]:
+            nonlocal most
+            for _, places, pixels in self._matched(rectified, corners_px, least):
+                most = max(most, len(places))
+                yield places, pixels
+
+        return self._best(rectified, self._suggested(matched(), camera), camera), most
 
     def _find_enlarged(self, rectified: Gray, camera: CameraModel) -> Sighting | None:
         """Search the picture enlarged: its descriptors see less around a corner, and that is more often unhidden.
@@ -241,17 +255,26 @@ class PanelRecogniser:
         size = tuple(round(_ENLARGED * side) for side in rectified.shape[::-1])
         larger = np.asarray(cv2.resize(rectified, size, interpolation=cv2.INTER_CUBIC), np.uint8)
         corners = self._fine_detector.detect(larger).xy[: self.config.search.max_corners].astype(np.float32)
-        matched = ((places, (pixels + 0.5) / _ENLARGED - 0.5) for _, places, pixels in self._matched(larger, corners))
-        return self._best(rectified, self._suggested(matched, camera), camera)
+        least = self.config.search.min_matches
+        matched = self._matched(larger, corners, least)
+        smaller = ((places, (pixels + 0.5) / _ENLARGED - 0.5) for _, places, pixels in matched)
+        return self._best(rectified, self._suggested(smaller, camera), camera)
 
-    def _is_mirrored(self, rectified: Gray, corners_px: Floats, camera: CameraModel, seen: Sighting | None) -> bool:
-        """Tell whether the picture's mirror shows the panel, and more of it than was ``seen`` in the picture."""
+    def _is_mirrored(
+        self, rectified: Gray, corners_px: Floats, camera: CameraModel, seen: Sighting | None, matched: int
+    ) -> bool:
+        """Tell whether the picture's mirror shows the panel, and more of it than was ``seen`` in the picture.
+
+        So many ``matched`` there; where the mirror's are far fewer its poses need not be measured, which takes long.
+        """
         last = camera.width - 1
         p = camera.p.copy()
         p[0, 2] = last - p[0, 2]
         corners = np.column_stack([last - corners_px[:, 0], corners_px[:, 1]])
         blur_px = self._blur_px
-        other = self._find(np.ascontiguousarray(rectified[:, ::-1]), corners, dataclasses.replace(camera, p=p))
+        least = max(self.config.search.min_matches, int(_MIRRORED_MATCHES * matched) + 1)
+        mirror = np.ascontiguousarray(rectified[:, ::-1])
+        other, _ = self._find(mirror, corners, dataclasses.replace(camera, p=p), least)
         self._blur_px = blur_px
         return (
             other is not None and self._believed(other) and (seen is None or other.patches.count > seen.patches.count)
@@ -322,20 +345,24 @@ class PanelRecogniser:
         corners_px
             (N, 2) float32 its corners by falling response.
         """
-        return next((homography for homography, _, _ in self._matched(rectified, corners_px)), None)
+        least = self.config.search.min_matches
+        return next((homography for homography, _, _ in self._matched(rectified, corners_px, least)), None)
 
-    def _matched(self, rectified: Gray, corners_px: Floats) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield homographies, the likeliest first, with the places (N, 2) mm and pixels (N, 2) that agree on each."""
+    def _matched(self, rectified: Gray, corners_px: Floats, least: int) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield homographies, the likeliest first, with the places (N, 2) mm and pixels (N, 2) that agree on each.
+
+        On each agree ``least`` or more.
+        """
         search = self.config.search
         descriptors, kept = self._describe(rectified, corners_px)
-        if len(kept) < search.min_matches:
+        if len(kept) < least:
             return
         query, place = matches(descriptors, self._descriptors, self._places_mm, search)
         places, pixels = self._places_mm[place], corners_px[kept][query].astype(np.float64)
         for _ in range(search.hypotheses):
-            if len(places) < search.min_matches:
+            if len(places) < least:
                 return
-            fitted = robust_homography(places, pixels, search.tolerance_px, search.min_matches)
+            fitted = robust_homography(places, pixels, search.tolerance_px, least)
             if fitted is None:
                 return
             homography, used = fitted
