@@ -166,6 +166,20 @@ def test_another_panel_with_the_same_words_and_shapes_is_not_taken_for_it() -> N
         assert other.locate(picture, DETECTOR.detect(picture).xy, CAMERA) is None, seed
 
 
+def test_blocks_of_controls_in_other_places_are_another_panel() -> None:
+    """A third of its print agrees to 0.07 px; beside that is other print, under which nothing of the panel lies."""
+    layout = load_layout(scene.LAYOUT.with_name("mso_dark_6.yaml"))
+    picture = scene.picture(layout, CAMERA, scene.pose(layout), scene.Look(), 0)
+    rectified = cv2.remap(picture, *CAMERA.rectification_maps(), cv2.INTER_LINEAR)
+    believed = []
+    for shown in (layout, rearranged(layout)):
+        finder = PanelRecogniser(shown)
+        best = finder._find_enlarged(rectified, CAMERA)
+        assert best is not None and best.agreement > 0.2 and best.patches.purity > 0.94
+        believed.append(finder._believed(best))
+    assert believed == [True, False]
+
+
 @pytest.mark.parametrize("kind", ["empty", "noise"])
 def test_nothing_is_found_where_nothing_is(kind: str) -> None:
     rng = np.random.default_rng(1)

@@ -79,6 +79,9 @@ class RefineConfig(Config):
     max_contradiction: float = setting(
         0.8, "Patches that show other print than the template's, over those that agree", minimum=0.0, maximum=10.0
     )
+    max_intrusion: float = setting(
+        0.13, "Patches that show other print, of those beside which two or more agree", minimum=0.0, maximum=1.0
+    )
     min_agreement: float = setting(
         0.2,
         "Agreeing part of the face's textured patches, hidden ones not agreeing",

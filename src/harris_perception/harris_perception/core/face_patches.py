@@ -13,8 +13,10 @@ from harris_perception.core.panel_template import PanelTemplate
 from harris_perception.core.planar_pose import inverse, map_points
 from icu_common.core.geometry import Array
 
-# Most patches of a place; the part of a print's variance from which on it is print.
+# Most patches of a place; so many of them, less a rounding error, that agree are beside it; the part of a print's
+# variance from which on it is print.
 _MOST = 0.6
+_BESIDE = 1.5
 _PRINT = 0.25
 
 
@@ -35,6 +37,9 @@ class Patches:
         that it can be seen, a wrong pose here and there.
     contradiction
         The part that shows other print in the place of the template's, which a hand does not.
+    intrusion
+        The same of those beside which two or more agree: where the print goes on as another panel's, not only under
+        what lies upon it.
     side_mm
         Of each patch.
     """
@@ -44,6 +49,7 @@ class Patches:
     likeness: float = 0.0
     purity: float = 0.0
     contradiction: float = 0.0
+    intrusion: float = 0.0
     side_mm: float = 0.0
 
     @property
@@ -114,11 +120,13 @@ def compared(
     centres = (np.column_stack([column, row]) + 0.5) * side - 0.5
     gain = float(np.median(var_b[agreeing] / var_a[agreeing])) if agreeing.any() else 1.0
     contradicting = textured & ~agreeing & (var_b > _PRINT * gain * var_a)
+    beside = textured & (agreed > _BESIDE)
     return Patches(
         centres_mm=map_points(inverse(template.px_from_mm), centres),
         agreeing=agreeing[textured],
         likeness=float(correlation[agreeing].mean()) if agreeing.any() else 0.0,
         purity=float(agreeing[seen].mean()) if seen.any() else 0.0,
         contradiction=float(contradicting.sum() / max(int(textured.sum()), 1)),
+        intrusion=float(contradicting[beside].mean()) if beside.any() else 0.0,
         side_mm=side / template.px_per_mm,
     )

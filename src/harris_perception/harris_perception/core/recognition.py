@@ -325,6 +325,7 @@ class PanelRecogniser:
             patches.agreement >= config.min_agreement
             and patches.purity >= config.min_purity
             and patches.contradiction <= config.max_contradiction * patches.agreement
+            and patches.intrusion <= config.max_intrusion
             and sighting.deviation_px <= config.max_deviation_px
         )
 
