@@ -60,6 +60,8 @@ def test_points_that_tell_no_homography_give_none() -> None:
     places = rng.uniform(0, 100, (40, 2))
     line = np.column_stack([np.linspace(0, 100, 40), np.linspace(0, 50, 40)])
     assert robust_homography(line, mapped(line), 3.0, 10) is None
+    beside = np.vstack([line, [[20.0, 80.0]]])  # one number of eight stays open
+    assert robust_homography(beside, mapped(beside) + rng.normal(0, 0.3, beside.shape), 3.0, 10) is None
     assert robust_homography(np.repeat(places[:3], 12, 0), mapped(np.repeat(places[:3], 12, 0)), 3.0, 10) is None
     assert robust_homography(places, np.tile([[50.0, 60.0]], (40, 1)), 3.0, 10) is None
     assert robust_homography(np.tile(places[:1], (40, 1)), mapped(places), 3.0, 10) is None
