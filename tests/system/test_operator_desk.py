@@ -1332,6 +1332,42 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
     assert page.evaluate(plotted, [[30, 40, 0], [580, 410, 0]]) == [[0, 0, 580, 410], [[30, 370], [580, 0]]]
 
 
+# What is written anew though it shows the same, while twenty pictures are drawn.
+_REWRITTEN = """async () => {
+  const { desk } = await import("/page/desk.js");
+  const shown = (nodes) => [...nodes].map((node) => node.outerHTML ?? node.data).join("");
+  const rewritten = [];
+  const note = (changes) => {
+    for (const { target, removedNodes, addedNodes } of changes) {
+      const same = removedNodes.length && shown(removedNodes) === shown(addedNodes);
+      if (same) rewritten.push(target.id || target.outerHTML);
+    }
+  };
+  const observer = new MutationObserver(note);
+  observer.observe(document, { subtree: true, childList: true });
+  let pictures = 0;
+  await new Promise((resolve) => desk.video.addEventListener("frame", () => (pictures += 1) === 20 && resolve()));
+  note(observer.takeRecords());
+  observer.disconnect();
+  return [...new Set(rewritten)];
+}"""
+
+
+def test_nothing_is_written_or_drawn_anew_that_shows_the_same(operator: Operator, instrument: Instrument) -> None:
+    """The stylus's tip and its way were drawn with every picture, a hint was written ten times a second."""
+    page = operator.page
+    instrument.tell("motion 0.3")
+    operator.selects("SINGLE", "Single")
+    operator.confirms()  # so that there is a target
+    page.wait_for_selector(".layer-target .over", state="attached")
+    operator.sees("#last", "Press Single: done")
+    instrument.tell("motion 1.5")
+    tabs = page.locator("#tabs [role=tab]:visible")
+    for tab in tabs.all():
+        tab.click()
+        assert page.evaluate(_REWRITTEN) == [], tab.inner_text()
+
+
 # Places along each line, in pixels of the stage, with its colour; corners are dots, lines without length.
 _DRAWN = """() => { const stage = document.getElementById('stage').getBoundingClientRect();
   return [...document.querySelectorAll('#overlay .over')].filter((p) => getComputedStyle(p.parentElement)
@@ -1394,17 +1430,18 @@ def test_outlines_edges_and_the_way_are_seen_on_any_picture(
     assert len(seen["layer-controls"]) > 20 and len(seen["layer-path"]) >= 2 and len(seen["layer-corners"]) > 50
     # A picture that was under way when the layer was switched off does not bring it again.
     page.evaluate(
-        """() => { const counts = window.counts = { edges: 0, tip: 0 };
+        """async () => { const counts = window.counts = { edges: 0, pictures: 0 };
+            const { desk } = await import('/page/desk.js');
             const added = (changes) => changes.reduce((sum, change) => sum + change.addedNodes.length, 0);
-            const watch = (layer) => new MutationObserver((changes) => { counts[layer] += added(changes); })
-              .observe(document.querySelector(`.layer-${layer}`), { childList: true });
-            const button = document.querySelector('[data-layer=edges]');
-            button.addEventListener('click', () => { watch('edges'); watch('tip'); }); }"""
+            const edges = new MutationObserver((changes) => { counts.edges += added(changes); });
+            document.querySelector('[data-layer=edges]').addEventListener('click', () => {
+              edges.observe(document.querySelector('.layer-edges'), { childList: true });
+              desk.video.addEventListener('frame', () => { counts.pictures += 1; }); }); }"""
     )
     for layer in ("edges", "corners"):
         page.click(f"[data-layer={layer}]")
     page.click("[data-layer=path]")
-    operator.until(lambda: page.evaluate("counts.tip") >= 20, 30.0, lambda: "ten more pictures with the stylus's tip")
+    operator.until(lambda: page.evaluate("counts.pictures") >= 10, 30.0, lambda: "ten more pictures")
     assert page.evaluate("counts.edges") == page.locator(".layer-edges .over").count() == 0
     assert not page.is_visible(".layer-path")
     page.click("[data-layer=path]")

@@ -1,7 +1,7 @@
 // Moving without touching: jog while held, and go to a point; the stylus stays up.
 
 import { desk } from "./desk.js";
-import { find } from "./dom.js";
+import { find, put } from "./dom.js";
 import { numberOf } from "./number_fields.js";
 import { t } from "./strings.js";
 
@@ -90,6 +90,6 @@ export function renderMove() {
   // The one that is pressed again and again keeps the focus while its last step is done.
   const again = desk.whyNoMotion ? null : document.activeElement.closest("[data-jog]");
   for (const button of document.querySelectorAll("[data-jog], #go")) button.disabled = why !== "" && button !== again;
-  find("move-why").textContent = why || t("move_hint");
+  put(find("move-why"), why || t("move_hint"));
   for (const option of find("jog-step").options) option.disabled = Number(option.value) > desk.limits.jog_step_mm;
 }

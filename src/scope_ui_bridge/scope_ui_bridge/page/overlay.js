@@ -53,7 +53,8 @@ export class Overlay extends EventTarget {
     if (about.panel) this.#show(about.panel);
     this.#mark("tip", about.tip);
     this.#mark("target", about.target);
-    this.#line(about.path, about.planned);
+    // The tip's way is dashed while it is only planned.
+    this.#draw("path", path(about.path, false), about.planned ? "planned" : "");
     // On a slow link corners and edges come with some of the pictures only.
     if (about.corners) this.#dots(about.corners);
     if (about.edges) this.#edges(about.edges);
@@ -76,7 +77,7 @@ export class Overlay extends EventTarget {
   line(ends) {
     const { pixel, to_pixel: to } = this.#selection ?? {};
     const [from, end] = ends ?? (to ? [pixel, to] : []);
-    this.#layers.line.replaceChildren(...(from ? doubled(arrow(from, end)) : []));
+    this.#draw("line", from ? arrow(from, end) : "");
   }
 
   /** Name the buttons anew, in another language or after something has changed on the panel. */
@@ -97,7 +98,7 @@ export class Overlay extends EventTarget {
     const names = panel.controls.map((control) => control.name);
     if (names.join() !== before) this.#makeButtons(panel.controls);
     this.#placeAll();
-    this.#layers.outline.replaceChildren(...doubled(path(panel.outline, true)));
+    this.#draw("outline", path(panel.outline, true));
     this.#drawControls();
     if (names.join() !== before || panel.missing !== missed) this.dispatchEvent(new CustomEvent("controls"));
   }
@@ -153,22 +154,24 @@ export class Overlay extends EventTarget {
   #dots(corners) {
     let d = "";
     for (let i = 0; i + 1 < corners.length; i += 2) d += `M${corners[i]} ${corners[i + 1]}h0`;
-    this.#layers.corners.replaceChildren(...(d ? doubled(d) : []));
+    this.#draw("corners", d);
   }
 
   #edges(lines) {
-    const d = lines.map(([u, v, ...rest]) => `M${u} ${v}L${rest.join(" ")}`).join("");
-    this.#layers.edges.replaceChildren(...(d ? doubled(d) : []));
+    this.#draw("edges", lines.map(([u, v, ...rest]) => `M${u} ${v}L${rest.join(" ")}`).join(""));
   }
 
-  /** The tip's way: dashed while it is only planned. */
-  #line(points, planned) {
-    this.#layers.path.replaceChildren(...(points.length ? doubled(path(points, false), planned ? "planned" : "") : []));
+  /** Draw the line of a layer anew only when it is another one: most pictures show what the last one did. */
+  #draw(name, d, look = "") {
+    const layer = this.#layers[name];
+    const shown = layer.lastChild;
+    if (d ? shown?.getAttribute("d") === d && shown.getAttribute("class") === `over ${look}` : !shown) return;
+    layer.replaceChildren(...(d ? doubled(d, look) : []));
   }
 
   #mark(name, pixel) {
     if (!pixel) {
-      this.#layers[name].replaceChildren();
+      this.#draw(name, "");
       return;
     }
     const [u, v] = pixel;
@@ -176,7 +179,7 @@ export class Overlay extends EventTarget {
     const d =
       `M${u - r} ${v}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0` +
       `M${u - 1.7 * r} ${v}h${r}M${u + 0.7 * r} ${v}h${r}M${u} ${v - 1.7 * r}v${r}M${u} ${v + 0.7 * r}v${r}`;
-    this.#layers[name].replaceChildren(...doubled(d));
+    this.#draw(name, d);
   }
 
   #clicked(event) {

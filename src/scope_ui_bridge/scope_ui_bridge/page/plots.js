@@ -34,11 +34,11 @@ function draw(id, lines, unit, digits) {
   const low = Math.min(...all, 0);
   const drawing = figure.querySelector("svg");
   const place = ([px, value]) => `${px.toFixed(1)} ${(HEIGHT - 4 - ((value - low) / (high - low || 1)) * (HEIGHT - 8)).toFixed(1)}`;
-  const paths = lines.map(({ name, points }) =>
-    svg("path", { class: `line-${name}`, d: points.length ? `M${points.map(place).join("L")}` : "" }),
-  );
-  drawing.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
-  drawing.replaceChildren(...paths);
+  const paths = lines.map(({ points }) => (points.length ? `M${points.map(place).join("L")}` : ""));
+  if ([...drawing.children].map((line) => line.getAttribute("d")).join() !== paths.join()) {
+    drawing.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
+    drawing.replaceChildren(...lines.map(({ name }, index) => svg("path", { class: `line-${name}`, d: paths[index] })));
+  }
   const told = ({ label, last }) => `${label} ${localNumbers(last?.toFixed(digits) ?? "–")}`;
   put(figure.querySelector(".values"), `${lines.map(told).join(" · ")} ${unit}`);
   put(figure.querySelector(".range"), all.length ? localNumbers(`${low.toFixed(digits)} … ${high.toFixed(digits)} ${unit}`) : t("plot_empty"));
