@@ -103,6 +103,14 @@ def test_no_banner_moves_what_can_be_clicked(browser: Any, instrument: Instrumen
                 page.evaluate("scrollTo(0, 0)")
                 assert page.evaluate(_OUT_OF_SIGHT, ["#stop", "#stage", "#verdict"]) == [], f"at {view}"
             page.set_viewport_size({"width": width, "height": height})
+            # Who scrolled down to calibrate, then selects in the picture, sees what is selected and what comes of it.
+            page.evaluate("document.querySelector('.desk').scrollTop = 1e4")
+            needed = ["#selection-name", "#verdict", "[data-act=press]"]
+            assert len(page.evaluate(_OUT_OF_SIGHT, needed)) == len(needed)
+            operator.selects("RUN_STOP", "Run / Stop")
+            operator.until(lambda: page.evaluate(_OUT_OF_SIGHT, needed) == [], 15.0, lambda: "the selection's card")
+            operator.selects("CH1_SCALE", "Channel 1 scale")
+            page.evaluate("document.querySelector('.desk').scrollTop = 0")
         if "letters" in size:
             page.evaluate("document.documentElement.style.fontSize = '22px'")
         moved: list[str] = []

@@ -157,10 +157,20 @@ function showFacts({ facts }) {
 }
 
 function setSelection(next) {
+  const isNew = next && next.number !== desk.selection?.number;
   desk.selection = next;
   overlay.select(next);
   find("chooser").value = next?.control ?? "";
   render();
+  if (isNew) showCard();
+}
+
+/** Where the desk scrolls by itself its head may have been left for a tab; what is selected is seen before it is confirmed. */
+function showCard() {
+  const card = find("selection-card");
+  const column = card.parentElement;
+  const above = card.getBoundingClientRect().top - column.getBoundingClientRect().top;
+  if (above < 0) column.scrollTop += above; // of a column that does not scroll it stays 0
 }
 
 // --- what is looked at ---------------------------------------------------------------------------------------------
