@@ -1332,7 +1332,7 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
     assert page.evaluate(plotted, [[30, 40, 0], [580, 410, 0]]) == [[0, 0, 580, 410], [[30, 370], [580, 0]]]
 
 
-# What is written anew though it shows the same, while twenty pictures are drawn.
+# What is written anew though it shows the same, while ten pictures are drawn.
 _REWRITTEN = """async () => {
   const { desk } = await import("/page/desk.js");
   const shown = (nodes) => [...nodes].map((node) => node.outerHTML ?? node.data).join("");
@@ -1346,7 +1346,7 @@ _REWRITTEN = """async () => {
   const observer = new MutationObserver(note);
   observer.observe(document, { subtree: true, childList: true });
   let pictures = 0;
-  await new Promise((resolve) => desk.video.addEventListener("frame", () => (pictures += 1) === 20 && resolve()));
+  await new Promise((resolve) => desk.video.addEventListener("frame", () => (pictures += 1) === 10 && resolve()));
   note(observer.takeRecords());
   observer.disconnect();
   return [...new Set(rewritten)];
