@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 from typing import Any
 
@@ -232,6 +234,22 @@ def test_a_ball_larger_than_one_table_of_pixels_is_measured_before_something_gre
     assert found.tip is not None and np.abs(found.tip - tip).max() < 0.005, found.reason
     doubted = tracker(ball_diameter_m=ball_m, max_fit_error=0.01).find(*pictures)
     assert doubted.tip is None and "shaded disc" in doubted.reason
+
+
+def test_pictures_are_given_back_at_once_after_a_doubt_too() -> None:
+    """A doubt that was kept held the frames it came through, and so up to 25 pictures until cycles were freed."""
+    pictures = [np.full((480, 800, 3), (60, 150, 60), np.uint8) for _ in "lr"]
+    draw(pictures, TIP, lambda picture, at: cv2.circle(picture, at, 16 * 9, MAGENTA, -1, cv2.LINE_AA, 4))
+    kept = [weakref.ref(picture) for picture in pictures]
+    gc.collect()
+    gc.disable()
+    try:
+        found = tracker().find(*pictures)
+        pictures.clear()
+        assert [picture() is None for picture in kept] == [True, True]
+    finally:
+        gc.enable()
+    assert "does not fit the expected" in found.reason
 
 
 def test_noise_alone_is_nothing() -> None:

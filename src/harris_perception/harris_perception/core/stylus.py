@@ -282,21 +282,21 @@ class StylusTracker:
             if best is None:
                 best, doubt = self._best([(mixed, beside(mixed, centre, radius, gaps))], corner, model, radius)
         if best is None:
-            raise doubt
+            raise Doubt(doubt)
         return best
 
     def _best(
         self, backgrounds: Sequence[tuple[Values, Values]], corner: Array, model: CameraModel, radius: float
-    ) -> tuple[tuple[BallView, Circle] | None, Doubt]:
+    ) -> tuple[tuple[BallView, Circle] | None, str]:
         """Return outline and circle of the smallest error among values with their backgrounds, or why there is none."""
-        best, least, doubt = None, np.inf, Doubt()
+        best, least, doubt = None, np.inf, ""
         for values, around in backgrounds:
             try:
                 view = ball_view(values, around, corner, model, self.config.min_chroma)
                 circle = self._checked(self._circle(view, radius), radius)
                 error = self._refined(view, circle, radius, model).error
             except Doubt as reason:
-                doubt = reason
+                doubt = str(reason)  # one that is kept keeps the frames it came through, and their pictures
                 continue
             if error < least:
                 best, least = (view, circle), error
