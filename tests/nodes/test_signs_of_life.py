@@ -1,4 +1,4 @@
-"""A program of the graph tells bring-up each second that its interpreter runs, and no longer when it is held up."""
+"""A program of the graph tells bring-up each second that it works, and no longer when it is held up."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ from collections.abc import Iterator
 
 import pytest
 
-# Waits in Python for a line; then holds the interpreter's lock as a loop in native code would.
+# Waits for a line, as a loop in native code that has released the interpreter's lock; after some holds that lock.
 PROGRAM = """
-import ctypes, sys
+import ctypes, functools, sys
 from rclpy.node import Node
+from icu_common.nodes import runtime
 from icu_common.nodes.runtime import run
+
+if sys.argv[1:]:
+    runtime.SignsOfLife = functools.partial(runtime.SignsOfLife, longest_turn_s=float(sys.argv[1]))
 
 class Hangs(Node):
     def __init__(self, **options):
@@ -24,9 +28,9 @@ class Hangs(Node):
 
     def _once(self):
         print("waits", flush=True)
-        sys.stdin.readline()
-        print("hangs", flush=True)
-        ctypes.PyDLL(None).sleep(60)
+        if sys.stdin.readline() == "hold the lock\\n":
+            print("hangs", flush=True)
+            ctypes.PyDLL(None).sleep(60)
 
 sys.exit(run(Hangs, []))
 """
@@ -35,11 +39,11 @@ sys.exit(run(Hangs, []))
 class Life:
     """The reading end of the pipe, and the program."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, *longest_turn_s: str) -> None:
         self.pipe, told = os.pipe()
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ICU_READY_FD": str(told)}
         self.program = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM],
+            [sys.executable, "-c", PROGRAM, *longest_turn_s],
             env=environment,
             pass_fds=[told],
             stdin=subprocess.PIPE,
@@ -52,20 +56,35 @@ class Life:
         """Whether a sign of life comes; it is taken."""
         return bool(select.select([self.pipe], [], [], seconds)[0]) and os.read(self.pipe, 1) != b""
 
+    def falls_silent(self) -> None:
+        deadline = time.monotonic() + 15.0
+        while self.sign_within(2.0):  # what was on its way
+            assert time.monotonic() < deadline, "signs still come"
+        assert self.program.poll() is None
+
     def says(self) -> str:
         assert self.program.stdout is not None
         return self.program.stdout.readline().strip()
 
+    def hears(self, line: str) -> None:
+        assert self.program.stdin is not None
+        self.program.stdin.write(f"{line}\n")
+        self.program.stdin.flush()
+
+    def close(self) -> None:
+        self.program.kill()
+        self.program.communicate(timeout=10.0)
+        os.close(self.pipe)
+
 
 @pytest.fixture
-def life(domain: int) -> Iterator[Life]:
-    life = Life(domain)
+def life(domain: int, request: pytest.FixtureRequest) -> Iterator[Life]:
+    """A program whose callbacks may last as long as the parameter says, as elsewhere without one."""
+    life = Life(domain, *map(str, getattr(request, "param", ())))
     try:
         yield life
     finally:
-        life.program.kill()
-        life.program.communicate(timeout=10.0)
-        os.close(life.pipe)
+        life.close()
 
 
 def test_signs_of_life_come_while_a_callback_waits_and_stop_when_the_interpreter_is_held(life: Life) -> None:
@@ -73,11 +92,18 @@ def test_signs_of_life_come_while_a_callback_waits_and_stop_when_the_interpreter
     assert life.says() == "waits"
     for _ in range(2):
         assert life.sign_within(10.0), "a callback that takes long is no hang"
-    assert life.program.stdin is not None
-    life.program.stdin.write("go on\n")
-    life.program.stdin.flush()
+    life.hears("hold the lock")
     assert life.says() == "hangs"
-    deadline = time.monotonic() + 10.0
-    while life.sign_within(2.0):  # what was on its way
-        assert time.monotonic() < deadline, "signs still come"
-    assert life.program.poll() is None
+    life.falls_silent()
+
+
+@pytest.mark.parametrize("life", [[3.0]], indirect=True)
+def test_signs_of_life_stop_for_a_callback_that_lasts_too_long_though_the_interpreter_runs(life: Life) -> None:
+    assert life.sign_within(30.0), "it is ready"
+    assert life.says() == "waits"
+    life.falls_silent()
+    begin = time.monotonic()
+    while time.monotonic() - begin < 5.0:  # longer than a turn may take
+        life.hears("go on")
+        assert life.says() == "waits"
+        assert life.sign_within(10.0), "it works again"

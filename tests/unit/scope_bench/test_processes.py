@@ -121,7 +121,7 @@ sys.exit(3) if number == 0 else signal.pause()
 """
 
 
-def test_a_restarted_program_that_does_not_get_ready_is_killed_and_started_again(tmp_path: Path, clock: Clock) -> None:
+def test_a_restarted_program_that_does_not_get_ready_is_aborted_and_started_again(tmp_path: Path, clock: Clock) -> None:
     watch = Watch(ready_s=2.0)
     watch.group.start("a", [*PYTHON, HANGS_ONCE, str(tmp_path / "count")], tells_ready=True)
     watch.until(lambda: watch.events)
@@ -133,8 +133,8 @@ def test_a_restarted_program_that_does_not_get_ready_is_killed_and_started_again
     watch.until(lambda: watch.output.count(("a", "ready")) == 2)
     assert [text for _, text in watch.events] == [
         "ended with exit code 3, restarted in 0.5 s",
-        "is not ready 2 s after its restart: killed",
-        "ended with signal SIGKILL, restarted in 1 s",
+        "is not ready 2 s after its restart: aborted",
+        "ended with signal SIGABRT, restarted in 1 s",
     ]
     watch.until_ready()  # heard, and not waited for any more
     watch.group.stop()
@@ -158,7 +158,7 @@ while True:
 """
 
 
-def test_a_program_that_gives_no_sign_of_life_any_more_is_killed_and_started_again(
+def test_a_program_that_gives_no_sign_of_life_any_more_is_aborted_and_started_again(
     tmp_path: Path, clock: Clock
 ) -> None:
     watch = Watch(silent_s=2.0)
@@ -175,8 +175,8 @@ def test_a_program_that_gives_no_sign_of_life_any_more_is_killed_and_started_aga
     clock.now += 0.5
     watch.until(lambda: watch.output.count(("a", "up")) == 2)
     assert [text for _, text in watch.events] == [
-        "hangs: no sign of life for 2 s: killed",
-        "ended with signal SIGKILL, restarted in 0.5 s",
+        "hangs: no sign of life for 2 s: aborted",
+        "ended with signal SIGABRT, restarted in 0.5 s",
     ]
     assert not alive(first)
     watch.until_ready()
@@ -184,6 +184,56 @@ def test_a_program_that_gives_no_sign_of_life_any_more_is_killed_and_started_aga
         clock.now += 1.0
         watch.until_it_shows_life()
     assert len(watch.events) == 2, "one that gives signs is left alone"
+    watch.group.stop()
+
+
+# Is ready, and hangs in code that holds the interpreter's lock.
+TELLS_WHERE = """
+import ctypes, faulthandler, os
+faulthandler.enable()
+def the_place():
+    print("up", flush=True)
+    ctypes.PyDLL(None).sleep(60)
+os.write(int(os.environ["ICU_READY_FD"]), b"1")
+the_place()
+"""
+# The same, and does not end when it is aborted, as one that cannot.
+CANNOT_END = """
+import os, signal
+signal.signal(signal.SIGABRT, signal.SIG_IGN)
+os.write(int(os.environ["ICU_READY_FD"]), b"1")
+while True:
+    signal.pause()
+"""
+
+
+def test_a_program_that_hangs_tells_where(clock: Clock) -> None:
+    watch = Watch(silent_s=1.5)
+    watch.group.start("a", [*PYTHON, TELLS_WHERE], tells_ready=True)
+    watch.until(lambda: ("a", "up") in watch.output)
+    watch.until_ready()
+    for _ in range(2):
+        clock.now += 1.0
+        watch.group.watch(0.0)
+    watch.until(lambda: len(watch.events) == 2)
+    watch.until(lambda: any("in the_place" in line for _, line in watch.output))
+    assert ("a", "Fatal Python error: Aborted") in watch.output
+    watch.group.stop()
+
+
+def test_a_program_that_hangs_and_cannot_be_aborted_is_killed(clock: Clock) -> None:
+    watch = Watch(silent_s=1.5)
+    watch.group.start("a", [*PYTHON, CANNOT_END], tells_ready=True)
+    watch.until_ready()
+    first = watch.group.running()["a"]
+    for _ in range(6):
+        clock.now += 1.0
+        watch.group.watch(0.0)
+    assert [text for _, text in watch.events] == ["hangs: no sign of life for 1.5 s: aborted"]
+    assert alive(first)
+    clock.now += 2.0
+    watch.until(lambda: len(watch.events) == 2)
+    assert watch.events[-1] == ("a", "ended with signal SIGKILL, restarted in 0.5 s")
     watch.group.stop()
 
 

@@ -8,6 +8,9 @@ READY_VARIABLE = "ICU_READY_FD"
 SIGN_OF_LIFE_S = 1.0
 """So long after the last one comes the next sign of life."""
 
+LONGEST_CALLBACK_S = 120.0
+"""A callback that lasts longer is taken for one that never ends. The longest one compiles for changed parameters."""
+
 AFTER_CRASH_VARIABLE = "ICU_AFTER_CRASH"
 """Set in the environment of a program whose predecessor was ended by a signal."""
 

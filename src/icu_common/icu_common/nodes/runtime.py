@@ -7,6 +7,7 @@ buffers for pictures, else shared memory with a segment that is large enough; se
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import functools
 import inspect
 import os
@@ -26,7 +27,7 @@ from rclpy.utilities import remove_ros_args
 
 from icu_common.adapters.memory import keep_large_blocks
 from icu_common.adapters.program_end import end_signals, ends_quietly, help_text
-from icu_common.adapters.sign_of_life import give_signs_of_life
+from icu_common.adapters.sign_of_life import SignsOfLife
 from icu_common.adapters.transport_profile import (
     PROFILE_VARIABLE,
     RANGE_VARIABLE,
@@ -229,6 +230,7 @@ def run_together(programs: Sequence[tuple[Callable[[], int], Sequence[str]]]) ->
 
 
 def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None, shared_memory: bool = True) -> int:
+    faulthandler.enable()  # bring-up aborts what hangs: its output then tells where that was
     try:
         with ros_session(arguments, shared_memory) as session:
             return _spin(session, makers)
@@ -247,9 +249,10 @@ def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
             with _readable():
                 nodes.append(make())
             session.executor.add_node(nodes[-1])
-        give_signs_of_life()
+        life = SignsOfLife()
         while session.goes_on:
             session.spin()
+            life.turn()
             if hearing is not None and (topic := hearing.deaf(time.monotonic())):
                 print(
                     f"error: {topic}: a camera is there and has not been heard for {hearing.limit_s:g} s: "

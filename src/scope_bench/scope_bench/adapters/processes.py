@@ -18,6 +18,8 @@ from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIAB
 _PR_SET_PDEATHSIG = 1
 _LONGEST_TURN_S = 1.0
 """No more silence is counted between two looks: bring-up may have stood still itself."""
+_ABORT_S = 5.0
+"""For what hangs to tell where (Python's faulthandler) and to end, before it is killed."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -38,6 +40,7 @@ class Watched:
     life_pipe: int | None = None
     ready: bool = False
     silence_s: float = 0.0
+    aborted_at: float | None = None
 
     @property
     def starting(self) -> bool:
@@ -71,11 +74,11 @@ class ProcessGroup:
     restarts
         How often a program may be restarted within ``window_s``; the delay doubles from half a second.
     ready_s
-        A restarted program that could say that it is ready, and does not within this time, is killed: shared memory
-        that its predecessor held when it was killed can hang it. A first start may take as long as it needs.
+        A restarted program that could say that it is ready, and does not within this time, is aborted: shared
+        memory that its predecessor held when it was killed can hang it. A first start may take as long as it needs.
     silent_s
-        A program that was ready and gives no sign of life for this time is killed; time for which a signal has
-        stopped it does not count.
+        A program that was ready and gives no sign of life for this time is aborted, so that it tells where it is, and
+        killed if that does not end it; time for which a signal has stopped it does not count.
     """
 
     def __init__(
@@ -139,7 +142,7 @@ class ProcessGroup:
             os.close(ready[1])
             os.set_blocking(ready[0], False)
             watched.life_pipe = ready[0]
-        watched.ready, watched.silence_s = False, 0.0
+        watched.ready, watched.silence_s, watched.aborted_at = False, 0.0, None
         watched.starts.append(time.monotonic())
         watched.restart_at = None
         assert watched.process.stdout is not None
@@ -158,6 +161,8 @@ class ProcessGroup:
                 self._ended(watched, process.returncode, now)
             elif process is not None and watched.life_pipe is not None:
                 self._look_for_life(watched, watched.life_pipe, process, now, turn_s)
+            elif process is not None and watched.aborted_at is not None and now - watched.aborted_at > _ABORT_S:
+                process.kill()
             if watched.restart_at is not None and now >= watched.restart_at:
                 self._launch(watched)
 
@@ -192,9 +197,10 @@ class ProcessGroup:
             why = f"is not ready {self._ready_s:g} s after its restart"
         else:
             return
-        self._on_event(watched.name, f"{why}: killed")
+        self._on_event(watched.name, f"{why}: aborted")
         self._close_pipe(watched)
-        process.kill()
+        watched.aborted_at = now
+        process.send_signal(signal.SIGABRT)
 
     @staticmethod
     def _close_pipe(watched: Watched) -> None:

@@ -29,7 +29,7 @@ from scope_bench.adapters.graph_names import hold_names
 from scope_bench.adapters.processes import ProcessGroup
 from scope_bench.core.graph_description import GraphError, Program, check_namespace, load_graph
 
-IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "http://", "https://")
+IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "Fatal Python error", 'File "', "http://", "https://")
 """Lines with one of these are shown without --verbose."""
 WAIT_S = 60.0
 """So long a program waits for the simulated device that it belongs to."""
