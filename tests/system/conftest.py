@@ -11,7 +11,7 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,9 @@ class RunningGraph:
         return self._log_path.read_text(errors="replace")
 
     def tail(self) -> str:
-        return "last lines of the graph:\n" + "\n".join(self.output.splitlines()[-40:])
+        lines = self.output.splitlines()
+        events = [line for line in lines[:-40] if " ! " in line or "WARN" in line or "ERROR" in line]
+        return "\n".join(["events and last lines of the graph:", *events[-40:], *lines[-40:]])
 
     def wait(self, condition: Callable[[], Any], within_s: float, what: str) -> Any:
         """Wait for a condition; fail early when bring-up has ended."""
@@ -194,6 +196,17 @@ def running_graph(started_graph: RunningGraph) -> RunningGraph:
     if not started_graph.prepared:
         started_graph.prepare()
     return started_graph
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Show beside a failure what the graph said: the fault may be its own."""
+    report = yield
+    fixtures = getattr(item, "funcargs", {})
+    graph = fixtures.get("started_graph") or fixtures.get("running_graph")
+    if report.failed and graph is not None:
+        report.sections.append(("graph", graph.tail()))
+    return report
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

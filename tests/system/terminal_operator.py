@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -41,17 +41,28 @@ class Operator:
         )
         self.states = ros.collect(self.node, String, "/gantry/state", qos.LATCHED)
         self.driver_states = ros.collect(self.node, String, "/gantry/driver_state", qos.LATCHED)
+        self.told: dict[str, str] = {}
+        """What each program last told of itself."""
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_told, keeping_all(qos.RESULTS))
         self.beating = True
         self.beats_heard = 0
         # A thread of its own: a test that waits for something else must not look like an operator who has gone.
         self._ended = threading.Event()
         self._heart = threading.Thread(target=self._beat, daemon=True)
         self._heart.start()
-        ros.spin_until(
+
+    def wait_until_ready(self, tail: Callable[[], str]) -> None:
+        """Wait until goals are taken; ``tail`` tells what the graph has printed, for whoever reads of a failure."""
+        self.ros.spin_until(
             lambda: self.state == "ready" and self.goal.get_subscription_count() and self.heartbeat_heard(),
             60.0,
-            lambda: f"state {self.state!r}",
+            lambda: f"state {self.state!r}, told {self.told}; {tail()}",
         )
+
+    def _take_told(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = ", ".join(f"{v.key} {v.value}" for v in status.values)
+            self.told[status.name] = f"{status.message} ({values})"
 
     @property
     def state(self) -> str:
@@ -137,4 +148,5 @@ def operator(running_graph: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Op
         ending.callback(ros.close)
         operator = Operator(ros)
         ending.callback(operator.close)
+        operator.wait_until_ready(running_graph.tail)
         yield operator
