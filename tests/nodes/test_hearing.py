@@ -1,4 +1,4 @@
-"""A program that was started anew after a crash and hears no camera ends, to be started once more."""
+"""A program that hears nothing though somebody speaks ends, to be started anew."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ import sys
 import time
 from typing import Any
 
+import numpy as np
 import pytest
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
-from icu_common.nodes import qos
+from icu_common.core.supervision import DEAF, READY_VARIABLE
+from icu_common.nodes import diagnostics, qos
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.hearing import Hearing
 
 LISTENER = """
@@ -33,8 +36,10 @@ sys.exit(run(Listener, []))
 
 @pytest.fixture
 def hearing(monkeypatch: pytest.MonkeyPatch) -> Hearing:
+    """After a crash, on one host."""
     monkeypatch.setattr(Node, "create_subscription", Node.create_subscription)  # put back at the end
-    hearing = Hearing(limit_s=5.0)
+    monkeypatch.setattr(diagnostics, "own_names", set())
+    hearing = Hearing(after_crash=True, others=True, limit_s=5.0)
     hearing.install()
     return hearing
 
@@ -42,7 +47,7 @@ def hearing(monkeypatch: pytest.MonkeyPatch) -> Hearing:
 def test_a_camera_that_is_matched_and_not_heard_is_named(ros: Any, hearing: Hearing) -> None:
     node, camera = ros.plain("node"), ros.plain("camera")
     heard = ros.collect(node, CameraInfo, "/left/camera_info", qos.SENSOR)
-    ros.collect(node, Image, "/left/image_raw", qos.NEWEST)
+    seen = ros.collect(node, Image, "/left/image_raw", qos.NEWEST)
     ros.collect(node, Image, "/teach/image_raw", qos.NEWEST)
     assert hearing.deaf(0.0) == hearing.deaf(100.0) == "", "nobody is there to be heard"
     info = camera.create_publisher(CameraInfo, "/left/camera_info", qos.IMAGES)
@@ -52,14 +57,65 @@ def test_a_camera_that_is_matched_and_not_heard_is_named(ros: Any, hearing: Hear
         ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 10.0)
     matched = lambda: all(s.get_publisher_count() for s in node.subscriptions)  # noqa: E731
     ros.spin_until(matched, 10.0)
-    assert hearing.deaf(100.0) == "", "not before the time is over"
-    assert hearing.deaf(105.1) == "/left/camera_info"
+    assert hearing.deaf(100.5) == "", "not before the time is over"
+    assert hearing.deaf(105.6).startswith("/left/camera_info")
     info.publish(CameraInfo())
     ros.spin_until(lambda: heard, 10.0)
-    assert hearing.deaf(105.2) == "/left/image_raw"
+    assert hearing.deaf(106.0).startswith("/left/image_raw")
     pictures.publish(Image())
-    ros.spin_until(lambda: not hearing.deaf(105.3), 10.0)
-    assert hearing.deaf(1000.0) == "", "what was heard once may fall silent"
+    ros.spin_until(lambda: seen, 10.0)
+    for now_s in np.arange(107.0, 120.0):
+        assert hearing.deaf(float(now_s)) == "", "a camera that was heard once may fall silent"
+
+
+def test_a_camera_whose_pictures_alone_are_not_heard_any_more_is_named(ros: Any, hearing: Hearing) -> None:
+    node, camera = ros.plain("node"), ros.plain("camera")
+    infos = ros.collect(node, CameraInfo, "/left/camera_info", qos.SENSOR)
+    seen = ros.collect(node, Image, "/left/image_raw", qos.NEWEST)
+    info = camera.create_publisher(CameraInfo, "/left/camera_info", qos.IMAGES)
+    pictures = camera.create_publisher(Image, "/left/image_raw", qos.IMAGES)
+    for publisher in (info, pictures):
+        ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 10.0)
+    pictures.publish(Image())
+    ros.spin_until(lambda: seen, 10.0)
+    told = []
+    for number in range(8):
+        info.publish(CameraInfo())
+        ros.spin_until(lambda n=number: len(infos) > n, 10.0)
+        told.append(hearing.deaf(100.0 + number))
+    assert told[:5] == [""] * 5
+    assert told[-1].startswith("/left/image_raw: a camera's camera_info is heard, and its pictures are not")
+    pictures.publish(Image())
+    ros.spin_until(lambda: len(seen) > 1, 10.0)
+    assert hearing.deaf(110.0) == ""
+
+
+def told_by(ros: Any, name: str) -> Diagnostics:
+    """Return what tells of a node of another process."""
+    told = Diagnostics(ros.plain(name))
+    diagnostics.own_names.clear()
+    return told
+
+
+def test_who_hears_no_other_program_any_more_is_deaf(ros: Any, hearing: Hearing) -> None:
+    node = ros.plain("node")
+    hearing.listen(node)
+    other, own = told_by(ros, "other"), Diagnostics(node)
+    ros.spin_until(lambda: len(node.get_publishers_info_by_topic("/diagnostics")) == 2, 10.0)
+
+    def silent_s() -> float:
+        return hearing._any.silent_s
+
+    hearing.deaf(99.0)
+    ros.spin_until(lambda: (own.tell("ok", "well", []), hearing._any.made is None, silent_s() > 0)[-1], 10.0)
+    for now_s in (100.0, 101.0, 102.0, 103.0, 104.0, 105.0, 106.0, 107.0):
+        assert hearing.deaf(now_s) == "", "nobody else was ever heard"
+    assert silent_s() > 7.0, "its own words do not count"
+    ros.spin_until(lambda: (other.tell("ok", "well", []), silent_s() == 0.0)[1], 10.0)
+    assert [hearing.deaf(now_s) for now_s in (200.0, 300.0, 400.0, 500.0, 600.0)] == [""] * 5, "it was held up itself"
+    assert hearing.deaf(601.0).startswith("all topics")
+    ros.spin_until(lambda: (other.tell("ok", "well", []), silent_s() == 0.0)[1], 10.0)
+    assert hearing.deaf(602.0) == ""
 
 
 def test_a_subscription_that_was_given_up_unheard_is_not_asked_any_more(ros: Any, hearing: Hearing) -> None:
@@ -98,3 +154,31 @@ def test_a_deaf_program_ends_only_after_a_crash(ros: Any, domain: int) -> None:
         for program in programs:
             program.kill()
             program.communicate(timeout=10.0)
+
+
+def test_a_program_that_hears_nobody_any_more_ends_where_it_is_started_anew(ros: Any, domain: int) -> None:
+    other = told_by(ros, "other")
+    beside = ros.plain("beside").create_publisher(CameraInfo, "/left/camera_info", qos.IMAGES)
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+    command = [sys.executable, "-c", LISTENER, "left"]
+    pipe, told = os.pipe()
+    alone = subprocess.Popen(command, env=environment)
+    watched = subprocess.Popen(
+        command, env={**environment, READY_VARIABLE: str(told)}, pass_fds=[told], stderr=subprocess.PIPE, text=True
+    )
+    try:
+        os.close(told)
+        ros.spin_until(lambda: beside.get_subscription_count() == 2, 40.0)
+        until = time.monotonic() + 12.0  # longer than nobody may be heard
+        ros.spin_until(lambda: (other.tell("ok", "well", []), time.monotonic() > until)[1], 20.0)
+        assert watched.poll() is None
+        ros.spin_until(lambda: watched.poll() is not None, 40.0)
+        assert watched.returncode == DEAF
+        assert watched.stderr is not None
+        assert "error: all topics: the other programs are not heard any more for 8 s" in watched.stderr.read()
+        assert alone.poll() is None, "nobody would start it anew"
+    finally:
+        for program in (alone, watched):
+            program.kill()
+            program.communicate(timeout=10.0)
+        os.close(pipe)

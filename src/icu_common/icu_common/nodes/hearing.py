@@ -1,43 +1,61 @@
-"""Tells a program that was started anew after a crash whether it hears the cameras that it has found.
+"""Tells whether a program still hears the others; one that does not is ended, to be started anew.
 
 A program that is killed leaves its part of Fast DDS's shared memory behind. Now and then a camera goes on writing to it
-after the successor has made its own: both know each other, and nothing is heard, for ever. See
-docs/decisions/processes.md.
+after the successor has made its own: both know each other, and nothing is heard, for ever. And Fast DDS's threads can
+wait for each other when some program of the graph ends: from then on all that comes is left lying. Then the node goes
+on, and hears nothing, for ever. See docs/decisions/processes.md.
 """
 
 from __future__ import annotations
 
 import functools
+import math
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
+from icu_common.nodes import diagnostics, qos
+
 LIMIT_S = 8.0
-"""A camera needs less for its first picture."""
+"""A camera needs less for its first picture, and every program tells of itself each second."""
+_LOOK_S, _LONGEST_TURN_S = 0.25, 1.0
+"""Between two looks: the least time, and the most silence that counts, as what came meanwhile is yet to be served."""
+_INFO, _PICTURES = "camera_info", "image_raw"
 
 
 @dataclass(slots=True)
 class _Ear:
     made: Subscription | None = None
     heard: bool = False
+    silent_s: float = 0.0
     matched_at_s: float | None = None
 
 
 class Hearing:
-    """Watches the subscriptions of one process to cameras: topics ``camera_info``, and ``image_raw`` beside one.
+    """Watches the subscriptions of one process.
 
     Parameters
     ----------
+    after_crash
+        The process's predecessor was ended by a signal: a camera that is there, and never heard, counts as well.
+    others
+        That nothing at all is heard any more counts as well: all others are on this host, so no network is cut.
     limit_s
-        How long a publisher may be known without a first message.
+        How long nothing may be heard.
     """
 
-    def __init__(self, limit_s: float = LIMIT_S) -> None:
+    def __init__(self, *, after_crash: bool, others: bool, limit_s: float = LIMIT_S) -> None:
         self.limit_s = limit_s
+        self._after_crash, self._others = after_crash, others
         self._ears: list[tuple[Node, _Ear]] = []
+        self._any = _Ear()
+        """What any subscription hears; ``heard`` once it was another program."""
+        self._looked_at_s = -math.inf
 
     def install(self) -> None:
         """Watch every subscription that is made from now on in this process."""
@@ -51,6 +69,7 @@ class Hearing:
 
             def hears(message: Any) -> None:
                 ear.heard = True
+                ear.silent_s = self._any.silent_s = 0.0
                 callback(message)
 
             ear.made = create_subscription(node, kind, topic, hears, *args, **kwargs)
@@ -58,14 +77,52 @@ class Hearing:
             return ear.made
 
         Node.create_subscription = subscription
+        self._create = create_subscription
+
+    def listen(self, node: Node) -> None:
+        """Hear what the other programs tell of themselves each second."""
+        self._create(node, DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.SENSOR, raw=True)
+
+    def _on_diagnostics(self, data: bytes) -> None:
+        # Serialised, as it is of no interest who says what; the process's own words come by another way.
+        if not any(_serialised(name) in data for name in diagnostics.own_names):
+            self._any.heard, self._any.silent_s = True, 0.0
 
     def deaf(self, now_s: float) -> str:
-        """Return a topic on which a camera is there and was never heard for too long, empty without one."""
-        self._ears = [(node, ear) for node, ear in self._ears if not ear.heard and ear.made in node.subscriptions]
+        """Return what is not heard though somebody speaks there, empty without such a thing."""
+        if now_s - self._looked_at_s < _LOOK_S:
+            return ""
+        turn_s = min(now_s - self._looked_at_s, _LONGEST_TURN_S)
+        self._looked_at_s = now_s
+        self._ears = [(node, ear) for node, ear in self._ears if ear.made in node.subscriptions]
+        for ear in (self._any, *(ear for _, ear in self._ears)):
+            ear.silent_s += turn_s
+        if self._others and self._any.heard and self._any.silent_s > self.limit_s:
+            return "all topics: the other programs are not heard any more"
+        if topic := self._picture_less():
+            return f"{topic}: a camera's camera_info is heard, and its pictures are not heard any more"
+        if self._after_crash and (topic := self._never_heard(now_s)):
+            return f"{topic}: a camera is there and has not been heard"
+        return ""
+
+    def _picture_less(self) -> str:
+        """Return the pictures that are not heard any more from a camera of which the rest is."""
+        ears = {_parts(ear): ear for _, ear in self._ears}
+        for (place, name), ear in ears.items():
+            info = ears.get((place, _INFO))
+            lost = name == _PICTURES and ear.heard and ear.silent_s > self.limit_s
+            if lost and info is not None and info.silent_s < 2 * _LONGEST_TURN_S:
+                return f"{place}/{name}"
+        return ""
+
+    def _never_heard(self, now_s: float) -> str:
+        """Return a topic on which a camera is there and was never heard for too long."""
         for node, ear in self._ears:
+            if ear.heard:
+                continue
             assert ear.made is not None
             topic: str = ear.made.topic_name
-            if not self._is_camera(node, topic) or not ear.made.get_publisher_count():
+            if not _is_camera(node, ear) or not ear.made.get_publisher_count():
                 ear.matched_at_s = None
                 continue
             if ear.matched_at_s is None:
@@ -74,7 +131,20 @@ class Hearing:
                 return topic
         return ""
 
-    @staticmethod
-    def _is_camera(node: Node, topic: str) -> bool:
-        place, _, name = topic.rpartition("/")
-        return name == "camera_info" or (name == "image_raw" and node.count_publishers(f"{place}/camera_info") > 0)
+
+def _parts(ear: _Ear) -> tuple[str, str]:
+    """Return place and name of a topic."""
+    assert ear.made is not None
+    place, _, name = ear.made.topic_name.rpartition("/")
+    return place, name
+
+
+def _is_camera(node: Node, ear: _Ear) -> bool:
+    place, name = _parts(ear)
+    return name == _INFO or (name == _PICTURES and node.count_publishers(f"{place}/{_INFO}") > 0)
+
+
+def _serialised(text: str) -> bytes:
+    """Return a string as CDR has it (little-endian): its length with the zero at its end, and itself."""
+    data = text.encode() + b"\0"
+    return struct.pack("<I", len(data)) + data

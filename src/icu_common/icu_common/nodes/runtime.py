@@ -38,7 +38,7 @@ from icu_common.adapters.transport_profile import (
     sockets_hold_pictures,
 )
 from icu_common.core.config import ConfigError
-from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF
+from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
 from icu_common.nodes import in_step
 from icu_common.nodes.hearing import Hearing
 
@@ -102,10 +102,14 @@ class Session:
         if self._tally is not None:
             self._tally.tell()
 
-    def end(self, node: Node) -> None:
-        """Close a node, if it can be closed, and destroy it."""
+    def close(self, node: Node) -> None:
+        """Close a node, if it can be closed."""
         if hasattr(node, "close"):
             node.close()
+
+    def end(self, node: Node) -> None:
+        """Close a node, if it can be closed, and destroy it."""
+        self.close(node)
         node.destroy_node()
 
 
@@ -239,27 +243,35 @@ def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None,
         return 2
 
 
+def _hearing() -> Hearing | None:
+    """Return what watches the process's hearing, where somebody is there to start it anew."""
+    after_crash = bool(os.environ.pop(AFTER_CRASH_VARIABLE, ""))
+    if in_step.wanted() or not (after_crash or READY_VARIABLE in os.environ):
+        return None
+    hearing = Hearing(after_crash=after_crash, others=READY_VARIABLE in os.environ and keeps_to_this_host())
+    hearing.install()
+    return hearing
+
+
 def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
     nodes: list[Node] = []
-    hearing = Hearing() if os.environ.pop(AFTER_CRASH_VARIABLE, "") else None
-    if hearing is not None:
-        hearing.install()
+    hearing = _hearing()
     try:
         for make in makers:
             with _readable():
                 nodes.append(make())
             session.executor.add_node(nodes[-1])
+        if hearing is not None:
+            hearing.listen(nodes[0])
         life = SignsOfLife()
         while session.goes_on:
             session.spin()
             life.turn()
-            if hearing is not None and (topic := hearing.deaf(time.monotonic())):
-                print(
-                    f"error: {topic}: a camera is there and has not been heard for {hearing.limit_s:g} s: "
-                    "ending, to be started anew",
-                    file=sys.stderr,
-                )
-                return DEAF
+            if hearing is not None and (what := hearing.deaf(time.monotonic())):
+                print(f"error: {what} for {hearing.limit_s:g} s: ending, to be started anew", file=sys.stderr)
+                for node in nodes:
+                    session.close(node)
+                os._exit(DEAF)  # taking the nodes apart would wait for the middleware's threads, as those do
     finally:
         for node in nodes:
             session.end(node)
