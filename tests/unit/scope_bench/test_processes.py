@@ -316,7 +316,7 @@ def test_a_program_is_told_that_its_predecessor_crashed_and_ends_as_deaf_once_at
     assert [line for _, line in watch.output] == ["after a crash: no", "after a crash: 1", "after a crash: no"]
     assert [text for _, text in watch.events] == [
         "ended with signal SIGKILL, restarted in 0.5 s",
-        "hears no camera since its restart, restarted in 1 s",
+        "does not hear the others, restarted in 1 s",
     ]
     watch.group.stop()
 

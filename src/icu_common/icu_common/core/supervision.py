@@ -15,4 +15,4 @@ AFTER_CRASH_VARIABLE = "ICU_AFTER_CRASH"
 """Set in the environment of a program whose predecessor was ended by a signal."""
 
 DEAF = 75
-"""Exit code of a program that is to be started once more (EX_TEMPFAIL of sysexits.h): see icu_common.nodes.hearing."""
+"""Exit code of a program that is to be started anew (EX_TEMPFAIL of sysexits.h): see icu_common.nodes.hearing."""

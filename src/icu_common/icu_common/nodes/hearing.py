@@ -22,7 +22,9 @@ from rclpy.subscription import Subscription
 from icu_common.nodes import diagnostics, qos
 
 LIMIT_S = 8.0
-"""A camera needs less for its first picture, and every program tells of itself each second."""
+"""A camera needs less for its first picture, and for the next ones."""
+SILENCE_S = 15.0
+"""Every program tells of itself each second; one that was stopped for long is found again by the others within this."""
 _LOOK_S, _LONGEST_TURN_S = 0.25, 1.0
 """Between two looks: the least time, and the most silence that counts, as what came meanwhile is yet to be served."""
 _INFO, _PICTURES = "camera_info", "image_raw"
@@ -33,6 +35,7 @@ class _Ear:
     made: Subscription | None = None
     heard: bool = False
     silent_s: float = 0.0
+    """Since it heard anything; of pictures only while the rest of their camera is heard."""
     matched_at_s: float | None = None
 
 
@@ -45,12 +48,14 @@ class Hearing:
         The process's predecessor was ended by a signal: a camera that is there, and never heard, counts as well.
     others
         That nothing at all is heard any more counts as well: all others are on this host, so no network is cut.
-    limit_s
-        How long nothing may be heard.
+    limit_s, silence_s
+        How long nothing may be heard of a camera or its pictures, and of all.
     """
 
-    def __init__(self, *, after_crash: bool, others: bool, limit_s: float = LIMIT_S) -> None:
-        self.limit_s = limit_s
+    def __init__(
+        self, *, after_crash: bool, others: bool, limit_s: float = LIMIT_S, silence_s: float = SILENCE_S
+    ) -> None:
+        self.limit_s, self.silence_s = limit_s, silence_s
         self._after_crash, self._others = after_crash, others
         self._ears: list[tuple[Node, _Ear]] = []
         self._any = _Ear()
@@ -97,12 +102,12 @@ class Hearing:
         self._ears = [(node, ear) for node, ear in self._ears if ear.made in node.subscriptions]
         for ear in (self._any, *(ear for _, ear in self._ears)):
             ear.silent_s += turn_s
-        if self._others and self._any.heard and self._any.silent_s > self.limit_s:
-            return "all topics: the other programs are not heard any more"
+        if self._others and self._any.heard and self._any.silent_s > self.silence_s:
+            return f"all topics: the other programs have not been heard for {self.silence_s:g} s"
         if topic := self._picture_less():
-            return f"{topic}: a camera's camera_info is heard, and its pictures are not heard any more"
+            return f"{topic}: a camera's camera_info is heard, and its pictures have not been for {self.limit_s:g} s"
         if self._after_crash and (topic := self._never_heard(now_s)):
-            return f"{topic}: a camera is there and has not been heard"
+            return f"{topic}: a camera is there and has not been heard for {self.limit_s:g} s"
         return ""
 
     def _picture_less(self) -> str:
@@ -110,8 +115,11 @@ class Hearing:
         ears = {_parts(ear): ear for _, ear in self._ears}
         for (place, name), ear in ears.items():
             info = ears.get((place, _INFO))
-            lost = name == _PICTURES and ear.heard and ear.silent_s > self.limit_s
-            if lost and info is not None and info.silent_s < 2 * _LONGEST_TURN_S:
+            if name != _PICTURES or not ear.heard:
+                continue
+            if info is None or info.silent_s > _LONGEST_TURN_S:
+                ear.silent_s = 0.0
+            elif ear.silent_s > self.limit_s:
                 return f"{place}/{name}"
         return ""
 

@@ -268,7 +268,7 @@ def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
             session.spin()
             life.turn()
             if hearing is not None and (what := hearing.deaf(time.monotonic())):
-                print(f"error: {what} for {hearing.limit_s:g} s: ending, to be started anew", file=sys.stderr)
+                print(f"error: {what}: ending, to be started anew", file=sys.stderr)
                 for node in nodes:
                     session.close(node)
                 os._exit(DEAF)  # taking the nodes apart would wait for the middleware's threads, as those do

@@ -225,7 +225,7 @@ class ProcessGroup:
         else:
             delay = 0.5 * 2 ** max(len(recent) - 1, 0)
             watched.restart_at = now + delay
-            what = "hears no camera since its restart" if code == DEAF else f"ended with {why}"
+            what = "does not hear the others" if code == DEAF else f"ended with {why}"
             self._on_event(watched.name, f"{what}, restarted in {delay:g} s")
 
     def _read(self, key: selectors.SelectorKey) -> None:
