@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image
 
 from icu_common.core.supervision import DEAF, READY_VARIABLE
@@ -122,6 +124,16 @@ def test_who_hears_no_other_program_any_more_is_deaf(ros: Any, hearing: Hearing)
     assert hearing.deaf(601.0).startswith("all topics")
     ros.spin_until(lambda: (other.tell("ok", "well", []), silent_s() == 0.0)[1], 10.0)
     assert hearing.deaf(602.0) == ""
+
+
+def test_by_the_clock_of_a_recording_which_may_stand_still_nobody_is_deaf(ros: Any, hearing: Hearing) -> None:
+    node = ros.plain("node")
+    node.set_parameters([Parameter("use_sim_time", value=True)])
+    hearing.listen(node)
+    other = told_by(ros, "other")
+    seen = ros.collect(node, DiagnosticArray, "/diagnostics", qos.RESULTS)
+    ros.spin_until(lambda: (other.tell("ok", "well", []), seen)[1], 10.0)
+    assert [hearing.deaf(float(now_s)) for now_s in range(100, 120)] == [""] * 20
 
 
 def test_a_subscription_that_was_given_up_unheard_is_not_asked_any_more(ros: Any, hearing: Hearing) -> None:

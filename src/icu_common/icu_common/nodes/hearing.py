@@ -85,7 +85,10 @@ class Hearing:
         self._create = create_subscription
 
     def listen(self, node: Node) -> None:
-        """Hear what the other programs tell of themselves each second."""
+        """Hear what the other programs tell of themselves each second, unless those are a recording's seconds."""
+        if node.get_parameter("use_sim_time").value:
+            self._others = False
+            return
         self._create(node, DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.SENSOR, raw=True)
 
     def _on_diagnostics(self, data: bytes) -> None:
