@@ -92,7 +92,7 @@ def publish(count: int) -> int:
     camera.wait_until_received()
     executor.shutdown()
     camera.destroy_node()
-    rclpy.shutdown()
+    rclpy.try_shutdown()  # Ctrl-C has already shut it down
     return 0
 
 
@@ -148,7 +148,7 @@ def measure(node_arguments: list[str], count: int) -> dict[str, float]:
     finally:
         executor.shutdown()
         probe.destroy_node()
-        rclpy.shutdown()
+        rclpy.try_shutdown()
     if not ages_ms:
         raise SystemExit("no corners came: " + " ".join(node_arguments))
     p50, p99 = np.percentile(ages_ms, (50, 99))
