@@ -36,6 +36,7 @@ ONLY_ELSEWHERE = {
             "transport_profile",
             "unix_listener",
             "jpeg_encoder",
+            "hearing",
         ),
     ),
 }
