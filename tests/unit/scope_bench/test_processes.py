@@ -187,6 +187,28 @@ def test_a_program_that_gives_no_sign_of_life_any_more_is_aborted_and_started_ag
     watch.group.stop()
 
 
+LAST_WORDS = """
+import signal, sys
+def say(*_):
+    sys.stdout.write("".join(f"{n:07d}\\n" for n in range(30000)))
+    sys.exit()
+signal.signal(signal.SIGINT, say)
+print("up", flush=True)
+while True:
+    signal.pause()
+"""
+
+
+def test_all_that_a_program_says_before_it_ends_is_passed_on() -> None:
+    watch = Watch()
+    watch.group.start("a", [*PYTHON, LAST_WORDS])
+    watch.until(lambda: watch.output)
+    stdout = watch.group._programs[0].process.stdout  # type: ignore[union-attr]
+    assert watch.group.stop() == []
+    assert watch.output == [("a", "up"), *(("a", f"{n:07d}") for n in range(30000))]
+    assert stdout is not None and stdout.closed
+
+
 # Is ready, and hangs in code that holds the interpreter's lock.
 TELLS_WHERE = """
 import ctypes, faulthandler, os

@@ -18,6 +18,8 @@ from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIAB
 _PR_SET_PDEATHSIG = 1
 _LONGEST_TURN_S = 1.0
 """No more silence is counted between two looks: bring-up may have stood still itself."""
+_LAST_READS = 64
+"""So often the pipe of a program that has ended, which holds as much as one or two reads, is read at most."""
 _ABORT_S = 5.0
 """For what hangs to tell where (Python's faulthandler) and to end, before it is killed."""
 
@@ -264,8 +266,17 @@ class ProcessGroup:
             killed += self._end([w for w in self._programs if w.process is not None and w.ends_last is last], within_s)
         for watched in self._programs:
             self._close_pipe(watched)
+        self._read_rest()
         self._selector.close()
         return killed
+
+    def _read_rest(self) -> None:
+        """Pass on the last words, and close the pipes, which what a program has left behind may still hold."""
+        for _ in range(_LAST_READS):
+            for key, _ in self._selector.select(0.0):
+                self._read(key)
+        for key in list(self._selector.get_map().values()):
+            key.fileobj.close()  # type: ignore[union-attr]
 
     def _end(self, waiting: list[Watched], within_s: float) -> list[str]:
         killed: list[str] = []
