@@ -47,7 +47,8 @@ class Hearing:
     after_crash
         The process's predecessor was ended by a signal: a camera that is there, and never heard, counts as well.
     others
-        That nothing at all is heard any more counts as well: all others are on this host, so no network is cut.
+        That nothing at all is heard any more counts as well, and that pictures alone are not: all others are on this
+        host, so no network is cut or slow.
     limit_s, silence_s
         How long nothing may be heard of a camera or its pictures, and of all.
     """
@@ -107,7 +108,7 @@ class Hearing:
             ear.silent_s += turn_s
         if self._others and self._any.heard and self._any.silent_s > self.silence_s:
             return f"all topics: the other programs have not been heard for {self.silence_s:g} s"
-        if topic := self._picture_less():
+        if self._others and (topic := self._picture_less()):
             return f"{topic}: a camera's camera_info is heard, and its pictures have not been for {self.limit_s:g} s"
         if self._after_crash and (topic := self._never_heard(now_s)):
             return f"{topic}: a camera is there and has not been heard for {self.limit_s:g} s"
