@@ -27,6 +27,8 @@ T = TypeVar("T")
 
 _STOP_SIGNALS = {int(number): number.name for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
 FIRST_RETRY_S, LAST_RETRY_S = 0.1, 1.0
+LONGEST_WAIT_S = 0.1
+"""Longest sleep of the thread in wall time."""
 WAY_OUT_S = 6.0
 """How long a link that is closed waits after the hold, for the board's reset and the stylus's retreat."""
 
@@ -42,9 +44,25 @@ class SerialLink:
         Device and line rate; the port is locked for others (``exclusive``).
     on_events
         Called in the link's thread with what has happened, in order and never concurrently.
+    clock
+        The machine's time in seconds: the steady clock, or that of a simulation, which is 0 until it is known.
+    on_turn
+        Called in the link's thread at the end of each turn with the number of the newest :meth:`wake` that the turn has
+        seen, and the bytes that it has read and written.
     """
 
-    def __init__(self, machine: Machine, port: str, baud: int, on_events: Callable[[list[Event]], None]) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        port: str,
+        baud: int,
+        on_events: Callable[[list[Event]], None],
+        *,
+        clock: Callable[[], float] = steady_s,
+        on_turn: Callable[[int, int, int], None] | None = None,
+    ) -> None:
+        self._clock, self._on_turn = clock, on_turn
+        self._wakes = self._read_bytes = self._written_bytes = 0
         self._machine = machine
         self._port_name = port
         self._baud = baud
@@ -85,7 +103,7 @@ class SerialLink:
         Before :meth:`start` there is no port, and what follows is said at once.
         """
         with self._changed:
-            result = action(self._machine, steady_s())
+            result = action(self._machine, self._now())
         if self._thread.ident is None:
             self._publish()
         self._wake()
@@ -136,6 +154,21 @@ class SerialLink:
         os.close(wake_write)
         os.close(self._wake_read)
 
+    @property
+    def wakes(self) -> int:
+        """Number of calls of :meth:`wake`."""
+        return self._wakes
+
+    def wake(self) -> None:
+        """Let the thread look at the clock and at what is due."""
+        self._wakes += 1
+        self._wake()
+
+    def _now(self) -> float:
+        """Return the machine's time, and let the machine know the wall's."""
+        self._machine.wall_s = steady_s()
+        return self._clock()
+
     def _wake(self, code: bytes = b"\0") -> None:
         # A full pipe has a wake-up in it already.
         with contextlib.suppress(BlockingIOError, OSError):
@@ -153,7 +186,7 @@ class SerialLink:
         try:
             # Up to a receive buffer of lines may wait in the kernel, 11 ms at 115200 baud; a reset follows anyway.
             termios.tcflush(fd, termios.TCOFLUSH)
-            os.write(fd, HOLD)
+            self._written_bytes += os.write(fd, HOLD)
         except (OSError, termios.error):
             return False
         return True
@@ -173,18 +206,23 @@ class SerialLink:
                     self._publish()
 
     def _step(self) -> None:
+        wakes, now = self._wakes, self._clock()
         if self._fd >= 0:
             self._turn()
             if self._machine.connected:
                 self._retry_s = FIRST_RETRY_S
-        elif steady_s() < self._next_try:
-            self._wait(self._next_try - steady_s())
+        elif not now or now < self._next_try:
+            self._wait(LONGEST_WAIT_S if not now else self._next_try - now)
         else:
             # A board that resets at every opening must not be opened in a tight loop.
-            self._next_try = steady_s() + self._retry_s
+            self._next_try = now + self._retry_s
             self._retry_s = min(2.0 * self._retry_s, LAST_RETRY_S)
             self._open()
         self._publish()
+        if self._on_turn is not None:
+            read, written = self._read_bytes, self._written_bytes
+            self._read_bytes = self._written_bytes = 0
+            self._on_turn(wakes, read, written)
 
     def _open(self) -> None:
         try:
@@ -201,22 +239,24 @@ class SerialLink:
             self._poller.register(self._fd, select.POLLIN)
             self._writing = False
             self._pending.clear()
-            self._machine.opened(steady_s())
+            self._machine.opened(self._now())
             self._changed.notify_all()
 
     def _turn(self) -> None:
         """Wait for bytes, a wake-up or a deadline, and do what is due."""
         with self._changed:
-            now = steady_s()
+            now = self._now()
             wait_s = max(0.0, self._machine.deadline(now) - now)
-        readable = self._wait(wait_s)
+        # The heartbeat is judged by the wall clock, also while simulated time stands still.
+        readable = self._wait(min(wait_s, LONGEST_WAIT_S))
         try:
             data = self._read() if readable else b""
         except OSError as error:
             self._lost(f"{self._port_name}: {_plain(error)}")
             return
         with self._changed:
-            now = steady_s()
+            now = self._now()
+            self._read_bytes += len(data)
             if data:
                 # The board may show the hold before who asked for it had the lock; it is no hold of the board's own.
                 self._take_stop(self._machine, now, hold_written=False)
@@ -254,12 +294,14 @@ class SerialLink:
     def _write(self) -> None:
         if self._pending:
             with contextlib.suppress(BlockingIOError):
-                del self._pending[: os.write(self._fd, self._pending)]
+                count = os.write(self._fd, self._pending)
+                self._written_bytes += count
+                del self._pending[:count]
 
     def _lost(self, reason: str) -> None:
         self._close_port()
         with self._changed:
-            self._machine.closed(reason, steady_s())
+            self._machine.closed(reason, self._now())
             self._changed.notify_all()
 
     def _close_port(self) -> None:

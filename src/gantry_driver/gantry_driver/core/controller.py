@@ -42,10 +42,14 @@ class Controller(GoalPhases):
         """The goal in work as text, empty without one."""
         return self._job.text if self._job is not None else ""
 
-    def handle(self, event: msg.Event, now_ns: int) -> list[msg.Action]:
-        """Take one event at ROS time ``now_ns`` and return what is to be done, in order."""
+    def handle(self, event: msg.Event, now_ns: int, wall_ns: int | None = None) -> list[msg.Action]:
+        """Take one event at ROS time ``now_ns`` and return what is to be done, in order.
+
+        The operator's heartbeat is judged by ``wall_ns``, where ROS time is simulated; without it by ``now_ns``.
+        """
         if self._closed:
             return []
+        self._world.wall_ns = now_ns if wall_ns is None else wall_ns
         jumped_back_s = (self._now_ns - now_ns) / NANO
         self._now_ns = self._world.now_ns = now_ns
         self._actions = []
@@ -136,7 +140,7 @@ class Controller(GoalPhases):
             case msg.CameraSeen():
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
             case msg.Heartbeat():
-                world.heartbeat_ns = self._now_ns
+                world.heartbeat_ns = world.wall_ns
             case msg.Tick():
                 pass
 

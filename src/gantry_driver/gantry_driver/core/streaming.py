@@ -38,13 +38,15 @@ class Streaming(Stopping):
     def __init__(self, config: DriverConfig, *, active: bool = True) -> None:
         super().__init__(config, active=active)
         self._heartbeat_at = -math.inf
+        self.wall_s: float | None = None
+        """Wall time, by which the heartbeat is judged where ``now`` is simulated; None: ``now`` is wall time."""
         self._stylus_line = 0
         """The last line queued that moves a stylus without a Z axis."""
         self._has_g92: bool | None = None
         """Whether a program has left a G92; None after a reset, which only some firmwares keep it over."""
 
     def heartbeat(self, at: float) -> None:
-        """Note that the operator was there at ``at`` (the clock of ``now``)."""
+        """Note that the operator was there at ``at``, in wall time."""
         self._heartbeat_at = max(self._heartbeat_at, at)
 
     def pause(self, now: float) -> str:
@@ -167,7 +169,7 @@ class Streaming(Stopping):
         return "not enabled" if not self.enabled else self._heartbeat_refusal(now)
 
     def _heartbeat_refusal(self, now: float) -> str:
-        age = now - self._heartbeat_at
+        age = (now if self.wall_s is None else self.wall_s) - self._heartbeat_at
         if age <= self.config.heartbeat_timeout_s:
             return ""
         if math.isinf(age):

@@ -58,6 +58,8 @@ class World:
     """
 
     now_ns: int = 0
+    wall_ns: int = 0
+    """Wall time of the newest event; ``heartbeat_ns`` is of the same clock."""
     driver: str = "disconnected: nothing heard from the driver"
     readings: Array | None = None
     readings_ns: int = 0
@@ -97,8 +99,8 @@ class World:
         if self.age_s(self.readings_ns) > config.joints_timeout_s:
             age = since(self.age_s(self.readings_ns))
             return Fault(cause=f"no joint_states {age}", lift=False, stop=True)
-        if self.age_s(self.heartbeat_ns) > config.heartbeat_timeout_s:
-            age = since(self.age_s(self.heartbeat_ns))
+        if self.heartbeat_age_s > config.heartbeat_timeout_s:
+            age = since(self.heartbeat_age_s)
             return Fault(cause=f"lost the operator: no heartbeat {age}")
         if self.panel_alarm:
             return Fault(cause=self.panel_alarm, stop=pushing)
@@ -210,6 +212,11 @@ class World:
         """Return how long ago that was in seconds, infinite for never."""
         return math.inf if not when_ns else (self.now_ns - when_ns) / NANO
 
+    @property
+    def heartbeat_age_s(self) -> float:
+        """Wall seconds since the operator's newest heartbeat, infinite without one."""
+        return math.inf if not self.heartbeat_ns else (self.wall_ns - self.heartbeat_ns) / NANO
+
     def left_behind_text(self) -> str:
         """Say how far the stylus was extended."""
         return f"the controller started with the stylus extended by {1000 * self.here[2]:.1f} mm"
@@ -258,7 +265,7 @@ class World:
         elif self.unchecked and self.readings[2] > EXTENDED_M:
             text = self.left_behind_text()
             yield Obstacle(state=f"waiting: {text}", reason=f"{text}, a stop is asked for", every_goal=True)
-        heartbeat_age = self.age_s(self.heartbeat_ns)
+        heartbeat_age = self.heartbeat_age_s
         if heartbeat_age > config.heartbeat_timeout_s:
             yield Obstacle(
                 state=_NO_OPERATOR,

@@ -62,6 +62,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--link", type=Path, metavar="PATH", help="symbolic link that follows the port")
     parser.add_argument("--time-scale", type=_scale, default=1.0, metavar="F", help="board seconds per second (1)")
+    parser.add_argument("--stepped", action="store_true", help="time advances only as the truth socket's client asks")
     parser.add_argument("--settings", type=Path, metavar="FILE", help="text file of $N=VALUE lines")
     parser.add_argument("--set", action="append", default=[], metavar="N=VALUE", help="one setting, after --settings")
     parser.add_argument("--truth-socket", type=Path, metavar="PATH", help="Unix socket with the motors' positions")
@@ -131,8 +132,9 @@ def _run(options: argparse.Namespace) -> int:
                 control_socket=options.control_socket,
                 log=log,
                 reset_on_open=not options.keep_running,
+                stepped=options.stepped,
             )
-        except (SettingsError, OSError) as error:
+        except (SettingsError, OSError, ValueError) as error:
             print(f"error: {error}", file=sys.stderr)
             return 2
 

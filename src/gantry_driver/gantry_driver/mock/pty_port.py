@@ -121,6 +121,15 @@ class PtyPort:
         del self._backlog[:dropped]
         return dropped
 
+    def drain(self) -> None:
+        """Take all bytes that the host has sent."""
+        watcher = select.poll()
+        while self._master is not None and self.is_open and self._reading:
+            watcher.register(self._master, select.POLLIN)
+            if not watcher.poll(0):
+                return
+            self._read()
+
     def _read(self) -> None:
         assert self._master is not None
         try:

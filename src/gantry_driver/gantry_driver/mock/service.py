@@ -3,6 +3,10 @@
 Truth socket: a line ``{"t": s on the monotonic clock, "mpos": [x, y, z] mm of the motors in the frame of a homed board,
 "spindle": rpm, "coolant": bool, "state": as the report has it, or Off}``, 200 a second while moving, else 20.
 
+A stepped board has no clock of its own: its time advances to what a client of the truth socket sends, ``{"until": s}``.
+The client gets the samples on the way there, with board seconds as ``t``, and then ``{"until": s, "sent": n,
+"received": n}`` with the bytes that have passed the serial port since the start.
+
 Control socket: one JSON object per line, each answered by one line with ``ok`` and, when refused, ``error``:
 ``{"do": "state"}``, ``{"do": "counters"}``, ``{"do": "log", "since": N, "kind": "line"}`` (both optional; kinds: rx,
 realtime, line, alarm, eeprom, banner, fault, opened, power_on, power_off), ``{"do": "fault", "kind": K, ...}`` with the
@@ -44,13 +48,18 @@ class Service:
         control_socket: Path | None = None,
         log: TextIO | None = None,
         reset_on_open: bool = True,
+        stepped: bool = False,
     ) -> None:
+        if stepped and truth_socket is None:
+            raise ValueError("a stepped board needs a truth socket, whose client advances its time")
         self.machine = machine
         self._board = machine.board
         self._scale = time_scale
         self._reset_on_open = reset_on_open
         self._stopping = False
         self._start_s = time.monotonic()
+        self._stepped, self._until_s = stepped, 0.0
+        self._sent = self._received_count = 0
         self._fault_ends_s: dict[str, float] = {}
         self._truth_s = 0.0
         self._was_moving = False
@@ -97,6 +106,9 @@ class Service:
                 self._turn()
 
     def _now(self) -> float:
+        """Return the board's time in seconds."""
+        if self._stepped:
+            return self._until_s
         return (time.monotonic() - self._start_s) * self._scale
 
     def _turn(self) -> None:
@@ -108,33 +120,63 @@ class Service:
         if self._control is not None:
             for client, line in self._control.lines():
                 self._control.send(client, json.dumps(self._command(line)).encode() + b"\n")
+        if self._stepped:
+            self._take_steps()
         self._board.advance(self._now())
-        pieces = self._board.take_output()
-        if pieces:
-            dropped = self.port.write(b"".join(pieces))
-            self._board.journal.count("bytes_unread", dropped)
-        self._tell_truth()
+        self._send_output()
+        if not self._stepped:
+            self._tell_truth()
         if self._log is not None and self._log_dirty:
             self._log.flush()
             self._log_dirty = False
 
+    def _send_output(self) -> None:
+        data = b"".join(self._board.take_output())
+        if data:
+            dropped = self.port.write(data)
+            self._sent += len(data) - dropped
+            self._board.journal.count("bytes_unread", dropped)
+
+    def _take_steps(self) -> None:
+        """Advance as far as clients of the truth socket ask."""
+        assert self._truth is not None
+        for client, line in self._truth.lines():
+            try:
+                until_s = float(json.loads(line)["until"])
+            except (ValueError, KeyError, TypeError, RecursionError):
+                continue
+            self.port.drain()
+            while self._board.now < until_s - 1e-9:
+                period = TRUTH_MOVING_S if self._board.moving() else TRUTH_REST_S
+                self._until_s = min(self._board.now + period, until_s)
+                self._end_faults()
+                self._board.advance(self._until_s)
+                sample = json.dumps({"t": self._board.now, **self.machine.truth()})
+                self._truth.send(client, sample.encode() + b"\n")
+            self._send_output()
+            answer = {"until": until_s, "sent": self._sent, "received": self._received_count}
+            self._truth.send(client, json.dumps(answer).encode() + b"\n")
+
     def _timeout(self) -> float | None:
         now = time.monotonic()
         times = []
+        if self.port.waiting:
+            times.append(now + OPEN_POLL_S)
+        if self._stepped:
+            return min(times) - now if times else None
         due = self._board.next_due()
         if due is not None:
             times.append(self._start_s + due / self._scale)
-        if self.port.waiting:
-            times.append(now + OPEN_POLL_S)
         if self._truth is not None and self._truth.client_count:
             times.append(self._truth_s + (TRUTH_MOVING_S if self._board.moving() else TRUTH_REST_S))
-        times.extend(self._fault_ends_s.values())
+        times.extend(self._start_s + end / self._scale for end in self._fault_ends_s.values())
         return min(max(min(times) - now, 0.0), MAX_WAIT_S) if times else None
 
     def _woken(self) -> None:
         self._wake_read.recv(4096)
 
     def _received(self, data: bytes) -> None:
+        self._received_count += len(data)
         self._board.receive(data, self._now())
 
     def _opened(self) -> None:
@@ -193,10 +235,10 @@ class Service:
             self.port.unplug()
         else:
             self.port.set_reading(False)
-        self._fault_ends_s[fault.kind] = time.monotonic() + fault.seconds / self._scale
+        self._fault_ends_s[fault.kind] = self._now() + fault.seconds
 
     def _end_faults(self) -> None:
-        now = time.monotonic()
+        now = self._now()
         for kind in [kind for kind, end in self._fault_ends_s.items() if end <= now]:
             del self._fault_ends_s[kind]
             if kind == "unplug":

@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
 from std_msgs.msg import Empty, String
 
 from gantry_driver.core.goal_job import WORKING
@@ -29,6 +28,7 @@ from icu_common.nodes.conversions import (
     result_of_message,
 )
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -38,7 +38,7 @@ HELD_UP_S = 3.0
 """After so long without a tick nobody counts on the next step any more: the page gives up who is silent for 5 s."""
 
 
-class SequenceNode(Node):
+class SequenceNode(GraphNode):
     """Hears ``sequence``, ``result``, ``state``, ``driver_state`` and ``panel/state``.
 
     Publishes ``command``, ``stop_request``, ``sequence_result`` and ``sequence_state``.

@@ -18,7 +18,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Header, String
 from std_srvs.srv import SetBool, Trigger
@@ -29,7 +29,8 @@ from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, Position, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
-from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time
+from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time, steady_s
+from icu_common.adapters.step_ledger import BYTES_READ, BYTES_WRITTEN
 from icu_common.core.frames import JOINTS
 from icu_common.nodes.conversions import (
     diagnostic_status,
@@ -38,11 +39,14 @@ from icu_common.nodes.conversions import (
     result_message,
     stamp_ns,
 )
+from icu_common.nodes.graph_node import GraphLifecycleNode, this_process
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 from icu_common.nodes.runtime import run
-from icu_common.nodes.timers import every
+from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 
+STEPS = "driver:steps"
+"""Ledger entry in which the steps of simulated time are counted that the thread of the port has dealt with."""
 LINK_CHECK_S = 0.5
 PUBLISH_WITHIN_S = 2.0
 """For what is still to be published when the driver ends."""
@@ -53,7 +57,7 @@ LEVELS = {
 }
 
 
-class SerialDriverNode(LifecycleNode):
+class SerialDriverNode(GraphLifecycleNode):
     """Drives one gantry; see docs/architecture.md for topics, services and states."""
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -81,7 +85,8 @@ class SerialDriverNode(LifecycleNode):
         self.create_service(Trigger, "write_settings", self._on_write)
         self.create_service(SetBool, "enable", self._on_enable)
         every(self, 1.0, self._publish_diagnostics)
-        every(self, LINK_CHECK_S, self._check_link)
+        every(self, LINK_CHECK_S, self._check_link, wall=True)
+        self.add_clock_listener(self._on_step)
         if config.autostart:
             self.trigger_configure()
             self.trigger_activate()
@@ -98,6 +103,7 @@ class SerialDriverNode(LifecycleNode):
             self._old_wakeup_fd = None
         self._configured = False
         self._link.close("the driver is ending")
+        self._count_turn(self._link.wakes, 0, 0)
 
     # --- lifecycle -------------------------------------------------------------------------------------------------
 
@@ -131,7 +137,15 @@ class SerialDriverNode(LifecycleNode):
 
     def _make_link(self) -> SerialLink:
         config = self._live.config
-        link = SerialLink(Machine(config, active=False), config.port, config.baud, self._on_events)
+        self._steps_finished = 0
+        link = SerialLink(
+            Machine(config, active=False),
+            config.port,
+            config.baud,
+            self._on_events,
+            clock=seconds_of(self) if runs_by_clock_topic(self) else steady_s,
+            on_turn=None if this_process.ledger is None else self._count_turn,
+        )
         link.call(lambda machine, now: None)  # says that there is no port
         return link
 
@@ -148,7 +162,7 @@ class SerialDriverNode(LifecycleNode):
         stamp = stamp_ns(message.stamp)
         # One that was long under way must not count as fresh; one from the future counts as now.
         age_s = max(0.0, (self._now_ns() - stamp) / 1e9) if stamp else 0.0
-        self._link.call(lambda machine, now: machine.heartbeat(now - age_s))
+        self._link.call(lambda machine, now: machine.heartbeat((machine.wall_s or now) - age_s))
 
     def _on_home(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return _fill(response, self._link.call(lambda machine, now: machine.home(now)), "accepted: homing")
@@ -179,6 +193,24 @@ class SerialDriverNode(LifecycleNode):
     def _on_events(self, events: list[Event]) -> None:
         stamp = self._now_ns()
         self._outbox.put(lambda: self._publish_events(events, stamp))
+
+    def _on_step(self, _now_ns: int) -> None:
+        """Let the link act by the new time."""
+        if this_process.ledger is not None and self._link.alive:
+            this_process.ledger.expect(STEPS)
+            self._link.wake()
+
+    def _count_turn(self, wakes: int, read: int, written: int) -> None:
+        """Count what a turn of the link has dealt with, once what came of it has been published."""
+        steps, self._steps_finished = wakes - self._steps_finished, wakes
+        if steps or read or written:
+            self._outbox.put(lambda: self._count(steps, read, written))
+
+    def _count(self, steps: int, read: int, written: int) -> None:
+        if (ledger := this_process.ledger) is not None:
+            ledger.finish(BYTES_WRITTEN, written)
+            ledger.finish(BYTES_READ, read)
+            ledger.finish(STEPS, steps)
 
     def _publish_all(self) -> None:
         for publish in iter(self._outbox.get, None):

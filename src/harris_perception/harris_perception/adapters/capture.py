@@ -37,6 +37,8 @@ class Capture:
         A source that is silent for longer has failed.
     retry_min_s, retry_max_s
         First and longest pause before opening again; the pause doubles until pictures come.
+    clock
+        Seconds by which the silence of a source is measured: a simulated camera is silent while its time stands still.
     """
 
     def __init__(
@@ -48,7 +50,9 @@ class Capture:
         read_timeout_s: float = 2.0,
         retry_min_s: float = 0.5,
         retry_max_s: float = 5.0,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._clock = clock
         self._open_source, self._on_frames, self._on_failure = open_source, on_frames, on_failure
         self._read_timeout_s, self._retry_min_s, self._retry_max_s = read_timeout_s, retry_min_s, retry_max_s
         self._stop = threading.Event()
@@ -99,16 +103,16 @@ class Capture:
     def _read_until_failure(self) -> None:
         self._set("opening", self._status.reason)
         source = self._open_source(self._stop)
-        last_s = time.monotonic()
+        last_s = self._clock()
         try:
             while not self._stop.is_set():
                 try:
                     frames = source.read(min(_TURN_S, self._read_timeout_s))
                 except TimeoutError:
-                    if time.monotonic() - last_s > self._read_timeout_s:
+                    if self._clock() - last_s > self._read_timeout_s:
                         raise SourceError(f"no picture for {self._read_timeout_s:.1f} s") from None
                     continue
-                last_s = time.monotonic()
+                last_s = self._clock()
                 if not self._stop.is_set():
                     self._set("running", taken=1)
                     self._on_frames(frames)

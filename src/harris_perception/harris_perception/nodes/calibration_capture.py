@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
@@ -24,6 +23,7 @@ from icu_common.adapters.program_end import end_signals
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import image_array, stamp_ns
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.runtime import ros_session
 from icu_common.nodes.timers import every
 
@@ -32,7 +32,7 @@ _MANY = 10
 """So many pictures without a partner are no accident."""
 
 
-class CalibrationCaptureNode(Node):
+class CalibrationCaptureNode(GraphNode):
     """Listens to one topic of pictures per camera and writes the moments kept as PNG.
 
     How far it is and what is missing goes to ``calibration/camera_coverage`` as one line, and to ``/diagnostics`` with

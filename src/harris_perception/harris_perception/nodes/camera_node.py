@@ -21,15 +21,17 @@ from harris_perception.adapters.camera_sources import (
     require_settings,
 )
 from harris_perception.adapters.capture import Capture
+from icu_common.adapters.frame_link import FRAMES
 from icu_common.core import frames as frame_names
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import ConfigError
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import camera_info_message, header, image_message
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode, this_process
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
-from icu_common.nodes.timers import every
+from icu_common.nodes.timers import every, seconds_of
 
 
 class Eye:
@@ -83,7 +85,7 @@ def _waits(config: CameraConfig) -> dict[str, float]:
     return {name: getattr(config, name) for name in names}
 
 
-class CameraNode(Node):
+class CameraNode(GraphNode):
     """Publishes ``left/image_raw``, ``left/camera_info`` and the same for ``right``."""
 
     def __init__(self, **options: Any) -> None:
@@ -104,8 +106,12 @@ class CameraNode(Node):
             lambda stop: open_source(config, now_ns=self._now_ns, stop=stop),
             self._on_frames,
             on_failure=lambda text: self.get_logger().error(text, throttle_duration_sec=5.0),
+            clock=seconds_of(self),
             **_waits(config),
         )
+        self._ledger = this_process.ledger if config.source == "bench" else None
+        if self._ledger is not None:
+            self._ledger.subscribe(FRAMES)
         self._diagnostics = Diagnostics(self, "camera")
         self._period_s = 1.0
         every(self, self._period_s, self._report)
@@ -118,6 +124,8 @@ class CameraNode(Node):
         for eye, picture, stamp_ns in zip(self._eyes, frames.pictures, frames.stamps_ns):
             eye.publish(picture, stamp_ns)
         self._ages_ms.append((self._now_ns() - frames.stamps_ns[0]) / 1e6)
+        if self._ledger is not None:
+            self._ledger.finish(FRAMES)
 
     def _report(self) -> None:
         status = self._capture.status

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
 from harris_perception.core import edge_lines
@@ -32,6 +31,7 @@ from icu_common.nodes.conversions import (
     image_message,
 )
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -72,7 +72,7 @@ class CornersNodeConfig(HarrisConfig):
             raise ConfigError(f"response = {self.response!r}: edge_method 'combined' needs 'harris'")
 
 
-class CornersNode(Node):
+class CornersNode(GraphNode):
     """Publishes the ``corners`` of each ``image_raw``.
 
     While somebody looks also ``corners_image``, ``edges`` (labels) and ``edge_lines`` (few points, for overlays).

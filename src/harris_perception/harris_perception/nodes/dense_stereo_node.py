@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
@@ -28,6 +27,7 @@ from icu_common.nodes.conversions import (
     stamp_ns,
 )
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -48,7 +48,7 @@ class DenseStereoConfig(Config):
     matching: SemiGlobalConfig = nested(SemiGlobalConfig)
 
 
-class DenseStereoNode(Node):
+class DenseStereoNode(GraphNode):
     """Publishes ``disparity`` and ``dense_points``; takes ``image_raw`` and ``camera_info`` of both sides.
 
     The pictures are subscribed to only while one of the two has a reader, so an unwatched node costs nothing.

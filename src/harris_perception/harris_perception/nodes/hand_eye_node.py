@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -49,6 +48,7 @@ from icu_common.nodes.conversions import (
     transform_of_pose,
 )
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -56,7 +56,7 @@ from icu_common.nodes.timers import every
 _TICK_S = 0.05
 
 
-class HandEyeNode(Node):
+class HandEyeNode(GraphNode):
     """Services ``run``, ``add_sample``, ``solve``, ``save``; publishes ``camera_from_base``, ``axes`` and ``state``."""
 
     def __init__(self, **options: Any) -> None:

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped
-from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Float32, Header, String
@@ -53,10 +52,11 @@ from icu_common.nodes.conversions import (
     transform_of_pose,
 )
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
-from icu_common.nodes.timers import every
+from icu_common.nodes.timers import every, seconds_of
 
 _KEPT_CORNERS = 8
 _KEPT_UNREAD = 8
@@ -140,11 +140,12 @@ class _Unread:
     since_s: float
 
 
-class RecognitionNode(Node):
+class RecognitionNode(GraphNode):
     """Publishes pose, measured points, controls, confidence and state from pictures, corners and the stylus's tip."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("recognition", **options)
+        self._seconds = seconds_of(self)
         self._live = LiveParameters(self, RecognitionNodeConfig, self._use, self._prepare)
         self._layout, self._picture = _designated(self._live.config)
         self._prepare(self._live.config)
@@ -237,7 +238,7 @@ class RecognitionNode(Node):
             if stamp < self._last_stamp:
                 self._unread.clear()
             self._last_stamp = stamp
-            self._waiting = (message, time.monotonic() + self._live.config.corners_wait_s)
+            self._waiting = (message, self._seconds() + self._live.config.corners_wait_s)
             self._try_waiting()
 
     def _on_tip(self, message: PointStamped) -> None:
@@ -253,7 +254,7 @@ class RecognitionNode(Node):
 
     def _take_tip(self, head: Header, tip: Array | None) -> None:
         self._tips.add(stamp_ns(head.stamp), tip)
-        self._tracker_s = time.monotonic()
+        self._tracker_s = self._seconds()
         self._read_unread()
 
     def _on_plane(self, message: PoseWithCovarianceStamped) -> None:
@@ -294,7 +295,7 @@ class RecognitionNode(Node):
     def _on_tick(self) -> None:
         self._try_waiting()
         self._read_unread()
-        if self._confidence > 0 and time.monotonic() - self._last_seen_s > self._live.config.silence_s:
+        if self._confidence > 0 and self._seconds() - self._last_seen_s > self._live.config.silence_s:
             self.get_logger().warning("no pictures: the panel counts as lost")
             self._recogniser.forget()
             self._publish(None, self._agreement.add(None), None)
@@ -304,7 +305,7 @@ class RecognitionNode(Node):
             return
         message, deadline_s = self._waiting
         corners = self._corners.get(stamp_ns(message.header.stamp))
-        if corners is not None or time.monotonic() >= deadline_s:
+        if corners is not None or self._seconds() >= deadline_s:
             self._waiting = None
             self._look(message, corners)
 
@@ -333,7 +334,7 @@ class RecognitionNode(Node):
         self._publish(sighting, pose, message)
         # Of a tracker that is far behind fewer pictures are read: without their own tips they tell what is not so.
         if sighting is not None and pose is not None and len(self._unread) < _KEPT_UNREAD:
-            self._unread.append(_Unread(message=message, sighting=sighting, pose=pose, since_s=time.monotonic()))
+            self._unread.append(_Unread(message=message, sighting=sighting, pose=pose, since_s=self._seconds()))
         self._frames += 1
         self._found += sighting is not None
         self._busy_s += time.perf_counter() - start
@@ -369,7 +370,7 @@ class RecognitionNode(Node):
 
     def _publish(self, sighting: Sighting | None, pose: Transform | None, message: Image | None) -> None:
         self._sighting = sighting
-        self._last_seen_s = time.monotonic()
+        self._last_seen_s = self._seconds()
         self._confidence = sighting.agreement if sighting is not None and pose is not None else 0.0
         # The pose goes first: who hears a confidence above zero has the pose that it belongs to.
         if pose is not None and message is not None:
@@ -384,7 +385,7 @@ class RecognitionNode(Node):
         A tracker that is silent is not waited for; one that is late, but at work, is.
         """
         while self._unread:
-            first, now_s = self._unread[0], time.monotonic()
+            first, now_s = self._unread[0], self._seconds()
             silent = now_s - self._tracker_s >= self._live.config.tip_wait_s
             if silent or self._tips.is_complete(stamp_ns(first.message.header.stamp)):
                 self._read(self._unread.popleft())

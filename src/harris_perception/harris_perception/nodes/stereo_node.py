@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
 from harris_perception.core.gray import eight_bits, gray_of
@@ -39,6 +38,7 @@ from icu_common.nodes.conversions import (
     stamp_ns,
 )
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -80,7 +80,7 @@ class Matcher:
         return fit_plane(points[:, :3], points[:, 3], self._config.plane, np.random.default_rng(_SEED))
 
 
-class StereoNode(Node):
+class StereoNode(GraphNode):
     """Subscribes to ``image_raw``, ``camera_info`` and ``corners`` of both sides; publishes ``points2``,
     ``panel_plane``, and that with its covariance as ``panel_plane_estimate``.
     """

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from geometry_msgs.msg import PointStamped
-from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
@@ -19,12 +18,13 @@ from icu_common.core import frames
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import header, image_array, point_message, stamp_ns
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
 
 
-class StylusNode(Node):
+class StylusNode(GraphNode):
     """Subscribes to ``image_raw`` and ``camera_info`` of ``left`` and ``right``; publishes ``tip`` or ``unseen``."""
 
     def __init__(self, **options: Any) -> None:

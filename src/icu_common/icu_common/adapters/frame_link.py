@@ -22,6 +22,8 @@ from icu_common.adapters.unix_listener import listen_at
 _HEADER = struct.Struct("<4sIIIIq")
 _MAGIC = b"ICU1"
 MAX_BYTES = 64 * 1024 * 1024
+FRAMES = "camera:frames"
+"""Ledger entry in which a stepped bench and its camera node count pairs (see icu_common.adapters.step_ledger)."""
 
 Picture = npt.NDArray[np.uint8]
 

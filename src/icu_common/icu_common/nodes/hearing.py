@@ -8,18 +8,18 @@ on, and hears nothing, for ever. See docs/decisions/processes.md.
 
 from __future__ import annotations
 
-import functools
 import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
 from icu_common.nodes import diagnostics, qos
+from icu_common.nodes.graph_node import GraphNode, this_process
+from icu_common.nodes.timers import runs_by_clock_topic
 
 LIMIT_S = 8.0
 """A camera needs less for its first picture, and for the next ones."""
@@ -63,34 +63,25 @@ class Hearing:
         """What any subscription hears; ``heard`` once it was another program."""
         self._looked_at_s = -math.inf
 
-    def install(self) -> None:
-        """Watch every subscription that is made from now on in this process."""
-        create_subscription = Node.create_subscription
+    def observe(self, node: Node, subscription: Subscription) -> Callable[[], None]:
+        """Watch a new subscription; call what is returned before each of its callbacks."""
+        ear = _Ear(made=subscription)
+        self._ears.append((node, ear))
 
-        @functools.wraps(create_subscription)
-        def subscription(
-            node: Node, kind: Any, topic: str, callback: Callable[[Any], None], *args: Any, **kwargs: Any
-        ) -> Any:
-            ear = _Ear()
+        def hears() -> None:
+            ear.heard = True
+            ear.silent_s = self._any.silent_s = 0.0
 
-            def hears(message: Any) -> None:
-                ear.heard = True
-                ear.silent_s = self._any.silent_s = 0.0
-                callback(message)
+        return hears
 
-            ear.made = create_subscription(node, kind, topic, hears, *args, **kwargs)
-            self._ears.append((node, ear))
-            return ear.made
-
-        Node.create_subscription = subscription
-        self._create = create_subscription
-
-    def listen(self, node: Node) -> None:
+    def listen(self, node: GraphNode) -> None:
         """Hear what the other programs tell of themselves each second, unless those are a recording's seconds."""
-        if node.get_parameter("use_sim_time").value:
+        if runs_by_clock_topic(node) and this_process.ledger is None:
             self._others = False
             return
-        self._create(node, DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.SENSOR, raw=True)
+        node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.SENSOR, observed=False, raw=True
+        )
 
     def _on_diagnostics(self, data: bytes) -> None:
         # Serialised, as it is of no interest who says what; the process's own words come by another way.

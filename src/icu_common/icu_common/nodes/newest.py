@@ -8,6 +8,7 @@ from typing import Any
 from rclpy.node import Node
 
 from icu_common.nodes import qos
+from icu_common.nodes.graph_node import this_process
 
 
 class NewestSubscription:
@@ -49,6 +50,8 @@ class NewestSubscription:
             message, info = newer
             drained += 1
         if drained:
+            if this_process.ledger is not None:
+                this_process.ledger.finish(self._subscription.topic_name, drained)
             gap = int(info.get("publication_sequence_number") or 0) - self._sequence - 1
             full = drained >= qos.NEWEST.depth - 1
             self.dropped += max(drained, gap) if full and self._sequence else drained

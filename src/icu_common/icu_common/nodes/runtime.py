@@ -39,8 +39,9 @@ from icu_common.adapters.transport_profile import (
 )
 from icu_common.core.config import ConfigError
 from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
-from icu_common.nodes import in_step
+from icu_common.nodes.graph_node import GraphLifecycleNode, GraphNode, this_process
 from icu_common.nodes.hearing import Hearing
+from icu_common.nodes.timers import runs_by_clock_topic
 
 
 def prepare_transport(shared_memory: bool = True) -> None:
@@ -76,15 +77,17 @@ def prepare_transport(shared_memory: bool = True) -> None:
     keep_large_blocks()
 
 
+_SHOW_MATCHES_S = 0.1
+"""Interval at which a process that counts writes what its publishers have found."""
+
+
 class Session:
     """rclpy between its start and its end: an executor, and whether a signal to end has come."""
 
     def __init__(self) -> None:
         self.executor = EventsExecutor()
         self.stopping = False
-        self._tally = in_step.Tally() if in_step.wanted() else None
-        if self._tally is not None:
-            self._tally.install()
+        self._matches_shown_s = 0.0
         for number in end_signals():
             signal.signal(number, self._stop)
 
@@ -99,8 +102,9 @@ class Session:
     def spin(self, timeout_s: float = 0.1) -> None:
         """Serve what is due; EventsExecutor.spin() does not see signals, short turns do."""
         self.executor.spin_once(timeout_sec=timeout_s)
-        if self._tally is not None:
-            self._tally.tell()
+        if (now_s := time.monotonic()) - self._matches_shown_s > _SHOW_MATCHES_S:
+            self._matches_shown_s = now_s
+            this_process.show_matches()
 
     def close(self, node: Node) -> None:
         """Close a node, if it can be closed."""
@@ -171,12 +175,17 @@ def ros_session(arguments: Sequence[str] | None = None, shared_memory: bool = Tr
         If an argument or a parameter file cannot be read.
     """
     prepare_transport(shared_memory)
+    try:
+        this_process.count_steps()
+    except OSError as error:
+        raise ConfigError(f"the ledger of steps cannot be opened: {error}") from error
     with _readable():
         start_rclpy(arguments)
     try:
         yield Session()
     finally:
         rclpy.shutdown()
+        this_process.end()
 
 
 _collected: list[Callable[..., Node]] | None = None
@@ -246,11 +255,17 @@ def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None,
 def _hearing() -> Hearing | None:
     """Return what watches the process's hearing, where somebody is there to start it anew."""
     after_crash = bool(os.environ.pop(AFTER_CRASH_VARIABLE, ""))
-    if in_step.wanted() or not (after_crash or READY_VARIABLE in os.environ):
+    if not (after_crash or READY_VARIABLE in os.environ):
         return None
     hearing = Hearing(after_crash=after_crash, others=READY_VARIABLE in os.environ and keeps_to_this_host())
-    hearing.install()
+    this_process.observer = hearing.observe
     return hearing
+
+
+def _seconds_heard_in(node: Node) -> float:
+    """Return a time that passes only while the others can be heard: by simulated time they may all be waiting."""
+    ledger = this_process.ledger
+    return time.monotonic() if ledger is None or not runs_by_clock_topic(node) else ledger.time_ns / 1e9
 
 
 def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
@@ -261,13 +276,13 @@ def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
             with _readable():
                 nodes.append(make())
             session.executor.add_node(nodes[-1])
-        if hearing is not None:
+        if hearing is not None and isinstance(nodes[0], GraphNode | GraphLifecycleNode):
             hearing.listen(nodes[0])
         life = SignsOfLife()
         while session.goes_on:
             session.spin()
             life.turn()
-            if hearing is not None and (what := hearing.deaf(time.monotonic())):
+            if hearing is not None and (what := hearing.deaf(_seconds_heard_in(nodes[0]))):
                 print(f"error: {what}: ending, to be started anew", file=sys.stderr)
                 for node in nodes:
                     session.close(node)

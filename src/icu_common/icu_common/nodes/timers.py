@@ -1,19 +1,49 @@
-"""Timers that a step of the system's clock does not hold up."""
+"""Timers and clocks of a node: steady ones, or those of the time on ``/clock``."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
+from icu_common.nodes.graph_node import GraphNode
 
-def every(node: Node, period_s: float, callback: Callable[[], object]) -> None:
-    """Call back every ``period_s`` of the steady clock, with ``use_sim_time`` of the recording's.
+
+def runs_by_clock_topic(node: Node) -> bool:
+    """Return whether the node's time is that on ``/clock``, of a simulation or a recording."""
+    return bool(node.get_parameter("use_sim_time").value)
+
+
+def every(node: Node, period_s: float, callback: Callable[[], object], *, wall: bool = False) -> None:
+    """Call back every ``period_s`` of the steady clock, or with ``use_sim_time`` of the time on ``/clock``.
 
     rclpy's own choice, ROS time, is the system's: a timer of it stands still for as long as that was set back.
+
+    Parameters
+    ----------
+    node, period_s, callback
+        The node that owns the timer, its period, and what is called.
+    wall
+        Keep to the steady clock in any case: for what guards people or programs.
     """
-    recorded = node.get_parameter("use_sim_time").value
-    clock = node.get_clock() if recorded else Clock(clock_type=ClockType.STEADY_TIME)
-    node.create_timer(period_s, callback, clock=clock)
+    if not wall and runs_by_clock_topic(node):
+        if isinstance(node, GraphNode):
+            node.add_clock_timer(period_s, callback)
+        else:
+            node.create_timer(period_s, callback, clock=node.get_clock())
+    else:
+        node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def seconds_of(node: Node) -> Callable[[], float]:
+    """Return the clock by which a node measures its waits, in seconds.
+
+    It is the steady clock, which no one sets, or with ``use_sim_time`` the time on ``/clock``.
+    """
+    if not runs_by_clock_topic(node):
+        return time.monotonic
+    clock = node.get_clock()
+    return lambda: float(clock.now().nanoseconds) / 1e9

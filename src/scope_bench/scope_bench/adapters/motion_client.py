@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 MAX_LINE_BYTES = 65536
+STEP_ANSWER_S = 10.0
+"""Wall seconds within which a stepped board answers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,12 +48,14 @@ def parse_sample(line: bytes) -> MotorSample:
 
 
 class MotionClient:
-    """A connection that may come and go; no call waits."""
+    """A connection that may come and go; only :meth:`advance` waits."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.socket: socket.socket | None = None
         self.bad_lines = 0
+        self.sent = self.received = 0
+        """Bytes that the board's serial port has sent and received, as of the newest step."""
         self._buffer = b""
 
     def connect(self) -> bool:
@@ -83,13 +87,45 @@ class MotionClient:
         if len(self._buffer) > MAX_LINE_BYTES:
             self.bad_lines += 1
             self._buffer = b""
-        samples = []
+        samples: list[MotorSample] = []
         for line in filter(None, lines):
-            try:
-                samples.append(parse_sample(line))
-            except ValueError:
-                self.bad_lines += 1
+            samples += self._parsed(line)
         return samples
+
+    def advance(self, until_s: float, within_s: float = STEP_ANSWER_S) -> list[MotorSample]:
+        """Let a stepped board run until ``until_s``, and return the samples on the way there.
+
+        Afterwards ``socket`` is None if the board has gone, or has not answered within ``within_s``.
+        """
+        if self.socket is None:
+            return []
+        samples: list[MotorSample] = []
+        self.socket.settimeout(within_s)
+        try:
+            self.socket.sendall(json.dumps({"until": until_s}).encode() + b"\n")
+            while self.socket is not None:
+                while (end := self._buffer.find(b"\n")) >= 0:
+                    line, self._buffer = self._buffer[:end], self._buffer[end + 1 :]
+                    if line.startswith(b'{"until"'):
+                        answer = json.loads(line)
+                        self.sent, self.received = int(answer["sent"]), int(answer["received"])
+                        self.socket.setblocking(False)
+                        return samples
+                    samples += self._parsed(line)
+                data = self.socket.recv(1 << 20)
+                if not data:
+                    self.close()
+                self._buffer += data
+        except (OSError, ValueError, KeyError):
+            self.close()
+        return samples
+
+    def _parsed(self, line: bytes) -> list[MotorSample]:
+        try:
+            return [parse_sample(line)]
+        except ValueError:
+            self.bad_lines += 1
+            return []
 
     def close(self) -> None:
         """Drop the connection."""

@@ -16,12 +16,14 @@ from typing import Any, ClassVar, TextIO
 
 import numpy as np
 
-from icu_common.adapters.frame_link import FrameServer
+from icu_common.adapters.frame_link import FRAMES, FrameServer
+from icu_common.adapters.step_ledger import StepLedger
 from icu_common.adapters.unix_listener import listen_at
 from icu_common.core.config import from_mapping, to_mapping
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import PanelLayout
 from scope_bench.adapters.motion_client import MotionClient
+from scope_bench.adapters.step_time import StepTime
 from scope_bench.core.bench import Bench, matrix
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.renderer import Renderer
@@ -30,6 +32,8 @@ EXPOSURE_LAG_S = 0.015
 """The exposure lies so far back that the motor samples around it have come."""
 RECONNECT_S = 0.25
 SEND_S = 0.03
+STEP_LOOK_S = 0.001
+"""Interval of looks whether a step is finished."""
 CAMERA_STATES = ("ok", "frozen", "unplugged")
 
 
@@ -43,10 +47,12 @@ class Health:
     render_ms: float
     bad_lines: int
     error: str
+    factor: float
+    left_behind: str
 
 
 class Simulation:
-    """The bench in real time.
+    """The bench, in real time or in steps.
 
     Parameters
     ----------
@@ -54,6 +60,10 @@ class Simulation:
         The panel.
     config
         The bench, with the paths of its sockets and of the truth log.
+    steps
+        The simulated clock; None for real time.
+    ledger
+        Where the images of a stepped bench are counted; None for real time.
 
     Raises
     ------
@@ -63,9 +73,16 @@ class Simulation:
         If the configuration does not fit together.
     """
 
-    def __init__(self, layout: PanelLayout, config: BenchConfig) -> None:
+    def __init__(
+        self,
+        layout: PanelLayout,
+        config: BenchConfig,
+        steps: StepTime | None = None,
+        ledger: StepLedger | None = None,
+    ) -> None:
         self._layout = layout
         self._config = config
+        self._steps, self._ledger = steps, ledger
         self._bench = Bench(layout, config)
         self._renderer = Renderer(layout, config, self._bench.panel_from)
         self._camera = "ok"
@@ -123,7 +140,7 @@ class Simulation:
 
     def health(self) -> Health:
         """Return numbers for the diagnostics; from any thread."""
-        motion = self._motion
+        motion, steps = self._motion, self._steps
         return Health(
             board_connected=motion is not None and motion.socket is not None,
             frames_sent=self._sent,
@@ -131,6 +148,8 @@ class Simulation:
             render_ms=self._render_s * 1000,
             bad_lines=motion.bad_lines if motion is not None else 0,
             error=self._error,
+            factor=1.0 if steps is None else steps.factor(),
+            left_behind="" if steps is None else ", ".join(f"{one.program} ({one.topic})" for one in steps.left_behind),
         )
 
     def _wake(self) -> None:
@@ -143,33 +162,88 @@ class Simulation:
             self._wake_read.recv(4096)
 
     def _run(self) -> None:
-        next_frame = time.monotonic()
         try:
-            while not self._stopping:
-                now = time.monotonic()
-                due = [next_frame - now]
-                if self._motion is not None and self._motion.socket is None:
-                    due.append(self._reconnect_at - now)
-                for key, _ in self._selector.select(max(min(due), 0.0)):
-                    key.data()
-                while self._jobs:
-                    self._reconfigure(self._jobs.popleft())
-                self._connect()
-                now = time.monotonic()
-                if now >= next_frame:
-                    self._expose(now)
-                    period = 1 / self._config.camera.rate_hz
-                    # Keep the beat; after a long pause begin anew instead of catching up.
-                    next_frame = next_frame + period if now - next_frame < period else now + period
-                elif self._frames is not None:
-                    self._frames.flush()
-                self._write_log()
+            if self._steps is None:
+                self._run_in_real_time()
+            else:
+                self._run_in_steps(self._steps)
         except Exception as error:
             # The node's diagnostics say it; a thread that dies silently would look like a frozen camera.
             self._error = f"the bench has stopped: {error!r}"
             raise
         finally:
             self._close()
+
+    def _run_in_real_time(self) -> None:
+        next_frame = time.monotonic()
+        while not self._stopping:
+            now = time.monotonic()
+            due = [next_frame - now]
+            if self._motion is not None and self._motion.socket is None:
+                due.append(self._reconnect_at - now)
+            self._serve(min(due))
+            self._connect()
+            now = time.monotonic()
+            if now >= next_frame:
+                self._bench.advance(now)
+                exposure = now - EXPOSURE_LAG_S
+                self._expose(exposure, time.time_ns() - round((time.monotonic() - exposure) * 1e9))
+                period = 1 / self._config.camera.rate_hz
+                # Keep the beat; after a long pause begin anew instead of catching up.
+                next_frame = next_frame + period if now - next_frame < period else now + period
+            elif self._frames is not None:
+                self._frames.flush()
+            self._write_log()
+
+    def _run_in_steps(self, steps: StepTime) -> None:
+        next_frame_ns = steps.now_ns
+        while not self._stopping:
+            self._connect()
+            self._serve_until(lambda: not steps.wait_s())
+            steps.advance()
+            # Timers and goals of this step come before what the board and the cameras make of it.
+            self._serve_until(steps.settled)
+            self._follow_board(steps.now_s)
+            self._bench.advance(steps.now_s)
+            if steps.now_ns >= next_frame_ns:
+                self._expose((next_frame_ns - steps.start_ns) / 1e9, next_frame_ns)
+                next_frame_ns += round(1e9 / self._config.camera.rate_hz)
+            self._serve_until(lambda: self._frames is None or self._frames.flush())
+            self._serve_until(lambda: self._board_settled(steps))
+            self._write_log()
+
+    def _serve(self, timeout_s: float) -> None:
+        """Answer the sockets, for at most ``timeout_s``, and take new configurations."""
+        for key, _ in self._selector.select(max(timeout_s, 0.0)):
+            key.data()
+        while self._jobs:
+            self._reconfigure(self._jobs.popleft())
+
+    def _serve_until(self, condition: Callable[[], bool]) -> None:
+        """Serve until the condition holds, or the bench is to stop; what it waits for has limits of its own."""
+        while not self._stopping and not condition():
+            self._serve(STEP_LOOK_S)
+
+    def _follow_board(self, until_s: float) -> None:
+        """Let the board run to a time, and take the motion on the way there."""
+        motion = self._motion
+        if motion is None or motion.socket is None:
+            return
+        link = motion.socket
+        samples = motion.advance(until_s)
+        if motion.socket is None:
+            self._selector.unregister(link)
+        for sample in samples:
+            self._bench.feed(sample.mpos_mm, sample.spindle, sample.coolant, sample.time_s)
+
+    def _board_settled(self, steps: StepTime) -> bool:
+        """Whether board, driver and graph have dealt with all that was sent in this step."""
+        motion = self._motion
+        if motion is not None and motion.socket is not None:
+            self._follow_board(steps.now_s)
+            if not steps.serial_settled(motion.sent, motion.received):
+                return False
+        return steps.settled()
 
     def _connect(self) -> None:
         motion, now = self._motion, time.monotonic()
@@ -190,20 +264,21 @@ class Simulation:
         for sample in samples:
             self._bench.feed(sample.mpos_mm, sample.spindle, sample.coolant, sample.time_s)
 
-    def _expose(self, now: float) -> None:
-        self._bench.advance(now)
+    def _expose(self, exposure_s: float, stamp_ns: int) -> None:
+        begin_s = time.monotonic()
         frames = self._frames
         self._readers = frames.reader_count() if frames is not None else 0
         if frames is None or not self._readers or self._camera != "ok":
             return
-        exposure = now - EXPOSURE_LAG_S
-        pictures = self._renderer.render(self._bench.moment(exposure))
-        frames.send(pictures, time.time_ns() - round((time.monotonic() - exposure) * 1e9))
+        pictures = self._renderer.render(self._bench.moment(exposure_s))
+        if self._ledger is not None:
+            self._ledger.expect(FRAMES, min(self._readers, self._ledger.subscriptions(FRAMES)))
+        frames.send(pictures, stamp_ns)
         deadline = time.monotonic() + SEND_S
         while not frames.flush() and (left := deadline - time.monotonic()) > 0:
             frames.wait_writable(left)
         self._sent += 1
-        self._render_s = time.monotonic() - now
+        self._render_s = time.monotonic() - begin_s
 
     def _reconfigure(self, config: BenchConfig) -> None:
         old, self._config = self._config, config
@@ -221,7 +296,7 @@ class Simulation:
         records = self._bench.take_records()
         if self._log is None or not records:
             return
-        offset = time.time() - time.monotonic()
+        offset = time.time() - time.monotonic() if self._steps is None else self._steps.start_ns / 1e9
         for record in records:
             self._log.write(json.dumps({"t": round(record.pop("time_s") + offset, 6), **record}) + "\n")
         self._log.flush()
@@ -279,7 +354,7 @@ class Simulation:
             moved = np.array([*truth["carriage_m"], 0.0])
             camera_from_base = camera_from_base @ Transform(np.eye(3), -moved)
         return {
-            "t": time.time(),
+            "t": time.time() if self._steps is None else self._steps.now_ns / 1e9,
             **truth,
             "camera_from_base": matrix(camera_from_base),
             "camera_from_panel": matrix(camera_from_base @ self._bench.panel_from),

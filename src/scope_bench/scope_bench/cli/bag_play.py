@@ -15,9 +15,9 @@ import time
 from collections.abc import Callable, Collection, Sequence
 
 from icu_common.adapters.program_end import ends_quietly
+from icu_common.adapters.step_ledger import LEDGER_VARIABLE, ledger_path
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.option_bounds import check_bounds, named_path
-from icu_common.nodes import in_step
 from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bag_pictures import SUFFIX
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic
@@ -223,6 +223,11 @@ class Playing:
         return self._clock.toggle(time.monotonic())
 
 
+def _namespace(arguments: Sequence[str]) -> str:
+    """Return the namespace that ROS arguments give, as ``-r __ns:=/bed_1``."""
+    return next((text.removeprefix("__ns:=") for text in arguments if text.startswith("__ns:=")), "")
+
+
 @ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command."""
@@ -236,8 +241,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    if options.in_step:
-        os.environ.pop(in_step.VARIABLE, None)  # the player counts the others
+    if options.in_step:  # bring-up made the ledger of this ROS domain
+        os.environ.setdefault(LEDGER_VARIABLE, str(ledger_path(os.environ.get("ROS_DOMAIN_ID", ""), _namespace(given))))
     try:
         with BagReader(options.bag) as bag:
             if options.start_offset > (whole_s := bag.duration_ns / 1e9):

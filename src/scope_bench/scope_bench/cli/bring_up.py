@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import json
 import os
@@ -20,14 +21,14 @@ from types import FrameType
 from icu_common.adapters.executables import find_executable
 from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
+from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger, ledger_path
 from icu_common.core.option_bounds import named_path
 from icu_common.core.yaml_text import values_of_pairs
-from icu_common.nodes import in_step
 from icu_common.nodes.runtime import prepare_transport
 from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.adapters.graph_names import hold_names
 from scope_bench.adapters.processes import ProcessGroup
-from scope_bench.core.graph_description import GraphError, Program, check_namespace, load_graph
+from scope_bench.core.graph_description import GraphError, Program, check_namespace, load_graph, simulators
 
 IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "Fatal Python error", 'File "', "http://", "https://")
 """Lines with one of these are shown without --verbose."""
@@ -57,6 +58,9 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--composed", action="store_true", help="all nodes but the simulated ones in one process")
     result.add_argument("--in-step", action="store_true", help="let bag_play --in-step wait for every process")
     result.add_argument(
+        "--real-time", action="store_true", help="run a simulated machine by the wall clock, as hardware does"
+    )
+    result.add_argument(
         "--prepare", action="store_true", help="enable, home and calibrate (the simulated machine alone)"
     )
     result.add_argument("--verbose", action="store_true", help="print everything that the programs say")
@@ -76,6 +80,17 @@ def state_folder(given: Path | None, namespace: str = "") -> Path:
     return folder.resolve()
 
 
+def _is_used(ledger: Path) -> bool:
+    """Whether a ledger is there and a running graph counts in it."""
+    if not ledger.is_file():
+        return False
+    try:
+        with contextlib.closing(StepLedger(ledger)) as found:
+            return any(Path(f"/proc/{process}").exists() for process in found.processes().values())
+    except OSError:
+        return False
+
+
 class BringUp:
     """Starts the programs and prints what they say."""
 
@@ -85,6 +100,7 @@ class BringUp:
         self.complete = False
         self.page = ""
         self.serves_page = False
+        self._environment: dict[str, str] = {}
         self._lines: SimpleQueue[str | None] = SimpleQueue()
 
     def run(self) -> int:
@@ -97,6 +113,8 @@ class BringUp:
         with tempfile.TemporaryDirectory(prefix="icu_gantry_") as temporary:
             run = (self.options.run_dir or Path(temporary)).resolve()
             run.mkdir(parents=True, exist_ok=True)
+            ledger = ledger_path(os.environ.get("ROS_DOMAIN_ID", ""), self.options.namespace)
+            simulated = self._runs_by_simulated_time(config, ledger)
             programs = load_graph(
                 config,
                 self.options.profile,
@@ -104,13 +122,28 @@ class BringUp:
                 state=state,
                 robot_namespace=self.options.namespace,
                 scope=self.options.scope,
+                simulated_time=simulated,
             )
             self._check_names(programs)
             programs = [self._with_single_values(program) for program in programs]
             self._check_preparation(programs)
             if not self.options.only:  # single programs may come to a graph
                 hold_names(self.options.namespace)
-            return self._run_programs(programs, Path(temporary))
+            with contextlib.ExitStack() as stack:
+                if simulated or self.options.in_step:
+                    if not self.options.only:  # what an earlier graph has left
+                        ledger.unlink(missing_ok=True)
+                        stack.callback(ledger.unlink, missing_ok=True)
+                    self._environment[LEDGER_VARIABLE] = str(ledger)
+                return self._run_programs(programs, Path(temporary))
+
+    def _runs_by_simulated_time(self, config: Path, ledger: Path) -> bool:
+        """Whether all hardware is simulated here, or the graph that single programs are added to follows ``/clock``."""
+        needed = set(simulators(config, self.options.profile))
+        if self.options.real_time or not needed:
+            return False
+        left = ({*self.options.only} or needed) - {*self.options.without}
+        return needed <= left or (bool(self.options.only) and _is_used(ledger))
 
     def _check_names(self, programs: list[Program]) -> None:
         for text in self.options.set:
@@ -147,8 +180,7 @@ class BringUp:
         prepare_transport()
         here = Path(sys.argv[0])
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-        if self.options.in_step:
-            environment[in_step.VARIABLE] = "1"
+        environment |= self._environment
         group = ProcessGroup(environment, self._output, self._event)
         printer = threading.Thread(target=self._print_all, name="printer", daemon=True)
         printer.start()

@@ -152,6 +152,12 @@ class BenchConfig(Config):
     frame_socket: str = setting("", "Unix socket on which the stereo pairs are served", read_only=True)
     test_socket: str = setting("", "Unix socket on which tests ask for the truth; empty = none", read_only=True)
     truth_log: str = setting("", "File of the physical truth for tests, JSON lines; empty = none", read_only=True)
+    stepped: bool = setting(
+        False, "Publish /clock, and advance only when the graph has finished the last step", read_only=True
+    )
+    step_rate_hz: float = setting(
+        60.0, "Steps of simulated time in each second of it", minimum=10.0, maximum=1000.0, unit="Hz", read_only=True
+    )
     seed: int = setting(1, "Seed of the hidden errors and of the noise", minimum=0, maximum=2**31 - 1, read_only=True)
     camera: CameraConfig = nested(CameraConfig)
     light: LightConfig = nested(LightConfig)

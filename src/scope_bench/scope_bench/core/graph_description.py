@@ -12,11 +12,13 @@ import yaml
 
 from icu_common.core.yaml_text import UNREADABLE, Loader, RepeatedKey, mistake
 
-_PROFILE_KEYS = {"about", "extends", "set"}
+SIMULATED_TIME = "simulated_time"
+"""The profile that is added where all hardware is simulated."""
+_PROFILE_KEYS = {"about", "extends", "set", "simulated_by"}
 _KEYS = {"package", "executable", "namespace", "only", "ros", "ends_last", "when"}
 _NAMESPACE = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*/?", re.ASCII)
 _TEXTS = ("package", "executable", "namespace", "waits_for", "extends", "scope")
-_LISTS, _MAPPINGS = ("parameters", "arguments", "only"), ("set", "remap", "when")
+_LISTS, _MAPPINGS = ("parameters", "arguments", "only", "simulated_by"), ("set", "remap", "when")
 _ADDABLE = {"parameters", "set", "remap", "arguments", "waits_for"}
 
 
@@ -93,8 +95,30 @@ def check_namespace(namespace: str) -> None:
         )
 
 
+def simulators(config: Path, profile: str) -> list[str]:
+    """Return the programs that simulate all hardware of a profile, with which it can run by simulated time.
+
+    Raises
+    ------
+    GraphError
+        As of :func:`load_graph`.
+    """
+    document = _read(config / "graph.yaml", yaml.load)
+    _check_form(document)
+    chain = _chain(document["profiles"], profile)
+    named = [document["profiles"][p]["simulated_by"] for p in chain if "simulated_by" in document["profiles"][p]]
+    return list(named[-1]) if named else []
+
+
 def load_graph(
-    config: Path, profile: str, *, run: Path, state: Path, robot_namespace: str = "", scope: str = ""
+    config: Path,
+    profile: str,
+    *,
+    run: Path,
+    state: Path,
+    robot_namespace: str = "",
+    scope: str = "",
+    simulated_time: bool = False,
 ) -> list[Program]:
     """Return the programs of ``graph.yaml`` in the folder ``config`` for one profile, in the file's order.
 
@@ -108,6 +132,8 @@ def load_graph(
         Put before every name, for several robots in one ROS domain.
     scope
         Model of the designated instrument; empty for the file's default.
+    simulated_time
+        Let the graph follow ``/clock``, which the bench publishes.
 
     Raises
     ------
@@ -118,7 +144,7 @@ def load_graph(
     document = _read(config / "graph.yaml", yaml.load)
     _check_form(document)
     profiles = list(document["profiles"])
-    chain = _chain(document["profiles"], profile)
+    chain = [*_chain(document["profiles"], profile), *([SIMULATED_TIME] if simulated_time else [])]
     scope = scope or document["scope"]
     models = sorted(p.stem for p in (config / "scopes").glob("*.yaml"))
     if scope not in models:
@@ -126,8 +152,9 @@ def load_graph(
     layout = config / "scopes" / f"{scope}.yaml"
     words = {"$(config)": str(config), "$(run)": str(run), "$(state)": str(state), "$(scope)": str(layout)}
     root = PurePosixPath("/") / robot_namespace.strip("/")
-    # /diagnostics is absolute by convention; two robots in one domain would mix theirs.
-    diagnostics = (("/diagnostics", str(root / "diagnostics")),) if str(root) != "/" else ()
+    # These are absolute by convention; two robots in one domain would mix theirs.
+    shared_names = ("diagnostics", "clock") if simulated_time else ("diagnostics",)
+    absolute = tuple((f"/{name}", str(root / name)) for name in shared_names if str(root) != "/")
     programs = []
     for name, entry in document["programs"].items():
         _check_keys(name, entry, profiles)
@@ -150,7 +177,7 @@ def load_graph(
                 namespace=str(root / entry.get("namespace", "")),
                 parameter_files=tuple(files),
                 parameters=_fill(values, words),
-                remappings=tuple((source, str(root / target)) for source, target in remap.items()) + diagnostics,
+                remappings=tuple((source, str(root / target)) for source, target in remap.items()) + absolute,
                 arguments=tuple(_fill([a for part in parts for a in part.get("arguments", ())], words)),
                 is_node=entry.get("ros", True),
                 ends_last=entry.get("ends_last", False),

@@ -7,13 +7,13 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import time_message
+from icu_common.nodes.graph_node import GraphNode
 from scope_bench.adapters.bag_pictures import BESIDE, COMPRESSED, IMAGE, SUFFIX, PictureCodec
 from scope_bench.adapters.bags import BagTopic
 from scope_bench.nodes.bag_qos import message_class, playing_qos
@@ -28,7 +28,7 @@ ASIDE = {"gantry/trajectory": "gantry/recorded_trajectory"}
 """What is played under another name instead: a page shows it, and no driver listens there."""
 
 
-class BagPlayer(Node):
+class BagPlayer(GraphNode):
     """Publishes messages of a bag.
 
     Parameters
@@ -76,8 +76,6 @@ class BagPlayer(Node):
                 if name.endswith(ending):
                     name = name.removesuffix(ending) + other
             profile = playing_qos(topic.qos)
-            if in_step:
-                profile.reliability = ReliabilityPolicy.RELIABLE
             self._outputs[topic.name] = self.create_publisher(message_class(kind), name, profile)
         self._toggle = toggle
         self.create_service(Trigger, "~/toggle_paused", self._on_toggle)
@@ -103,10 +101,6 @@ class BagPlayer(Node):
         output.publish(data)
         return str(output.topic_name)
 
-    def readers(self) -> dict[str, int]:
-        """Return how many subscriptions each topic has, by absolute names."""
-        return {out.topic_name: out.get_subscription_count() for out in self._all_outputs()}
-
     def others(self, topic: str) -> str:
         """Return the name that a topic has here if others publish it, else an empty text."""
         name = self.resolve_topic_name(topic)
@@ -117,9 +111,6 @@ class BagPlayer(Node):
     def places(self) -> set[PurePosixPath]:
         """Every namespace that a topic which is played lies in."""
         return {place for output in self._outputs.values() for place in PurePosixPath(output.topic_name).parents}
-
-    def _all_outputs(self) -> list[Any]:
-        return [*self._outputs.values(), *([self._clock_out] if self._clock_out is not None else [])]
 
     @property
     def unheard(self) -> list[str]:

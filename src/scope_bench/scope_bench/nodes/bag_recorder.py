@@ -10,20 +10,22 @@ from typing import Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.subscription import Subscription
 
+from icu_common.nodes.graph_node import GraphNode, this_process
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagTopic, is_known
 from scope_bench.nodes.bag_qos import is_large, listening_qos, message_class, recorded_qos
 
 _LOOK_S, _TAKE_S = 0.1, 0.02
+_TAKE_IN_STEP_S = 0.002
+"""The time of a graph that runs in step stands still until its messages have been taken."""
 _LEAST_QUIET_S = 0.5
 _LARGE_AT_ONCE = 4
 """Of each topic, before what is small has its turn again."""
 
 
-class BagRecorder(Node):
+class BagRecorder(GraphNode):
     """Records ``topics``, or all; a name that matches ``exclude`` is left out.
 
     Messages are never unpacked. They are stamped with the time at which they came, however much later they are taken:
@@ -49,11 +51,12 @@ class BagRecorder(Node):
         self._begun_s = self._found_s = time.monotonic()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_S, self.look, clock=steady)
-        self.create_timer(_TAKE_S, self.take, clock=steady)
+        take_s = _TAKE_S if this_process.ledger is None else _TAKE_IN_STEP_S
+        self.create_timer(take_s, self.take, clock=steady)
         self.look()
 
-    def _ear(self, what: str, context: Context) -> Node:
-        return Node(
+    def _ear(self, what: str, context: Context) -> GraphNode:
+        return GraphNode(
             f"_{self.get_name()}_{what}",
             context=context,
             namespace=self.get_namespace(),

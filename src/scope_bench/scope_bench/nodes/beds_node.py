@@ -10,13 +10,13 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from icu_common.core.config import Config, ConfigError, setting
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import image_array, stamp_ns
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -48,7 +48,7 @@ class BedsConfig(Config):
     port: int = setting(8090, "Of this page; 0: a free one", minimum=0, maximum=65535, read_only=True)
 
 
-class BedsNode(Node):
+class BedsNode(GraphNode):
     """Subscribes to each bed's states and left picture."""
 
     def __init__(self, **options: Any) -> None:

@@ -5,31 +5,57 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float32
 
+from icu_common.adapters.step_ledger import LEDGER_VARIABLE
 from icu_common.core.config import ConfigError
 from icu_common.core.panel_layout import load_layout
+from icu_common.nodes.conversions import time_message
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphNode, this_process
 from icu_common.nodes.parameters import LiveParameters
+from icu_common.nodes.qos import LATCHED, RESULTS
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
 from scope_bench.adapters.simulation import Health, Simulation
+from scope_bench.adapters.step_time import StepTime
 from scope_bench.core.configuration import BenchConfig
 
 DIAGNOSTICS_S = 1.0
+FACTOR_S = 1.0
+"""Wall seconds between two values of ``simulation_factor``."""
 
 
-class BenchNode(Node):
+class BenchNode(GraphNode):
     """Runs the bench; nothing of the physical truth goes to a topic."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("bench", **kwargs)
         self._settings = LiveParameters(self, BenchConfig, self._changed)
-        self._simulation = _simulation(self._settings.config)
+        config = self._settings.config
+        steps = self._step_time(config) if config.stepped else None
+        self._simulation = _simulation(config, steps)
+        if steps is not None:
+            self._factor = self.create_publisher(Float32, "simulation_factor", LATCHED)
+            every(self, FACTOR_S, self._show_factor, wall=True)
         self._frames_before = 0
         self._diagnostics = Diagnostics(self)
         every(self, DIAGNOSTICS_S, self._report)
         self._simulation.start()
+
+    def _step_time(self, config: BenchConfig) -> StepTime:
+        if this_process.ledger is None:
+            raise ConfigError(f"stepped needs a ledger of steps ({LEDGER_VARIABLE}), which bring_up makes")
+        clock = self.create_publisher(Clock, CLOCK_TOPIC, RESULTS)
+        return StepTime(
+            this_process.ledger,
+            round(1e9 / config.step_rate_hz),
+            lambda now_ns: clock.publish(Clock(clock=time_message(now_ns))),
+        )
+
+    def _show_factor(self) -> None:
+        self._factor.publish(Float32(data=self._simulation.health().factor))
 
     def _changed(self, config: BenchConfig) -> None:
         self._simulation.configure(config)
@@ -45,6 +71,8 @@ class BenchNode(Node):
             ("pairs_per_s", rate),
             ("render_ms", round(health.render_ms, 1)),
             ("bad_lines", health.bad_lines),
+            ("simulation_factor", round(health.factor, 2)),
+            ("left_behind", health.left_behind),
         ]
         self._diagnostics.tell(level, message, values)
 
@@ -61,11 +89,12 @@ def _judged(health: Health) -> tuple[str, str]:
     return "ok", "running"
 
 
-def _simulation(config: BenchConfig) -> Simulation:
+def _simulation(config: BenchConfig, steps: StepTime | None) -> Simulation:
     if not config.layout:
         raise ConfigError("layout is empty: the panel's layout file is needed")
     try:
-        return Simulation(load_layout(Path(config.layout)), config)
+        ledger = None if steps is None else this_process.ledger
+        return Simulation(load_layout(Path(config.layout)), config, steps, ledger)
     except (ValueError, OSError) as error:
         raise ConfigError(str(error)) from error
 

@@ -9,7 +9,6 @@ recording are made anew for the graph that listens:
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -20,16 +19,19 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from icu_common.adapters.step_gate import StepGate
 from icu_common.nodes.conversions import stamp_ns
-from icu_common.nodes.in_step import DEEP, TOPIC
+from icu_common.nodes.graph_node import this_process
+from icu_common.nodes.qos import RESULTS
 from icu_common.nodes.runtime import Session
 from scope_bench.adapters.bags import BagError, BagReader
-from scope_bench.core.step_count import StepCount
 from scope_bench.nodes.bag_player import BagPlayer
 
 CUE, TRAJECTORY, ANSWER = "bag/cue", "gantry/trajectory", "gantry/trajectory_result"
 SETTLED_S = 1.0
-"""At the start nothing may be new for so long."""
+"""Seconds without a change before playback begins."""
+_LOOK_S = 0.001
+"""Interval of looks at the ledger while messages are being processed."""
 
 
 class StepPlayer:
@@ -47,14 +49,12 @@ class StepPlayer:
 
     def __init__(self, session: Session, node: BagPlayer, bag: BagReader, patience_s: float) -> None:
         self._session, self._node, self._patience_s = session, node, patience_s
-        self._count = StepCount()
+        assert this_process.ledger is not None
+        # This class has a limit of its own, which is an error.
+        self._gate = StepGate(this_process.ledger, patience_s=2 * patience_s, callback_patience_s=2 * patience_s)
         self._orders = _recorded_trajectories(bag)
         self._trajectories: list[str] = []
-        node.create_subscription(String, TOPIC, self._on_count, DEEP)
-        node.create_subscription(JointTrajectory, TRAJECTORY, self._on_trajectory, DEEP)
-
-    def _on_count(self, message: String) -> None:
-        self._count.hear(json.loads(message.data))
+        node.create_subscription(JointTrajectory, TRAJECTORY, self._on_trajectory, RESULTS)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         self._trajectories.append(message.header.frame_id or str(stamp_ns(message.header.stamp)))
@@ -70,11 +70,22 @@ class StepPlayer:
         deadline_s, still_s = time.monotonic() + self._patience_s, time.monotonic()
         while self._session.goes_on and time.monotonic() - still_s < SETTLED_S:
             self._session.spin(0.05)
-            if reason := self._count.waiting_for(processes, self._node.readers()):
+            if reason := self._missing(processes):
                 if time.monotonic() > deadline_s:
                     raise BagError(reason)
-                self._count.begin()
+                self._gate.restart()
                 still_s = time.monotonic()
+
+    def _missing(self, processes: int) -> str:
+        """Return what playback cannot begin without yet, "" for nothing."""
+        reasons = []
+        if (found := self._gate.processes() - 1) < processes:  # the player is one, too
+            reasons.append(f"{found} of {processes} processes play in step (was the graph started with --in-step?)")
+        if topics := self._gate.unmatched():
+            reasons.append(f"publishers and subscriptions have not all found each other on {', '.join(topics)}")
+        if topics := self._gate.owed():
+            reasons.append(f"messages are still being processed on {', '.join(topics)}")
+        return "; ".join(reasons)
 
     def play(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Play one message at its time and wait until it has been dealt with.
@@ -84,22 +95,21 @@ class StepPlayer:
         BagError
             If that does not happen, or a cue's service does not succeed.
         """
-        self._count.played["/clock"] += 1
         self._node.show_time(stamp_ns)
         self._wait(f"the time of {topic}")
         if topic.endswith(CUE):
             self._call(deserialize_message(data, String).data)
         else:
-            name = self._node.play(topic, self._answered(data) if topic.endswith(ANSWER) else data)
-            self._count.played[name] += 1
+            self._node.play(topic, self._answered(data) if topic.endswith(ANSWER) else data)
         self._wait(topic)
 
     def _wait(self, what: str) -> None:
         deadline_s = time.monotonic() + self._patience_s
-        while self._session.goes_on and (owed := self._count.under_way()):
-            self._session.spin(0.02)
+        while self._session.goes_on and not self._gate.settled():
+            self._session.spin(_LOOK_S)
             if time.monotonic() > deadline_s:
-                raise BagError(f"{what}: after {self._patience_s:g} s not everything has been taken of {owed}")
+                owed = ", ".join(self._gate.owed())
+                raise BagError(f"{what}: after {self._patience_s:g} s messages are still being processed on {owed}")
 
     def _answered(self, data: bytes) -> bytes:
         message: Any = deserialize_message(data, DiagnosticArray)

@@ -24,7 +24,6 @@ import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from rcl_interfaces.msg import Log
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
@@ -58,10 +57,11 @@ from icu_common.nodes.conversions import (
     transform_of_message,
     transform_of_pose,
 )
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
-from icu_common.nodes.timers import every
+from icu_common.nodes.timers import every, seconds_of
 from scope_ui_bridge.adapters.graph_port import GraphError
 from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
 from scope_ui_bridge.adapters.web_server import WebServer
@@ -110,7 +110,7 @@ _RECORDERS = ("bag_recorder", "rosbag2_recorder")
 _LEVELS = {20: "info", 30: "warn", 40: "error", 50: "fatal"}
 
 
-class BridgeNode(Node):
+class BridgeNode(GraphNode):
     """Serves the operator page; also the :class:`GraphPort` of its web server."""
 
     def __init__(self, **kwargs: Any) -> None:
@@ -135,6 +135,7 @@ class BridgeNode(Node):
         sign_in = SignIn(lambda: secrets.token_urlsafe(32), config.session_lifetime_s, Role(config.token_role))
         self._server = WebServer(config, self._desk, sign_in, self, _open_audit(config))
         self._mail = self._server.mailbox
+        self._seconds = seconds_of(self)
         self._make_inlets()
         try:
             self._server.start()
@@ -142,10 +143,10 @@ class BridgeNode(Node):
             self._server.close()
             raise
         self._server.post(self._desk.begun)
-        every(self, 1.0, self._check_server)
+        every(self, 1.0, self._check_server, wall=True)
         every(self, 0.5, self._call_the_roll)
-        every(self, 1.0, self._check_states)
-        every(self, 1.0, self._look_for_recorders)
+        every(self, 1.0, self._check_states, wall=True)
+        every(self, 1.0, self._look_for_recorders, wall=True)
         self.issue_token()
 
     @property
@@ -208,7 +209,7 @@ class BridgeNode(Node):
         self._hear(DiagnosticArray, "gantry/sequence_result", qos.RESULTS, self._sequence_result_seen)
 
         self._hear_what_is_shown()
-        every(self, _SHOWN_PERIOD_S, self._hear_what_is_shown)
+        every(self, _SHOWN_PERIOD_S, self._hear_what_is_shown, wall=True)
 
     def _hear_what_is_shown(self) -> None:
         """Listen to corners, edges and the other camera only while a page shows them, so that nobody works for nothing.
@@ -332,12 +333,12 @@ class BridgeNode(Node):
 
     def _call_the_roll(self) -> None:
         # What is logged here goes to the page's console by way of /rosout.
-        for name in self._roll.newly_gone(time.monotonic()):
+        for name in self._roll.newly_gone(self._seconds()):
             self.get_logger().error(f"{name} has been silent for {SILENT_S:g} s: it has ended, or hangs")
 
     def _facts_seen(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if self._roll.heard(status.name, time.monotonic()):
+            if self._roll.heard(status.name, self._seconds()):
                 self.get_logger().info(f"{status.name} reports again")
             part = next((part for name, part in _REPORTERS.items() if name in status.name), "")
             if part:

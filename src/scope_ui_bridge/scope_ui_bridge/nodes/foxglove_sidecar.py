@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
@@ -22,13 +21,14 @@ from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.config import ConfigError
 from icu_common.core.option_bounds import check_bounds
 from icu_common.nodes import qos
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.runtime import own_arguments, run
 from icu_common.nodes.timers import every
 
 PORT = 8765
 
 
-class FoxgloveSidecar(Node):
+class FoxgloveSidecar(GraphNode):
     """Hands every topic of the graph on as it is (CDR bytes with the message's definition)."""
 
     def __init__(self, port: int, **kwargs: Any) -> None:

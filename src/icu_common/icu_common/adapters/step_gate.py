@@ -1,0 +1,144 @@
+"""Decides when simulated or recorded time may advance: when every process has finished what was published."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from icu_common.adapters.step_ledger import MAX_TOPICS, Counts, StepLedger
+from icu_common.core.outstanding import Outstanding
+
+PATIENCE_S = 5.0
+"""Longest wait for a process that is in no callback: it is suspended, or a message was lost."""
+CALLBACK_PATIENCE_S = 120.0
+"""Longest wait for a callback; bring-up ends a process that stays in one for longer."""
+_LOOK_FOR_ENDED_S = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Laggard:
+    """A process that has not finished some messages: its number, program name and topic."""
+
+    process: int
+    program: str
+    topic: str
+
+
+class StepGate:
+    """Watches a ledger from the process that advances the time.
+
+    Parameters
+    ----------
+    ledger
+        The graph's counts.
+    patience_s, callback_patience_s
+        Wall seconds without any progress after which the time advances without a process that is idle, or in a
+        callback.
+    clock
+        Wall clock in seconds.
+
+    Attributes
+    ----------
+    left_behind
+        Processes without which the time advanced at the last time-out.
+    """
+
+    def __init__(
+        self,
+        ledger: StepLedger,
+        *,
+        patience_s: float = PATIENCE_S,
+        callback_patience_s: float = CALLBACK_PATIENCE_S,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._ledger = ledger
+        self._patience_s, self._callback_patience_s = patience_s, callback_patience_s
+        self._clock = clock
+        self._outstanding = Outstanding(MAX_TOPICS)
+        self._finished: Counts | None = None
+        self._progress_s = self._looked_s = clock()
+        self.left_behind: tuple[Laggard, ...] = ()
+
+    def settled(self) -> bool:
+        """Return whether nothing is outstanding, or whoever owes it has had its time."""
+        now_s = self._clock()
+        finished, expected, subscriptions, _ = self._ledger.read()
+        owed = self._outstanding.update(finished, expected, subscriptions)
+        if not owed.any():
+            self._finished, self._progress_s = None, now_s
+            return True
+        if self._finished is None or not np.array_equal(finished, self._finished):
+            self._finished, self._progress_s = finished, now_s
+            return False
+        if now_s - self._looked_s > _LOOK_FOR_ENDED_S:
+            self._looked_s = now_s
+            self._forget_ended()
+        if now_s - self._progress_s <= self._patience_s:
+            return False
+        late = self._laggards(owed, finished, subscriptions)
+        busy = any(self._ledger.is_busy(row) for row in late)
+        if busy and now_s - self._progress_s <= self._callback_patience_s:
+            return False
+        self.left_behind = tuple(late.values())
+        self._outstanding.forgive(owed)
+        self._finished = None
+        return True
+
+    def owed(self) -> list[str]:
+        """Return the topics with outstanding messages."""
+        finished, expected, subscriptions, _ = self._ledger.read()
+        owed = self._outstanding.update(finished, expected, subscriptions)
+        topics = self._ledger.topics()
+        return [topics[column] for column in np.flatnonzero(owed)]
+
+    def unmatched(self) -> list[str]:
+        """Return topics whose publishers have not found every registered subscription yet."""
+        _, _, subscriptions, matched = self._ledger.read()
+        readers, topics = subscriptions.sum(axis=0), self._ledger.topics()
+        short = (matched > 0) & (matched - 1 < readers)
+        return [topics[column] for column in np.flatnonzero(short.any(axis=0))]
+
+    def processes(self) -> int:
+        """Return how many processes are registered and running."""
+        self._forget_ended()
+        return len(self._ledger.processes())
+
+    def restart(self) -> None:
+        """Count only what is published from now on."""
+        finished, expected, subscriptions, _ = self._ledger.read()
+        self._outstanding.forgive(self._outstanding.update(finished, expected, subscriptions))
+
+    def _forget_ended(self) -> None:
+        for row, process in self._ledger.processes().items():
+            try:
+                os.kill(process, 0)
+            except ProcessLookupError:
+                self._ledger.forget(row)
+            except PermissionError:  # it runs, for another user
+                continue
+
+    def _laggards(self, owed: Counts, finished: Counts, subscriptions: Counts) -> dict[int, Laggard]:
+        """Return row -> process for those that have finished fewer messages of an outstanding topic than others."""
+        topics, found = self._ledger.topics(), {}
+        for column in np.flatnonzero(owed):
+            rows = np.flatnonzero(subscriptions[:, column])
+            share = finished[rows, column] / subscriptions[rows, column]
+            for row in rows[(share < share.max()) | (len(rows) == 1)]:
+                process = self._ledger.processes().get(int(row), 0)
+                found[int(row)] = Laggard(process=process, program=_program(process), topic=topics[column])
+        return found
+
+
+def _program(process: int) -> str:
+    """Return the name of a process's program, empty for one that has ended."""
+    with contextlib.suppress(OSError):
+        words = Path(f"/proc/{process}/cmdline").read_bytes().decode(errors="replace").split("\0")
+        named = [word.removeprefix("__node:=") for word in words if word.startswith("__node:=")]
+        return named[0] if named else Path(words[1 if len(words) > 1 else 0]).name
+    return ""

@@ -1,0 +1,216 @@
+"""Counts of published and processed messages in memory that the processes of one graph share.
+
+A process has one row, which only that process writes. For each topic the row holds how many deliveries its publishers
+expect, how many messages its callbacks have finished, and how many subscriptions it has. Who adds up all rows knows
+whether any message is still on its way or being processed; see docs/decisions/simulated-time.md.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import mmap
+import os
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+LEDGER_VARIABLE = "ICU_STEP_LEDGER"
+"""Environment variable with the path of the ledger; without it a process runs by its own clock and counts nothing."""
+
+BYTES_READ, BYTES_WRITTEN = "serial:read", "serial:written"
+"""Entries in which a driver counts the bytes that it has processed and sent."""
+
+MAX_PROCESSES, MAX_TOPICS, NAME_BYTES = 64, 512, 160
+_HEAD, _DELIVERIES, _FINISHED, _SUBSCRIPTIONS, _MATCHED = range(5)
+_PID, _BUSY, _TIME = 0, 1, 2
+_NAMES_BYTES = MAX_TOPICS * NAME_BYTES
+_TABLE = (5, MAX_PROCESSES, MAX_TOPICS)
+_SIZE = _NAMES_BYTES + 8 * int(np.prod(_TABLE))
+Counts = npt.NDArray[np.int64]
+
+
+def ledger_path(domain: str, namespace: str) -> Path:
+    """Return where the ledger of a graph is, for one user, ROS domain and namespace."""
+    key = hashlib.sha256(f"{os.getuid()} {domain or '0'} {namespace.strip('/')}".encode()).hexdigest()[:16]
+    return Path(tempfile.gettempdir()) / f"icu_gantry_steps_{key}"
+
+
+class StepLedger:
+    """The shared table; a process that counts calls :meth:`register` first.
+
+    Parameters
+    ----------
+    path
+        The file; it is made, empty, where there is none.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be made or has another size.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            with _locked(descriptor):
+                size = os.fstat(descriptor).st_size
+                if size not in (0, _SIZE):
+                    raise OSError(f"{path}: {size} bytes, a step ledger has {_SIZE}; delete it")
+                os.truncate(descriptor, _SIZE)
+            self._map = mmap.mmap(descriptor, _SIZE)
+        except OSError:
+            os.close(descriptor)
+            raise
+        self._descriptor = descriptor
+        self._table: Counts = np.frombuffer(self._map, np.int64, offset=_NAMES_BYTES).reshape(_TABLE)
+        self._columns: dict[str, int] = {}
+        self._row = -1
+        self._busy = 0
+        self._lock = threading.Lock()
+
+    # --- what a process counts ---------------------------------------------------------------------------------------
+
+    def register(self) -> None:
+        """Take a free row for this process.
+
+        Raises
+        ------
+        OSError
+            If there is none.
+        """
+        with _locked(self._descriptor):
+            free = np.flatnonzero(self._table[_HEAD, :, _PID] == 0)
+            if not free.size:
+                raise OSError(f"{self.path}: {MAX_PROCESSES} processes are registered, more cannot be")
+            self._row = int(free[0])
+            self.forget(self._row)
+            self._table[_HEAD, self._row, _PID] = os.getpid()
+
+    def expect(self, topic: str, count: int = 1) -> None:
+        """Count messages that have been published, each once for every subscription that gets it."""
+        self._add(_DELIVERIES, topic, count)
+
+    def finish(self, topic: str, count: int = 1) -> None:
+        """Count messages of which the callback has returned."""
+        self._add(_FINISHED, topic, count)
+
+    def subscribe(self, topic: str, change: int = 1) -> None:
+        """Count a new subscription, or one that has been destroyed (-1)."""
+        self._add(_SUBSCRIPTIONS, topic, change)
+
+    def match(self, topic: str, count: int) -> None:
+        """Set how many subscriptions this process's publisher of a topic has found."""
+        self._table[_MATCHED, self._row, self._column(topic)] = count + 1  # 0 is for no publisher
+
+    def subscriptions(self, topic: str) -> int:
+        """Return how many subscriptions of a topic all registered processes have."""
+        return int(self._table[_SUBSCRIPTIONS, :, self._column(topic)].sum())
+
+    def finished(self, topic: str) -> int:
+        """Return how many messages of a topic all registered processes have finished."""
+        return int(self._table[_FINISHED, :, self._column(topic)].sum())
+
+    @contextlib.contextmanager
+    def busy(self) -> Iterator[None]:
+        """Mark this process as being in a callback."""
+        with self._lock:
+            self._busy += 1
+            self._table[_HEAD, self._row, _BUSY] = self._busy
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._busy -= 1
+                self._table[_HEAD, self._row, _BUSY] = self._busy
+
+    def _add(self, kind: int, topic: str, change: int) -> None:
+        column = self._column(topic)
+        with self._lock:
+            self._table[kind, self._row, column] += change
+
+    def _column(self, topic: str) -> int:
+        column = self._columns.get(topic)
+        if column is None:
+            column = self._columns[topic] = self._find_column(topic)
+        return column
+
+    def _find_column(self, topic: str) -> int:
+        name = topic.encode()
+        if len(name) >= NAME_BYTES:
+            raise ValueError(f"topic {topic!r}: {len(name)} bytes, a ledger takes {NAME_BYTES - 1}")
+        with _locked(self._descriptor):
+            names = self.topics()
+            if topic in names:
+                return names.index(topic)
+            if len(names) == MAX_TOPICS:
+                raise ValueError(f"topic {topic!r}: the ledger has {MAX_TOPICS} topics, more cannot be")
+            begin = len(names) * NAME_BYTES
+            self._map[begin : begin + len(name)] = name
+            return len(names)
+
+    # --- what an observer reads --------------------------------------------------------------------------------------
+
+    def topics(self) -> list[str]:
+        """Return the names of all topics, in the order of the columns."""
+        data = self._map[:_NAMES_BYTES]
+        found = []
+        for begin in range(0, _NAMES_BYTES, NAME_BYTES):
+            name = data[begin : begin + NAME_BYTES].rstrip(b"\0")
+            if not name:
+                break
+            found.append(name.decode())
+        return found
+
+    def processes(self) -> dict[int, int]:
+        """Return row -> process number of all that are registered."""
+        return {int(row): int(self._table[_HEAD, row, _PID]) for row in np.flatnonzero(self._table[_HEAD, :, _PID])}
+
+    def is_busy(self, row: int) -> bool:
+        """Return whether the process of a row is in a callback."""
+        return bool(self._table[_HEAD, row, _BUSY])
+
+    def forget(self, row: int) -> None:
+        """Free the row of a process that has ended."""
+        self._table[1:, row] = 0
+        self._table[_HEAD, row, [_PID, _BUSY]] = 0
+
+    @property
+    def time_ns(self) -> int:
+        """Newest time that was published on ``/clock``, in ns; 0 before the first."""
+        return int(self._table[_HEAD, 0, _TIME])
+
+    @time_ns.setter
+    def time_ns(self, value: int) -> None:
+        self._table[_HEAD, 0, _TIME] = value
+
+    def read(self) -> tuple[Counts, Counts, Counts, Counts]:
+        """Return copies (processes, topics) of finished, expected and subscription counts, and of matched ones plus 1.
+
+        Finished counts are read first: what is published meanwhile then counts as outstanding, never the reverse.
+        """
+        finished = self._table[_FINISHED].copy()
+        expected, subscriptions = self._table[_DELIVERIES].copy(), self._table[_SUBSCRIPTIONS].copy()
+        return finished, expected, subscriptions, self._table[_MATCHED].copy()
+
+    def close(self) -> None:
+        """Give the row back and close the file."""
+        if self._row >= 0:
+            self.forget(self._row)
+            self._row = -1
+        os.close(self._descriptor)
+
+
+@contextlib.contextmanager
+def _locked(descriptor: int) -> Iterator[None]:
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        fcntl.flock(descriptor, fcntl.LOCK_UN)

@@ -1,0 +1,46 @@
+"""Messages that have been published and not yet processed, from the counts of all processes of a graph."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Counts = npt.NDArray[np.int64]
+
+
+class Outstanding:
+    """Difference between expected and finished deliveries for each topic, from a baseline on.
+
+    A subscription that comes or goes makes the two counts incomparable: a late subscriber of a latched topic processes
+    a message that was published before, and one that ends leaves messages unprocessed. The baseline of its topic then
+    starts again at zero.
+
+    Parameters
+    ----------
+    topics
+        Number of columns of the counts.
+    """
+
+    def __init__(self, topics: int) -> None:
+        self._baseline: Counts = np.zeros(topics, np.int64)
+        self._subscriptions: Counts = np.zeros(topics, np.int64)
+
+    def update(self, finished: Counts, expected: Counts, subscriptions: Counts) -> Counts:
+        """Return the number of outstanding deliveries of each topic, (topics,).
+
+        Parameters
+        ----------
+        finished, expected, subscriptions
+            (processes, topics): callbacks that have returned, deliveries that publishers expect, and subscriptions.
+        """
+        owed: Counts = expected.sum(axis=0) - finished.sum(axis=0) - self._baseline
+        readers: Counts = subscriptions.sum(axis=0)
+        restart = (readers != self._subscriptions) | (owed < 0)
+        self._baseline[restart] += owed[restart]
+        owed[restart] = 0
+        self._subscriptions = readers
+        return owed
+
+    def forgive(self, owed: Counts) -> None:
+        """Wait no longer for ``owed``, as :meth:`update` returned it."""
+        self._baseline += owed

@@ -1,0 +1,210 @@
+"""The base of every node of the graph: counted messages, timers of simulated time, watched subscriptions.
+
+rclpy stays as it is: what is added is done by overriding ``create_publisher`` and ``create_subscription``, through
+which rclpy itself subscribes to ``/clock``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger
+
+CLOCK_TOPIC = "/clock"
+Observer = Callable[[Node, Subscription], Callable[[], None]]
+"""Gets each new subscription, and returns what is called before each of its callbacks."""
+_DEPTH = 200
+"""Messages that a subscription of a process that counts holds: none may be dropped."""
+_PUBLISHED_DEPTH = 20
+"""Messages that a publisher holds until every subscription has them; images take 3 MB each."""
+
+
+@dataclass(slots=True)
+class ProcessContext:
+    """What the nodes of this process share.
+
+    Attributes
+    ----------
+    ledger
+        Where messages are counted; None in a process that runs by its own clock.
+    observer
+        Watches every subscription; None where nothing does.
+    publishers
+        The counted publishers.
+    """
+
+    ledger: StepLedger | None = None
+    observer: Observer | None = None
+    publishers: list[Publisher] = field(default_factory=list)
+
+    def count_steps(self) -> None:
+        """Register with the ledger that the environment names, if it names one.
+
+        Raises
+        ------
+        OSError
+            If the ledger cannot be opened.
+        """
+        path = os.environ.get(LEDGER_VARIABLE, "")
+        if path and self.ledger is None:
+            self.ledger = StepLedger(Path(path))
+            self.ledger.register()
+
+    def show_matches(self) -> None:
+        """Write to the ledger how many subscriptions each publisher has found."""
+        if self.ledger is not None:
+            for publisher in self.publishers:
+                self.ledger.match(publisher.topic_name, publisher.get_subscription_count())
+
+    def end(self) -> None:
+        """Give the ledger's row back."""
+        if self.ledger is not None:
+            self.ledger.close()
+        self.ledger, self.observer = None, None
+        self.publishers.clear()
+
+
+this_process = ProcessContext()
+
+
+class CountedPublisher(Publisher):
+    """A publisher that counts each message once for every registered subscription that gets it."""
+
+    def publish(self, msg: Any) -> None:
+        """Count and send a message."""
+        if (ledger := this_process.ledger) is not None:
+            # Programs that do not count, such as `ros2 topic echo`, are among the matched ones only.
+            topic = self.topic_name
+            ledger.expect(topic, min(self.get_subscription_count(), ledger.subscriptions(topic)))
+        super().publish(msg)
+
+
+@dataclass(slots=True)
+class _ClockTimer:
+    period_ns: int
+    callback: Callable[[], object]
+    due_ns: int | None = None
+
+
+class _Graph:
+    """Overrides of Node; a class before Node in the order of bases."""
+
+    # Node.__init__ subscribes to /clock before a constructor of this class could set them.
+    _clock_timers: list[_ClockTimer]
+    _clock_listeners: list[Callable[[int], object]]
+
+    def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **kwargs: Any) -> Any:
+        """Create a publisher as Node does; it counts where the process counts."""
+        if this_process.ledger is None:
+            return super().create_publisher(msg_type, topic, qos_profile, **kwargs)  # type: ignore[misc]
+        kwargs.setdefault("publisher_class", CountedPublisher)
+        profile = _lossless(qos_profile, most=_PUBLISHED_DEPTH)
+        made = super().create_publisher(msg_type, topic, profile, **kwargs)  # type: ignore[misc]
+        this_process.publishers.append(made)
+        return made
+
+    def destroy_publisher(self, publisher: Publisher) -> bool:
+        """Destroy a publisher as Node does."""
+        if publisher in this_process.publishers:
+            this_process.publishers.remove(publisher)
+        return bool(super().destroy_publisher(publisher))  # type: ignore[misc]
+
+    def create_subscription(
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Any,
+        qos_profile: Any,
+        *,
+        observed: bool = True,
+        **kwargs: Any,
+    ) -> Any:
+        """Create a subscription as Node does; the process's ledger and observer learn of each of its callbacks.
+
+        With ``observed`` false the observer does not.
+        """
+        ledger, observer = this_process.ledger, this_process.observer if observed else None
+        name, before = "", None
+
+        def take(message: Any) -> None:
+            if before is not None:
+                before()
+            callback(message)
+            if topic == CLOCK_TOPIC:
+                self._run_clock_timers(message.clock.sec * 1_000_000_000 + message.clock.nanosec)
+
+        def counted(message: Any) -> None:
+            assert ledger is not None
+            try:
+                with ledger.busy():
+                    take(message)
+            finally:
+                ledger.finish(name)
+
+        if ledger is None:
+            made = super().create_subscription(msg_type, topic, take, qos_profile, **kwargs)  # type: ignore[misc]
+        else:
+            made = super().create_subscription(msg_type, topic, counted, _lossless(qos_profile), **kwargs)  # type: ignore[misc]
+        name = made.topic_name
+        if observer is not None:
+            before = observer(self, made)  # type: ignore[arg-type]
+        if ledger is not None:
+            ledger.subscribe(name)
+        return made
+
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Destroy a subscription as Node does."""
+        if (ledger := this_process.ledger) is not None:
+            ledger.subscribe(subscription.topic_name, -1)
+        return bool(super().destroy_subscription(subscription))  # type: ignore[misc]
+
+    def add_clock_timer(self, period_s: float, callback: Callable[[], object]) -> None:
+        """Call back every ``period_s`` of the time on ``/clock``, in the step that reaches it."""
+        timer = _ClockTimer(period_ns=round(period_s * 1e9), callback=callback)
+        self._clock_timers = [*getattr(self, "_clock_timers", []), timer]
+
+    def add_clock_listener(self, callback: Callable[[int], object]) -> None:
+        """Call back with each time on ``/clock``, in ns, before the timers of that step."""
+        self._clock_listeners = [*getattr(self, "_clock_listeners", []), callback]
+
+    def _run_clock_timers(self, now_ns: int) -> None:
+        for listener in getattr(self, "_clock_listeners", []):
+            listener(now_ns)
+        for timer in getattr(self, "_clock_timers", []):
+            if timer.due_ns is None or timer.due_ns > now_ns + timer.period_ns:  # the first step, or set back
+                timer.due_ns = now_ns + timer.period_ns
+            if now_ns >= timer.due_ns:
+                # A step longer than the period calls once, as rclpy's timers do.
+                timer.due_ns += timer.period_ns * ((now_ns - timer.due_ns) // timer.period_ns + 1)
+                timer.callback()
+
+
+class GraphNode(_Graph, Node):
+    """A node of the graph."""
+
+
+class GraphLifecycleNode(_Graph, LifecycleNode):
+    """A lifecycle node of the graph."""
+
+
+def _lossless(profile: Any, most: int = _DEPTH) -> QoSProfile:
+    """Return a profile with which no message is lost, dropped or outdated, with the durability of ``profile``."""
+    if not isinstance(profile, QoSProfile):
+        return QoSProfile(depth=most, reliability=ReliabilityPolicy.RELIABLE)
+    # A latched topic keeps its depth: a late subscriber gets as many messages.
+    latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    return QoSProfile(
+        depth=profile.depth if latched else most,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=profile.durability,
+    )
