@@ -21,19 +21,23 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from std_msgs.msg import Empty, Header, String
+from std_msgs.msg import Empty, Float32, Header, String
 
 from icu_common.core.results import GoalResult
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import result_of_message, time_message
+from icu_common.nodes.graph_node import CLOCK_TOPIC
 from icu_common.nodes.runtime import prepare_transport, start_rclpy
-from icu_common.nodes.timers import every
+from icu_common.nodes.timers import every, runs_by_clock_topic
 
 REACHED, FAILED, USAGE, TIMED_OUT = 0, 1, 2, 3
 """Exit codes."""
 HEARTBEAT_S = 0.2
+SLOW_SIMULATION = 0.9
+"""Simulation factor below which it is shown."""
 _TOLD_BY = ("gantry/driver_state", "gantry/result")
 BEATS_HEARD = 6
 """Heartbeats before the first goal: three with driver and controller listening, six with one of them known."""
@@ -78,8 +82,16 @@ class OperatorSession:
         self._heartbeat = node.create_publisher(Header, "operator/heartbeat", qos.RESULTS)
         self._stop = node.create_publisher(Empty, "gantry/stop_request", qos.RESULTS)
         self.watch("gantry/state")
-        every(node, HEARTBEAT_S, self._beat)
+        every(node, HEARTBEAT_S, self._beat, wall=True)
         self._beats_heard = 0
+        self._factor = 1.0
+        node.create_subscription(Float32, "simulation_factor", self._on_factor, qos.LATCHED)
+
+    def _on_factor(self, message: Float32) -> None:
+        slow, was_slow = message.data < SLOW_SIMULATION, self._factor < SLOW_SIMULATION
+        self._factor = message.data
+        if slow and not was_slow:
+            say(f"simulation runs at {message.data:.1f} of real time: the computer is busy")
 
     def watch(self, topic: str) -> None:
         """Collect the texts of a latched state topic in ``states[topic]``."""
@@ -193,6 +205,12 @@ class OperatorSession:
         )
         self.wait_until_heard(until)
 
+    def follow_clock_topic(self, until: float) -> None:
+        """Take ROS time from ``/clock`` where the graph does, so that a goal's stamp is of the graph's time."""
+        if self.node.count_publishers(CLOCK_TOPIC) and not runs_by_clock_topic(self.node):
+            self.node.set_parameters([Parameter("use_sim_time", value=True)])
+            self.wait_for(lambda: self.now_ns() > 0, until, lambda: "no time on /clock: does the simulation run?")
+
     def wait_until_heard(self, until: float) -> None:
         """Wait until driver and controller have had the heartbeat."""
         self.wait_for(lambda: self.latest("gantry/state"), until, lambda: "no gantry/state: is the controller running?")
@@ -201,6 +219,7 @@ class OperatorSession:
             until,
             lambda: f"nobody takes {self._heartbeat.topic_name}; the controller is {self.latest('gantry/state')!r}",
         )
+        self.follow_clock_topic(until)
 
     def stop(self) -> None:
         """Ask the driver to stop, and make sure that the request has left."""
@@ -225,11 +244,17 @@ def _nodes(ends: Sequence[TopicEndpointInfo]) -> set[tuple[str, str]]:
     return {(end.node_namespace, end.node_name) for end in ends}
 
 
+def _own_clock(arguments: Sequence[str]) -> list[str]:
+    """Return the remapping to the clock of the robot whose namespace the arguments name."""
+    named = [text.removeprefix("__ns:=").strip("/") for text in arguments if text.startswith("__ns:=")]
+    return ["--ros-args", "-r", f"/clock:=/{named[-1]}/clock"] if named and named[-1] else []
+
+
 @contextmanager
 def operator_session(name: str, arguments: Sequence[str]) -> Iterator[OperatorSession]:
     """Start rclpy with the ROS part of the arguments and end it cleanly whatever happens."""
     prepare_transport()
-    start_rclpy(list(arguments))
+    start_rclpy([*arguments, *_own_clock(arguments)])
     session: OperatorSession | None = None
     old = {}
     try:

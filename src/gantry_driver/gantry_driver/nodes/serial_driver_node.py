@@ -143,11 +143,17 @@ class SerialDriverNode(GraphLifecycleNode):
             config.port,
             config.baud,
             self._on_events,
-            clock=seconds_of(self) if runs_by_clock_topic(self) else steady_s,
+            clock=self._link_clock(),
             on_turn=None if this_process.ledger is None else self._count_turn,
         )
         link.call(lambda machine, now: None)  # says that there is no port
         return link
+
+    def _link_clock(self) -> Callable[[], float]:
+        """Return the clock of the port's thread, which goes on while this node closes and serves no callback."""
+        if (ledger := this_process.ledger) is not None and runs_by_clock_topic(self):
+            return lambda: ledger.time_ns / 1e9
+        return seconds_of(self) if runs_by_clock_topic(self) else steady_s
 
     # --- from the graph ------------------------------------------------------------------------------------------
 

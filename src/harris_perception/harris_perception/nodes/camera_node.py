@@ -102,16 +102,16 @@ class CameraNode(GraphNode):
         self._seen, self._quiet_s = 0, 0.0
         clock = self.get_clock()
         self._now_ns = lambda: int(clock.now().nanoseconds)
-        self._capture = Capture(
-            lambda stop: open_source(config, now_ns=self._now_ns, stop=stop),
-            self._on_frames,
-            on_failure=lambda text: self.get_logger().error(text, throttle_duration_sec=5.0),
-            clock=seconds_of(self),
-            **_waits(config),
-        )
         self._ledger = this_process.ledger if config.source == "bench" else None
         if self._ledger is not None:
             self._ledger.subscribe(FRAMES)
+        self._capture = Capture(
+            lambda stop: open_source(config, now_ns=self._now_ns, stop=stop),
+            self._on_frames,
+            on_failure=self._on_failure,
+            clock=seconds_of(self),
+            **_waits(config),
+        )
         self._diagnostics = Diagnostics(self, "camera")
         self._period_s = 1.0
         every(self, self._period_s, self._report)
@@ -119,6 +119,11 @@ class CameraNode(GraphNode):
 
     def _on_config(self, config: CameraConfig) -> None:
         self._capture.set_waits(**_waits(config))
+
+    def _on_failure(self, text: str) -> None:
+        self.get_logger().error(text, throttle_duration_sec=5.0)
+        if self._ledger is not None:
+            self._ledger.finish_all(FRAMES)
 
     def _on_frames(self, frames: Frames) -> None:
         for eye, picture, stamp_ns in zip(self._eyes, frames.pictures, frames.stamps_ns):

@@ -101,9 +101,19 @@ class StepLedger:
         """Count messages of which the callback has returned."""
         self._add(_FINISHED, topic, count)
 
+    def finish_all(self, topic: str) -> None:
+        """Count as finished what this process was the only one to get, and has lost."""
+        column = self._column(topic)
+        missing = self._table[_DELIVERIES, :, column].sum() - self._table[_FINISHED, :, column].sum()
+        self._add(_FINISHED, topic, int(missing))
+
     def subscribe(self, topic: str, change: int = 1) -> None:
         """Count a new subscription, or one that has been destroyed (-1)."""
         self._add(_SUBSCRIPTIONS, topic, change)
+
+    def leave(self) -> None:
+        """Take no more messages, as a process that is ending; what it still publishes counts."""
+        self._table[_SUBSCRIPTIONS, self._row] = 0
 
     def match(self, topic: str, count: int) -> None:
         """Set how many subscriptions this process's publisher of a topic has found."""

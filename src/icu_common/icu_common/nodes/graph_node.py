@@ -12,11 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.time import Time
 
 from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger
 
@@ -102,6 +104,13 @@ class _Graph:
     # Node.__init__ subscribes to /clock before a constructor of this class could set them.
     _clock_timers: list[_ClockTimer]
     _clock_listeners: list[Callable[[int], object]]
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        clock = self.get_clock()  # type: ignore[attr-defined]
+        if this_process.ledger is not None and clock.ros_time_is_active and (now_ns := this_process.ledger.time_ns):
+            # Before the first message on /clock the time would be 0, and then jump by decades.
+            clock.set_ros_time_override(Time(nanoseconds=now_ns, clock_type=ClockType.ROS_TIME))
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **kwargs: Any) -> Any:
         """Create a publisher as Node does; it counts where the process counts."""

@@ -107,7 +107,9 @@ class Session:
             this_process.show_matches()
 
     def close(self, node: Node) -> None:
-        """Close a node, if it can be closed."""
+        """Close a node, if it can be closed; meanwhile no callback is served."""
+        if this_process.ledger is not None:
+            this_process.ledger.leave()
         if hasattr(node, "close"):
             node.close()
 

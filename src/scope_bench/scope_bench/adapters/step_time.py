@@ -21,7 +21,8 @@ closed."""
 class StepTime:
     """The simulated clock.
 
-    It begins at the system's time, so that stamps stay legible, and never overtakes it.
+    It begins at the ledger's time, which bring-up sets to the system's so that stamps stay legible, and goes on from
+    there when the bench has been restarted. It never overtakes the system's time.
 
     Parameters
     ----------
@@ -36,7 +37,7 @@ class StepTime:
     def __init__(self, ledger: StepLedger, step_ns: int, publish: Callable[[int], None]) -> None:
         self._ledger, self._step_ns, self._publish = ledger, step_ns, publish
         self._gate = StepGate(ledger)
-        self.start_ns = self.now_ns = time.time_ns()
+        self.start_ns = self.now_ns = ledger.time_ns or time.time_ns()
         self._begin_s = time.monotonic()
         self._history: deque[tuple[float, int]] = deque([(self._begin_s, self.now_ns)])
         self._discarded = {BYTES_READ: 0, BYTES_WRITTEN: 0}

@@ -134,6 +134,9 @@ class BringUp:
                     if not self.options.only:  # what an earlier graph has left
                         ledger.unlink(missing_ok=True)
                         stack.callback(ledger.unlink, missing_ok=True)
+                    if simulated and not self.options.only:
+                        with contextlib.closing(StepLedger(ledger)) as made:
+                            made.time_ns = time.time_ns()
                     self._environment[LEDGER_VARIABLE] = str(ledger)
                 return self._run_programs(programs, Path(temporary))
 

@@ -15,6 +15,11 @@ class GraphError(RuntimeError):
 class GraphPort(Protocol):
     """The bridge's hands in the graph; called from the event loop's thread."""
 
+    @property
+    def runs_by_simulated_time(self) -> bool:
+        """Whether ROS time is simulated or recorded."""
+        ...
+
     def ros_ns(self) -> int:
         """Return ROS time in ns."""
         ...

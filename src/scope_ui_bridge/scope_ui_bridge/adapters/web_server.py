@@ -230,7 +230,10 @@ class WebServer:
         return application
 
     def _now(self) -> Now:
-        return Now(mono_s=time.monotonic(), ros_ns=self._graph.ros_ns(), wall_s=time.time())
+        graph = self._graph
+        return Now(
+            mono_s=time.monotonic(), ros_ns=graph.ros_ns(), wall_s=time.time(), simulated=graph.runs_by_simulated_time
+        )
 
     async def _stop(self, request: web.Request) -> web.StreamResponse:
         session = self.door.session(request)

@@ -31,7 +31,7 @@ class LogEntry:
     error_mm: float | None = None
     duration_s: float | None = None
     effect: str = ""
-    sent_mono_s: float = 0.0
+    sent_s: float = 0.0
 
     def message(self) -> dict[str, Any]:
         """Return what the page gets."""
@@ -91,7 +91,7 @@ class CommandLog:
             action=action,
             target=target,
             status=status,
-            sent_mono_s=now.mono_s,
+            sent_s=now.graph_s,
         )
         self._entries.append(entry)
         if status in _OPEN:
@@ -125,12 +125,12 @@ class CommandLog:
     def expire(self, active: bool, timeout_s: float, now: Now) -> list[Effect]:
         """Give up what has had no answer for ``timeout_s``; ``active`` says whether the machine is at work."""
         if active:
-            self._last_active_s = now.mono_s
+            self._last_active_s = now.graph_s
         effects: list[Effect] = []
         for entry in list(self._pending.values()):
             # An accepted goal may take its time, but not while the controller rests: then its end was lost.
-            since_s = max(entry.sent_mono_s, self._last_active_s if entry.status == "accepted" else -math.inf)
-            if now.mono_s - since_s > max(timeout_s, _PATIENCE_S.get(entry.action, 0.0)):
+            since_s = max(entry.sent_s, self._last_active_s if entry.status == "accepted" else -math.inf)
+            if now.graph_s - since_s > max(timeout_s, _PATIENCE_S.get(entry.action, 0.0)):
                 changed = self.update(entry, status="no_answer")
                 effects += [shown(changed), result_record(changed, now)]
         return effects

@@ -649,7 +649,7 @@ class Desk:
         if jog is not None and jog.entry == known.entry and result.outcome.final:
             if result.outcome is Outcome.REACHED and now.mono_s < jog.until_s and self.lease.holder == jog.viewer:
                 goal_id = str(self._new_stamp_ns(now))
-                known = self._log.update(known, goal_id=goal_id, sent_mono_s=now.mono_s, status="sent")
+                known = self._log.update(known, goal_id=goal_id, sent_s=now.graph_s, status="sent")
                 return [self._jog_step(known, now)]
             self._jog = None
             if result.outcome is not Outcome.REACHED:  # as at a limit: what is held on to is not tried again

@@ -9,11 +9,29 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Now:
-    """The clocks, read once per event: monotonic seconds, ROS time in ns, and wall time in seconds."""
+    """The clocks, read once per event.
+
+    Attributes
+    ----------
+    mono_s
+        Monotonic seconds, for what guards people: sign-in, control, the page's keep-alives.
+    ros_ns
+        ROS time in ns.
+    wall_s
+        The system's time in seconds.
+    simulated
+        Whether ROS time is simulated or recorded, and may be slower than the others.
+    """
 
     mono_s: float
     ros_ns: int
     wall_s: float
+    simulated: bool = False
+
+    @property
+    def graph_s(self) -> float:
+        """Seconds by which the graph's messages and answers are late; monotonic where ROS time is the system's."""
+        return self.ros_ns / 1e9 if self.simulated else self.mono_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,6 +42,7 @@ class MachineView:
         self._picture_s = -math.inf
         self.facts: dict[str, dict[str, str]] = {}
         self._moving_since_s = math.inf
+        self._simulation_factor: float | None = None
 
     # --- what the graph says ---------------------------------------------------------------------------------------
 
@@ -55,15 +56,15 @@ class MachineView:
 
     def set_confidence(self, confidence: float, now: Now) -> None:
         """Note the recognition's confidence, 0 = not recognised."""
-        self._confidence, self._confidence_s = confidence, now.mono_s
+        self._confidence, self._confidence_s = confidence, now.graph_s
 
     def set_position(self, x_m: float, y_m: float, stylus_m: float, now: Now) -> None:
         """Note where the tip is: x, y in base_link, the stylus's extension; metres."""
-        self._position, self._position_s = (x_m, y_m, stylus_m), now.mono_s
+        self._position, self._position_s = (x_m, y_m, stylus_m), now.graph_s
 
     def expire(self, now: Now) -> None:
         """Forget a position that nobody reports any more."""
-        if now.mono_s - self._position_s > _POSITION_LIFE_S:
+        if now.graph_s - self._position_s > _POSITION_LIFE_S:
             self._position = None
 
     @property
@@ -75,9 +76,13 @@ class MachineView:
         """Note what a part reports of itself as names and values."""
         self.facts = {**self.facts, part: facts}
 
+    def set_simulation_factor(self, factor: float) -> None:
+        """Note simulated over wall time."""
+        self._simulation_factor = factor
+
     def picture_came(self, now: Now) -> None:
         """Note that a camera has delivered a picture."""
-        self._picture_s = now.mono_s
+        self._picture_s = now.graph_s
 
     def frame_offered(self, camera: str, stamp_ns: int) -> None:
         """Note that pages may have got the picture with this stamp, in one form or another."""
@@ -97,9 +102,9 @@ class MachineView:
         if not self.active:
             self._moving_since_s = math.inf
             return 0.0
-        self._moving_since_s = min(self._moving_since_s, now.mono_s)
-        silence_s = now.mono_s - self._picture_s
-        return silence_s if silence_s < now.mono_s - self._moving_since_s + 1.0 else 0.0
+        self._moving_since_s = min(self._moving_since_s, now.graph_s)
+        silence_s = now.graph_s - self._picture_s
+        return silence_s if silence_s < now.graph_s - self._moving_since_s + 1.0 else 0.0
 
     # --- checks ----------------------------------------------------------------------------------------------------
 
@@ -117,7 +122,7 @@ class MachineView:
         """Return the panel's pose unless it is unknown, silent or not trusted."""
         if pose is None or math.isnan(self._confidence):
             raise Refusal("panel_not_seen")
-        silence_s = now.mono_s - self._confidence_s
+        silence_s = now.graph_s - self._confidence_s
         if silence_s > config.recognition_max_age_s:
             raise Refusal("recognition_silent", age_s=round(silence_s, 1), limit_s=config.recognition_max_age_s)
         if not self._confidence >= config.min_confidence:
@@ -158,4 +163,6 @@ class MachineView:
             **states,
             "confidence": None if math.isnan(self._confidence) else round(self._confidence, 2),
             "position_mm": position,
+            # In tenths, as smaller changes are no news.
+            "simulation_factor": None if self._simulation_factor is None else round(self._simulation_factor, 1),
         }

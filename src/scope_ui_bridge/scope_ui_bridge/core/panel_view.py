@@ -20,7 +20,7 @@ class PanelView:
 
     def show(self, seen: PanelSeen, now: Now) -> None:
         """Take what was seen."""
-        self.seen, self._shown_s = seen, now.mono_s
+        self.seen, self._shown_s = seen, now.graph_s
         shown = []
         for control in seen.controls:
             shown.append(
@@ -40,7 +40,7 @@ class PanelView:
 
     def expire(self, limit_s: float, now: Now) -> None:
         """Show nothing of a panel that has not been seen for ``limit_s``: a lamp may have changed since."""
-        if now.mono_s - self._shown_s > limit_s:
+        if now.graph_s - self._shown_s > limit_s:
             self.message = []
 
     def _changed_ms(self, name: str, changed_ns: int, now: Now) -> int:

@@ -61,7 +61,7 @@ from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
-from icu_common.nodes.timers import every, seconds_of
+from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 from scope_ui_bridge.adapters.graph_port import GraphError
 from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
 from scope_ui_bridge.adapters.web_server import WebServer
@@ -127,6 +127,7 @@ class BridgeNode(GraphNode):
         self._pictures: dict[str, NewestSubscription] = {}
         self._roll = Roll(SILENT_S)
         robot = f"{socket.gethostname()}{self.get_namespace()}"
+        self._seconds, self._simulated = seconds_of(self), runs_by_clock_topic(self)
         self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "", robot)
         self._scene = self._desk.scene
         self._desk.sequence.stored = self._read_sequences(config)
@@ -135,7 +136,6 @@ class BridgeNode(GraphNode):
         sign_in = SignIn(lambda: secrets.token_urlsafe(32), config.session_lifetime_s, Role(config.token_role))
         self._server = WebServer(config, self._desk, sign_in, self, _open_audit(config))
         self._mail = self._server.mailbox
-        self._seconds = seconds_of(self)
         self._make_inlets()
         try:
             self._server.start()
@@ -202,6 +202,7 @@ class BridgeNode(GraphNode):
         self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, self._calibration_seen)
         self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, self._axes_seen)
         self._hear(JointState, "joint_states", qos.SENSOR, self._joints_seen)
+        self._hear(Float32, "simulation_factor", qos.LATCHED, self._factor_seen)
         self._hear(DiagnosticArray, "/diagnostics", qos.RESULTS, self._facts_seen)
         self._hear(Log, "/rosout", qos.RESULTS, self._said)
         self._hear(DiagnosticArray, "gantry/result", qos.RESULTS, self._result_seen)
@@ -331,6 +332,9 @@ class BridgeNode(GraphNode):
     def _confidence_seen(self, message: Float32) -> None:
         self._mail.newest("confidence", self._server.post_value, self._desk.machine.set_confidence, float(message.data))
 
+    def _factor_seen(self, message: Float32) -> None:
+        self._mail.newest("factor", self._desk.machine.set_simulation_factor, float(message.data))
+
     def _call_the_roll(self) -> None:
         # What is logged here goes to the page's console by way of /rosout.
         for name in self._roll.newly_gone(self._seconds()):
@@ -402,6 +406,10 @@ class BridgeNode(GraphNode):
         self._triggers = {
             name: self.create_client(Trigger, topic) for name, topic in _SERVICES.items() if topic != "gantry/enable"
         }
+
+    @property
+    def runs_by_simulated_time(self) -> bool:
+        return self._simulated
 
     def ros_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)

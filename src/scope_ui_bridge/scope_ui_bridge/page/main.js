@@ -30,6 +30,7 @@ const READ_MS = 1000;
 const UNDER_WAY = ["sent", "accepted"];
 const AT_REST = ["stopped", "alarm", "unhomed"]; // after STOP; the last one when the driver was started anew
 
+const SLOW_SIMULATION = 0.9;
 startLanguage();
 const { link, video } = desk;
 const overlay = new Overlay(find("stage"), find("overlay"), find("controls"), seenText);
@@ -361,10 +362,21 @@ function renderMachine() {
   renderGuide();
 }
 
+/** In a simulation that is slower than real time, say so; the pictures' ages are of its time. */
+function renderSimulation() {
+  const factor = desk.state?.simulation_factor ?? 1;
+  video.factor = Math.min(factor, 1);
+  find("chip-simulation").hidden = factor >= SLOW_SIMULATION;
+  if (factor >= SLOW_SIMULATION) return;
+  const text = t("simulation_slow", { factor: factor.toLocaleString(language()) });
+  chip("chip-simulation", "waiting", text, `${t("chip_simulation")} ${text}`);
+}
+
 const calibrating = () => desk.state && t("banner_calibrating", { progress: said(desk.state.calibration.reason) });
 
 function renderAge() {
   const { limits, state } = desk;
+  renderSimulation();
   const age = video.ageMs;
   const stage = find("stage");
   const stale = age > limits.stale_ms;

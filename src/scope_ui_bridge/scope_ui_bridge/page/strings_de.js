@@ -298,6 +298,8 @@ export const DE = {
   action_record: "Aufzeichnen",
   action_end_record: "Aufzeichnung beenden",
   chip_recording: "Aufzeichnung",
+  chip_simulation: "Simulation",
+  simulation_slow: "läuft mit {factor} der Echtzeit: Der Computer ist ausgelastet",
   recording_by: "Aufzeichnung seit {time}, begonnen von {who}.",
   recording_program: "Aufzeichnung seit {time}, durch das Programm {who}.",
   recording_at_least: "Aufzeichnung seit mindestens {time}, durch das Programm {who}.",

@@ -298,6 +298,8 @@ export const EN = {
   action_record: "Record",
   action_end_record: "End recording",
   chip_recording: "Recording",
+  chip_simulation: "Simulation",
+  simulation_slow: "runs at {factor} of real time: the computer is busy",
   recording_by: "Recording for {time}, begun by {who}.",
   recording_program: "Recording for {time}, by the program {who}.",
   recording_at_least: "Recording for at least {time}, by the program {who}.",

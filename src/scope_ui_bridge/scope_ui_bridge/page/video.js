@@ -27,11 +27,13 @@ export class Video extends EventTarget {
     this.#link = link;
   }
 
-  /** Age of the shown picture in ms: age when sent, its way, and the time since it came. */
+  factor = 1; // simulated over wall time; 1 where nothing is simulated
+
+  /** Age of the shown picture in ms, by the graph's time: age when sent, its way, and the time since it came. */
   get ageMs() {
     if (!this.shown) return Infinity;
     const { age_ms, sent_ms, arrived } = this.shown;
-    return age_ms + this.#link.way(sent_ms, arrived) + performance.now() - arrived;
+    return age_ms + (this.#link.way(sent_ms, arrived) + performance.now() - arrived) * this.factor;
   }
 
   /** How long nothing new has been seen: the picture's age; before the first one of a camera, since any other came. */
