@@ -18,7 +18,7 @@ import numpy as np
 from golden.make_bag import BAG, CONTROLLER, HERE, TIPS, TRACKER
 from system.conftest import wait_for
 
-from icu_common.nodes.in_step import VARIABLE
+from icu_common.adapters.step_ledger import LEDGER_VARIABLE, ledger_path
 from scope_bench.adapters.bags import BagReader
 
 ROOT = HERE.parents[1]
@@ -144,7 +144,7 @@ class ReplayGraph:
         with recording.open("wb") as log:
             recorder = subprocess.Popen(
                 [program("scope_bench", "bag_record"), *RECORDED, "-o", str(out)],
-                env={**self.environment, VARIABLE: "1"},
+                env={**self.environment, LEDGER_VARIABLE: str(ledger_path(self.environment["ROS_DOMAIN_ID"], ""))},
                 stdout=log,
                 stderr=subprocess.STDOUT,
             )

@@ -207,7 +207,7 @@ class OperatorSession:
 
     def follow_clock_topic(self, until: float) -> None:
         """Take ROS time from ``/clock`` where the graph does, so that a goal's stamp is of the graph's time."""
-        if self.node.count_publishers(CLOCK_TOPIC) and not runs_by_clock_topic(self.node):
+        if self.node.count_publishers(self.node.resolve_topic_name(CLOCK_TOPIC)) and not runs_by_clock_topic(self.node):
             self.node.set_parameters([Parameter("use_sim_time", value=True)])
             self.wait_for(lambda: self.now_ns() > 0, until, lambda: "no time on /clock: does the simulation run?")
 

@@ -48,10 +48,10 @@ from icu_common.nodes.conversions import (
     transform_of_pose,
 )
 from icu_common.nodes.diagnostics import Diagnostics
-from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.graph_node import GraphNode, this_process
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
-from icu_common.nodes.timers import every, runs_by_clock_topic
+from icu_common.nodes.timers import every
 
 TICK_S, WALL_TICK_S = 0.05, 0.2
 DIAGNOSTICS_S = 1.0
@@ -65,8 +65,8 @@ class ControllerNode(GraphNode):
         super().__init__("gantry_controller", **kwargs)
         parameters = LiveParameters(self, ControllerConfig, self._on_config)
         self._controller = Controller(parameters.config)
-        # Where nothing is simulated ROS time is wall time, and the clocks of both are the same.
-        self._wall_ns = (lambda: round(1e9 * steady_s())) if runs_by_clock_topic(self) else self._now_ns
+        # Elsewhere ROS time is wall time, or that of a recording, whose heartbeats are recorded as well.
+        self._wall_ns = (lambda: round(1e9 * steady_s())) if this_process.simulated else self._now_ns
         self._camera: tuple[CameraInfo, CameraModel] | None = None
         self._trajectory = self.create_publisher(JointTrajectory, "trajectory", qos.COMMAND)
         self._result = self.create_publisher(DiagnosticArray, "result", qos.RESULTS)
@@ -96,7 +96,7 @@ class ControllerNode(GraphNode):
         self._hear(PointStamped, "goal", qos.COMMAND, _point_goal)
         self._hear(String, "command", qos.COMMAND, lambda m: msg.Command(text=m.data))
         every(self, TICK_S, self._tick)
-        if runs_by_clock_topic(self):  # a heartbeat that ends is noticed while simulated time stands still, too
+        if this_process.simulated:  # a heartbeat that ends is noticed while simulated time stands still, too
             every(self, WALL_TICK_S, self._tick, wall=True)
         every(self, DIAGNOSTICS_S, self._diagnose)
         self._handle(msg.Tick())

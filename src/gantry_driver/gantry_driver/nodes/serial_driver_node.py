@@ -151,7 +151,8 @@ class SerialDriverNode(GraphLifecycleNode):
 
     def _link_clock(self) -> Callable[[], float]:
         """Return the clock of the port's thread, which goes on while this node closes and serves no callback."""
-        if (ledger := this_process.ledger) is not None and runs_by_clock_topic(self):
+        ledger = this_process.ledger
+        if ledger is not None and this_process.simulated:
             return lambda: ledger.time_ns / 1e9
         return seconds_of(self) if runs_by_clock_topic(self) else steady_s
 

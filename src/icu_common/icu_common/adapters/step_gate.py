@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from icu_common.adapters.step_ledger import MAX_TOPICS, Counts, StepLedger
+from icu_common.adapters.step_ledger import Counts, StepLedger
 from icu_common.core.outstanding import Outstanding
 
 PATIENCE_S = 5.0
@@ -60,21 +60,27 @@ class StepGate:
         self._ledger = ledger
         self._patience_s, self._callback_patience_s = patience_s, callback_patience_s
         self._clock = clock
-        self._outstanding = Outstanding(MAX_TOPICS)
+        self._outstanding = Outstanding()
         self._finished: Counts | None = None
         self._progress_s = self._looked_s = clock()
+        self._processes: dict[int, int] = {}
         self.left_behind: tuple[Laggard, ...] = ()
 
     def settled(self) -> bool:
         """Return whether nothing is outstanding, or whoever owes it has had its time."""
         now_s = self._clock()
-        finished, expected, subscriptions, _ = self._ledger.read()
+        finished, expected, subscriptions = self._ledger.totals()
         owed = self._outstanding.update(finished, expected, subscriptions)
+        if (processes := self._ledger.processes()) != self._processes:
+            # The counts of a process that has ended are gone from the sums.
+            self._processes = processes
+            self._outstanding.forgive(owed)
+            return False
         if not owed.any():
             self._finished, self._progress_s = None, now_s
             return True
         # Programs that do not count publish as well: only progress on what is outstanding is some.
-        progress = finished[:, owed > 0].sum(axis=0)
+        progress = finished[owed > 0]
         if self._finished is None or not np.array_equal(progress, self._finished):
             self._finished, self._progress_s = progress, now_s
             return False
@@ -83,7 +89,7 @@ class StepGate:
             self._forget_ended()
         if now_s - self._progress_s <= self._patience_s:
             return False
-        late = self._laggards(owed, finished, subscriptions)
+        late = self._laggards(owed)
         busy = any(self._ledger.is_busy(row) for row in late)
         if busy and now_s - self._progress_s <= self._callback_patience_s:
             return False
@@ -94,14 +100,13 @@ class StepGate:
 
     def owed(self) -> list[str]:
         """Return the topics with outstanding messages."""
-        finished, expected, subscriptions, _ = self._ledger.read()
-        owed = self._outstanding.update(finished, expected, subscriptions)
+        owed = self._outstanding.update(*self._ledger.totals())
         topics = self._ledger.topics()
         return [topics[column] for column in np.flatnonzero(owed)]
 
     def unmatched(self) -> list[str]:
         """Return topics whose publishers have not found every registered subscription yet."""
-        _, _, subscriptions, matched = self._ledger.read()
+        _, subscriptions, matched = self._ledger.by_process()
         readers, topics = subscriptions.sum(axis=0), self._ledger.topics()
         short = (matched > 0) & (matched - 1 < readers)
         return [topics[column] for column in np.flatnonzero(short.any(axis=0))]
@@ -113,8 +118,7 @@ class StepGate:
 
     def restart(self) -> None:
         """Count only what is published from now on."""
-        finished, expected, subscriptions, _ = self._ledger.read()
-        self._outstanding.forgive(self._outstanding.update(finished, expected, subscriptions))
+        self._outstanding.forgive(self._outstanding.update(*self._ledger.totals()))
 
     def _forget_ended(self) -> None:
         for row, process in self._ledger.processes().items():
@@ -125,11 +129,14 @@ class StepGate:
             except PermissionError:  # it runs, for another user
                 continue
 
-    def _laggards(self, owed: Counts, finished: Counts, subscriptions: Counts) -> dict[int, Laggard]:
+    def _laggards(self, owed: Counts) -> dict[int, Laggard]:
         """Return row -> process for those that have finished fewer messages of an outstanding topic than others."""
+        finished, subscriptions, _ = self._ledger.by_process()
         topics, found = self._ledger.topics(), {}
         for column in np.flatnonzero(owed):
             rows = np.flatnonzero(subscriptions[:, column])
+            if not rows.size:  # an entry that is no topic, such as the driver's steps
+                continue
             share = finished[rows, column] / subscriptions[rows, column]
             for row in rows[(share < share.max()) | (len(rows) == 1)]:
                 process = self._ledger.processes().get(int(row), 0)

@@ -28,7 +28,7 @@ BYTES_READ, BYTES_WRITTEN = "serial:read", "serial:written"
 
 MAX_PROCESSES, MAX_TOPICS, NAME_BYTES = 64, 512, 160
 _HEAD, _DELIVERIES, _FINISHED, _SUBSCRIPTIONS, _MATCHED = range(5)
-_PID, _BUSY, _TIME = 0, 1, 2
+_PID, _BUSY, _TIME, _TOPICS = range(4)
 _NAMES_BYTES = MAX_TOPICS * NAME_BYTES
 _TABLE = (5, MAX_PROCESSES, MAX_TOPICS)
 _SIZE = _NAMES_BYTES + 8 * int(np.prod(_TABLE))
@@ -163,6 +163,7 @@ class StepLedger:
                 raise ValueError(f"topic {topic!r}: the ledger has {MAX_TOPICS} topics, more cannot be")
             begin = len(names) * NAME_BYTES
             self._map[begin : begin + len(name)] = name
+            self._table[_HEAD, 0, _TOPICS] = len(names) + 1
             return len(names)
 
     # --- what an observer reads --------------------------------------------------------------------------------------
@@ -170,13 +171,8 @@ class StepLedger:
     def topics(self) -> list[str]:
         """Return the names of all topics, in the order of the columns."""
         data = self._map[:_NAMES_BYTES]
-        found = []
-        for begin in range(0, _NAMES_BYTES, NAME_BYTES):
-            name = data[begin : begin + NAME_BYTES].rstrip(b"\0")
-            if not name:
-                break
-            found.append(name.decode())
-        return found
+        begins = range(0, self._topic_count() * NAME_BYTES, NAME_BYTES)
+        return [data[begin : begin + NAME_BYTES].rstrip(b"\0").decode() for begin in begins]
 
     def processes(self) -> dict[int, int]:
         """Return row -> process number of all that are registered."""
@@ -200,14 +196,30 @@ class StepLedger:
     def time_ns(self, value: int) -> None:
         self._table[_HEAD, 0, _TIME] = value
 
-    def read(self) -> tuple[Counts, Counts, Counts, Counts]:
-        """Return copies (processes, topics) of finished, expected and subscription counts, and of matched ones plus 1.
+    def totals(self) -> tuple[Counts, Counts, Counts]:
+        """Return finished, expected and subscription counts of each topic, (topics,), of all processes together.
 
         Finished counts are read first: what is published meanwhile then counts as outstanding, never the reverse.
         """
-        finished = self._table[_FINISHED].copy()
-        expected, subscriptions = self._table[_DELIVERIES].copy(), self._table[_SUBSCRIPTIONS].copy()
-        return finished, expected, subscriptions, self._table[_MATCHED].copy()
+        count = self._topic_count()
+        finished = self._table[_FINISHED, :, :count].sum(axis=0)
+        return (
+            finished,
+            self._table[_DELIVERIES, :, :count].sum(axis=0),
+            self._table[_SUBSCRIPTIONS, :, :count].sum(axis=0),
+        )
+
+    def by_process(self) -> tuple[Counts, Counts, Counts]:
+        """Return copies, (processes, topics), of finished, subscription and matched counts; these are 0 for no
+        publisher, else the number of subscriptions found plus 1."""
+        count = self._topic_count()
+        finished, subscriptions, matched = (
+            self._table[kind, :, :count].copy() for kind in (_FINISHED, _SUBSCRIPTIONS, _MATCHED)
+        )
+        return finished, subscriptions, matched
+
+    def _topic_count(self) -> int:
+        return int(self._table[_HEAD, 0, _TOPICS])
 
     def close(self) -> None:
         """Give the row back and close the file."""

@@ -31,14 +31,16 @@ class Outstanding:
         Parameters
         ----------
         finished, expected, subscriptions
-            (processes, topics): callbacks that have returned, deliveries that publishers expect, and subscriptions.
+            (topics,): callbacks that have returned, deliveries that publishers expect, and subscriptions.
         """
-        owed: Counts = expected.sum(axis=0) - finished.sum(axis=0) - self._baseline
-        readers: Counts = subscriptions.sum(axis=0)
-        restart = (readers != self._subscriptions) | (owed < 0)
+        if added := len(finished) - len(self._baseline):
+            self._baseline = np.pad(self._baseline, (0, added))
+            self._subscriptions = np.pad(self._subscriptions, (0, added))
+        owed: Counts = expected - finished - self._baseline
+        restart = (subscriptions != self._subscriptions) | (owed < 0)
         self._baseline[restart] += owed[restart]
         owed[restart] = 0
-        self._subscriptions = readers
+        self._subscriptions = subscriptions
         return owed
 
     def forgive(self, owed: Counts) -> None:

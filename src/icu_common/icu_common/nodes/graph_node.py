@@ -62,6 +62,11 @@ class ProcessContext:
             self.ledger = StepLedger(Path(path))
             self.ledger.register()
 
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulation advances the time; a recording that is played in step does not set the ledger's."""
+        return self.ledger is not None and self.ledger.time_ns > 0
+
     def show_matches(self) -> None:
         """Write to the ledger how many subscriptions each publisher has found."""
         if self.ledger is not None:
