@@ -13,17 +13,12 @@ class Outstanding:
 
     A subscription that comes or goes makes the two counts incomparable: a late subscriber of a latched topic processes
     a message that was published before, and one that ends leaves messages unprocessed. The baseline of its topic then
-    starts again at zero.
-
-    Parameters
-    ----------
-    topics
-        Number of columns of the counts.
+    starts again. New topics are added at the end of the counts.
     """
 
-    def __init__(self, topics: int) -> None:
-        self._baseline: Counts = np.zeros(topics, np.int64)
-        self._subscriptions: Counts = np.zeros(topics, np.int64)
+    def __init__(self) -> None:
+        self._baseline: Counts = np.zeros(0, np.int64)
+        self._subscriptions: Counts = np.zeros(0, np.int64)
 
     def update(self, finished: Counts, expected: Counts, subscriptions: Counts) -> Counts:
         """Return the number of outstanding deliveries of each topic, (topics,).
