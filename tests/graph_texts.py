@@ -24,7 +24,7 @@ ONLY_ELSEWHERE = {
     "programs that do not start, or the log": (
         *("config", "machine_config", "controller_config", "parameters", "runtime", "camera_model", "frame_link"),
         *("camera_sources", "camera_node", "corners_node", "stereo_node", "dense_stereo_node", "stylus_node"),
-        *("recognition_node", "in_step", "conversions", "geometry", "stroke_font", "real_time", "compiled"),
+        *("recognition_node", "conversions", "geometry", "stroke_font", "real_time", "compiled"),
         *("harris", "edges", "edge_kernels", "harris_kernels", "harris_laplace", "edge_tracing", "deriche", "matching"),
         *("stereo_matching", "stylus", "ball_view", "ball_fit", "plane_fit", "planar_pose", "reprojection"),
         *("structure", "lanes", "edge_alignment", "overlay", "foxglove_sidecar", "passwords", "secret_files", "audit"),
@@ -37,6 +37,7 @@ ONLY_ELSEWHERE = {
             "unix_listener",
             "jpeg_encoder",
             "hearing",
+            "step_ledger",
         ),
     ),
 }

@@ -14,6 +14,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
+from icu_common.nodes.graph_node import GraphNode
+
 T = TypeVar("T", bound=Node)
 Describe = Callable[[], Any]
 LONGEST_TURN_S = 0.5
@@ -52,9 +54,9 @@ class Ros:
         self.nodes.append(node)
         return node
 
-    def plain(self, name: str = "probe") -> Node:
+    def plain(self, name: str = "probe") -> GraphNode:
         """Make a bare node for publishers and subscriptions of the test."""
-        node = Node(name, context=self.context)
+        node = GraphNode(name, context=self.context)
         self.executor.add_node(node)
         self.nodes.append(node)
         return node

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import signal
 import sqlite3
@@ -33,7 +32,8 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
-from icu_common.nodes import in_step, qos
+from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger
+from icu_common.nodes import qos
 from icu_common.nodes.conversions import header, image_array, image_message
 from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
@@ -397,25 +397,23 @@ def test_nothing_is_played_beside_a_driver_at_work(ros: Ros, tmp_path: Path, com
     player.end()
 
 
-def test_nothing_is_played_in_step_beside_a_driver_at_work(ros: Ros, tmp_path: Path, command: Start) -> None:
+def test_nothing_is_played_in_step_beside_a_driver_at_work(
+    ros: Ros, tmp_path: Path, command: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bag = numbered_bag(tmp_path / "bag", ["/panel/alarm"], 3)
     driver = ros.plain("driver")
     driver.create_publisher(String, "/gantry/driver_state", qos.LATCHED)
     heard = ros.collect(driver, String, "/panel/alarm", qos.RESULTS)
-    counts = driver.create_publisher(String, in_step.TOPIC, in_step.DEEP)
-    nothing = json.dumps({"process": 1, "sent": {}, "taken": {}, "listeners": {}, "readers": {}})
-
-    def ended(player: Command) -> bool:
-        counts.publish(String(data=nothing))
-        return player.process.poll() is not None
-
-    player = command("bag_play", str(bag), "--in-step", "1")
-    ros.spin_until(lambda: ended(player), 40.0, lambda: heard)
-    assert "error: a driver is at work here (/gantry/driver_state)" in player.end(code=1)
-    assert heard == []
-    player = command("bag_play", str(bag), "--in-step", "1", "--moving")
-    ros.spin_until(lambda: ended(player) and len(heard) == 3, 40.0, lambda: heard)
-    player.end()
+    monkeypatch.setenv(LEDGER_VARIABLE, str(tmp_path / "steps"))
+    with contextlib.closing(StepLedger(tmp_path / "steps")) as ledger:
+        ledger.register()  # this process is the one that plays in step
+        player = command("bag_play", str(bag), "--in-step", "1")
+        ros.spin_until(lambda: player.process.poll() is not None, 40.0, lambda: heard)
+        assert "error: a driver is at work here (/gantry/driver_state)" in player.end(code=1)
+        assert heard == []
+        player = command("bag_play", str(bag), "--in-step", "1", "--moving")
+        ros.spin_until(lambda: player.process.poll() is not None and len(heard) == 3, 40.0, lambda: heard)
+        player.end()
 
 
 @pytest.mark.parametrize(

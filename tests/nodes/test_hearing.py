@@ -11,25 +11,25 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image
 
 from icu_common.core.supervision import DEAF, READY_VARIABLE
 from icu_common.nodes import diagnostics, qos
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import this_process
 from icu_common.nodes.hearing import Hearing
 
 LISTENER = """
 import functools, sys
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
 from icu_common.nodes import qos, runtime
+from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.runtime import run
 
 runtime.Hearing = functools.partial(runtime.Hearing, silence_s=4.0)
 
-class Listener(Node):
+class Listener(GraphNode):
     def __init__(self, **options):
         super().__init__("listener", **options)
         self.create_subscription(CameraInfo, f"/{sys.argv[1]}/camera_info", lambda m: None, qos.SENSOR)
@@ -41,10 +41,9 @@ sys.exit(run(Listener, []))
 @pytest.fixture
 def hearing(monkeypatch: pytest.MonkeyPatch) -> Hearing:
     """After a crash, on one host."""
-    monkeypatch.setattr(Node, "create_subscription", Node.create_subscription)  # put back at the end
     monkeypatch.setattr(diagnostics, "own_names", set())
     hearing = Hearing(after_crash=True, others=True, limit_s=5.0, silence_s=5.0)
-    hearing.install()
+    monkeypatch.setattr(this_process, "observer", hearing.observe)
     return hearing
 
 

@@ -422,6 +422,24 @@ def test_heartbeat_lost_while_moving_stops_and_while_pressing_lifts() -> None:
     assert rig.board.mpos == list(HOMED)
 
 
+def test_heartbeat_is_judged_by_the_wall_clock_while_simulated_time_is_slow() -> None:
+    rig = Rig().homed()
+    rig.machine.wall_s = 5000.0
+    rig.machine.heartbeat(5000.0)
+    rig.beating = False
+    rig.go((0.35, 0.0, 0.0))
+    rig.run_for(0.05)
+    assert rig.machine.phase.name == "MOVING"
+    rig.machine.wall_s = 5000.5
+    rig.machine.tick(rig.now)
+    assert rig.machine.phase.name == "MOVING"
+    rig.machine.wall_s = 5000.7
+    rig.machine.tick(rig.now)
+    assert rig.machine.phase.name == "HOLDING", "0.7 s of wall time, none of the simulation's"
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert "heartbeat lost: 0.70 s old" in rig.states[-1]
+
+
 def test_a_stop_without_a_link_is_remembered() -> None:
     rig = Rig().connect()
     rig.machine.closed("unplugged", rig.now)

@@ -39,6 +39,8 @@ class RecordingGraph:
         self.refuses = ""
         self.on_call: Callable[[], None] = lambda: None
 
+    runs_by_simulated_time = False
+
     def ros_ns(self) -> int:
         return time.time_ns()
 

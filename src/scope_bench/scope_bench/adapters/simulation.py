@@ -17,6 +17,7 @@ from typing import Any, ClassVar, TextIO
 import numpy as np
 
 from icu_common.adapters.frame_link import FRAMES, FrameServer
+from icu_common.adapters.step_gate import PATIENCE_S
 from icu_common.adapters.step_ledger import StepLedger
 from icu_common.adapters.unix_listener import listen_at
 from icu_common.core.config import from_mapping, to_mapping
@@ -208,7 +209,10 @@ class Simulation:
             if steps.now_ns >= next_frame_ns:
                 self._expose((next_frame_ns - steps.start_ns) / 1e9, next_frame_ns)
                 next_frame_ns += round(1e9 / self._config.camera.rate_hz)
-            self._serve_until(lambda: self._frames is None or self._frames.flush())
+            given_up_s = time.monotonic() + PATIENCE_S
+            self._serve_until(
+                lambda: self._frames is None or self._frames.flush() or time.monotonic() > given_up_s  # noqa: B023
+            )
             self._serve_until(lambda: self._board_settled(steps))
             self._write_log()
 

@@ -298,7 +298,7 @@ export const DE = {
   action_record: "Aufzeichnen",
   action_end_record: "Aufzeichnung beenden",
   chip_recording: "Aufzeichnung",
-  chip_simulation: "Simulation",
+  chip_simulation: "Simulierte Zeit",
   simulation_slow: "läuft mit {factor} der Echtzeit: Der Computer ist ausgelastet",
   recording_by: "Aufzeichnung seit {time}, begonnen von {who}.",
   recording_program: "Aufzeichnung seit {time}, durch das Programm {who}.",

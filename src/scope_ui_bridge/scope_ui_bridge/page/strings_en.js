@@ -298,7 +298,7 @@ export const EN = {
   action_record: "Record",
   action_end_record: "End recording",
   chip_recording: "Recording",
-  chip_simulation: "Simulation",
+  chip_simulation: "Simulated time",
   simulation_slow: "runs at {factor} of real time: the computer is busy",
   recording_by: "Recording for {time}, begun by {who}.",
   recording_program: "Recording for {time}, by the program {who}.",

@@ -1,0 +1,200 @@
+"""The bench in simulated time: a step begins when the graph has finished the one before, at most at real speed."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nodes.test_bench_node import LAYOUT_FILE, SMALL
+
+from icu_common.adapters.frame_link import FRAMES, FrameClient
+from icu_common.adapters.step_ledger import BYTES_READ, BYTES_WRITTEN, StepLedger
+from icu_common.core.config import ConfigError, from_mapping
+from icu_common.core.panel_layout import load_layout
+from scope_bench.adapters.simulation import Simulation
+from scope_bench.adapters.step_time import SERIAL_PATIENCE_S, StepTime
+from scope_bench.core.configuration import BenchConfig
+from scope_bench.nodes.bench_node import BenchNode
+
+STEP_NS = 20_000_000
+DEADLINE_S = 30.0
+
+
+@pytest.fixture
+def ledgers(tmp_path: Path) -> Iterator[tuple[StepLedger, StepLedger]]:
+    """The bench's row and that of a node, which subscribes to the images."""
+    bench, node = StepLedger(tmp_path / "steps"), StepLedger(tmp_path / "steps")
+    bench.register()
+    node.register()
+    yield bench, node
+    bench.close()
+    node.close()
+
+
+def wait_for(condition: Any, what: str = "") -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"never so: {what}"
+        select.select([], [], [], 0.002)
+
+
+@dataclass
+class SteppedBench:
+    """A bench with a stepped board that the test plays, and the times that were published."""
+
+    simulation: Simulation
+    steps: StepTime
+    published: list[int]
+    camera: FrameClient
+
+
+class SteppedBoard:
+    """Answers each step as the mock board does, with the sample of a slow motion."""
+
+    def __init__(self, path: Path) -> None:
+        self._listener = socket.socket(socket.AF_UNIX)
+        self._listener.bind(os.fspath(path))
+        self._listener.listen(1)
+        self.sent = self.received = 0
+        self.until: list[float] = []
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        link, _ = self._listener.accept()
+        with link, link.makefile("rwb") as lines:
+            for line in lines:
+                until_s = json.loads(line)["until"]
+                self.until.append(until_s)
+                place = [-300.0 + min(until_s, 10.0), -110.0, -5.0]
+                sample = {"t": until_s, "mpos": place, "spindle": 0.0, "coolant": False, "state": "Run"}
+                answer = {"until": until_s, "sent": self.sent, "received": self.received}
+                lines.write(f"{json.dumps(sample)}\n{json.dumps(answer)}\n".encode())
+                lines.flush()
+
+    def close(self) -> None:
+        self._listener.close()
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Iterator[SteppedBoard]:
+    board = SteppedBoard(tmp_path / "truth")
+    yield board
+    board.close()
+
+
+@pytest.fixture
+def stepped(tmp_path: Path, ledgers: tuple[StepLedger, StepLedger], board: SteppedBoard) -> Iterator[SteppedBench]:
+    bench, _ = ledgers
+    values = {**SMALL, "layout": str(LAYOUT_FILE), "frame_socket": str(tmp_path / "frames")}
+    values |= {"motion_socket": str(tmp_path / "truth"), "camera.rate_hz": 12.5, "stepped": True}
+    published: list[int] = []
+    steps = StepTime(bench, STEP_NS, published.append)
+    simulation = Simulation(load_layout(LAYOUT_FILE), from_mapping(BenchConfig, values), steps, bench)
+    camera = FrameClient(tmp_path / "frames")
+    simulation.start()
+    yield SteppedBench(simulation, steps, published, camera)
+    camera.close()
+    simulation.stop()
+
+
+def test_time_stands_still_until_the_images_have_been_processed(
+    stepped: SteppedBench, ledgers: tuple[StepLedger, StepLedger]
+) -> None:
+    _, node = ledgers
+    node.subscribe(FRAMES)
+    stamps = []
+    for _ in range(4):
+        _, stamp_ns = stepped.camera.read(DEADLINE_S)
+        stamps.append(stamp_ns)
+        count = len(stepped.published)
+        select.select([], [], [], 0.05)  # several steps, if nothing held them up
+        assert len(stepped.published) == count and stepped.published[-1] <= stamp_ns + STEP_NS
+        node.finish(FRAMES)
+    assert set(np.diff(stamps)) == {80_000_000}, "12.5 images in each simulated second, whatever the wall's"
+    assert stamps[0] >= stepped.steps.start_ns
+
+
+def test_steps_follow_each_other_at_most_at_real_speed(stepped: SteppedBench) -> None:
+    stepped.camera.close()  # a camera that does not read would hold up the time
+    wait_for(lambda: len(stepped.published) > 5)
+    begin_s, first = time.monotonic(), len(stepped.published)
+    wait_for(lambda: len(stepped.published) >= first + 25)
+    wall_s, simulated_s = time.monotonic() - begin_s, (len(stepped.published) - first) * STEP_NS / 1e9
+    assert simulated_s <= wall_s + 0.15, "of a delay at most a tenth of a second is made up for"
+    assert set(np.diff(stepped.published)) == {STEP_NS}
+    assert 0.0 < stepped.simulation.health().factor <= 1.0
+
+
+def test_factor_falls_while_a_process_is_slow(stepped: SteppedBench, ledgers: tuple[StepLedger, StepLedger]) -> None:
+    _, node = ledgers
+    node.subscribe(FRAMES)
+    begin_s = time.monotonic()
+    while time.monotonic() < begin_s + 1.0:  # a quarter of the images that real time has
+        stepped.camera.read(DEADLINE_S)
+        select.select([], [], [], 0.3)
+        node.finish(FRAMES)
+    assert 0.0 < stepped.simulation.health().factor < 0.6
+
+
+def test_step_waits_for_bytes_on_the_serial_line(
+    stepped: SteppedBench, board: SteppedBoard, ledgers: tuple[StepLedger, StepLedger]
+) -> None:
+    _, driver = ledgers
+    wait_for(lambda: len(board.until) > 3, "the board is not advanced")
+    board.sent += 12
+    wait_for(lambda: len(set(board.until[-3:])) == 1, "the same step is asked for again")
+    count = len(stepped.published)
+    driver.finish(BYTES_READ, 12)
+    wait_for(lambda: len(stepped.published) > count + 2, "the time goes on")
+    driver.finish(BYTES_WRITTEN, 7)
+    wait_for(lambda: len(set(board.until[-3:])) == 1)
+    count = len(stepped.published)
+    board.received += 7
+    wait_for(lambda: len(stepped.published) > count + 2)
+
+
+def test_bytes_that_no_end_takes_count_as_discarded(ledgers: tuple[StepLedger, StepLedger]) -> None:
+    """Opening a port discards what has come before."""
+    bench, driver = ledgers
+    steps = StepTime(bench, STEP_NS, lambda _: None)
+    assert steps.serial_settled(0, 0)
+    driver.finish(BYTES_READ, 3)
+    begin_s = time.monotonic()
+    wait_for(lambda: steps.serial_settled(5, 0))
+    assert time.monotonic() - begin_s >= SERIAL_PATIENCE_S
+    driver.finish(BYTES_READ, 2)
+    assert not steps.serial_settled(8, 0)
+    driver.finish(BYTES_READ, 1)
+    assert steps.serial_settled(8, 0)
+
+
+def test_board_is_followed_step_by_step(stepped: SteppedBench, board: SteppedBoard) -> None:
+    wait_for(lambda: len(board.until) > 20)
+    steps = np.diff(sorted(set(board.until)))
+    assert np.abs(steps - STEP_NS / 1e9).max() < 1e-6
+    assert stepped.simulation.health().board_connected
+
+
+def test_time_goes_on_from_where_it_was_when_the_bench_is_restarted(ledgers: tuple[StepLedger, StepLedger]) -> None:
+    bench, _ = ledgers
+    first = StepTime(bench, STEP_NS, lambda _: None)
+    for _ in range(5):
+        first.advance()
+    assert bench.time_ns == first.now_ns == first.start_ns + 5 * STEP_NS
+    assert StepTime(bench, STEP_NS, lambda _: None).now_ns == first.now_ns
+
+
+def test_stepped_bench_without_a_ledger_is_refused(ros: Any, tmp_path: Path) -> None:
+    settings = {"layout": str(LAYOUT_FILE), "stepped": True}
+    with pytest.raises(ConfigError, match=r"stepped needs a ledger of steps \(ICU_STEP_LEDGER\), which bring_up makes"):
+        ros.node(BenchNode, settings)
