@@ -1061,3 +1061,17 @@ def test_after_an_error_nothing_is_sent_any_more_and_what_was_answered_stays_ans
     assert actions[-1] == msg.SetState(text="stopped: error in the controller: x")
     assert controller.handle(msg.Tick(), bench.now_ns) == controller.close(bench.now_ns) == []
     assert controller.fail("again", bench.now_ns) == []
+
+
+def test_operator_is_lost_by_the_wall_clock_and_nothing_else_is() -> None:
+    """Where time is simulated the machine's limits are of its time, those that guard people of the wall's."""
+    bench = Bench().start()
+    bench.talking.discard("heartbeat")
+    controller, wall_ns = bench.controller, 5 * 10**9
+    controller.handle(msg.Heartbeat(), bench.now_ns, wall_ns)
+    controller.handle(msg.Tick(), bench.now_ns, wall_ns + 500_000_000)
+    assert controller.state == "ready"
+    controller.handle(msg.Tick(), bench.now_ns, wall_ns + 700_000_000)
+    assert controller.state == "waiting: no operator (heartbeat)"
+    controller.handle(msg.Heartbeat(), bench.now_ns, wall_ns + 700_000_000)
+    assert controller.state == "ready"

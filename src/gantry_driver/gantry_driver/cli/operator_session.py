@@ -85,6 +85,8 @@ class OperatorSession:
         every(node, HEARTBEAT_S, self._beat, wall=True)
         self._beats_heard = 0
         self._factor = 1.0
+        self._followed: tuple[float, int] | None = None
+        """Wall and simulated time at which this node began to follow ``/clock``."""
         node.create_subscription(Float32, "simulation_factor", self._on_factor, qos.LATCHED)
 
     def _on_factor(self, message: Float32) -> None:
@@ -127,7 +129,7 @@ class OperatorSession:
         condition
             Asked after every callback.
         until
-            Deadline on ``time.monotonic()``.
+            Deadline on ``time.monotonic()``; a slow simulation moves it.
         missing
             What to say when it has passed.
 
@@ -138,7 +140,7 @@ class OperatorSession:
         while not (value := condition()):
             if self.interrupted:
                 raise Interrupted
-            if time.monotonic() > until:
+            if time.monotonic() - self._lost_s() > until:
                 raise TimedOut(missing())
             self._executor.spin_once(timeout_sec=_TURN_S)
         return value
@@ -210,6 +212,14 @@ class OperatorSession:
         if self.node.count_publishers(self.node.resolve_topic_name(CLOCK_TOPIC)) and not runs_by_clock_topic(self.node):
             self.node.set_parameters([Parameter("use_sim_time", value=True)])
             self.wait_for(lambda: self.now_ns() > 0, until, lambda: "no time on /clock: does the simulation run?")
+            self._followed = (time.monotonic(), self.now_ns())
+
+    def _lost_s(self) -> float:
+        """Return by how much less time has passed in the simulation than on the wall; 0 without a simulation."""
+        if self._followed is None:
+            return 0.0
+        wall_s, ros_ns = self._followed
+        return max(time.monotonic() - wall_s - (self.now_ns() - ros_ns) / 1e9, 0.0)
 
     def wait_until_heard(self, until: float) -> None:
         """Wait until driver and controller have had the heartbeat."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gantry_driver.core.motion_plan import MotionConfig
 from gantry_driver.core.targets import TouchConfig
-from icu_common.core.config import Config, ConfigError, nested, setting
+from icu_common.core.config import WALL_TIME, Config, ConfigError, nested, setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +108,7 @@ class ControllerConfig(Config):
     )
     goal_max_age_s: float = setting(0.5, "Older goals are refused as stale", minimum=0.05, maximum=10.0, unit="s")
     heartbeat_timeout_s: float = setting(
-        0.6, "Age at which the operator counts as gone", minimum=0.1, maximum=10.0, unit="s"
+        0.6, "Age at which the operator counts as gone", minimum=0.1, maximum=10.0, unit="s", clock=WALL_TIME
     )
     joints_timeout_s: float = setting(
         1.0, "Age of joint_states at which the driver counts as silent", minimum=0.1, maximum=10.0, unit="s"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from icu_common.core.config import Config, ConfigError, nested, setting
+from icu_common.core.config import WALL_TIME, Config, ConfigError, nested, setting
 
 REPORTS_MISSED = 1.5
 """Time between status reports, as often as which a board must be silent before its link counts as lost."""
@@ -128,7 +128,7 @@ class DriverConfig(Config):
     )
     enabled_at_start: bool = setting(False, "Motion is allowed without a call of enable", read_only=True)
     heartbeat_timeout_s: float = setting(
-        0.6, "Motion stops when the operator's heartbeat is older", minimum=0.1, maximum=5.0, unit="s"
+        0.6, "Motion stops when the operator's heartbeat is older", minimum=0.1, maximum=5.0, unit="s", clock=WALL_TIME
     )
     status_rate_hz: float = setting(10.0, "Status reports while nothing moves", minimum=1.0, maximum=50.0, unit="Hz")
     moving_status_rate_hz: float = setting(25.0, "Status reports while moving", minimum=5.0, maximum=100.0, unit="Hz")

@@ -31,7 +31,7 @@ from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
-from icu_common.nodes.timers import every
+from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 
 TICK_S = 0.1
 HELD_UP_S = 3.0
@@ -48,7 +48,8 @@ class SequenceNode(GraphNode):
         super().__init__("sequencer", **options)
         self._live = LiveParameters(self, SequenceConfig)
         self._run: SequenceRun | None = None
-        self._steady_s = steady_s
+        # A simulation that is slow holds up every node's timers, and the senders' time limits as well.
+        self._steady_s = seconds_of(self) if runs_by_clock_topic(self) else steady_s
         self._awake_s = self._steady_s()
         self._panel: DiagnosticArray | None = None
         self._controller = self._driver = ""

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from harris_perception.adapters.picture_files import SUFFIXES, decoded
 from icu_common.adapters.frame_link import FrameClient
-from icu_common.core.config import Config, ConfigError, setting
+from icu_common.core.config import WALL_TIME, Config, ConfigError, setting
 
 Picture = npt.NDArray[np.uint8]
 Clock = Callable[[], int]
@@ -84,8 +84,12 @@ class CameraConfig(Config):
         maximum=60.0,
         unit="s",
     )
-    retry_min_s: float = setting(0.5, "First pause before opening again.", minimum=0.01, maximum=60.0, unit="s")
-    retry_max_s: float = setting(5.0, "Longest pause before opening again.", minimum=0.01, maximum=60.0, unit="s")
+    retry_min_s: float = setting(
+        0.5, "First pause before opening again.", minimum=0.01, maximum=60.0, unit="s", clock=WALL_TIME
+    )
+    retry_max_s: float = setting(
+        5.0, "Longest pause before opening again.", minimum=0.01, maximum=60.0, unit="s", clock=WALL_TIME
+    )
 
     def __post_init__(self) -> None:
         Config.__post_init__(self)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 _KEY = "icu_setting"
+GRAPH_TIME, WALL_TIME = "graph", "wall"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +27,7 @@ class Setting:
     unit: str = ""
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    clock: str = ""
 
 
 def setting(
@@ -37,6 +39,7 @@ def setting(
     unit: str = "",
     choices: tuple[str, ...] = (),
     read_only: bool = False,
+    clock: str = "",
 ) -> Any:
     """Declare one field of a :class:`Config`.
 
@@ -54,6 +57,9 @@ def setting(
         Allowed strings.
     read_only
         The ROS parameter cannot change while the node runs.
+    clock
+        For a duration: the clock that measures it. GRAPH_TIME, the default, is as slow as a slow simulation; WALL_TIME
+        is for what guards people or programs. See docs/decisions/simulated-time.md.
     """
     info = Setting(
         description=description,
@@ -62,6 +68,7 @@ def setting(
         unit=unit,
         choices=choices,
         read_only=read_only,
+        clock=clock or (GRAPH_TIME if unit == "s" else ""),
     )
     return field(default=default, metadata={_KEY: info})
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 from dataclasses import dataclass
 
-from icu_common.core.config import Config, ConfigError, setting
+from icu_common.core.config import WALL_TIME, Config, ConfigError, setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,10 +29,20 @@ class BridgeConfig(Config):
         "", "File of names, roles and hashed passwords (page_admin password), empty = none", read_only=True
     )
     session_lifetime_s: float = setting(
-        43200.0, "A sign-in ends after this time", minimum=60.0, maximum=604800.0, unit="s", read_only=True
+        43200.0,
+        "A sign-in ends after this time",
+        minimum=60.0,
+        maximum=604800.0,
+        unit="s",
+        clock=WALL_TIME,
+        read_only=True,
     )
     sign_in_warning_s: float = setting(
-        600.0, "So long before its sign-in ends a page says so, and takes another one", minimum=0.0, unit="s"
+        600.0,
+        "So long before its sign-in ends a page says so, and takes another one",
+        minimum=0.0,
+        unit="s",
+        clock=WALL_TIME,
     )
     audit_file: str = setting("", "File of hash-chained command records, empty = none", read_only=True)
     audit_max_mb: float = setting(
@@ -74,21 +84,35 @@ class BridgeConfig(Config):
         0.002, "A selection is void when the panel has moved by more than this", minimum=0.0001, unit="m"
     )
     keepalive_fresh_s: float = setting(
-        0.4, "The heartbeat is published while the page's keep-alive is younger than this", minimum=0.1, unit="s"
+        0.4,
+        "The heartbeat is published while the page's keep-alive is younger than this",
+        minimum=0.1,
+        unit="s",
+        clock=WALL_TIME,
     )
     silence_stop_s: float = setting(
-        0.6, "Something moves and the operator's page was silent for this time: stop", minimum=0.1, unit="s"
+        0.6,
+        "Something moves and the operator's page was silent for this time: stop",
+        minimum=0.1,
+        unit="s",
+        clock=WALL_TIME,
     )
     picture_stop_s: float = setting(
         0.6, "Something moves and no picture came for this time: stop", minimum=0.1, maximum=10.0, unit="s"
     )
     jog_hold_s: float = setting(
-        0.3, "Moving on while held ends when the page has not asked again for this time", minimum=0.1, unit="s"
+        0.3,
+        "Moving on while held ends when the page has not asked again for this time",
+        minimum=0.1,
+        unit="s",
+        clock=WALL_TIME,
     )
     jog_step_max_m: float = setting(
         0.01, "Longest step of moving on while held: how far it still goes when let go", minimum=0.0001, unit="m"
     )
-    lease_timeout_s: float = setting(5.0, "A silent operator loses control after this time", minimum=1.0, unit="s")
+    lease_timeout_s: float = setting(
+        5.0, "A silent operator loses control after this time", minimum=1.0, unit="s", clock=WALL_TIME
+    )
     answer_timeout_s: float = setting(
         3.0, "A command without an answer for this time has failed", minimum=0.2, unit="s"
     )
