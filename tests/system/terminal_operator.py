@@ -12,6 +12,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from rclpy.context import Context
+from rclpy.parameter import Parameter
 from ros_rig import Ros, keeping_all
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
@@ -58,6 +59,9 @@ class Operator:
             60.0,
             lambda: f"state {self.state!r}, told {self.told}; {tail()}",
         )
+        if self.node.count_publishers("/clock"):
+            self.node.set_parameters([Parameter("use_sim_time", value=True)])
+            self.ros.spin_until(lambda: self.node.get_clock().now().nanoseconds > 0, 10.0)
 
     def _take_told(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -64,11 +64,14 @@ class StepGate:
         self._finished: Counts | None = None
         self._progress_s = self._looked_s = clock()
         self._processes: dict[int, int] = {}
+        self._suspended: dict[int, tuple[Counts, int]] = {}
+        """Of processes that were left behind, by row: subscriptions, and messages finished then."""
         self.left_behind: tuple[Laggard, ...] = ()
 
     def settled(self) -> bool:
         """Return whether nothing is outstanding, or whoever owes it has had its time."""
         now_s = self._clock()
+        self._resume_suspended()
         finished, expected, subscriptions = self._ledger.totals()
         owed = self._outstanding.update(finished, expected, subscriptions)
         if (processes := self._ledger.processes()) != self._processes:
@@ -94,6 +97,8 @@ class StepGate:
         if busy and now_s - self._progress_s <= self._callback_patience_s:
             return False
         self.left_behind = tuple(late.values())
+        for row in late:
+            self._suspended[row] = self._ledger.suspend(row), self._ledger.progress(row)
         self._outstanding.forgive(owed)
         self._finished = None
         return True
@@ -119,6 +124,15 @@ class StepGate:
     def restart(self) -> None:
         """Count only what is published from now on."""
         self._outstanding.forgive(self._outstanding.update(*self._ledger.totals()))
+
+    def _resume_suspended(self) -> None:
+        """Wait again for processes that have gone on."""
+        for row, (subscriptions, progress) in list(self._suspended.items()):
+            if row not in self._ledger.processes():
+                del self._suspended[row]
+            elif self._ledger.progress(row) != progress:
+                self._ledger.resume(row, subscriptions)
+                del self._suspended[row]
 
     def _forget_ended(self) -> None:
         for row, process in self._ledger.processes().items():

@@ -182,6 +182,20 @@ class StepLedger:
         """Return whether the process of a row is in a callback."""
         return bool(self._table[_HEAD, row, _BUSY])
 
+    def suspend(self, row: int) -> Counts:
+        """Expect nothing of a process any more; return its subscription counts for :meth:`resume`."""
+        counts = self._table[_SUBSCRIPTIONS, row].copy()
+        self._table[_SUBSCRIPTIONS, row] = 0
+        return counts
+
+    def resume(self, row: int, counts: Counts) -> None:
+        """Expect again what ``counts`` says of a process, and what it has subscribed to since."""
+        self._table[_SUBSCRIPTIONS, row] += counts
+
+    def progress(self, row: int) -> int:
+        """Return how many messages a process has finished."""
+        return int(self._table[_FINISHED, row].sum())
+
     def forget(self, row: int) -> None:
         """Free the row of a process that has ended."""
         self._table[1:, row] = 0
