@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import selectors
 import signal
@@ -12,10 +11,11 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeAlias
 
 from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE, SIGN_OF_LIFE_S
+from scope_bench.adapters.fork_server import ForkedProcess, ForkServer, die_with_parent, is_forkable
 
-_PR_SET_PDEATHSIG = 1
 _LONGEST_TURN_S = 1.0
 """No more silence is counted between two looks: bring-up may have stood still itself."""
 _LAST_READS = 64
@@ -24,13 +24,16 @@ _ABORT_S = 5.0
 """For what hangs to tell where (Python's faulthandler) and to end, before it is killed."""
 
 
+Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
+
+
 @dataclass(slots=True, kw_only=True)
 class Watched:
     """One program, its process, and what is known of its restarts."""
 
     name: str
     command: list[str]
-    process: subprocess.Popen[bytes] | None = None
+    process: Process | None = None
     starts: list[float] = field(default_factory=list)
     restart_at: float | None = None
     gave_up: bool = False
@@ -48,11 +51,6 @@ class Watched:
     def starting(self) -> bool:
         """Whether it could say that it is ready and has not done so."""
         return self.life_pipe is not None and not self.ready
-
-
-def _die_with_parent() -> None:
-    # prctl(2): without it a killed bring-up would leave the gantry's processes behind.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _is_stopped(pid: int) -> bool:
@@ -81,6 +79,8 @@ class ProcessGroup:
     silent_s
         A program that was ready and gives no sign of life for this time is aborted, so that it tells where it is, and
         killed if that does not end it; time for which a signal has stopped it does not count.
+    forks
+        Server that starts the programs that report when they are ready; without it they are executed.
     """
 
     def __init__(
@@ -93,6 +93,7 @@ class ProcessGroup:
         window_s: float = 60.0,
         ready_s: float = 90.0,
         silent_s: float = 8.0,
+        forks: ForkServer | None = None,
     ) -> None:
         self._environment = dict(environment)
         self._on_output = on_output
@@ -105,6 +106,10 @@ class ProcessGroup:
         self._programs: list[Watched] = []
         self._selector = selectors.DefaultSelector()
         self._partial: dict[int, bytes] = {}
+        self._forks = forks
+        if forks is not None:
+            os.set_blocking(forks.stdout.fileno(), False)
+            self._selector.register(forks.stdout, selectors.EVENT_READ, Watched(name="starter", command=[]))
 
     def start(self, name: str, command: list[str], *, ends_last: bool = False, tells_ready: bool = False) -> None:
         """Start a program; one that ``ends_last`` is ended when all others are gone.
@@ -128,18 +133,20 @@ class ProcessGroup:
 
     def _launch(self, watched: Watched) -> None:
         ready = os.pipe() if watched.tells_ready else ()
-        watched.process = subprocess.Popen(
-            watched.command,
-            env=self._environment
-            | ({READY_VARIABLE: str(ready[1])} if ready else {})
-            | ({AFTER_CRASH_VARIABLE: "1"} if watched.crashed else {}),
-            pass_fds=ready[1:],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,  # the terminal's Ctrl-C reaches bring-up alone, which ends the others in order
-            preexec_fn=_die_with_parent,
-        )
+        extra = {AFTER_CRASH_VARIABLE: "1"} if watched.crashed else {}
+        if watched.tells_ready and self._forks is not None and self._forks.runs and is_forkable(watched.command):
+            watched.process = self._forks.start(watched.command, extra, ready[1], READY_VARIABLE)
+        else:
+            watched.process = subprocess.Popen(
+                watched.command,
+                env=self._environment | ({READY_VARIABLE: str(ready[1])} if ready else {}) | extra,
+                pass_fds=ready[1:],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # the terminal's Ctrl-C reaches bring-up alone, which ends the others in order
+                preexec_fn=die_with_parent,
+            )
         if ready:
             os.close(ready[1])
             os.set_blocking(ready[0], False)
@@ -183,7 +190,7 @@ class ProcessGroup:
         return [w.name for w in self._programs if w.gave_up]
 
     def _look_for_life(
-        self, watched: Watched, pipe: int, process: subprocess.Popen[bytes], now: float, turn_s: float
+        self, watched: Watched, pipe: int, process: Process, now: float, turn_s: float
     ) -> None:
         with contextlib.suppress(BlockingIOError):
             if not os.read(pipe, 4096):  # it has closed the pipe, or ended
@@ -261,6 +268,8 @@ class ProcessGroup:
         """
         for watched in self._programs:
             watched.restart_at = None
+        if self._forks is not None:
+            self._forks.stop()
         killed: list[str] = []
         for last in (False, True):
             killed += self._end([w for w in self._programs if w.process is not None and w.ends_last is last], within_s)

@@ -25,6 +25,7 @@ from icu_common.core.yaml_text import values_of_pairs
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import prepare_transport
 from scope_bench.adapters.configuration_folder import configuration_folder
+from scope_bench.adapters.fork_server import ForkServer
 from scope_bench.adapters.graph_names import hold_names
 from scope_bench.adapters.processes import ProcessGroup
 from scope_bench.core.graph_description import GraphError, Program, check_namespace, load_graph
@@ -149,7 +150,7 @@ class BringUp:
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
         if self.options.in_step:
             environment[in_step.VARIABLE] = "1"
-        group = ProcessGroup(environment, self._output, self._event)
+        group = ProcessGroup(environment, self._output, self._event, forks=ForkServer(environment))
         printer = threading.Thread(target=self._print_all, name="printer", daemon=True)
         printer.start()
         try:
