@@ -189,9 +189,7 @@ class ProcessGroup:
         """Names of programs that are not restarted any more."""
         return [w.name for w in self._programs if w.gave_up]
 
-    def _look_for_life(
-        self, watched: Watched, pipe: int, process: Process, now: float, turn_s: float
-    ) -> None:
+    def _look_for_life(self, watched: Watched, pipe: int, process: Process, now: float, turn_s: float) -> None:
         with contextlib.suppress(BlockingIOError):
             if not os.read(pipe, 4096):  # it has closed the pipe, or ended
                 self._close_pipe(watched)
