@@ -9,7 +9,7 @@ import pytest
 from rclpy.node import Node
 from ros_rig import Ros
 
-from scope_bench.cli import bring_up
+from scope_bench.cli import bring_up, graph_run
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -21,13 +21,16 @@ def started(ros: Ros, given: list[str], tmp_path: Path, monkeypatch: pytest.Monk
     class Reader:
         gave_up = ()
 
-        def __init__(self, *_: Any) -> None:
+        def __init__(self, *_: Any, **__: Any) -> None:
             self.misconfigured: list[str] = []
 
         def start(self, name: str, command: list[str], **_: Any) -> None:
             node = Node("any", context=ros.context, cli_args=command[1:], use_global_arguments=False)
             taken[name] = {key: parameter.value for key, parameter in node._parameter_overrides.items()}
             node.destroy_node()
+
+        def ready_count(self) -> int:
+            return len(taken)
 
         def running(self) -> dict[str, dict[str, Any]]:
             return taken
@@ -38,8 +41,8 @@ def started(ros: Ros, given: list[str], tmp_path: Path, monkeypatch: pytest.Monk
         def stop(self) -> list[str]:
             return []
 
-    monkeypatch.setattr(bring_up, "ProcessGroup", Reader)
-    monkeypatch.setattr(bring_up, "find_executable", lambda _, executable, __: Path(executable))
+    monkeypatch.setattr(graph_run, "ProcessGroup", Reader)
+    monkeypatch.setattr(graph_run, "find_executable", lambda _, executable, __: Path(executable))
     monkeypatch.setattr("signal.signal", lambda *_: None)  # the test keeps its own
     monkeypatch.setattr("sys.argv", ["bring_up", "--config", str(CONFIG), "--state", str(tmp_path / "state"), *given])
     assert bring_up.main() == 0

@@ -124,7 +124,8 @@ class ProcessGroup:
         self._start(Watched(name=name, command=command, ends_last=ends_last, tells_ready=tells_ready))
 
     def start_once(self, name: str, command: list[str]) -> None:
-        """Start a program that ends by itself and is not restarted."""
+        """Start a program that ends by itself and is not restarted; it replaces an ended one of the same name."""
+        self._programs = [w for w in self._programs if not (w.once and w.name == name and w.process is None)]
         self._start(Watched(name=name, command=command, once=True))
 
     def _start(self, watched: Watched) -> None:
@@ -134,8 +135,9 @@ class ProcessGroup:
     def _launch(self, watched: Watched) -> None:
         ready = os.pipe() if watched.tells_ready else ()
         extra = {AFTER_CRASH_VARIABLE: "1"} if watched.crashed else {}
-        if watched.tells_ready and self._forks is not None and self._forks.runs and is_forkable(watched.command):
-            watched.process = self._forks.start(watched.command, extra, ready[1], READY_VARIABLE)
+        may_fork = watched.tells_ready or watched.once
+        if may_fork and self._forks is not None and self._forks.runs and is_forkable(watched.command):
+            watched.process = self._forks.start(watched.command, extra, ready[1] if ready else None, READY_VARIABLE)
         else:
             watched.process = subprocess.Popen(
                 watched.command,
@@ -164,10 +166,10 @@ class ProcessGroup:
             self._read(key)
         now = time.monotonic()
         turn_s, self._looked_at = min(now - self._looked_at, _LONGEST_TURN_S), now
-        for watched in self._programs:
+        for watched in list(self._programs):  # an event may start another one
             process = watched.process
-            if process is not None and process.poll() is not None:
-                self._ended(watched, process.returncode, now)
+            if process is not None and (code := process.poll()) is not None:
+                self._ended(watched, code, now)
             elif process is not None and watched.life_pipe is not None:
                 self._look_for_life(watched, watched.life_pipe, process, now, turn_s)
             elif process is not None and watched.aborted_at is not None and now - watched.aborted_at > _ABORT_S:
@@ -178,6 +180,14 @@ class ProcessGroup:
     def running(self) -> dict[str, int]:
         """Return the names and process numbers of what runs."""
         return {w.name: w.process.pid for w in self._programs if w.process is not None and w.process.poll() is None}
+
+    def ready_count(self) -> int:
+        """Return how many programs are ready, or run where they do not report it."""
+        return sum(
+            w.ready if w.tells_ready else w.process is not None and w.process.poll() is None
+            for w in self._programs
+            if not w.once
+        )
 
     @property
     def misconfigured(self) -> list[str]:
