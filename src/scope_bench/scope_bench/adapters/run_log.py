@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 KEPT_RUNS = 5
 MAX_BYTES = 8 * 1024 * 1024
@@ -30,7 +31,7 @@ class RunLog:
         folder.mkdir(parents=True, exist_ok=True)
         self.path = folder / "bring_up.log"
         self._max_bytes = max_bytes
-        self._file: BinaryIO | None = None
+        self._file: IO[bytes] | None = None
         self._size = 0
         self._open()
 
@@ -40,7 +41,9 @@ class RunLog:
             for older, newer in zip(names[:0:-1], names[-2::-1]):
                 if newer.exists():
                     newer.replace(older)
-        self._file, self._size = self.path.open("wb", buffering=0), 0
+        # The log has the page's one-time sign-in, which is for this user alone.
+        descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        self._file, self._size = os.fdopen(descriptor, "wb", buffering=0), 0
 
     def write(self, line: str) -> None:
         """Write a line with the time of day.

@@ -20,14 +20,11 @@ AUTOMATIC_REPEATS = 2
 
 
 class RemainingTime:
-    """Estimates the seconds that are left from the progress so far.
-
-    The first position is not representative (the machine comes from its switches), so the estimate starts with the
-    second one.
-    """
+    """Estimates the seconds that are left; a repeated report of the same count changes nothing."""
 
     def __init__(self) -> None:
         self._first: tuple[int, float] | None = None
+        self._done = 0
         self._end_s: float | None = None
 
     def progress(self, done: int, total: int, now_s: float, left_s: float | None = None) -> None:
@@ -36,11 +33,12 @@ class RemainingTime:
             self._end_s = now_s + left_s
             return
         if self._first is None or done < self._first[0]:
-            self._first, self._end_s = (done, now_s), None
+            self._first, self._done, self._end_s = (done, now_s), done, None
             return
         first, since_s = self._first
-        if done > first:
+        if done > max(first, self._done):
             self._end_s = now_s + (now_s - since_s) / (done - first) * (total - done)
+            self._done = done
 
     def left_s(self, now_s: float) -> int | None:
         """Return the estimate in whole seconds, at least 1; None before there is one."""
