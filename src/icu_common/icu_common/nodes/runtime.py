@@ -114,6 +114,23 @@ class Session:
 
 
 @contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """Let a signal to end leave a long computation in a node's constructor, which starts no thread."""
+    before = {number: signal.getsignal(number) for number in end_signals()}
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        raise SystemExit(0)
+
+    for number in before:
+        signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
 def _readable() -> Iterator[None]:
     """Raise a ConfigError for what rcl cannot read of the arguments and parameter files, with rcl's reason."""
     try:

@@ -191,9 +191,9 @@ class BringUp:
         log = RunLog(state / "logs")
         screen = Screen(log, terminal=is_terminal() and not self.options.verbose, on_broken=self._broken)
         screen.log(f"{' '.join(sys.argv)}, ROS domain {os.environ.get('ROS_DOMAIN_ID') or '0'}")
-        for note in self._notes if not screen.terminal else ():
+        for note in () if screen.terminal else (*self._notes, f"The log is {log.path}"):
             screen.say(note)
-        self._run = GraphRun(self.options, programs, screen, [*self._notes, f"Details are in {log.path}"])
+        self._run = GraphRun(self.options, programs, screen, notes=self._notes, log=log.path)
         self._run.stopping = self.stopping
         try:
             code = self._run.run(temporary, environment)

@@ -53,14 +53,25 @@ class GraphRun:
         Where it is shown.
     notes
         Sentences for the box.
+    log
+        Path of the log file, for the box.
     """
 
-    def __init__(self, options: argparse.Namespace, programs: list[Program], screen: Screen, notes: list[str]) -> None:
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        programs: list[Program],
+        screen: Screen,
+        *,
+        notes: list[str],
+        log: Path,
+    ) -> None:
         self.stopping = False
         self._options = options
         self._programs = programs
         self._screen = screen
         self._notes = notes
+        self._log = log
         self._here = Path(sys.argv[0])
         self._serves_page = any(p.executable == "ui_bridge" for p in programs)
         self._page = ""
@@ -167,7 +178,7 @@ class GraphRun:
             self._start_preparation()
             return
         advice = next_step(key=self._reads_keys, page=self._serves_page)
-        self._screen.say(f"{failed}\n{advice}")
+        self._screen.say(failed if self._screen.terminal else f"{failed}\n{advice}")
         self._repeat_offered = True
         self._keep_box(failed, advice)
 
@@ -190,8 +201,9 @@ class GraphRun:
         if not self._screen.terminal:
             return
         address = self._page if self._serves_page else ""
-        notes = (*texts, "Ctrl-C ends every program.", *self._notes)
-        self._screen.box(Box(address=address, notes=notes, qr=qr_modules(address) if address else ()))
+        notes = (*texts, *self._notes, "Ctrl-C ends every program.")
+        code = qr_modules(address) if address else ()
+        self._screen.box(Box(address=address, notes=notes, footer=f"Log: {self._log}", qr=code))
 
     def _show(self, total: int) -> None:
         """Show the moving line while something is to be waited for."""

@@ -32,7 +32,7 @@ class RemainingTime:
         if left_s is not None:
             self._end_s = now_s + left_s
             return
-        if self._first is None or done < self._first[0]:
+        if self._first is None or done < self._done:
             self._first, self._done, self._end_s = (done, now_s), done, None
             return
         first, since_s = self._first

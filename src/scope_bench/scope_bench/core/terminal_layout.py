@@ -29,12 +29,15 @@ class Box:
         On a row of its own, to be copied; empty if no page is served.
     notes
         Sentences, each its own paragraph.
+    footer
+        On a row of its own below, to be copied; empty for none.
     qr
         Modules of the address as a QR code, 1 is dark; empty for none.
     """
 
     address: str
     notes: tuple[str, ...]
+    footer: str = ""
     qr: tuple[tuple[int, ...], ...] = ()
 
 
@@ -47,7 +50,7 @@ def moving_line(text: str, done: int, total: int, columns: int) -> str:
     """Return one row with a bar where there is a total; it never reaches the last column, where terminals wrap."""
     filled = _BAR * done // total if total else 0
     bar = f"[{'#' * filled}{'.' * (_BAR - filled)}] " if total else ""
-    return f"{bar}{without_controls(text)}"[: max(columns - 1, 1)]
+    return f"{bar}{' '.join(without_controls(text).split())}"[: max(columns - 1, 1)]
 
 
 def qr_rows(modules: Sequence[Sequence[int]]) -> list[str]:
@@ -66,40 +69,43 @@ def qr_rows(modules: Sequence[Sequence[int]]) -> list[str]:
 def box_rows(box: Box, columns: int, rows: int, *, unicode: bool = True) -> list[str]:
     """Return the rows of a box that fit into a terminal; the code is left out where it does not fit.
 
-    Where the address is wider than the box it has a row without borders, which the terminal may wrap, so that it can
-    still be copied in one piece.
+    Where the address or the footer is wider than the box it has a row without borders, which the terminal may wrap, so
+    that it can still be copied in one piece.
     """
     inner = max(columns - 5, 8)  # two borders, two blanks, and the last column
     code = qr_rows(box.qr) if unicode else []
     code_width = len(box.qr[0]) + 2 * QR_BORDER if code else 0
     beside = inner - code_width - 2
     notes = _paragraphs(box.notes, beside) if code else []
-    address_rows = 1 if box.address else 0
-    if not code or beside < 16 or max(len(code), len(notes)) + address_rows + 3 > rows or len(box.address) > inner:
+    whole = [text for text in (box.address, box.footer) if text]
+    fits = max(len(code), len(notes)) + len(whole) + 2 <= rows and all(len(text) <= inner for text in whole)
+    if not code or beside < 16 or not fits:
         content = [(note, len(note)) for note in _paragraphs(box.notes, inner)]
     else:
         height = max(len(code), len(notes))
         code += [" " * code_width] * (height - len(code))
         notes += [""] * (height - len(notes))
         content = [(f"{left}  {right}", code_width + 2 + len(right)) for left, right in zip(code, notes)]
-    inner = max(min(inner, max([len(box.address), *(width for _, width in content)])), 8)
+    inner = max(min(inner, max([*map(len, whole), *(width for _, width in content)])), 8)
     across, down, corners = ("─", "│", "┌┐└┘") if unicode else ("-", "|", "++++")
-    result = [f"{corners[0]}{across * (inner + 2)}{corners[1]}"]
-    if box.address:
-        fits = len(box.address) <= inner
-        result.append(f"{down} {box.address}{' ' * (inner - len(box.address))} {down}" if fits else box.address)
-    result += [f"{down} {text}{' ' * (inner - width)} {down}" for text, width in content]
-    return [*result, f"{corners[2]}{across * (inner + 2)}{corners[3]}"]
+
+    def row(text: str, width: int) -> str:
+        return f"{down} {text}{' ' * (inner - width)} {down}" if width <= inner else text
+
+    return [
+        f"{corners[0]}{across * (inner + 2)}{corners[1]}",
+        *([row(box.address, len(box.address))] if box.address else []),
+        *(row(text, width) for text, width in content),
+        *([row(box.footer, len(box.footer))] if box.footer else []),
+        f"{corners[2]}{across * (inner + 2)}{corners[3]}",
+    ]
 
 
 def _paragraphs(notes: Sequence[str], width: int) -> list[str]:
     lines: list[str] = []
     for note in notes:
-        lines += (
-            ["", *textwrap.wrap(without_controls(note), max(width, 8))]
-            if lines
-            else textwrap.wrap(without_controls(note), max(width, 8))
-        )
+        lines += [""] if lines else []
+        lines += textwrap.wrap(without_controls(note), max(width, 8), break_on_hyphens=False)
     return lines
 
 

@@ -11,7 +11,7 @@ from icu_common.core.config import ConfigError
 from icu_common.core.panel_layout import load_layout
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.parameters import LiveParameters
-from icu_common.nodes.runtime import run
+from icu_common.nodes.runtime import interruptible, run
 from icu_common.nodes.timers import every
 from scope_bench.adapters.simulation import Health, Simulation
 from scope_bench.core.configuration import BenchConfig
@@ -25,7 +25,8 @@ class BenchNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("bench", **kwargs)
         self._settings = LiveParameters(self, BenchConfig, self._changed)
-        self._simulation = _simulation(self._settings.config)
+        with interruptible():  # drawing the views takes seconds
+            self._simulation = _simulation(self._settings.config)
         self._frames_before = 0
         self._diagnostics = Diagnostics(self)
         every(self, DIAGNOSTICS_S, self._report)
