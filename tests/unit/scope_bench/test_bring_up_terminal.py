@@ -104,7 +104,7 @@ class Demo:
 
     @property
     def text(self) -> str:
-        return self.written.decode()
+        return self.written.decode(errors="ignore")
 
     @property
     def screen(self) -> list[str]:

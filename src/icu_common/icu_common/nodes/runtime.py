@@ -42,6 +42,12 @@ from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIAB
 from icu_common.nodes import in_step
 from icu_common.nodes.hearing import Hearing
 
+TEARDOWN_S = 2.5
+"""Maximum seconds to destroy closed nodes and shut rclpy down; then the process prints where it hangs, and ends.
+
+Fast DDS's threads can wait for each other while other participants leave (docs/decisions/processes.md).
+"""
+
 
 def prepare_transport(shared_memory: bool = True) -> None:
     """Choose the transport profile, loopback alone, and a malloc that keeps picture-sized blocks.
@@ -258,6 +264,8 @@ def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None,
     except (ConfigError, ParameterException) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def _hearing() -> Hearing | None:
@@ -291,5 +299,9 @@ def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
                 os._exit(DEAF)  # taking the nodes apart would wait for the middleware's threads, as those do
     finally:
         for node in nodes:
-            session.end(node)
+            session.close(node)
+        # Not a timer of Python: the middleware's calls may hold the interpreter's lock while they wait.
+        faulthandler.dump_traceback_later(TEARDOWN_S, exit=True)
+        for node in nodes:
+            node.destroy_node()
     return 0
