@@ -48,6 +48,20 @@ trap end_groups EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM HUP
 
+no_space() { # log
+  ! grep -qiE 'No space left on device|Disk quota exceeded' "$1" \
+    || fail "the disk of $root is full; free $needed_mb MB (docker system prune, pip cache purge), then run: make demo"
+}
+explain() { # log, what pip installed
+  no_space "$1"
+  if grep -qiE 'NewConnectionError|NameResolutionError|ConnectTimeout|ReadTimeout|ProxyError|Network is unreachable|Temporary failure in name resolution' "$1"; then
+    fail "no connection to the Python package index; connect to the network (behind a proxy: export https_proxy=http://HOST:PORT), then run: make demo"
+  fi
+  clear_line
+  tail -n 20 "$1" >&2
+  fail "pip could not install $2; all it printed is in $1; then run: make demo"
+}
+
 # Linux ends an interpreter's path at the first blank of a script's first line.
 case $root in *[[:space:]]*) fail "$root has a blank in its name, and the programs would not start there; move this folder" ;; esac
 command -v "$python" >/dev/null || fail "$python is not installed; install it: sudo apt install python3 python3-venv (Debian and Ubuntu)"
@@ -108,19 +122,6 @@ if [ $jazzy = yes ]; then
   constraints=(--constraint "$venv/constraints.txt")
 fi
 
-no_space() { # log
-  ! grep -qiE 'No space left on device|Disk quota exceeded' "$1" \
-    || fail "the disk of $root is full; free $needed_mb MB (docker system prune, pip cache purge), then run: make demo"
-}
-explain() { # log, what pip installed
-  no_space "$1"
-  if grep -qiE 'NewConnectionError|NameResolutionError|ConnectTimeout|ReadTimeout|ProxyError|Network is unreachable|Temporary failure in name resolution' "$1"; then
-    fail "no connection to the Python package index; connect to the network (behind a proxy: export https_proxy=http://HOST:PORT), then run: make demo"
-  fi
-  clear_line
-  tail -n 20 "$1" >&2
-  fail "pip could not install $2; all it printed is in $1; then run: make demo"
-}
 install() { # file of requirements, what it is, and whether another step runs at the same time
   local mark sum log
   mark=$venv/.installed-$(basename "$1" .txt)
