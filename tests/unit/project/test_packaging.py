@@ -53,7 +53,7 @@ OF_ROS = {
     "trajectory_msgs", "visualization_msgs",
 }  # fmt: skip
 """Packages of Jazzy's ros-base."""
-BY_PIP = {"rosbags", "apsw"}
+BY_PIP = {"rosbags", "apsw", "segno"}
 
 
 def imports(package: Path) -> set[str]:
