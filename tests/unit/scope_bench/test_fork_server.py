@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -137,6 +138,19 @@ def test_a_server_that_ends_before_it_forks_is_an_end_of_the_program(group: Grou
     group.server._process.kill()
     group.until(lambda: ("a", "waits") in group.output)
     assert group.events == [("a", "ended with exit code 1, restarted in 0.5 s")]
+
+
+def test_requests_wait_until_the_server_takes_them(group: Group) -> None:
+    """It may be importing for a second, and a system may allow ten requests that are not read."""
+    group.server._process.send_signal(signal.SIGSTOP)
+    group.server._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+    names = [f"program_{number}" for number in range(12)]
+    for name in names:
+        group.start(name, "wait", "x" * 1000)
+    assert 0 < len(group.server._unsent) < len(names)
+    group.server._process.send_signal(signal.SIGCONT)
+    group.until(lambda: all((name, "waits") in group.output for name in names))
+    assert group.stop() == [] and group.group.running() == {}
 
 
 def test_stop_leaves_no_program_that_was_still_to_be_forked(group: Group) -> None:

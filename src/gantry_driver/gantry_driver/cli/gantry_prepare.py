@@ -34,6 +34,8 @@ DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "g
 _BROKEN = ("disconnected", "stopped", "alarm", "mismatch")
 CONNECT_S = 60.0
 CAMERA_S = 120.0
+HOME_S = 10.0
+"""Seconds in which homing is requested again: on a busy computer the first heartbeats may still be on their way."""
 RETRY_S = 1.0
 
 
@@ -114,7 +116,7 @@ def prepare(
     # The state may still be that of before the call: homed, but not enabled.
     if home or session.latest(DRIVER).partition(":")[0] not in ("idle", "disabled"):
         narrator.begin(Stage.HOMING)
-        steps.call(Trigger, "gantry/home", Trigger.Request())
+        steps.call(Trigger, "gantry/home", Trigger.Request(), patience_s=HOME_S)
         steps.follow(DRIVER, "homing", done=lambda text: text == "idle", failed=_BROKEN)
     narrator.begin(Stage.CAMERAS)
     # A stored calibration counts once the cameras have shown that it is theirs.

@@ -9,7 +9,6 @@ is the nearest child subreaper (prctl(2)). So bring-up waits for it, signals it 
 
 from __future__ import annotations
 
-import array
 import contextlib
 import ctypes
 import gc
@@ -23,6 +22,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,8 +92,6 @@ class ForkServer:
     def __init__(self, environment: Mapping[str, str]) -> None:
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        # Room for all requests: bring-up must not wait while the server imports.
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
         command = [sys.executable, "-m", "scope_bench.cli.fork_server", str(theirs.fileno()), str(os.getpid())]
         with theirs:
             self._process = subprocess.Popen(
@@ -109,6 +107,7 @@ class ForkServer:
         assert self._process.stdout is not None
         self.stdout: IO[bytes] = self._process.stdout
         self._socket.setblocking(False)
+        self._unsent: deque[tuple[bytes, list[int]]] = deque()
         self._expected: dict[int, ForkedProcess] = {}
         self._requests = 0
         self._open = True
@@ -131,31 +130,35 @@ class ForkServer:
             Variables in addition to the server's.
         ready_fd, ready_name
             File descriptor that the program inherits, and the variable that names it.
-
-        Raises
-        ------
-        OSError
-            If the server takes no request.
         """
         out_read, out_write = os.pipe()
-        try:
-            self._requests += 1
-            request = {"id": self._requests, "command": list(command), "environment": dict(environment)}
-            request["ready"] = ready_name if ready_fd is not None else ""
-            fds = array.array("i", [out_write, *([] if ready_fd is None else [ready_fd])])
-            rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, fds.tobytes())]
-            self._socket.sendmsg([json.dumps(request).encode()], rights)
-        except OSError:
-            os.close(out_read)
-            raise
-        finally:
-            os.close(out_write)
+        self._requests += 1
+        request = {"id": self._requests, "command": list(command), "environment": dict(environment)}
+        request["ready"] = ready_name if ready_fd is not None else ""
+        fds = [out_write, *([] if ready_fd is None else [os.dup(ready_fd)])]
+        self._unsent.append((json.dumps(request).encode(), fds))
         process = ForkedProcess(self, os.fdopen(out_read, "rb", 0))
         self._expected[self._requests] = process
+        self._send()
         return process
+
+    def _send(self) -> None:
+        """Send what the socket takes: a system may allow ten unread requests, and the server is importing."""
+        while self._open and self._unsent:
+            data, fds = self._unsent[0]
+            try:
+                socket.send_fds(self._socket, [data], fds)
+            except BlockingIOError:
+                return
+            except OSError:
+                self._open = False
+            self._unsent.popleft()
+            for fd in fds:
+                os.close(fd)
 
     def receive(self) -> bool:
         """Take the answers that have come; return False when the server has gone and none can come."""
+        self._send()
         while self._open:
             try:
                 data = self._socket.recv(_MESSAGE_BYTES)
@@ -181,6 +184,10 @@ class ForkServer:
         self.receive()
         self._open = False
         self._socket.close()
+        for _, fds in self._unsent:
+            for fd in fds:
+                os.close(fd)
+        self._unsent.clear()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

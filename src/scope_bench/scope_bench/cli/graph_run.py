@@ -19,6 +19,7 @@ from scope_bench.core.graph_description import Program
 from scope_bench.core.qr_code import qr_modules
 from scope_bench.core.run_words import (
     RemainingTime,
+    Status,
     failure,
     next_step,
     preparing,
@@ -35,7 +36,8 @@ WAIT_S = 60.0
 """Maximum seconds that a program waits for the simulated device that it belongs to."""
 _FORKING_PAYS = 3
 """Minimum number of nodes for which the server that forks them is started."""
-_TURN_S = 0.1
+_TURN_S, _REST_S = 0.05, 0.2
+"""Seconds between two looks at what output does not announce: sockets that appear, keys; while it starts, and later."""
 PREPARE = "prepare"
 _PAGE = re.compile(r"https?://\S+\?token=\S+")
 
@@ -82,6 +84,7 @@ class GraphRun:
         self._repeats = 0
         self._repeat_offered = False
         self._box: tuple[str, ...] = ()
+        self._status: Status | None = None
 
     def run(self, temporary: Path, environment: dict[str, str]) -> int:
         """Run until a signal comes or nothing can run; return the exit code."""
@@ -120,7 +123,7 @@ class GraphRun:
                 if self._options.prepare:
                     self._start_preparation()
             self._show(total)
-            self._group.watch(_TURN_S)
+            self._group.watch(_REST_S if self._box else _TURN_S)
             self._read_keys()
 
     def _screen_started(self) -> None:
@@ -154,6 +157,7 @@ class GraphRun:
 
     def _start_preparation(self) -> None:
         self._report, self._remaining, self._repeat_offered = None, RemainingTime(), False
+        self._status = None
         self._box = ()
         path = find_executable("gantry_driver", "gantry_prepare", self._here)
         namespace = self._options.namespace.strip("/")
@@ -212,11 +216,17 @@ class GraphRun:
         report, ready = self._report, self._group.ready_count()
         early = report is None or report.stage in (Stage.CONNECTING, Stage.ENABLING)
         if ready < total and early:
-            self._screen.status(starting(ready, total))
+            self._show_status(starting(ready, total))
         elif report is not None and report.stage not in (Stage.READY, Stage.FAILED):
-            self._screen.status(preparing(report, self._remaining.left_s(time.monotonic())))
+            self._show_status(preparing(report, self._remaining.left_s(time.monotonic())))
         elif not self._options.prepare and ready >= total:
             self._keep_box(f"All programs of the profile {self._options.profile} run.")
+
+    def _show_status(self, status: Status) -> None:
+        # While the terminal takes no output (Control-S) the screen's queue must not grow with equal lines.
+        if status != self._status:
+            self._status = status
+            self._screen.status(status)
 
     def _output(self, name: str, line: str) -> None:
         found = _PAGE.search(line)
