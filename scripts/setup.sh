@@ -122,6 +122,15 @@ if [ $jazzy = yes ]; then
   constraints=(--constraint "$venv/constraints.txt")
 fi
 
+show_pip() { # file of requirements, whether the line moves; not awk, which may wait until it has read a block
+  local line
+  while IFS= read -r line; do
+    case $line in
+      Collecting*|Installing*|Building*) [ "$2" = 0 ] || step "[2/4] $line" ;;
+      Successfully*) [ $terminal = yes ] || echo "      installed $1" ;;
+    esac
+  done
+}
 install() { # file of requirements, what it is, and whether another step runs at the same time
   local mark sum log
   mark=$venv/.installed-$(basename "$1" .txt)
@@ -133,9 +142,7 @@ install() { # file of requirements, what it is, and whether another step runs at
   [ $terminal = yes ] && [ -z "${3:-}" ] && show=1
   # What is imported is compiled then; most of it never is.
   PIP_DISABLE_PIP_VERSION_CHECK=1 PYTHONUNBUFFERED=1 "$venv/bin/pip" install --no-compile "${constraints[@]}" -r "$1" 2>&1 | tee "$log" \
-    | awk -v show=$show -v width=$((columns - 1)) -v file="$1" -v terminal=$terminal '
-      /^(Collecting|Installing|Building)/ && show { printf "\r\033[K%s", substr("set-up [2/4] " $0, 1, width); fflush() }
-      /^Successfully/ && terminal == "no" { print "      installed " file }' \
+    | show_pip "$1" $show \
     || explain "$log" "$1"
   echo "$sum" > "$mark"
 }
