@@ -13,9 +13,9 @@ INSTALL := ros2_ws/install
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-demo: ## set up and run the whole robot on the simulated bench; Ctrl-C ends it
+demo: ## set up and run the whole robot on the simulated bench; Ctrl-C ends it, VERBOSE=1 prints everything
 	@scripts/setup.sh
-	@exec $(INSTALL)/scope_bench/lib/scope_bench/bring_up --profile bench --prepare
+	@exec $(INSTALL)/scope_bench/lib/scope_bench/bring_up --profile bench --prepare $(if $(VERBOSE),--verbose)
 
 # Three at a time on two cores: the tests of nodes wait for much of their time.
 test: ## set up and run all checks and tests

@@ -19,7 +19,7 @@ ONLY_ELSEWHERE = {
         *("gcode_check", "progress", "monitor", "check_mode", "wrist_camera", "board", "board_detection"),
         *("stereo_evaluation", "dense_stereo", "repeatability", "capture", "yaml_text"),
         *("stereo_folders", "picture_files", "stereo_calibration", "boundary_files", "boundary_evaluation"),
-        *("program_end", "option_bounds", "topic_names"),
+        *("program_end", "option_bounds", "topic_names", "preparation"),
     ),
     "programs that do not start, or the log": (
         *("config", "machine_config", "controller_config", "parameters", "runtime", "camera_model", "frame_link"),

@@ -9,7 +9,7 @@ import pytest
 from rclpy.node import Node
 from ros_rig import Ros
 
-from scope_bench.cli import bring_up
+from scope_bench.cli import bring_up, graph_run
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -21,13 +21,16 @@ def started(ros: Ros, given: list[str], tmp_path: Path, monkeypatch: pytest.Monk
     class Reader:
         gave_up = ()
 
-        def __init__(self, *_: Any) -> None:
+        def __init__(self, *_: Any, **__: Any) -> None:
             self.misconfigured: list[str] = []
 
         def start(self, name: str, command: list[str], **_: Any) -> None:
             node = Node("any", context=ros.context, cli_args=command[1:], use_global_arguments=False)
             taken[name] = {key: parameter.value for key, parameter in node._parameter_overrides.items()}
             node.destroy_node()
+
+        def ready_count(self) -> int:
+            return len(taken)
 
         def running(self) -> dict[str, dict[str, Any]]:
             return taken
@@ -38,8 +41,8 @@ def started(ros: Ros, given: list[str], tmp_path: Path, monkeypatch: pytest.Monk
         def stop(self) -> list[str]:
             return []
 
-    monkeypatch.setattr(bring_up, "ProcessGroup", Reader)
-    monkeypatch.setattr(bring_up, "find_executable", lambda _, executable, __: Path(executable))
+    monkeypatch.setattr(graph_run, "ProcessGroup", Reader)
+    monkeypatch.setattr(graph_run, "find_executable", lambda _, executable, __: Path(executable))
     monkeypatch.setattr("signal.signal", lambda *_: None)  # the test keeps its own
     monkeypatch.setattr("sys.argv", ["bring_up", "--config", str(CONFIG), "--state", str(tmp_path / "state"), *given])
     assert bring_up.main() == 0
@@ -69,3 +72,23 @@ def test_a_single_value_of_a_robot_in_a_namespace(ros: Ros, tmp_path: Path, monk
     given += ["--set", "gantry_controller.look_timeout_s=20.0"]
     controller = started(ros, given, tmp_path, monkeypatch)["gantry_controller"]
     assert (controller["look_timeout_s"], controller["camera_timeout_s"]) == (20.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "simulated"),
+    [
+        ([], True),
+        (["--without", "ui_bridge"], True),
+        (["--real-time"], False),
+        (["--without", "bench"], False),
+        (["--only", "gantry_controller"], False),
+        (["--profile", "hardware", "--without", "camera", "--without", "ui_bridge"], False),
+    ],
+)
+def test_graph_whose_hardware_is_all_simulated_runs_by_simulated_time(
+    ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], simulated: bool
+) -> None:
+    taken = started(ros, given, tmp_path, monkeypatch)
+    assert taken["gantry_controller"].get("use_sim_time", False) is simulated
+    if "bench" in taken:
+        assert taken["bench"].get("stepped", False) is simulated

@@ -22,6 +22,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from gantry_driver.cli import gantry_goal, gantry_sequence
+from icu_common.core import preparation
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import result_message
@@ -261,7 +262,7 @@ class Machine:
         self.calls: list[str] = []
         last = "failed: 3 of 12 samples" if calibration_fails else "calibrated: sigma 0.1 mm"
         self.calibration_states = calibration_states or ("calibrating 1/12", last)
-        self.refusals = 0
+        self.refusals = self.home_refusals = 0
         self.disabled = disabled
         node = bench.node
         self.calibration = node.create_publisher(String, "/calibration/state", qos.LATCHED)
@@ -281,6 +282,10 @@ class Machine:
 
     def _home(self, request: Any, response: Any) -> Any:
         self.calls.append("home")
+        if self.home_refusals:
+            self.home_refusals -= 1
+            response.success, response.message = False, "refused: no operator's heartbeat yet"
+            return response
         for text in ("homing", "idle"):
             self.bench.driver_state.publish(String(data=text))
         response.success = True
@@ -305,6 +310,33 @@ def test_prepare_does_what_is_needed(ros: Any, bench: GantryBench) -> None:
     assert machine.calls == ["enable True", "home", "calibrate"]
     for line in ("driver: unhomed", "homing: idle", "calibration: calibrated: sigma 0.1 mm", "controller: ready"):
         assert line in output, output
+
+
+def test_prepare_reports_its_progress_for_programs(ros: Any, bench: GantryBench) -> None:
+    Machine(bench, calibrated=False)
+    code, output = Program(ros, "gantry_prepare", "--json", "--timeout", "30").end()
+    assert code == 0, output
+    reports = [preparation.from_line(line) for line in output.splitlines() if line.startswith("{")]
+    stages = list(dict.fromkeys(report.stage for report in reports))
+    assert stages == [stage for stage in preparation.Stage if stage is not preparation.Stage.FAILED], output
+    assert (1, 12) in [(report.done, report.total) for report in reports]
+
+
+def test_prepare_reports_what_failed_for_programs(ros: Any, bench: GantryBench) -> None:
+    Machine(bench, calibrated=False, homed=True, calibration_fails=True)
+    code, output = Program(ros, "gantry_prepare", "--json", "--timeout", "30").end()
+    assert code == 1, output
+    last = preparation.from_line(output.splitlines()[-1])
+    assert last.stage is preparation.Stage.FAILED and last.failed_at is preparation.Stage.CALIBRATING
+    assert last.cause is preparation.Cause.REFUSED and "3 of 12 samples" in last.text
+
+
+def test_prepare_asks_for_homing_again_while_the_heartbeat_is_on_its_way(ros: Any, bench: GantryBench) -> None:
+    machine = Machine(bench, calibrated=True)
+    machine.home_refusals = 1
+    code, output = Program(ros, "gantry_prepare", "--timeout", "30").end()
+    assert code == 0 and machine.calls == ["enable True", "home", "home"], output
+    assert "gantry/home is refused so far: refused: no operator's heartbeat yet" in output
 
 
 def test_prepare_has_patience_with_cameras_that_start_slowly(ros: Any, bench: GantryBench) -> None:

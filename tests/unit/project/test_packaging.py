@@ -53,7 +53,7 @@ OF_ROS = {
     "trajectory_msgs", "visualization_msgs",
 }  # fmt: skip
 """Packages of Jazzy's ros-base."""
-BY_PIP = {"rosbags", "apsw"}
+BY_PIP = {"rosbags", "apsw", "segno"}
 
 
 def imports(package: Path) -> set[str]:
@@ -153,7 +153,7 @@ def test_what_was_compiled_from_other_sources_is_not_used(tmp_path: Path) -> Non
     python.write_text(f"#!/bin/sh\nls {kept} >> {tmp_path}/found\n")
     python.chmod(0o755)
     assert compile_all
-    script = f"root={tmp_path} venv={tmp_path}/venv kernels=new\n{compile_all[0]}\ncompile"
+    script = f"root={tmp_path} venv={tmp_path}/venv kernels=new terminal=yes\n{compile_all[0]}\ncompile"
     subprocess.run(["bash", "-euo", "pipefail", "-c", script], timeout=20, check=True)
     assert set((tmp_path / "found").read_text().split()) == {"edges.pyc"}
     assert (tmp_path / "venv" / ".compiled").read_text() == "new\n"
@@ -173,7 +173,8 @@ def test_the_environment_of_a_folder_that_was_moved_is_made_anew(tmp_path: Path)
     def set_up(folder: Path) -> bool:
         assert block
         names = f"root={folder} venv={folder}/.venv python={python} version=3.11 jazzy=no"
-        script = f"fail() {{ exit 1; }}\n{names}\n{block[0]}"
+        helpers = 'fail() { exit 1; }\nstep() { echo "$1"; }\nwait_for() { "$@"; }\nneeded_mb=0'
+        script = f"{helpers}\n{names}\n{block[0]}"
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", script],
             cwd=folder,

@@ -27,12 +27,15 @@ from gantry_driver.cli.operator_session import (
     say,
 )
 from icu_common.adapters.program_end import ends_quietly
+from icu_common.core.preparation import Cause, Report, Stage, calibration_report, to_line
 from icu_common.nodes.runtime import own_arguments
 
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
 _BROKEN = ("disconnected", "stopped", "alarm", "mismatch")
 CONNECT_S = 60.0
 CAMERA_S = 120.0
+HOME_S = 10.0
+"""Seconds in which homing is requested again: on a busy computer the first heartbeats may still be on their way."""
 RETRY_S = 1.0
 
 
@@ -59,7 +62,43 @@ def _advice(driver: str) -> str:
     return ""
 
 
-def prepare(session: OperatorSession, *, home: bool, calibrate: bool, until: float) -> None:
+class Narrator:
+    """Prints what happens: sentences for people, or reports of :mod:`icu_common.core.preparation` for bring-up."""
+
+    def __init__(self, *, json: bool = False) -> None:
+        self._json = json
+        self.stage = Stage.CONNECTING
+
+    def begin(self, stage: Stage) -> None:
+        """Note the next step."""
+        self.stage = stage
+        if self._json:
+            say(to_line(Report(stage=stage)))
+
+    def say(self, text: str) -> None:
+        """Print a sentence about the current step."""
+        say(to_line(Report(stage=self.stage, text=text)) if self._json else text)
+
+    def state(self, what: str, text: str) -> None:
+        """Print a state of what the current step follows."""
+        if self._json and self.stage is Stage.CALIBRATING:
+            say(to_line(calibration_report(text)))
+        else:
+            self.say(f"{what}: {text}")
+
+    def fail(self, cause: Cause, reason: str) -> None:
+        """Print why the current step has failed."""
+        if self._json:
+            say(to_line(Report(stage=Stage.FAILED, failed_at=self.stage, cause=cause, text=reason)))
+        elif cause is Cause.INTERRUPTED:
+            say(reason)
+        else:
+            complain(reason)
+
+
+def prepare(
+    session: OperatorSession, *, home: bool, calibrate: bool, until: float, narrator: Narrator | None = None
+) -> None:
     """Go through the steps; ``home`` and ``calibrate`` ask for them even where they are not needed.
 
     Raises
@@ -68,13 +107,18 @@ def prepare(session: OperatorSession, *, home: bool, calibrate: bool, until: flo
     """
     for topic in (DRIVER, CALIBRATION):
         session.watch(topic)
-    steps = _Steps(session, until)
+    narrator = narrator or Narrator()
+    steps = _Steps(session, until, narrator)
+    narrator.begin(Stage.CONNECTING)
     steps.connect()
+    narrator.begin(Stage.ENABLING)
     steps.call(SetBool, "gantry/enable", SetBool.Request(data=True))
     # The state may still be that of before the call: homed, but not enabled.
     if home or session.latest(DRIVER).partition(":")[0] not in ("idle", "disabled"):
-        steps.call(Trigger, "gantry/home", Trigger.Request())
+        narrator.begin(Stage.HOMING)
+        steps.call(Trigger, "gantry/home", Trigger.Request(), patience_s=HOME_S)
         steps.follow(DRIVER, "homing", done=lambda text: text == "idle", failed=_BROKEN)
+    narrator.begin(Stage.CAMERAS)
     # A stored calibration counts once the cameras have shown that it is theirs.
     steps.wait(
         lambda: session.latest(CALIBRATION) and "waiting" not in session.latest(CALIBRATION),
@@ -85,14 +129,18 @@ def prepare(session: OperatorSession, *, home: bool, calibrate: bool, until: flo
         if not calibration.startswith("calibrating"):
             # Cameras can take longer to start than a machine takes to home.
             steps.call(Trigger, "calibration/run", Trigger.Request(), patience_s=CAMERA_S)
+        narrator.begin(Stage.CALIBRATING)
         steps.follow(CALIBRATION, "calibration", done=lambda t: t.startswith("calibrated"), failed=("failed",))
+    narrator.begin(Stage.CONTROLLER)
     steps.wait_ready()
+    narrator.begin(Stage.READY)
 
 
 class _Steps:
-    def __init__(self, session: OperatorSession, until: float) -> None:
+    def __init__(self, session: OperatorSession, until: float, narrator: Narrator | None = None) -> None:
         self._session = session
         self._until = until
+        self._narrator = narrator or Narrator()
         self._seen_before_call: dict[str, int] = {}
         self._publishers_before_call: dict[str, Ends] = {}
 
@@ -100,7 +148,7 @@ class _Steps:
         """Wait for the driver, and longer for a board that is still connecting."""
         session = self._session
         text = self.wait(lambda: session.latest(DRIVER), "no gantry/driver_state: is the driver running?")
-        say(f"driver: {text}")
+        self._narrator.say(f"driver: {text}")
         session.wait_until_heard(self._until)
         ready = min(self._until, time.monotonic() + CONNECT_S)
         try:
@@ -140,10 +188,10 @@ class _Steps:
                 raise Failed(f"{name} was refused: {answer.message}")
             if answer.message != refusal:
                 refusal = answer.message
-                say(f"{name} is refused so far: {refusal}")
+                self._narrator.say(f"{name} is refused so far: {refusal}")
             self._pause_until(again)
         session.node.destroy_client(client)
-        say(f"{name}: {answer.message or 'accepted'}")
+        self._narrator.say(f"{name}: {answer.message or 'accepted'}")
 
     def _pause_until(self, when: float) -> None:
         self.wait(lambda: time.monotonic() > when, "out of time")
@@ -160,7 +208,7 @@ class _Steps:
                 raise Failed(f"{what} was cut short: the node that was asked has been started anew")
             for text in texts[shown:]:
                 shown += 1
-                say(f"{what}: {text}")
+                self._narrator.state(what, text)
                 if text.partition(":")[0] in failed:
                     raise Failed(f"{what}: {text}{_advice(text)}")
                 if done(text):
@@ -181,7 +229,7 @@ class _Steps:
             text = session.latest(CONTROLLER)
             if text != last:
                 last = text
-                say(f"controller: {text}")
+                self._narrator.say(f"controller: {text}")
             if text.partition(":")[0] in ("stopped", "alarm"):
                 raise Failed(f"the controller is {text!r}")
             return text == "ready"
@@ -199,20 +247,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--home", action="store_true", help="home even if the machine is homed")
     parser.add_argument("--calibrate", action="store_true", help="calibrate even if a calibration is loaded")
     parser.add_argument("--timeout", type=number, default=400.0, metavar="S", help="whole time allowed (default 400)")
+    parser.add_argument("--json", action="store_true", help="print progress as JSON, one object a line, for programs")
     given = parser.parse_args(own_arguments(arguments))
     if not given.timeout > 0:
         parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
     with operator_session("gantry_prepare", arguments) as session:
+        narrator = Narrator(json=given.json)
+        until = time.monotonic() + given.timeout
         try:
-            prepare(session, home=given.home, calibrate=given.calibrate, until=time.monotonic() + given.timeout)
+            prepare(session, home=given.home, calibrate=given.calibrate, until=until, narrator=narrator)
         except Failed as error:
-            complain(str(error))
+            narrator.fail(Cause.REFUSED, str(error))
             return FAILED
         except TimedOut as error:
-            complain(str(error))
+            narrator.fail(Cause.TIMED_OUT, str(error))
             return TIMED_OUT
         except Interrupted:
-            say("interrupted: stopping")
+            narrator.fail(Cause.INTERRUPTED, "interrupted: stopping")
             session.stop()
             return FAILED
         return REACHED

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import threading
 from collections.abc import Iterator
 
@@ -13,11 +14,15 @@ SAY_AFTER_S = 2.0
 
 
 @contextlib.contextmanager
-def compiling(node: Node, say_after_s: float = SAY_AFTER_S) -> Iterator[None]:
-    """Log after a while that code is compiled: until it is, the node neither works nor hears Ctrl-C."""
+def compiling(node: Node | None, say_after_s: float = SAY_AFTER_S) -> Iterator[None]:
+    """Log after a while that code is compiled: until it is, the node neither works nor hears Ctrl-C.
+
+    Without a node the text is printed: the server that forks programs has none.
+    """
     # A signal could not interrupt it: llvmlite calls back through ctypes, which drops what a handler raises.
     text = "compiling for this computer, once: it may take a minute or more, and no Ctrl-C is heard before it is done"
-    saying = threading.Timer(say_after_s, lambda: node.get_logger().info(text))
+    say = functools.partial(print, flush=True) if node is None else node.get_logger().info
+    saying = threading.Timer(say_after_s, say, [text])
     saying.daemon = True
     saying.start()
     try:

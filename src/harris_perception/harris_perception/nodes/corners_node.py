@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, fields
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import Image, PointCloud2
@@ -181,6 +182,17 @@ def _gray(message: Image) -> npt.NDArray[Any]:
     if message.encoding == "32FC1":
         return picture.astype(np.float32, copy=False)
     return gray_of(picture, message.encoding)
+
+
+def preload() -> None:
+    """Load the default detectors' machine code, which the server that forks programs does once for all of them."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # a fork has none of its parent's threads, and OpenCV would wait for them
+    config = CornersNodeConfig()
+    with compiling(None):
+        HarrisDetector(config).warm()
+        CombinedDetector(config, config.combined).warm()
+    cv2.setNumThreads(threads)
 
 
 def main() -> int:

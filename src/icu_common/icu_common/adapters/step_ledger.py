@@ -184,7 +184,7 @@ class StepLedger:
 
     def suspend(self, row: int) -> Counts:
         """Expect nothing of a process any more; return its subscription counts for :meth:`resume`."""
-        counts = self._table[_SUBSCRIPTIONS, row].copy()
+        counts: Counts = self._table[_SUBSCRIPTIONS, row].copy()
         self._table[_SUBSCRIPTIONS, row] = 0
         return counts
 

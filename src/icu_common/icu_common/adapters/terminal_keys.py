@@ -44,3 +44,20 @@ def _in_front() -> bool:
         return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except OSError:  # a terminal that does not control this process stops nobody
         return True
+
+
+def typed_text() -> str | None:
+    """Return the lines entered since the last call, without waiting; None once the terminal has been closed.
+
+    The terminal keeps its settings: it shows what is typed, and a line counts when Enter is pressed. So a program that
+    is killed leaves no terminal behind that shows nothing.
+    """
+    if not _in_front():
+        return ""
+    fd = sys.stdin.fileno()
+    try:
+        if not select.select([fd], [], [], 0)[0]:
+            return ""
+        return os.read(fd, 256).decode("ascii", "replace") or None
+    except OSError:
+        return None

@@ -43,6 +43,12 @@ from icu_common.nodes.graph_node import GraphLifecycleNode, GraphNode, this_proc
 from icu_common.nodes.hearing import Hearing
 from icu_common.nodes.timers import runs_by_clock_topic
 
+TEARDOWN_S = 2.5
+"""Maximum seconds to destroy closed nodes and shut rclpy down; then the process prints where it hangs, and ends.
+
+Fast DDS's threads can wait for each other while other participants leave (docs/decisions/processes.md).
+"""
+
 
 def prepare_transport(shared_memory: bool = True) -> None:
     """Choose the transport profile, loopback alone, and a malloc that keeps picture-sized blocks.
@@ -117,6 +123,23 @@ class Session:
         """Close a node, if it can be closed, and destroy it."""
         self.close(node)
         node.destroy_node()
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """Let a signal to end leave a long computation in a node's constructor, which starts no thread."""
+    before = {number: signal.getsignal(number) for number in end_signals()}
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        raise SystemExit(0)
+
+    for number in before:
+        signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextlib.contextmanager
@@ -252,6 +275,8 @@ def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None,
     except (ConfigError, ParameterException) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def _hearing() -> Hearing | None:
@@ -291,5 +316,9 @@ def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
                 os._exit(DEAF)  # taking the nodes apart would wait for the middleware's threads, as those do
     finally:
         for node in nodes:
-            session.end(node)
+            session.close(node)
+        # Not a timer of Python: the middleware's calls may hold the interpreter's lock while they wait.
+        faulthandler.dump_traceback_later(TEARDOWN_S, exit=True)
+        for node in nodes:
+            node.destroy_node()
     return 0

@@ -10,6 +10,23 @@ from scope_bench.core.graph_description import GraphError
 
 _LONGEST_NAME = 100
 """Bytes of a Unix socket's name, of 108."""
+OTHER_DOMAINS = range(1, 33)
+"""ROS domains for simulated graphs after the first one: above 101 their ports may be taken by outgoing connections."""
+
+
+def hold(name: str) -> bool:
+    """Hold a name until this process ends; return False if another process holds it."""
+    holder = socket.socket(socket.AF_UNIX)
+    try:
+        # An abstract name: it is the network namespace's own, as domains and ports are, and ends with the process.
+        holder.bind(f"\0icu_gantry/{name}".encode()[:_LONGEST_NAME])
+    except OSError as error:
+        holder.close()
+        if error.errno != errno.EADDRINUSE:
+            raise
+        return False
+    holder.detach()  # it stays open until the process ends
+    return True
 
 
 def hold_names(namespace: str) -> None:
@@ -21,16 +38,22 @@ def hold_names(namespace: str) -> None:
         If another process holds them.
     """
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    holder = socket.socket(socket.AF_UNIX)
-    try:
-        # An abstract name: it is the network namespace's own, as the domain is, and ends with the process.
-        holder.bind(f"\0icu_gantry/{domain}/{namespace.strip('/')}".encode()[:_LONGEST_NAME])
-    except OSError as error:
-        holder.close()
-        if error.errno != errno.EADDRINUSE:
-            raise
+    if not hold(f"{domain}/{namespace.strip('/')}"):
         raise GraphError(
             f"a graph of these names runs already in ROS domain {domain}: end it, "
             "or take another namespace or ROS_DOMAIN_ID"
-        ) from None
-    holder.detach()  # nobody closes it before the process ends
+        )
+
+
+def hold_another_domain(namespace: str) -> str:
+    """Hold the names in the first ROS domain where no process holds them, and return that domain.
+
+    Raises
+    ------
+    GraphError
+        If they are held in all of them.
+    """
+    for domain in OTHER_DOMAINS:
+        if hold(f"{domain}/{namespace.strip('/')}"):
+            return str(domain)
+    raise GraphError(f"graphs of these names run in ROS domains 0 to {OTHER_DOMAINS[-1]}: end one of them")

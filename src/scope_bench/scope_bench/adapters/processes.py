@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import selectors
 import signal
@@ -12,16 +11,22 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeAlias
 
 from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE, SIGN_OF_LIFE_S
+from scope_bench.adapters.fork_server import ForkedProcess, ForkServer, die_with_parent, is_forkable
 
-_PR_SET_PDEATHSIG = 1
 _LONGEST_TURN_S = 1.0
 """No more silence is counted between two looks: bring-up may have stood still itself."""
 _LAST_READS = 64
 """So often the pipe of a program that has ended, which holds as much as one or two reads, is read at most."""
 _ABORT_S = 5.0
 """For what hangs to tell where (Python's faulthandler) and to end, before it is killed."""
+
+_LADDER = ((signal.SIGINT, 0.7), (signal.SIGTERM, 0.2), (signal.SIGABRT, 0.05), (signal.SIGKILL, 0.05))
+"""Signals at the end, each with its share of the time. SIGABRT lets a node print where it hangs (faulthandler)."""
+
+Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
 
 
 @dataclass(slots=True, kw_only=True)
@@ -30,7 +35,7 @@ class Watched:
 
     name: str
     command: list[str]
-    process: subprocess.Popen[bytes] | None = None
+    process: Process | None = None
     starts: list[float] = field(default_factory=list)
     restart_at: float | None = None
     gave_up: bool = False
@@ -48,11 +53,6 @@ class Watched:
     def starting(self) -> bool:
         """Whether it could say that it is ready and has not done so."""
         return self.life_pipe is not None and not self.ready
-
-
-def _die_with_parent() -> None:
-    # prctl(2): without it a killed bring-up would leave the gantry's processes behind.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _is_stopped(pid: int) -> bool:
@@ -81,6 +81,8 @@ class ProcessGroup:
     silent_s
         A program that was ready and gives no sign of life for this time is aborted, so that it tells where it is, and
         killed if that does not end it; time for which a signal has stopped it does not count.
+    forks
+        Server that starts the programs that report when they are ready; without it they are executed.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class ProcessGroup:
         window_s: float = 60.0,
         ready_s: float = 90.0,
         silent_s: float = 8.0,
+        forks: ForkServer | None = None,
     ) -> None:
         self._environment = dict(environment)
         self._on_output = on_output
@@ -105,6 +108,10 @@ class ProcessGroup:
         self._programs: list[Watched] = []
         self._selector = selectors.DefaultSelector()
         self._partial: dict[int, bytes] = {}
+        self._forks = forks
+        if forks is not None:
+            os.set_blocking(forks.stdout.fileno(), False)
+            self._selector.register(forks.stdout, selectors.EVENT_READ, Watched(name="starter", command=[]))
 
     def start(self, name: str, command: list[str], *, ends_last: bool = False, tells_ready: bool = False) -> None:
         """Start a program; one that ``ends_last`` is ended when all others are gone.
@@ -119,7 +126,8 @@ class ProcessGroup:
         self._start(Watched(name=name, command=command, ends_last=ends_last, tells_ready=tells_ready))
 
     def start_once(self, name: str, command: list[str]) -> None:
-        """Start a program that ends by itself and is not restarted."""
+        """Start a program that ends by itself and is not restarted; it replaces an ended one of the same name."""
+        self._programs = [w for w in self._programs if not (w.once and w.name == name and w.process is None)]
         self._start(Watched(name=name, command=command, once=True))
 
     def _start(self, watched: Watched) -> None:
@@ -128,18 +136,21 @@ class ProcessGroup:
 
     def _launch(self, watched: Watched) -> None:
         ready = os.pipe() if watched.tells_ready else ()
-        watched.process = subprocess.Popen(
-            watched.command,
-            env=self._environment
-            | ({READY_VARIABLE: str(ready[1])} if ready else {})
-            | ({AFTER_CRASH_VARIABLE: "1"} if watched.crashed else {}),
-            pass_fds=ready[1:],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,  # the terminal's Ctrl-C reaches bring-up alone, which ends the others in order
-            preexec_fn=_die_with_parent,
-        )
+        extra = {AFTER_CRASH_VARIABLE: "1"} if watched.crashed else {}
+        may_fork = watched.tells_ready or watched.once
+        if may_fork and self._forks is not None and self._forks.runs and is_forkable(watched.command):
+            watched.process = self._forks.start(watched.command, extra, ready[1] if ready else None, READY_VARIABLE)
+        else:
+            watched.process = subprocess.Popen(
+                watched.command,
+                env=self._environment | ({READY_VARIABLE: str(ready[1])} if ready else {}) | extra,
+                pass_fds=ready[1:],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # the terminal's Ctrl-C reaches bring-up alone, which ends the others in order
+                preexec_fn=die_with_parent,
+            )
         if ready:
             os.close(ready[1])
             os.set_blocking(ready[0], False)
@@ -157,10 +168,10 @@ class ProcessGroup:
             self._read(key)
         now = time.monotonic()
         turn_s, self._looked_at = min(now - self._looked_at, _LONGEST_TURN_S), now
-        for watched in self._programs:
+        for watched in list(self._programs):  # an event may start another one
             process = watched.process
-            if process is not None and process.poll() is not None:
-                self._ended(watched, process.returncode, now)
+            if process is not None and (code := process.poll()) is not None:
+                self._ended(watched, code, now)
             elif process is not None and watched.life_pipe is not None:
                 self._look_for_life(watched, watched.life_pipe, process, now, turn_s)
             elif process is not None and watched.aborted_at is not None and now - watched.aborted_at > _ABORT_S:
@@ -172,6 +183,14 @@ class ProcessGroup:
         """Return the names and process numbers of what runs."""
         return {w.name: w.process.pid for w in self._programs if w.process is not None and w.process.poll() is None}
 
+    def ready_count(self) -> int:
+        """Return how many programs are ready, or run where they do not report it."""
+        return sum(
+            w.ready if w.tells_ready else w.process is not None and w.process.poll() is None
+            for w in self._programs
+            if not w.once
+        )
+
     @property
     def misconfigured(self) -> list[str]:
         """Names of programs that cannot run with their configuration."""
@@ -182,9 +201,7 @@ class ProcessGroup:
         """Names of programs that are not restarted any more."""
         return [w.name for w in self._programs if w.gave_up]
 
-    def _look_for_life(
-        self, watched: Watched, pipe: int, process: subprocess.Popen[bytes], now: float, turn_s: float
-    ) -> None:
+    def _look_for_life(self, watched: Watched, pipe: int, process: Process, now: float, turn_s: float) -> None:
         with contextlib.suppress(BlockingIOError):
             if not os.read(pipe, 4096):  # it has closed the pipe, or ended
                 self._close_pipe(watched)
@@ -246,7 +263,7 @@ class ProcessGroup:
             key.fileobj.close()  # type: ignore[attr-defined]
 
     def stop(self, within_s: float = 20.0) -> list[str]:
-        """End everything: interrupt, and after a while terminate and kill.
+        """End everything: interrupt, and after a while terminate, abort and kill.
 
         What is still starting is terminated at once: there a KeyboardInterrupt prints a traceback, or ends in a
         callback of an import, which swallows it.
@@ -261,6 +278,8 @@ class ProcessGroup:
         """
         for watched in self._programs:
             watched.restart_at = None
+        if self._forks is not None:
+            self._forks.stop()
         killed: list[str] = []
         for last in (False, True):
             killed += self._end([w for w in self._programs if w.process is not None and w.ends_last is last], within_s)
@@ -280,10 +299,10 @@ class ProcessGroup:
 
     def _end(self, waiting: list[Watched], within_s: float) -> list[str]:
         killed: list[str] = []
-        for number, share in ((signal.SIGINT, 0.7), (signal.SIGTERM, 0.2), (signal.SIGKILL, 0.1)):
+        for number, share in _LADDER:
             for watched in waiting:
                 assert watched.process is not None
-                if number == signal.SIGKILL:
+                if number == signal.SIGABRT:
                     killed.append(watched.name)
                 starting = number == signal.SIGINT and watched.starting
                 with contextlib.suppress(ProcessLookupError):

@@ -5,37 +5,31 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
-import json
 import os
 import re
 import signal
 import stat
 import sys
 import tempfile
-import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from queue import SimpleQueue
 from types import FrameType
 
-from icu_common.adapters.executables import find_executable
 from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
 from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger, ledger_path
+from icu_common.adapters.transport_profile import check_environment
 from icu_common.core.option_bounds import named_path
 from icu_common.core.yaml_text import values_of_pairs
-from icu_common.nodes.runtime import prepare_transport
 from scope_bench.adapters.configuration_folder import configuration_folder
-from scope_bench.adapters.graph_names import hold_names
-from scope_bench.adapters.processes import ProcessGroup
+from scope_bench.adapters.environment import check_space, free_port
+from scope_bench.adapters.graph_names import hold_another_domain, hold_names
+from scope_bench.adapters.run_log import RunLog
+from scope_bench.adapters.screen import Screen, is_terminal
+from scope_bench.cli.graph_run import GraphRun
 from scope_bench.core.graph_description import GraphError, Program, check_namespace, load_graph, simulators
 
-IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "Fatal Python error", 'File "', "http://", "https://")
-"""Lines with one of these are shown without --verbose."""
-WAIT_S = 60.0
-"""So long a program waits for the simulated device that it belongs to."""
-LAST_WORDS_S = 1.0
-"""For what is still to be printed at the end."""
 _SETTING = re.compile(r"\w+\.[\w.]+=.*", re.DOTALL)
 
 
@@ -92,16 +86,15 @@ def _is_used(ledger: Path) -> bool:
 
 
 class BringUp:
-    """Starts the programs and prints what they say."""
+    """Checks the command line and this computer, and runs the graph."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
         self.stopping = self.unprinted = False
-        self.complete = False
-        self.page = ""
-        self.serves_page = False
+        self._simulated = False
         self._environment: dict[str, str] = {}
-        self._lines: SimpleQueue[str | None] = SimpleQueue()
+        self._run: GraphRun | None = None
+        self._notes: list[str] = []
 
     def run(self) -> int:
         """Run until a signal comes; return the exit code."""
@@ -110,43 +103,98 @@ class BringUp:
         check_namespace(self.options.namespace)
         config = (self.options.config or configuration_folder()).resolve()
         state = state_folder(self.options.state, self.options.namespace)
+        check_space(state)
         with tempfile.TemporaryDirectory(prefix="icu_gantry_") as temporary:
             run = (self.options.run_dir or Path(temporary)).resolve()
             run.mkdir(parents=True, exist_ok=True)
-            ledger = ledger_path(os.environ.get("ROS_DOMAIN_ID", ""), self.options.namespace)
-            simulated = self._runs_by_simulated_time(config, ledger)
-            programs = load_graph(
-                config,
-                self.options.profile,
-                run=run,
-                state=state,
-                robot_namespace=self.options.namespace,
-                scope=self.options.scope,
-                simulated_time=simulated,
-            )
-            self._check_names(programs)
-            programs = [self._with_single_values(program) for program in programs]
+            self._simulated = self._runs_by_simulated_time(config)
+            programs = self._load(config, run, state)
             self._check_preparation(programs)
             if not self.options.only:  # single programs may come to a graph
-                hold_names(self.options.namespace)
+                state = self._hold_names(programs, state)
+                programs = self._load(config, run, state)
+            programs = self._with_free_port(programs)
             with contextlib.ExitStack() as stack:
-                if simulated or self.options.in_step:
-                    if not self.options.only:  # what an earlier graph has left
-                        ledger.unlink(missing_ok=True)
-                        stack.callback(ledger.unlink, missing_ok=True)
-                    if simulated and not self.options.only:
-                        with contextlib.closing(StepLedger(ledger)) as made:
-                            made.time_ns = time.time_ns()
-                    self._environment[LEDGER_VARIABLE] = str(ledger)
-                return self._run_programs(programs, Path(temporary))
+                if self._simulated or self.options.in_step:
+                    stack.enter_context(self._ledger())
+                return self._run_programs(self._chosen(programs), Path(temporary), state)
 
-    def _runs_by_simulated_time(self, config: Path, ledger: Path) -> bool:
+    @contextlib.contextmanager
+    def _ledger(self) -> Iterator[None]:
+        """Make the graph's ledger of steps, unless single programs are added to a graph that has one."""
+        path = self._ledger_path()
+        self._environment[LEDGER_VARIABLE] = str(path)
+        if self.options.only:
+            yield
+            return
+        path.unlink(missing_ok=True)  # what an earlier graph has left
+        try:
+            with contextlib.closing(StepLedger(path)) as made:
+                if self._simulated:
+                    made.time_ns = time.time_ns()
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+    def _ledger_path(self) -> Path:
+        return ledger_path(os.environ.get("ROS_DOMAIN_ID", ""), self.options.namespace)
+
+    def _runs_by_simulated_time(self, config: Path) -> bool:
         """Whether all hardware is simulated here, or the graph that single programs are added to follows ``/clock``."""
         needed = set(simulators(config, self.options.profile))
         if self.options.real_time or not needed:
             return False
         left = ({*self.options.only} or needed) - {*self.options.without}
-        return needed <= left or (bool(self.options.only) and _is_used(ledger))
+        return needed <= left or (bool(self.options.only) and _is_used(self._ledger_path()))
+
+    def _load(self, config: Path, run: Path, state: Path) -> list[Program]:
+        programs = load_graph(
+            config,
+            self.options.profile,
+            run=run,
+            state=state,
+            robot_namespace=self.options.namespace,
+            scope=self.options.scope,
+            simulated_time=self._simulated,
+        )
+        self._check_names(programs)
+        return [self._with_single_values(program) for program in programs]
+
+    def _hold_names(self, programs: list[Program], state: Path) -> Path:
+        """Hold the graph's names; return the folder for the state.
+
+        A second graph gets a ROS domain and a state folder of its own if nobody has chosen the domain and no machine
+        is moved by it; see docs/decisions/start-up.md.
+        """
+        try:
+            hold_names(self.options.namespace)
+        except GraphError:
+            if os.environ.get("ROS_DOMAIN_ID") or not self._is_simulated(programs):
+                raise
+            domain = hold_another_domain(self.options.namespace)
+            os.environ["ROS_DOMAIN_ID"] = domain
+            self._notes.append(
+                f"Another graph runs in ROS domain 0, this one in {domain}: in a second terminal run "
+                f"export ROS_DOMAIN_ID={domain}"
+            )
+            if self.options.state is None:
+                state = state_folder(state / f"domain-{domain}")  # a name that no namespace can have
+        return state
+
+    def _with_free_port(self, programs: list[Program]) -> list[Program]:
+        """Return the programs with a page's port that is free."""
+        result = []
+        for program in programs:
+            if program.executable == "ui_bridge" and program in self._chosen(programs):
+                host, port = (program.value(name) for name in ("host", "port"))
+                if isinstance(host, str) and isinstance(port, int) and port > 0:
+                    given = any(text.startswith(f"{program.name}.port=") for text in self.options.set)
+                    free = free_port(host, port, may_choose=not given and self._is_simulated(programs))
+                    if free != port:
+                        self._notes.append(f"Port {port} is in use by another program, so the page has port {free}.")
+                        program = dataclasses.replace(program, parameters={**program.parameters, "port": free})
+            result.append(program)
+        return result
 
     def _check_names(self, programs: list[Program]) -> None:
         for text in self.options.set:
@@ -164,78 +212,44 @@ class BringUp:
         wanted = {*self.options.only} or {p.name for p in programs}
         return [p for p in programs if p.name in wanted - {*self.options.without}]
 
+    def _is_simulated(self, programs: list[Program]) -> bool:
+        """Return whether the driver's board is one in software that is started here, too."""
+        chosen = self._chosen(programs)
+        ports = [p.parameters.get("port") for p in chosen if p.name == "serial_driver"]
+        boards = [p.arguments for p in chosen if p.executable == "mock_grbl"]
+        return any(port in arguments for port in ports for arguments in boards)
+
     def _check_preparation(self, programs: list[Program]) -> None:
         """Refuse to move what may be a machine with nobody at the page: a board in software is started here, too."""
         if not self.options.prepare:
             return
         if "serial_driver" not in {p.name for p in programs}:
             raise GraphError(f"--prepare moves the machine; profile {self.options.profile} has none")
-        chosen = self._chosen(programs)
-        ports = [p.parameters.get("port") for p in chosen if p.name == "serial_driver"]
-        boards = [p.arguments for p in chosen if p.executable == "mock_grbl"]
-        if not any(port in arguments for port in ports for arguments in boards):
+        if not self._is_simulated(programs):
             raise GraphError(
                 "--prepare moves the machine by itself, so it is for the board in software (mock_grbl) that is started "
                 "with it; on hardware use the page"
             )
 
-    def _run_programs(self, programs: list[Program], temporary: Path) -> int:
-        prepare_transport()
-        here = Path(sys.argv[0])
+    def _run_programs(self, programs: list[Program], temporary: Path, state: Path) -> int:
+        try:
+            check_environment()
+        except ValueError as error:
+            raise GraphError(str(error)) from error
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
         environment |= self._environment
-        group = ProcessGroup(environment, self._output, self._event)
-        printer = threading.Thread(target=self._print_all, name="printer", daemon=True)
-        printer.start()
+        log = RunLog(state / "logs")
+        screen = Screen(log, terminal=is_terminal() and not self.options.verbose, on_broken=self._broken)
+        screen.log(f"{' '.join(sys.argv)}, ROS domain {os.environ.get('ROS_DOMAIN_ID') or '0'}")
+        for note in () if screen.terminal else (*self._notes, f"The log is {log.path}"):
+            screen.say(note)
+        self._run = GraphRun(self.options, programs, screen, notes=self._notes, log=log.path)
+        self._run.stopping = self.stopping
         try:
-            waiting = self._chosen(programs)
-            self.serves_page = any(p.executable == "ui_bridge" for p in waiting)
-            together = [p for p in waiting if self.options.composed and p.is_node and not p.ends_last]
-            waiting = [p for p in waiting if p not in together]
-            patience = time.monotonic() + WAIT_S
-            while not self.stopping and not group.misconfigured:
-                late = time.monotonic() > patience
-                for program in [p for p in waiting if late or p.waits_for is None or p.waits_for.exists()]:
-                    waiting.remove(program)
-                    path = find_executable(program.package, program.executable, here)
-                    arguments = self._arguments(program, temporary)
-                    group.start(
-                        program.name,
-                        [str(path), *arguments],
-                        ends_last=program.ends_last,
-                        tells_ready=program.is_node,
-                    )
-                if together and (late or all(p.waits_for is None or p.waits_for.exists() for p in together)):
-                    table = temporary / "composed.json"
-                    table.write_text(json.dumps([[p.executable, self._arguments(p, temporary)] for p in together]))
-                    composed = [str(find_executable("scope_bench", "composed", here)), str(table)]
-                    group.start("composed", composed, tells_ready=True)
-                    together = []
-                if not waiting and not together and not self.complete:
-                    self.complete = True
-                    self.say(f"started {len(group.running())} programs of the profile {self.options.profile}")
-                    if self.options.prepare:
-                        self._start_preparation(group, here)
-                group.watch(0.2)
-            why = f", since {', '.join(group.misconfigured)} cannot run" if group.misconfigured else ""
-            self.say(f"ending every program{why}")
+            code = self._run.run(temporary, environment)
         finally:
-            killed = group.stop()
-            if killed:
-                self.say(f"had to be killed: {', '.join(killed)}")
-            self._lines.put(None)
-            printer.join(LAST_WORDS_S)
-        return 1 if group.gave_up or killed or self.unprinted else 0
-
-    def _arguments(self, program: Program, temporary: Path) -> list[str]:
-        values = temporary / f"{program.name}.yaml"
-        values.write_text(program.values_document(), encoding="utf-8")
-        return program.ros_arguments(values)
-
-    def _start_preparation(self, group: ProcessGroup, here: Path) -> None:
-        path = find_executable("gantry_driver", "gantry_prepare", here)
-        namespace = self.options.namespace.strip("/")
-        group.start_once("prepare", [str(path), *(["--ros-args", "-r", f"__ns:=/{namespace}"] if namespace else [])])
+            screen.end()
+        return 1 if self.unprinted else code
 
     def _with_single_values(self, program: Program) -> Program:
         given = [text for text in self.options.set if text.partition(".")[0] == program.name]
@@ -250,38 +264,19 @@ class BringUp:
         return dataclasses.replace(program, parameters={**program.parameters, **values})
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
+        self._end()
+
+    def _end(self) -> None:
         self.stopping = True
+        if self._run is not None:
+            self._run.stopping = True
 
-    def say(self, text: str) -> None:
-        """Print a line, without waiting for a terminal that takes none (Control-S): the programs would wait, too."""
-        self._lines.put(text)
-
-    def _print_all(self) -> None:
-        """Print line by line; once nobody can read them any more, end as by a signal."""
-        for text in iter(self._lines.get, None):
-            data = f"{text}\n".encode(errors="backslashreplace")
-            try:
-                while data:
-                    data = data[os.write(sys.stdout.fileno(), data) :]
-            except BrokenPipeError:
-                self.stopping = True
-                return
-            except OSError as error:  # a full disk, or the terminal is closed
-                self.stopping = self.unprinted = True
-                print(f"error: standard output: {error.strerror}; ending every program", file=sys.stderr)
-                return
-
-    def _output(self, name: str, line: str) -> None:
-        found = re.search(r"https?://\S+\?token=\S+", line)
-        self.page = found[0] if found else self.page
-        if line and (self.options.verbose or name == "prepare" or any(word in line for word in IMPORTANT)):
-            self.say(f"{name:>17} | {line}")
-
-    def _event(self, name: str, text: str) -> None:
-        self.say(f"{name:>17} ! {text}")
-        if name == "prepare" and text == "done":
-            page = f" Open {self.page or 'the operator page'}" if self.serves_page else ""
-            self.say(f"\nReady.{page}\nCtrl-C ends every program.\n")
+    def _broken(self, reason: str) -> None:
+        """End as by a signal when nobody can read the output any more."""
+        if reason:
+            self.unprinted = True
+            print(f"error: standard output: {reason}; ending every program", file=sys.stderr)
+        self._end()
 
 
 @ends_quietly

@@ -76,6 +76,14 @@ class Program:
             result += ["--params-file", str(path)]
         return result
 
+    def value(self, name: str) -> Any:
+        """Return a parameter as the node gets it, from the single values or the files; None if neither has it."""
+        result = None
+        for path in self.parameter_files:
+            for section in (_read(path, yaml.load) or {}).values():
+                result = ((section or {}).get("ros__parameters") or {}).get(name, result)
+        return self.parameters.get(name, result)
+
     def values_document(self) -> str:
         """Return the single values as a ROS parameter file.
 

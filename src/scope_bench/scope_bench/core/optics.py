@@ -29,6 +29,10 @@ def turn(axis: int, degrees: float) -> Array:
     return matrix
 
 
+_PIECE = 4096
+"""Rays that are computed at a time."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Camera:
     """One camera: where it stands (``camera_from_base``, not rectified) and how it draws."""
@@ -62,8 +66,18 @@ class Camera:
 
         Newton's method on the distortion; the residual is below 1e-12 after a few rounds for lenses of this kind.
         """
-        target_a = (np.asarray(u, dtype=np.float64) - self.centre_px[0]) / self.focal_px
-        target_b = (np.asarray(v, dtype=np.float64) - self.centre_px[1]) / self.focal_px
+        u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
+        result = np.empty((2, u.size))
+        # In pieces that stay in the processor's cache: a whole picture takes twice as long.
+        for start in range(0, u.size, _PIECE):
+            piece = slice(start, start + _PIECE)
+            result[:, piece] = self._undistorted(
+                (u.reshape(-1)[piece] - self.centre_px[0]) / self.focal_px,
+                (v.reshape(-1)[piece] - self.centre_px[1]) / self.focal_px,
+            )
+        return result[0].reshape(u.shape), result[1].reshape(u.shape)
+
+    def _undistorted(self, target_a: Array, target_b: Array) -> tuple[Array, Array]:
         k1, k2, p1, p2, k3 = self.distortion
         a, b = target_a.copy(), target_b.copy()
         for _ in range(6):

@@ -16,7 +16,7 @@ from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphNode, this_process
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.qos import LATCHED, RESULTS
-from icu_common.nodes.runtime import run
+from icu_common.nodes.runtime import interruptible, run
 from icu_common.nodes.timers import every
 from scope_bench.adapters.simulation import Health, Simulation
 from scope_bench.adapters.step_time import StepTime
@@ -35,7 +35,8 @@ class BenchNode(GraphNode):
         self._settings = LiveParameters(self, BenchConfig, self._changed)
         config = self._settings.config
         steps = self._step_time(config) if config.stepped else None
-        self._simulation = _simulation(config, steps)
+        with interruptible():  # drawing the views takes seconds
+            self._simulation = _simulation(config, steps)
         if steps is not None:
             self._factor = self.create_publisher(Float32, "simulation_factor", LATCHED)
             every(self, FACTOR_S, self._show_factor, wall=True)
