@@ -88,6 +88,8 @@ def test_a_single_value_of_a_robot_in_a_namespace(ros: Ros, tmp_path: Path, monk
 def test_graph_whose_hardware_is_all_simulated_runs_by_simulated_time(
     ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], simulated: bool
 ) -> None:
+    monkeypatch.setattr(bring_up, "hold_names", lambda _: None)  # a process holds them until it ends
+    monkeypatch.setattr(graph_run, "WAIT_S", 0.0)
     taken = started(ros, given, tmp_path, monkeypatch)
     assert taken["gantry_controller"].get("use_sim_time", False) is simulated
     if "bench" in taken:
