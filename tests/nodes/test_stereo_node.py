@@ -169,10 +169,10 @@ def test_pictures_that_nobody_wants_points_of_are_nothing_to_warn_of(ros: Any) -
 
     def said() -> bool:
         rig.show(next(stamps))
-        return "idle: nobody subscribes" in rig.said()
+        return "idle: no subscriber" in rig.said()
 
     ros.spin_until(said, WITHIN_S, rig.said)
-    status = next(s for d in reversed(rig.diagnostics) for s in d.status if s.message == "idle: nobody subscribes")
+    status = next(s for d in reversed(rig.diagnostics) for s in d.status if s.message == "idle: no subscriber")
     assert status.level == DiagnosticStatus.OK and not rig.points
     ros.spin_until(lambda: "no pictures with corners in the last second" in rig.said()[-1], WITHIN_S, rig.said)
 

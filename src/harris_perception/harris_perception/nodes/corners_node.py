@@ -33,6 +33,7 @@ from icu_common.nodes.conversions import (
 )
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.on_demand import OnDemand, on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -65,6 +66,7 @@ class CornersNodeConfig(HarrisConfig):
     )
     combined: TracingConfig = nested(TracingConfig)
     edges: EdgeConfig = nested(EdgeConfig)
+    on_demand: bool = on_demand_setting()
 
     def __post_init__(self) -> None:
         HarrisConfig.__post_init__(self)
@@ -73,9 +75,9 @@ class CornersNodeConfig(HarrisConfig):
 
 
 class CornersNode(Node):
-    """Publishes the ``corners`` of each ``image_raw``.
+    """Publishes the ``corners`` of each ``image_raw`` while they have a reader.
 
-    While somebody looks also ``corners_image``, ``edges`` (labels) and ``edge_lines`` (few points, for overlays).
+    Likewise ``corners_image``, ``edges`` (labels) and ``edge_lines`` (few points, for overlays).
     """
 
     def __init__(self, **options: Any) -> None:
@@ -83,15 +85,26 @@ class CornersNode(Node):
         self._live = LiveParameters(self, CornersNodeConfig, self._use)
         with compiling(self):
             self._use(self._live.config)
-        self._frames = self._refused = self._found = self._reported = self._dropped = 0
+        self._frames = self._refused = self._found = self._reported = self._dropped = self._dropped_before = 0
         self._busy_s, self._refusal = 0.0, ""
-        self._corners = self.create_publisher(PointCloud2, "corners", qos.RESULTS)
-        self._picture = self.create_publisher(Image, "corners_image", qos.IMAGES)
-        self._labels = self.create_publisher(Image, "edges", qos.IMAGES)
-        self._lines = self.create_publisher(PointCloud2, "edge_lines", qos.RESULTS)
+        self._images: NewestSubscription | None = None
+        self._demand = OnDemand(self, self._listen, self._rest, always=not self._live.config.on_demand)
+        self._corners = self._demand.publisher(PointCloud2, "corners", qos.RESULTS)
+        self._picture = self._demand.publisher(Image, "corners_image", qos.IMAGES)
+        self._labels = self._demand.publisher(Image, "edges", qos.IMAGES)
+        self._lines = self._demand.publisher(PointCloud2, "edge_lines", qos.RESULTS)
         self._diagnostics = Diagnostics(self)
         every(self, 1.0, self._report)
+        self._demand.begin()
+
+    def _listen(self) -> None:
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
+
+    def _rest(self) -> None:
+        if self._images is not None:
+            self._images.end()
+            self._dropped_before += self._images.dropped
+            self._images = None
 
     def _use(self, config: CornersNodeConfig) -> None:
         self._corner_detector = _corner_detector(config)
@@ -152,19 +165,22 @@ class CornersNode(Node):
             self._lines.publish(cloud_message(edge_lines.COLUMNS, edge_lines.edge_lines(edges), message.header))
 
     def _report(self) -> None:
-        new, dropped = self._frames - self._reported, self._images.dropped - self._dropped
-        self._reported, self._dropped = self._frames, self._images.dropped
+        total = self._dropped_before + (self._images.dropped if self._images is not None else 0)
+        new, dropped = self._frames - self._reported, total - self._dropped
+        self._reported, self._dropped = self._frames, total
         per_frame_ms = 1e3 * self._busy_s / new if new else 0.0
         self._busy_s = 0.0
         text = self._refusal or f"{new} pictures in the last second" + (f", {dropped} dropped" if dropped else "")
+        if idle := self._images is None:
+            text = "idle: no subscriber"
         values = [
             ("frames", self._frames),
-            ("dropped", self._images.dropped),
+            ("dropped", total),
             ("refused", self._refused),
             ("ms_per_frame", f"{per_frame_ms:.2f}"),
             ("corners", self._found),
         ]
-        self._diagnostics.tell("ok" if new and not self._refusal else "warn", text, values)
+        self._diagnostics.tell("ok" if idle or (new and not self._refusal) else "warn", text, values)
 
 
 def _corner_detector(config: CornersNodeConfig) -> HarrisDetector | HarrisLaplaceDetector | RepeatableDetector:

@@ -28,12 +28,10 @@ from icu_common.nodes.conversions import (
     stamp_ns,
 )
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.on_demand import OnDemand
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
-
-_LOOK_S = 0.25
-"""How soon the node notices that somebody subscribes, or nobody any more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,11 +65,12 @@ class DenseStereoNode(Node):
         with compiling(self):
             warm()
         self._configure()
-        self._disparity = self.create_publisher(DisparityImage, "disparity", qos.IMAGES)
-        self._points = self.create_publisher(PointCloud2, "dense_points", qos.IMAGES)
+        self._demand = OnDemand(self, self._start, self._rest)
+        self._disparity = self._demand.publisher(DisparityImage, "disparity", qos.IMAGES)
+        self._points = self._demand.publisher(PointCloud2, "dense_points", qos.IMAGES)
         self._diagnostics = Diagnostics(self, "dense_stereo")
-        every(self, _LOOK_S, self._follow_readers)
         every(self, 1.0, self._report)
+        self._demand.begin()
 
     def _configure(self) -> None:
         config, stereo = self._live.config, self._calibration.stereo
@@ -82,16 +81,13 @@ class DenseStereoNode(Node):
         except ValueError as error:
             self._complaint = str(error)
 
-    def _wanted(self) -> bool:
-        return bool(self._disparity.get_subscription_count() + self._points.get_subscription_count())
+    def _start(self) -> None:
+        self._listening = [self._listen(number, side) for number, side in enumerate(SIDES)]
 
-    def _follow_readers(self) -> None:
-        if self._wanted() and not self._listening:
-            self._listening = [self._listen(number, side) for number, side in enumerate(SIDES)]
-        elif self._listening and not self._wanted():
-            while self._listening:
-                self.destroy_subscription(self._listening.pop())
-            self._pairs.clear()
+    def _rest(self) -> None:
+        while self._listening:
+            self.destroy_subscription(self._listening.pop())
+        self._pairs.clear()
 
     def _listen(self, stream: int, side: str) -> Subscription:
         # The newest only: a matcher that falls behind should skip pairs and not show old ones.
@@ -101,7 +97,12 @@ class DenseStereoNode(Node):
 
     def _on_image(self, stream: int, message: Image) -> None:
         pair = self._pairs.add(stream, stamp_ns(message.header.stamp), message)
-        if pair is None or self._stereo is None or not self._wanted() or not self._pairs.due(self._live.config.rate_hz):
+        if (
+            pair is None
+            or self._stereo is None
+            or not self._demand.wanted
+            or not self._pairs.due(self._live.config.rate_hz)
+        ):
             return
         try:
             self._match(self._stereo, *pair)
@@ -135,7 +136,7 @@ class DenseStereoNode(Node):
         silent = "no pairs of pictures in the last second" if self._pairs.newest_ns == self._reported_ns else ""
         self._reported_ns = self._pairs.newest_ns
         complaint = self._calibration.complaint or silent or self._complaint
-        state = "matching" if self._listening else "idle: nobody subscribes"
+        state = "matching" if self._listening else "idle: no subscriber"
         values = [("pairs", self._matched), ("unpaired", self._pairs.unpaired), *self._values]
         level, text = ("warn", complaint) if complaint and self._listening else ("ok", state)
         self._diagnostics.tell(level, text, values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections import OrderedDict, deque
@@ -36,6 +37,7 @@ from icu_common.core.frames import CAMERA_LEFT, PANEL
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import LayoutError, PanelLayout, load_layout
 from icu_common.nodes import qos
+from icu_common.nodes.camera_info import CameraInfoSubscription
 from icu_common.nodes.conversions import (
     camera_model,
     check_frame,
@@ -48,12 +50,12 @@ from icu_common.nodes.conversions import (
     panel_state_message,
     point_array,
     pose_message,
-    same_camera,
     stamp_ns,
     transform_of_pose,
 )
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.on_demand import on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -63,6 +65,9 @@ _KEPT_UNREAD = 8
 _GIVEN_UP = 10.0
 """A picture waits no longer than so many ``tip_wait_s`` for a tracker that speaks of others only."""
 _TICK_S = 0.02
+_TRACKED = 15
+"""Images in a row in which the panel was found, after which corners are no longer subscribed to: following it needs
+none."""
 _MIRRORED = "the panel is seen in a mirror: switch off what flips this camera's pictures"
 _STEREO_AGE_NS = 3_000_000_000
 """Stereo looks at other pictures, on a busy computer a second later; a panel that stands still is as far in them."""
@@ -125,6 +130,7 @@ class RecognitionNodeConfig(Config):
         unit="mm",
         read_only=True,
     )
+    on_demand: bool = on_demand_setting("Subscribe to corners only while the panel is searched")
     recognition: RecognitionConfig = nested(RecognitionConfig)
     state: StateConfig = nested(StateConfig)
     harris: HarrisConfig = nested(HarrisConfig)
@@ -149,11 +155,12 @@ class RecognitionNode(Node):
         self._layout, self._picture = _designated(self._live.config)
         self._prepare(self._live.config)
         self._use(self._live.config)
-        self._camera: tuple[CameraInfo, CameraModel] | None = None
+        self._camera: CameraModel | None = None
         self._corners: OrderedDict[int, npt.NDArray[np.float32]] = OrderedDict()
         self._waiting: tuple[Image, float] | None = None
         self._last_stamp, self._last_seen_s, self._confidence = 0, 0.0, 0.0
-        self._frames = self._with_corners = self._found = 0
+        self._frames = self._with_corners = self._found = self._own_corners = self._tracked = 0
+        self._corners_in: Subscription | None = None
         self._busy_s, self._seen, self._refusal = 0.0, (0, 0, 0), ""
         self._sighting: Sighting | None = None
         self._levels = GreyLevels()
@@ -174,8 +181,8 @@ class RecognitionNode(Node):
         self._confidence_out = self.create_publisher(Float32, "confidence", qos.RESULTS)
         self._diagnostics = Diagnostics(self)
         self._controls.publish(controls_message(self._layout, header(self.get_clock().now().nanoseconds, PANEL)))
-        self.create_subscription(CameraInfo, "camera_info", self._on_camera, qos.SENSOR)
-        self.create_subscription(PointCloud2, "corners", self._on_corners, qos.SENSOR)
+        self._infos = CameraInfoSubscription(self, "camera_info", qos.SENSOR, self._on_camera)
+        self._follow_corners()
         # Each of them says of one picture what is hidden in it.
         self.create_subscription(PointStamped, "tip", self._on_tip, qos.PICTURES)
         self.create_subscription(Header, "unseen", self._on_unseen, qos.PICTURES)
@@ -185,7 +192,7 @@ class RecognitionNode(Node):
         self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
         every(self, _TICK_S, self._on_tick)
         every(self, 1.0, self._report)
-        self._teacher = PanelTeacher(self, self._live.config.teach_folder, lambda: self._camera and self._camera[1])
+        self._teacher = PanelTeacher(self, self._live.config.teach_folder, lambda: self._camera)
 
     def close(self) -> None:
         """Finish what is being taught."""
@@ -207,16 +214,25 @@ class RecognitionNode(Node):
         self._markers = MarkerFinder(self._layout)
 
     def _on_camera(self, message: CameraInfo) -> None:
-        if self._camera is not None and same_camera(self._camera[0], message):
-            return
         # By another camera's calibration the panel would be somewhere else.
         self._camera = self._waiting = None
         self._unread.clear()
         try:
-            self._camera = (message, camera_model(message, "left"))
+            self._camera = camera_model(message, "left")
             self._compare_depth()
         except ValueError as error:
+            self._infos.again()
             self.get_logger().error(f"camera_info: {error}", throttle_duration_sec=5.0)
+
+    def _follow_corners(self) -> None:
+        """Subscribe to corners while the panel is searched; they cost as much as all else at rest."""
+        tracked = self._live.config.on_demand and self._tracked >= _TRACKED
+        if tracked and self._corners_in is not None:
+            self.destroy_subscription(self._corners_in)
+            self._corners_in = None
+            self._corners.clear()
+        elif not tracked and self._corners_in is None:
+            self._corners_in = self.create_subscription(PointCloud2, "corners", self._on_corners, qos.SENSOR)
 
     def _on_corners(self, message: PointCloud2) -> None:
         try:
@@ -304,7 +320,7 @@ class RecognitionNode(Node):
             return
         message, deadline_s = self._waiting
         corners = self._corners.get(stamp_ns(message.header.stamp))
-        if corners is not None or time.monotonic() >= deadline_s:
+        if corners is not None or self._corners_in is None or time.monotonic() >= deadline_s:
             self._waiting = None
             self._look(message, corners)
 
@@ -314,10 +330,10 @@ class RecognitionNode(Node):
         sighting, refusal = None, ""
         try:
             gray = eight_bits(gray_of(image_array(message), message.encoding))
-            self._with_corners += corners is not None
-            xy = corners if corners is not None else self._detector.detect(gray).xy
-            camera = self._camera[1]
+            camera = self._camera
             markers = self._markers.find(gray, camera)
+            xy = functools.partial(self._detected, gray) if corners is None else corners
+            self._with_corners += corners is not None
             sighting = self._recogniser.locate(gray, xy, camera, self._markers.poses(markers, camera))
             self._compare(markers, sighting)
         except ValueError as error:
@@ -336,8 +352,15 @@ class RecognitionNode(Node):
             self._unread.append(_Unread(message=message, sighting=sighting, pose=pose, since_s=time.monotonic()))
         self._frames += 1
         self._found += sighting is not None
+        self._tracked = self._tracked + 1 if sighting is not None else 0
+        self._follow_corners()
         self._busy_s += time.perf_counter() - start
         self._read_unread()
+
+    def _detected(self, gray: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
+        """Return the corners of an image that is searched and whose published ones have not come."""
+        self._own_corners += 1
+        return self._detector.detect(gray).xy
 
     def _compare(self, markers: list[SeenMarker], sighting: Sighting | None) -> None:
         """Raise the alarm when the markers contradict the print; only markers that confirm it end it.
@@ -348,7 +371,7 @@ class RecognitionNode(Node):
             return
         assert self._camera is not None
         pose, bound_mm = sighting.camera_from_panel, self._live.config.marker_bound_mm
-        text = self._markers.disagreement(markers, pose, self._camera[1], bound_mm)
+        text = self._markers.disagreement(markers, pose, self._camera, bound_mm)
         if text is None and not (self._confirmed or self._marker_alarm):
             text = "none of the panel's markers has been seen yet"
         if text is None:
@@ -402,7 +425,7 @@ class RecognitionNode(Node):
         seen = self._reader.read(
             bgr_of(image_array(message), message.encoding, self._levels),
             unread.pose,
-            self._camera[1],
+            self._camera,
             stamp,
             patches=unread.sighting.patches,
             tip=tip,
@@ -418,10 +441,10 @@ class RecognitionNode(Node):
             self.destroy_subscription(self._stereo_points)
             self._stereo_points = None
         frames, found = self._frames - self._seen[0], self._found - self._seen[1]
-        without = frames - (self._with_corners - self._seen[2])
-        self._seen = (self._frames, self._found, self._with_corners)
+        own = self._own_corners - self._seen[2]
+        self._seen = (self._frames, self._found, self._own_corners)
         text = "recognised" if self._confidence > 0 else "not recognised"
-        unaided = frames > 0 and without == frames
+        unaided = frames > 0 and own == frames
         if self._refusal:
             text += f": {self._refusal}"
         elif self._recogniser.mirrored:

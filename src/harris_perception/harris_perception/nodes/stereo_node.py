@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image, PointCloud2
 
 from harris_perception.core.gray import eight_bits, gray_of
@@ -39,6 +40,7 @@ from icu_common.nodes.conversions import (
     stamp_ns,
 )
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.on_demand import OnDemand, on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -57,6 +59,7 @@ class StereoConfig(Config):
     )
     matching: MatchConfig = nested(MatchConfig)
     plane: PlaneConfig = nested(PlaneConfig)
+    on_demand: bool = on_demand_setting()
 
 
 class Matcher:
@@ -83,6 +86,8 @@ class Matcher:
 class StereoNode(Node):
     """Subscribes to ``image_raw``, ``camera_info`` and ``corners`` of both sides; publishes ``points2``,
     ``panel_plane``, and that with its covariance as ``panel_plane_estimate``.
+
+    Images and corners are subscribed to only while one of the three has a reader.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -97,17 +102,27 @@ class StereoNode(Node):
         self._matched = self._reported_ns = 0
         self._values: list[tuple[str, Any]] = []
         self._complaint = ""
-        self._points = self.create_publisher(PointCloud2, "points2", qos.RESULTS)
-        self._plane = self.create_publisher(PoseStamped, "panel_plane", qos.RESULTS)
-        self._estimate = self.create_publisher(PoseWithCovarianceStamped, "panel_plane_estimate", qos.RESULTS)
+        self._inputs: list[Subscription] = []
+        self._demand = OnDemand(self, self._listen, self._rest, always=not self._live.config.on_demand)
+        self._points = self._demand.publisher(PointCloud2, "points2", qos.RESULTS)
+        self._plane = self._demand.publisher(PoseStamped, "panel_plane", qos.RESULTS)
+        self._estimate = self._demand.publisher(PoseWithCovarianceStamped, "panel_plane_estimate", qos.RESULTS)
         self._diagnostics = Diagnostics(self, "stereo")
-        for i, side in enumerate(SIDES):
-            self._listen(i, Image, f"{side}/image_raw")
-            self._listen(i + 2, PointCloud2, f"{side}/corners")
         every(self, 1.0, self._report)
+        self._demand.begin()
 
-    def _listen(self, stream: int, kind: Any, topic: str) -> None:
-        self.create_subscription(kind, topic, lambda message: self._on_message(stream, message), qos.PICTURES)
+    def _listen(self) -> None:
+        for i, side in enumerate(SIDES):
+            self._inputs.append(self._input(i, Image, f"{side}/image_raw"))
+            self._inputs.append(self._input(i + 2, PointCloud2, f"{side}/corners"))
+
+    def _rest(self) -> None:
+        while self._inputs:
+            self.destroy_subscription(self._inputs.pop())
+        self._sets.clear()
+
+    def _input(self, stream: int, kind: Any, topic: str) -> Subscription:
+        return self.create_subscription(kind, topic, lambda message: self._on_message(stream, message), qos.PICTURES)
 
     def _configure(self) -> None:
         config, stereo = self._live.config, self._calibration.stereo
@@ -116,16 +131,13 @@ class StereoNode(Node):
 
     def _on_message(self, stream: int, message: Any) -> None:
         complete = self._sets.add(stream, stamp_ns(message.header.stamp), message)
-        if complete is None or self._matcher is None or not self._wanted():
+        if complete is None or self._matcher is None or not self._demand.wanted:
             return
         try:
             if self._sets.due(self._live.config.rate_hz):
                 self._match(self._matcher, complete)
         except ValueError as error:
             self._complaint = str(error)
-
-    def _wanted(self) -> bool:
-        return any(p.get_subscription_count() > 0 for p in (self._points, self._plane, self._estimate))
 
     def _match(self, matcher: Matcher, complete: tuple[Any, ...]) -> None:
         start = time.perf_counter()
@@ -150,13 +162,14 @@ class StereoNode(Node):
             ]
 
     def _report(self) -> None:
-        silent = "no pictures with corners in the last second" if self._sets.newest_ns == self._reported_ns else ""
+        still = self._demand.running and self._sets.newest_ns == self._reported_ns
+        silent = "no pictures with corners in the last second" if still else ""
         self._reported_ns = self._sets.newest_ns
         # What a pair was found to lack is of no moment where pairs no longer come, or nobody asks for more.
-        wanted = self._wanted()
+        wanted = self._demand.wanted
         complaint = self._calibration.complaint or silent or (self._complaint if wanted else "")
         values = [("pairs", self._matched), ("unpaired", self._sets.unpaired), *self._values]
-        level, text = ("warn", complaint) if complaint else ("ok", "matching" if wanted else "idle: nobody subscribes")
+        level, text = ("warn", complaint) if complaint else ("ok", "matching" if wanted else "idle: no subscriber")
         self._diagnostics.tell(level, text, values)
 
 

@@ -38,6 +38,7 @@ from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import Control, LayoutError, PanelLayout, load_layout
 from icu_common.core.sequence import Sequence, parse_file
 from icu_common.nodes import qos
+from icu_common.nodes.camera_info import CameraInfoSubscription
 from icu_common.nodes.conversions import (
     axes_of_message,
     camera_model,
@@ -52,7 +53,6 @@ from icu_common.nodes.conversions import (
     point_array,
     point_message,
     result_of_message,
-    same_camera,
     stamp_ns,
     trajectory_array,
     transform_of_message,
@@ -119,7 +119,6 @@ class BridgeNode(Node):
         config = parameters.config
         self._layout = _read_layout(config)
         self._replay = config.replay
-        self._cameras: dict[str, CameraInfo] = {}
         self._axes = np.eye(2)
         self._withdrawn = False
         self._camera_from_base: Transform | None = None
@@ -186,8 +185,8 @@ class BridgeNode(Node):
     # --- from the graph --------------------------------------------------------------------------------------------
 
     def _make_inlets(self) -> None:
-        self._hear(CameraInfo, "left/camera_info", qos.SENSOR, lambda m: self._camera_seen("left", m))
-        self._hear(CameraInfo, "right/camera_info", qos.SENSOR, lambda m: self._camera_seen("right", m))
+        self._hear_camera("left")
+        self._hear_camera("right")
         self._hear(PoseStamped, "panel/pose", qos.LATCHED, self._pose_seen)
         self._hear(MarkerArray, "panel/controls", qos.LATCHED, self._controls_seen)
         self._hear(DiagnosticArray, "panel/state", qos.SENSOR, self._panel_seen)
@@ -211,16 +210,17 @@ class BridgeNode(Node):
         every(self, _SHOWN_PERIOD_S, self._hear_what_is_shown)
 
     def _hear_what_is_shown(self) -> None:
-        """Listen to corners, edges and the other camera only while a page shows them, so that nobody works for nothing.
+        """Subscribe to images, corners and edges only while a page shows them.
 
-        The left camera is always heard: a motion without pictures is stopped, and a panel is taught in its picture.
+        The left camera is needed while any page is connected: the bridge stops a page's motion that has no images, and
+        a panel is taught in its image.
         """
         video = self._server.video
         for key in video.wanted - self._layers.keys():
             self._layers[key] = self._hear(PointCloud2, _LAYER_TOPICS[key], qos.SENSOR, self._layer_taker(*key))
         for key in self._layers.keys() - video.wanted:
             self.destroy_subscription(self._layers.pop(key))
-        cameras = video.cameras | {"left"}
+        cameras = video.cameras | ({"left"} if self._desk.has_viewers else set())
         for side in cameras - self._pictures.keys():
             self._pictures[side] = NewestSubscription(self, Image, f"{side}/image_raw", self._picture_taker(side))
         for side in self._pictures.keys() - cameras:
@@ -262,14 +262,21 @@ class BridgeNode(Node):
     def _state_taker(self, part: str) -> Callable[[String], None]:
         return lambda message: self._mail.newest(part, self._desk.set_state, part, message.data)
 
+    def _hear_camera(self, side: str) -> None:
+        def changed(message: CameraInfo) -> None:
+            try:
+                self._camera_seen(side, message)
+            except ValueError as error:
+                self.get_logger().error(f"{side}/camera_info: ignored: {error}", throttle_duration_sec=5.0)
+                cameras.again()
+
+        cameras = CameraInfoSubscription(self, f"{side}/camera_info", qos.SENSOR, changed)
+
     def _camera_seen(self, side: str, message: CameraInfo) -> None:
-        # Every picture repeats the calibration; only a new one is work.
-        if not same_camera(self._cameras.get(side), message):
-            model = camera_model(message, side) if message.k[0] else None  # CameraInfo.msg: 0 is "uncalibrated"
-            if model is None:
-                self.get_logger().info(f"the {side} camera is not calibrated: no control is drawn in its picture")
-            self._cameras[side] = message
-            self._mail.each(self._set_scene, {side: model})
+        model = camera_model(message, side) if message.k[0] else None  # CameraInfo.msg: 0 is "uncalibrated"
+        if model is None:
+            self.get_logger().info(f"the {side} camera is not calibrated: no control is drawn in its picture")
+        self._mail.each(self._set_scene, {side: model})
 
     def _pose_seen(self, message: PoseStamped) -> None:
         check_frame(message.header, CAMERA_LEFT)
