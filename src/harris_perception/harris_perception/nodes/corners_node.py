@@ -32,7 +32,8 @@ from icu_common.nodes.conversions import (
     image_message,
 )
 from icu_common.nodes.diagnostics import Diagnostics
-from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.images import ReceivedImage
+from icu_common.nodes.newest import NewestImage
 from icu_common.nodes.on_demand import OnDemand, on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -87,7 +88,7 @@ class CornersNode(Node):
             self._use(self._live.config)
         self._frames = self._refused = self._found = self._reported = self._dropped = self._dropped_before = 0
         self._busy_s, self._refusal = 0.0, ""
-        self._images: NewestSubscription | None = None
+        self._images: NewestImage | None = None
         self._demand = OnDemand(self, self._listen, self._rest, always=not self._live.config.on_demand)
         self._corners = self._demand.publisher(PointCloud2, "corners", qos.RESULTS)
         self._picture = self._demand.publisher(Image, "corners_image", qos.IMAGES)
@@ -98,7 +99,7 @@ class CornersNode(Node):
         self._demand.begin()
 
     def _listen(self) -> None:
-        self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
+        self._images = NewestImage(self, "image_raw", self._on_image)
 
     def _rest(self) -> None:
         if self._images is not None:
@@ -113,7 +114,7 @@ class CornersNode(Node):
         self._outlines = EdgeDetector(config.edges)
         (self._combined if config.edge_method == "combined" else self._outlines).warm()
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: ReceivedImage) -> None:
         start = time.perf_counter()
         try:
             gray = _gray(message)
@@ -129,7 +130,7 @@ class CornersNode(Node):
         self._found = len(corners)
         self._busy_s += time.perf_counter() - start
 
-    def _found_in(self, gray: npt.NDArray[Any], message: Image) -> tuple[Corners | ScaledCorners, Edges | None]:
+    def _found_in(self, gray: npt.NDArray[Any], message: ReceivedImage) -> tuple[Corners | ScaledCorners, Edges | None]:
         config = self._live.config
         looked_at = self._labels.get_subscription_count() + self._lines.get_subscription_count() > 0
         fast, combined = config.corner_method == "fast", config.edge_method == "combined"
@@ -147,7 +148,7 @@ class CornersNode(Node):
             return corners, self._outlines.detect(bgr_of(colors, message.encoding), corners.xy, strengths)
         return corners, self._outlines.detect(gray, corners.xy, strengths, level)
 
-    def _publish(self, corners: Corners | ScaledCorners, gray: npt.NDArray[Any], message: Image) -> None:
+    def _publish(self, corners: Corners | ScaledCorners, gray: npt.NDArray[Any], message: ReceivedImage) -> None:
         held = np.finfo(np.float32)
         columns, values = [*COLUMNS], [corners.xy, np.clip(corners.response, held.tiny, held.max)]
         if isinstance(corners, ScaledCorners):
@@ -158,7 +159,7 @@ class CornersNode(Node):
             draw_corners(drawn, corners.xy)
             self._picture.publish(image_message(drawn, "bgr8", message.header))
 
-    def _publish_edges(self, edges: Edges, message: Image) -> None:
+    def _publish_edges(self, edges: Edges, message: ReceivedImage) -> None:
         if self._labels.get_subscription_count() > 0:
             self._labels.publish(image_message(edges.labels, "mono8", message.header))
         if self._lines.get_subscription_count() > 0:
@@ -192,7 +193,7 @@ def _corner_detector(config: CornersNodeConfig) -> HarrisDetector | HarrisLaplac
     return HarrisLaplaceDetector(HarrisLaplaceConfig(detector=config, **pyramid))
 
 
-def _gray(message: Image) -> npt.NDArray[Any]:
+def _gray(message: ReceivedImage) -> npt.NDArray[Any]:
     picture = image_array(message)
     if message.encoding == "32FC1":
         return picture.astype(np.float32, copy=False)

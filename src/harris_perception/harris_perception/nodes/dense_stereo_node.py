@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from harris_perception.core.dense_stereo import DELTA_PX, F32, DenseConfig, DenseStereo, SemiGlobalConfig, warm
@@ -28,6 +29,7 @@ from icu_common.nodes.conversions import (
     stamp_ns,
 )
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.images import ReceivedImage, subscribe_to_images
 from icu_common.nodes.on_demand import OnDemand
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -91,11 +93,9 @@ class DenseStereoNode(Node):
 
     def _listen(self, stream: int, side: str) -> Subscription:
         # The newest only: a matcher that falls behind should skip pairs and not show old ones.
-        return self.create_subscription(
-            Image, f"{side}/image_raw", lambda message: self._on_image(stream, message), qos.NEWEST
-        )
+        return subscribe_to_images(self, f"{side}/image_raw", functools.partial(self._on_image, stream), qos.NEWEST)
 
-    def _on_image(self, stream: int, message: Image) -> None:
+    def _on_image(self, stream: int, message: ReceivedImage) -> None:
         pair = self._pairs.add(stream, stamp_ns(message.header.stamp), message)
         if (
             pair is None
@@ -109,7 +109,7 @@ class DenseStereoNode(Node):
         except ValueError as error:
             self._complaint = str(error)
 
-    def _match(self, stereo: DenseStereo, left: Image, right: Image) -> None:
+    def _match(self, stereo: DenseStereo, left: ReceivedImage, right: ReceivedImage) -> None:
         start = time.perf_counter()
         grays = [gray_of(image_array(i), i.encoding) for i in (left, right)]
         level = self._levels.of(*grays)

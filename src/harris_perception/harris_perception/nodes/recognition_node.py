@@ -29,6 +29,7 @@ from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, with_plane
 from harris_perception.core.pose_agreement import PoseAgreement
 from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig, Sighting
+from harris_perception.core.still_panel import StillPanel
 from harris_perception.core.tip_record import TipRecord
 from harris_perception.nodes.panel_teacher import PanelTeacher
 from icu_common.core.camera_model import CameraModel
@@ -54,7 +55,8 @@ from icu_common.nodes.conversions import (
     transform_of_pose,
 )
 from icu_common.nodes.diagnostics import Diagnostics
-from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.images import ReceivedImage
+from icu_common.nodes.newest import NewestImage
 from icu_common.nodes.on_demand import on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -68,6 +70,8 @@ _TICK_S = 0.02
 _TRACKED = 15
 """Images in a row in which the panel was found, after which corners are no longer subscribed to: following it needs
 none."""
+_UNCHANGED = 4
+"""Images in a row that may count as unchanged: at 5 Hz the panel is measured once a second at rest."""
 _MIRRORED = "the panel is seen in a mirror: switch off what flips this camera's pictures"
 _STEREO_AGE_NS = 3_000_000_000
 """Stereo looks at other pictures, on a busy computer a second later; a panel that stands still is as far in them."""
@@ -130,7 +134,9 @@ class RecognitionNodeConfig(Config):
         unit="mm",
         read_only=True,
     )
-    on_demand: bool = on_demand_setting("Subscribe to corners only while the panel is searched")
+    on_demand: bool = on_demand_setting(
+        "Subscribe to corners only while the panel is searched, and measure it once a second while it looks the same"
+    )
     recognition: RecognitionConfig = nested(RecognitionConfig)
     state: StateConfig = nested(StateConfig)
     harris: HarrisConfig = nested(HarrisConfig)
@@ -140,7 +146,7 @@ class RecognitionNodeConfig(Config):
 class _Unread:
     """A picture in which the panel was found, and whose controls are still to be read; waiting ``since_s``."""
 
-    message: Image
+    message: ReceivedImage
     sighting: Sighting
     pose: Transform
     since_s: float
@@ -189,7 +195,7 @@ class RecognitionNode(Node):
         if self._live.config.plane_max_age_s > 0:
             self.create_subscription(PoseWithCovarianceStamped, "plane", self._on_plane, qos.SENSOR)
         self._compare_depth()
-        self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
+        self._images = NewestImage(self, "image_raw", self._on_image)
         every(self, _TICK_S, self._on_tick)
         every(self, 1.0, self._report)
         self._teacher = PanelTeacher(self, self._live.config.teach_folder, lambda: self._camera)
@@ -212,9 +218,11 @@ class RecognitionNode(Node):
         self._reader = PanelReader(self._layout, config.state)
         self._detector = HarrisDetector(config.harris)
         self._markers = MarkerFinder(self._layout)
+        self._still = StillPanel(self._layout, _UNCHANGED)
 
     def _on_camera(self, message: CameraInfo) -> None:
         # By another camera's calibration the panel would be somewhere else.
+        self._still.forget()
         self._camera = self._waiting = None
         self._unread.clear()
         try:
@@ -243,7 +251,7 @@ class RecognitionNode(Node):
             self._corners.popitem(last=False)
         self._try_waiting()
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: ReceivedImage) -> None:
         stamp, period_ns = stamp_ns(message.header.stamp), 1e9 / self._live.config.rate_hz
         # A stamp before the last one is a recording that has started anew.
         early = 0 <= stamp - self._last_stamp < 0.9 * period_ns
@@ -313,6 +321,7 @@ class RecognitionNode(Node):
         if self._confidence > 0 and time.monotonic() - self._last_seen_s > self._live.config.silence_s:
             self.get_logger().warning("no pictures: the panel counts as lost")
             self._recogniser.forget()
+            self._still.forget()
             self._publish(None, self._agreement.add(None), None)
 
     def _try_waiting(self) -> None:
@@ -324,28 +333,25 @@ class RecognitionNode(Node):
             self._waiting = None
             self._look(message, corners)
 
-    def _look(self, message: Image, corners: npt.NDArray[np.float32] | None) -> None:
+    def _look(self, message: ReceivedImage, corners: npt.NDArray[np.float32] | None) -> None:
         assert self._camera is not None
         start = time.perf_counter()
-        sighting, refusal = None, ""
+        sighting, known, refusal = None, None, ""
         try:
             gray = eight_bits(gray_of(image_array(message), message.encoding))
-            camera = self._camera
-            markers = self._markers.find(gray, camera)
-            xy = functools.partial(self._detected, gray) if corners is None else corners
-            self._with_corners += corners is not None
-            sighting = self._recogniser.locate(gray, xy, camera, self._markers.poses(markers, camera))
-            self._compare(markers, sighting)
+            known = self._pose_if_unchanged(gray)
+            sighting = self._sighting if known is not None else self._measured(gray, corners)
         except ValueError as error:
             refusal = f"picture refused: {error}"
             self.get_logger().error(refusal, throttle_duration_sec=5.0)
         self._refusal = refusal
         if self._recogniser.mirrored:
             self.get_logger().error(_MIRRORED, throttle_duration_sec=30.0)
-        found = None
-        if sighting is not None and not self._alarm:
-            found = self._with_plane(sighting, stamp_ns(message.header.stamp))
-        pose = self._agreement.add(found)
+        pose = known
+        if known is None:
+            agreeing = sighting if not self._alarm else None
+            stamp = stamp_ns(message.header.stamp)
+            pose = self._agreement.add(None if agreeing is None else self._with_plane(agreeing, stamp))
         self._publish(sighting, pose, message)
         # Of a tracker that is far behind fewer pictures are read: without their own tips they tell what is not so.
         if sighting is not None and pose is not None and len(self._unread) < _KEPT_UNREAD:
@@ -356,6 +362,30 @@ class RecognitionNode(Node):
         self._follow_corners()
         self._busy_s += time.perf_counter() - start
         self._read_unread()
+
+    def _pose_if_unchanged(self, gray: npt.NDArray[np.uint8]) -> Transform | None:
+        """Return the pose that counts if it has settled and the panel looks as when it was measured last.
+
+        Who subscribes to the measured points wants those of each image.
+        """
+        if not self._live.config.on_demand or self._alarm or self._points.get_subscription_count():
+            return None
+        settled = self._agreement.settled
+        return settled if settled is not None and self._still.unchanged(gray) else None
+
+    def _measured(self, gray: npt.NDArray[np.uint8], corners: npt.NDArray[np.float32] | None) -> Sighting | None:
+        """Search or follow the panel in an image, and compare its markers with it."""
+        assert self._camera is not None
+        camera = self._camera
+        self._still.forget()
+        markers = self._markers.find(gray, camera)
+        xy = functools.partial(self._detected, gray) if corners is None else corners
+        self._with_corners += corners is not None
+        sighting = self._recogniser.locate(gray, xy, camera, self._markers.poses(markers, camera))
+        self._compare(markers, sighting)
+        if sighting is not None:
+            self._still.measured(gray, sighting.camera_from_panel, camera)
+        return sighting
 
     def _detected(self, gray: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
         """Return the corners of an image that is searched and whose published ones have not come."""
@@ -390,7 +420,7 @@ class RecognitionNode(Node):
         self._alarm = text
         self._alarm_out.publish(String(data=text))
 
-    def _publish(self, sighting: Sighting | None, pose: Transform | None, message: Image | None) -> None:
+    def _publish(self, sighting: Sighting | None, pose: Transform | None, message: ReceivedImage | None) -> None:
         self._sighting = sighting
         self._last_seen_s = time.monotonic()
         self._confidence = sighting.agreement if sighting is not None and pose is not None else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.node import Node
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import PointCloud2
 
 from harris_perception.core.gray import eight_bits, gray_of
 from harris_perception.core.pairing import Pairing
@@ -40,6 +41,7 @@ from icu_common.nodes.conversions import (
     stamp_ns,
 )
 from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.images import AnyImage, subscribe_to_images
 from icu_common.nodes.on_demand import OnDemand, on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -70,7 +72,7 @@ class Matcher:
         self._rectify = [Rectifier(model, stereo.left.size) for model in (stereo.left, stereo.right)]
         self._limits = disparity_range(stereo, config.matching)
 
-    def points(self, images: tuple[Image, Image], corners: tuple[PointCloud2, PointCloud2]) -> Array:
+    def points(self, images: tuple[AnyImage, AnyImage], corners: tuple[PointCloud2, PointCloud2]) -> Array:
         """Return (N, 4): x, y, z and the depth's standard deviation, metres, left rectified frame."""
         models = (self._stereo.left, self._stereo.right)
         grays = (eight_bits(gray_of(image_array(i), i.encoding)) for i in images)
@@ -113,16 +115,17 @@ class StereoNode(Node):
 
     def _listen(self) -> None:
         for i, side in enumerate(SIDES):
-            self._inputs.append(self._input(i, Image, f"{side}/image_raw"))
-            self._inputs.append(self._input(i + 2, PointCloud2, f"{side}/corners"))
+            take_image = functools.partial(self._on_message, i)
+            take_corners = functools.partial(self._on_message, i + 2)
+            self._inputs += [
+                subscribe_to_images(self, f"{side}/image_raw", take_image, qos.PICTURES),
+                self.create_subscription(PointCloud2, f"{side}/corners", take_corners, qos.PICTURES),
+            ]
 
     def _rest(self) -> None:
         while self._inputs:
             self.destroy_subscription(self._inputs.pop())
         self._sets.clear()
-
-    def _input(self, stream: int, kind: Any, topic: str) -> Subscription:
-        return self.create_subscription(kind, topic, lambda message: self._on_message(stream, message), qos.PICTURES)
 
     def _configure(self) -> None:
         config, stereo = self._live.config, self._calibration.stereo

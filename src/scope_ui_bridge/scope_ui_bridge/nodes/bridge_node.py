@@ -58,7 +58,8 @@ from icu_common.nodes.conversions import (
     transform_of_message,
     transform_of_pose,
 )
-from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.images import ReceivedImage
+from icu_common.nodes.newest import NewestImage
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -123,7 +124,7 @@ class BridgeNode(Node):
         self._withdrawn = False
         self._camera_from_base: Transform | None = None
         self._layers: dict[tuple[str, str], Any] = {}
-        self._pictures: dict[str, NewestSubscription] = {}
+        self._pictures: dict[str, NewestImage] = {}
         self._roll = Roll(SILENT_S)
         robot = f"{socket.gethostname()}{self.get_namespace()}"
         self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "", robot)
@@ -222,7 +223,7 @@ class BridgeNode(Node):
             self.destroy_subscription(self._layers.pop(key))
         cameras = video.cameras | ({"left"} if self._desk.has_viewers else set())
         for side in cameras - self._pictures.keys():
-            self._pictures[side] = NewestSubscription(self, Image, f"{side}/image_raw", self._picture_taker(side))
+            self._pictures[side] = NewestImage(self, f"{side}/image_raw", self._picture_taker(side))
         for side in self._pictures.keys() - cameras:
             self._pictures.pop(side).end()
             self._mail.newest(side, video.forget, side)
@@ -242,8 +243,8 @@ class BridgeNode(Node):
 
         return self.create_subscription(message_type, topic, callback, profile)
 
-    def _picture_taker(self, side: str) -> Callable[[Image], None]:
-        def take(message: Image) -> None:
+    def _picture_taker(self, side: str) -> Callable[[ReceivedImage], None]:
+        def take(message: ReceivedImage) -> None:
             try:
                 picture = image_array(message)
             except ValueError as error:
