@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.medians import median
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import PanelLayout
@@ -62,7 +63,7 @@ class StillPanel:
         if means.shape != self._means.shape:
             return False
         change = (means - self._means)[self._where]
-        noise = 1.4826 * float(np.median(np.abs(change - np.median(change))))
+        noise = 1.4826 * median(np.abs(change - median(change)))
         if noise > _MOST_NOISE or float(np.abs(change).max()) > max(_FROM_NOISE * noise, _LEAST):
             return False
         self._count += 1
@@ -79,7 +80,7 @@ class StillPanel:
                 _fill(screens, np.array(control.position_mm) + _CORNERS * control.size_mm, pose, camera)
         # Cells at the edge of either show some of both, and a lens bends the lines between corners.
         inside = cv2.erode(face, around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-        return (inside > 0) & (cv2.dilate(screens, around) == 0)
+        return np.asarray((inside > 0) & (cv2.dilate(screens, around) == 0))
 
 
 def _fill(cells: Gray, corners_mm: Array, pose: Transform, camera: CameraModel) -> None:
