@@ -7,6 +7,7 @@ are compared with those of the graph before images were taken on demand, on the 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import shutil
 import tempfile
@@ -18,6 +19,7 @@ from pathlib import Path
 
 from cpu_quota import NoQuota, cpu_quota
 from rows import Row, bound, row, write
+from system.conftest import RunningGraph
 from watched_graph import Watcher, median, press, programs, usage, watched
 
 CONTROL = "RUN_STOP"
@@ -83,22 +85,28 @@ def _counts(watcher: Watcher) -> tuple[tuple[float, int], tuple[float, int]]:
     return (camera_s, int(camera["pictures"])), (tracker_s, int(tracker["seen"]) + int(tracker["missed"]))
 
 
-def measure(folder: Path, domain: int, seconds: float, presses: int, started: Callable[[int], None]) -> dict[str, Load]:
-    """Start the graph once and measure it at rest and while pressing; print how the presses went."""
+def measure(
+    folder: Path, domain: int, seconds: float, presses: int, started: Callable[[int], None]
+) -> tuple[dict[str, Load], float]:
+    """Start the graph once and measure it at rest and while pressing; return that and the part of presses reached."""
     found: dict[str, Load] = {}
     with watched(folder, domain, corners=False, started=started) as (graph, watcher):
         pids = programs(graph.process.pid)
         watcher.spin(_SETTLED_S)
         found["at rest"] = load_during(pids, watcher, lambda: time.sleep(seconds))
-        touches: list[dict[str, float]] = []
-        found["pressing"] = load_during(
-            pids, watcher, lambda: touches.extend(press(graph, CONTROL) for _ in range(presses))
-        )
-    errors = [touch["error_mm"] for touch in touches]
-    print(
-        f"{presses} of {presses} presses reached, error {median(errors):.3f} mm (median), {max(errors):.3f} mm (most)"
-    )
-    return found
+        errors: list[float] = []
+        found["pressing"] = load_during(pids, watcher, lambda: _press(graph, presses, errors))
+    reached = f"{len(errors)} of {presses} presses reached"
+    print(f"{reached}, error {median(errors):.3f} mm (median), {max(errors, default=math.nan):.3f} mm (most)")
+    return found, len(errors) / presses
+
+
+def _press(graph: RunningGraph, presses: int, errors: list[float]) -> None:
+    for _ in range(presses):
+        try:
+            errors.append(press(graph, CONTROL)["error_mm"])
+        except RuntimeError as failure:
+            print(failure)
 
 
 def _table(loads: dict[str, Load]) -> None:
@@ -128,7 +136,7 @@ def _small_rows(folder: Path, domain: int, seconds: float, presses: int) -> list
     rows = []
     try:
         with cpu_quota(SMALL_CORES) as quota:
-            loads = measure(folder, domain, seconds, presses, quota.take)
+            loads, reached = measure(folder, domain, seconds, presses, quota.take)
             share = quota.throttling().share
     except NoQuota as reason:
         print(f"the small computer is left out: {reason}")
@@ -139,6 +147,7 @@ def _small_rows(folder: Path, domain: int, seconds: float, presses: int) -> list
         what = f"small computer {name}: image pairs in which the tip was looked for, 1/s"
         rows.append(bound(what, load.tracked_hz, _JITTER * RATE_HZ, at_least=True))
         rows.append(row(f"small computer {name}: CPU of all programs, % of one core", load.sum, None, ""))
+    rows.append(bound("small computer: part of the presses reached", reached, 1.0, at_least=True))
     return rows
 
 
@@ -148,8 +157,9 @@ def main() -> int:
     parser.add_argument("--presses", type=int, default=6)
     parser.add_argument("--state", type=Path, help="state folder of a calibrated bench, which saves a calibration")
     parser.add_argument("--small", choices=("with", "without", "only"), default="with", help="the small computer")
+    parser.add_argument("--domain", type=int, default=100 + os.getpid() % 100, help="ROS_DOMAIN_ID of the graph")
     arguments = parser.parse_args()
-    domain, rows = 100 + os.getpid() % 100, []
+    domain, rows = arguments.domain, []
     with tempfile.TemporaryDirectory(prefix="icu_cpu_") as temporary:
         state = arguments.state
         for part in ("free", "small"):
@@ -160,9 +170,10 @@ def main() -> int:
             if state is not None:
                 shutil.copytree(state, folder / "state")
             if part == "free":
-                loads = measure(folder, domain, arguments.seconds, arguments.presses, lambda pid: None)
+                loads, reached = measure(folder, domain, arguments.seconds, arguments.presses, lambda pid: None)
                 _table(loads)
                 rows += _free_rows(loads)
+                rows.append(bound("graph: part of the presses reached", reached, 1.0, at_least=True))
                 state = folder / "state"
             else:
                 rows += _small_rows(folder, domain, arguments.seconds, arguments.presses)
