@@ -193,7 +193,9 @@ class StylusPainter:
             side &= (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 >= ball_radius**2
         nx, ny = x / radius, y / radius
         facing = nx * float(LIGHT[0]) + ny * float(LIGHT[1])
-        shade = np.where(cap, 1.7, 0.75 + 0.9 * np.clip(facing, -0.3, 1) + 0.9 * _to_the_eighth(np.clip(nx + 0.2, 0, 1)))
+        shade = np.where(
+            cap, 1.7, 0.75 + 0.9 * np.clip(facing, -0.3, 1) + 0.9 * _to_the_eighth(np.clip(nx + 0.2, 0, 1))
+        )
         return self._gather(window, cap | side, shade[..., None] * SHAFT.astype(np.float32))
 
     def _arm(self, picture: Picture, tip: Array) -> None:
