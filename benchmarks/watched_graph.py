@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import PointCloud2
 from system.conftest import RunningGraph
 
@@ -62,17 +63,28 @@ def programs(parent: int) -> dict[str, int]:
 
 
 class Watcher:
-    """A node beside the graph that notes how old the corners are when they come."""
+    """A node beside the graph that notes how old the corners are when they come, and what the nodes report.
 
-    def __init__(self) -> None:
+    Without ``corners`` it only listens to the reports: a reader of corners makes the graph find them.
+    """
+
+    def __init__(self, corners: bool = True) -> None:
         self._node = Node("watcher")
         self.ages_ms: list[float] = []
-        self._node.create_subscription(PointCloud2, "/stereo/left/corners", self._on_corners, qos.RESULTS)
+        self.reports: dict[str, tuple[float, dict[str, str]]] = {}
+        """When (monotonic s) each node has reported last, and its values, by the name of its status."""
+        if corners:
+            self._node.create_subscription(PointCloud2, "/stereo/left/corners", self._on_corners, qos.RESULTS)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, qos.RESULTS)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
 
     def _on_corners(self, cloud: PointCloud2) -> None:
         self.ages_ms.append((self._node.get_clock().now().nanoseconds - stamp_ns(cloud.header.stamp)) / 1e6)
+
+    def _on_report(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.reports[status.name] = time.monotonic(), {pair.key: pair.value for pair in status.values}
 
     def spin(self, seconds: float, until: Callable[[], Any] = lambda: False) -> None:
         """Serve the node for so long, or until something holds."""
@@ -86,15 +98,27 @@ class Watcher:
 
 
 @contextmanager
-def watched(folder: Path, domain: int, *extra: str) -> Iterator[tuple[RunningGraph, Watcher]]:
-    """Start the graph on the simulated bench, home and calibrate it, and watch it; ``extra`` goes to bring_up."""
+def watched(
+    folder: Path,
+    domain: int,
+    *extra: str,
+    corners: bool = True,
+    started: Callable[[int], None] = lambda pid: None,
+    within_s: float = 180.0,
+) -> Iterator[tuple[RunningGraph, Watcher]]:
+    """Start the graph on the simulated bench, home and calibrate it, and watch it.
+
+    ``extra`` goes to bring_up, whose process ``started`` is told before it has started others; ``corners`` is for
+    :class:`Watcher`, ``within_s`` limits the preparation.
+    """
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     prepare_transport()
     graph = RunningGraph(folder, domain, *extra)
+    started(graph.process.pid)
     rclpy.init()
-    watcher = Watcher()
+    watcher = Watcher(corners)
     try:
-        graph.prepare()
+        graph.prepare(within_s)
         yield graph, watcher
     finally:
         watcher.close()

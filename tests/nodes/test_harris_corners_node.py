@@ -361,3 +361,28 @@ def test_the_benchmarks_peer_is_this_node_with_the_corners_of_opencv(ros: Any, m
     expected = cv2.goodFeaturesToTrack(noisy, 2000, 0.01, 0, blockSize=3, useHarrisDetector=True, k=0.04)
     np.testing.assert_array_equal(found[:, :2], expected.reshape(-1, 2))
     assert len(found) > 50 and cv2.getNumThreads() == threads
+
+
+def test_without_a_reader_no_images_are_taken_and_nothing_is_wrong(ros: Any) -> None:
+    probe = ros.plain()
+    reports: list[DiagnosticArray] = ros.collect(probe, DiagnosticArray, "/diagnostics", qos.RESULTS)
+    images = probe.create_publisher(Image, "image_raw", qos.IMAGES)
+    node = ros.node(CornersNode)
+    told = ros.spin_until(lambda: [s for r in reports for s in r.status if s.name == "/corners"], 10.0)[0]
+    assert (told.message, told.level) == ("idle: no subscriber", LEVELS["ok"])
+    assert images.get_subscription_count() == 0
+    lines: list[PointCloud2] = ros.collect(probe, PointCloud2, "edge_lines", qos.RESULTS)
+    ros.spin_until(lambda: images.get_subscription_count() == 1, 10.0)
+    ros.spin_until(lambda: probe.count_publishers("edge_lines") == 1, 10.0)
+    images.publish(image_message(square(), "mono8", header(5, "c")))
+    assert stamp_ns(ros.spin_until(lambda: lines, 10.0)[0].header.stamp) == 5
+    for subscription in [s for s in probe.subscriptions if s.topic_name == "/edge_lines"]:
+        probe.destroy_subscription(subscription)
+    ros.spin_until(lambda: images.get_subscription_count() == 0, 10.0)
+    assert node._frames == 1
+
+
+def test_in_step_with_a_recording_images_are_taken_without_a_reader(ros: Any) -> None:
+    images = ros.plain().create_publisher(Image, "image_raw", qos.IMAGES)
+    ros.node(CornersNode, {"on_demand": False})
+    ros.spin_until(lambda: images.get_subscription_count() == 1, 10.0)

@@ -233,7 +233,7 @@ def test_a_panel_that_stereo_sees_at_another_depth_raises_an_alarm_until_they_ag
     assert rig.show(picture(seed=2), 2) == 0.0, "no pose counts"
     other = dataclasses.replace(CAMERA, d=CAMERA.d + 1e-6)
     rig.infos.publish(camera_info_message(other, header(START, CAMERA_LEFT)))
-    ros.spin_until(lambda: rig.node._camera is not None and np.array_equal(rig.node._camera[1].d, other.d), 10.0)
+    ros.spin_until(lambda: rig.node._camera is not None and np.array_equal(rig.node._camera.d, other.d), 10.0)
     look(2, 1.0)
     assert rig.show(picture(seed=4), 4) == 0.0, "another calibration is no proof yet"
     look(3, 1.0)
@@ -395,3 +395,63 @@ def test_a_panel_is_taught_by_messages(ros: Any, tmp_path: Path) -> None:
     place = load_layout(folder / "taught.yaml").control("RUN_STOP").position_mm
     assert place == pytest.approx((208.0, 127.0), abs=0.1)
     assert f"--set recognition.template={folder / 'taught.png'}" in details["start"]
+
+
+class Counted:
+    """Counts how often the panel is measured."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.times = 0
+        self._locate = rig.node._recogniser.locate
+        rig.node._recogniser.locate = self.locate  # type: ignore[method-assign]
+
+    def locate(self, *args: Any) -> Any:
+        self.times += 1
+        return self._locate(*args)
+
+
+def test_a_panel_that_looks_the_same_is_measured_at_times_and_published_each_time(ros: Any) -> None:
+    agreement = {"recognition.agreement.frames": 1, "recognition.agreement.window": 2}
+    rig = Rig(ros, **agreement)
+    states: list[DiagnosticArray] = ros.collect(rig.probe, DiagnosticArray, "state", qos.RESULTS)
+    counted = Counted(rig)
+    same = [picture(seed=1 + n % 3) for n in range(3)]
+    for number in range(1, 3):
+        assert rig.show(same[number], number) > 0.85
+    assert counted.times == 2, "the pose has settled from here on"
+    for number in range(3, 7):
+        assert rig.show(same[number % 3], number) > 0.85
+    assert counted.times == 2
+    ros.spin_until(lambda: len(rig.poses) == 6 and len(states) == 6, 30.0, lambda: (len(rig.poses), len(states)))
+    stamps = [START + number * PERIOD for number in range(1, 7)]
+    assert [stamp_ns(p.header.stamp) for p in rig.poses] == stamps
+    assert [stamp_ns(s.header.stamp) for s in states] == stamps, "lamps and screens are read in each image"
+    assert max(error_mm(pose) for pose in rig.poses) < 0.15
+    assert rig.show(same[1], 7) > 0.85 and counted.times == 3, "at the latest the fifth is measured"
+
+    assert rig.show(same[2], 8) > 0.85 and counted.times == 3
+    covered = same[0].copy()
+    covered[:, 700:] = 60
+    assert rig.show(covered, 9) < rig.confidences[0].data - 0.1 and counted.times == 4, "a change shows at once"
+    assert rig.show(np.full((720, 1280), 100, np.uint8), 10) == 0.0 and counted.times == 5
+
+
+def test_in_step_with_a_recording_each_image_is_measured_and_corners_are_always_taken(ros: Any) -> None:
+    rig = Rig(ros, **{"on_demand": False, "recognition.agreement.frames": 1, "recognition.agreement.window": 2})
+    counted = Counted(rig)
+    for number in range(1, 5):
+        assert rig.show(picture(seed=number), number) > 0.85
+    assert counted.times == 4 and rig.node._with_corners == 4
+
+
+def test_corners_are_taken_while_the_panel_is_searched(ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("harris_perception.nodes.recognition_node._TRACKED", 2)
+    rig = Rig(ros, **{"recognition.agreement.frames": 1})
+    assert rig.show(picture(seed=1), 1) > 0.85 and rig.show(picture(seed=2), 2) > 0.85
+    ros.spin_until(lambda: rig.corners.get_subscription_count() == 0, 10.0)
+    assert rig.show(picture(seed=3), 3, with_corners=False) > 0.85 and rig.node._own_corners == 0
+    assert rig.show(np.full((720, 1280), 100, np.uint8), 4, with_corners=False) == 0.0
+    assert rig.node._own_corners == 1, "the first image that is searched again has none of its own topic"
+    ros.spin_until(lambda: rig.corners.get_subscription_count() == 1, 10.0)
+    before = rig.node._with_corners
+    assert rig.show(picture(seed=5), 5) > 0.85 and rig.node._with_corners == before + 1

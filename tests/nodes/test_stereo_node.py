@@ -160,21 +160,33 @@ def test_pictures_of_12_bits_give_the_points_of_those_of_8(ros: Any) -> None:
     assert apart[0] == pytest.approx(apart[1], abs=0.0001)
 
 
-def test_pictures_that_nobody_wants_points_of_are_nothing_to_warn_of(ros: Any) -> None:
+def test_without_a_reader_it_takes_no_images_and_has_nothing_to_warn_of(ros: Any) -> None:
     rig, stamps = Rig(ros), itertools.count(1_000_000_000, 100_000_000)
     rig.calibrate()
-    for reader in [s for s in rig.probe.subscriptions if s.topic_name in ("/points2", "/panel_plane")]:
+    readers = [s for s in rig.probe.subscriptions if s.topic_name in ("/points2", "/panel_plane")]
+    assert len(readers) == 2
+    for reader in readers:
         rig.probe.destroy_subscription(reader)
-    ros.spin_until(lambda: not rig.node.count_subscribers("points2"), WITHIN_S)
-
-    def said() -> bool:
-        rig.show(next(stamps))
-        return "idle: nobody subscribes" in rig.said()
-
-    ros.spin_until(said, WITHIN_S, rig.said)
-    status = next(s for d in reversed(rig.diagnostics) for s in d.status if s.message == "idle: nobody subscribes")
+    inputs = [rig.out[f"{side}/{name}"] for side in ("left", "right") for name in ("image_raw", "corners")]
+    ros.spin_until(lambda: not any(p.get_subscription_count() for p in inputs), WITHIN_S)
+    ros.spin_until(lambda: rig.said()[-1:] == ["idle: no subscriber"], WITHIN_S, rig.said)
+    status = next(s for d in reversed(rig.diagnostics) for s in d.status if s.name == "stereo")
     assert status.level == DiagnosticStatus.OK and not rig.points
-    ros.spin_until(lambda: "no pictures with corners in the last second" in rig.said()[-1], WITHIN_S, rig.said)
+    points: list[PointCloud2] = ros.collect(rig.probe, PointCloud2, "points2", qos.RESULTS)
+    ros.spin_until(lambda: all(p.get_subscription_count() for p in inputs), WITHIN_S)
+
+    def seen() -> bool:
+        rig.show(next(stamps))
+        return bool(points)
+
+    ros.spin_until(seen, WITHIN_S, rig.said)
+
+
+def test_in_step_with_a_recording_it_takes_images_without_a_reader(ros: Any) -> None:
+    probe = ros.plain()
+    images = [probe.create_publisher(Image, f"{side}/image_raw", qos.IMAGES) for side in ("left", "right")]
+    ros.node(StereoNode, {"on_demand": False})
+    ros.spin_until(lambda: all(p.get_subscription_count() for p in images), WITHIN_S)
 
 
 def test_pairs_are_thinned_by_their_own_stamps(ros: Any) -> None:

@@ -230,6 +230,9 @@ class Browser:
         self.run(self.control.send_str(text))
 
     def close(self) -> None:
+        if self.loop.is_closed():
+            return
+
         async def end() -> None:
             for task in self.tasks:
                 task.cancel()
@@ -316,10 +319,11 @@ def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
     assert url
     assert url[0].endswith((tmp_path / "token").read_text().strip())
     assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
-    # Corners and edges are asked for only while a page shows them.
-    always = [p for topic, p in graph.publishers.items() if topic not in LAYERS]
+    # Corners and edges are asked for only while a page shows them, images while one is connected.
+    shown = (*LAYERS, "left/image_raw")
+    always = [p for topic, p in graph.publishers.items() if topic not in shown]
     ros.spin_until(lambda: all(p.get_subscription_count() for p in always), WITHIN_S)
-    assert not any(graph.publishers[topic].get_subscription_count() for topic in LAYERS)
+    assert not any(graph.publishers[topic].get_subscription_count() for topic in shown)
     outlets = (node._command, node._goal)
     ros.spin_until(lambda: all(outlet.get_subscription_count() for outlet in outlets), WITHIN_S)
     browser = Browser(ros, url[0])
@@ -465,6 +469,15 @@ def test_the_other_camera_is_heard_only_while_a_page_shows_it(ros: Any, bridge: 
     look("left")
     ros.spin_until(lambda: right.get_subscription_count() == 0, WITHIN_S)
     look("right")
+
+
+def test_no_images_are_taken_once_no_page_is_connected(ros: Any, bridge: Any) -> None:
+    graph, browser, _, _ = bridge
+    shown(ros, graph, browser)
+    images = graph.publishers["left/image_raw"]
+    assert images.get_subscription_count() == 1
+    browser.close()
+    ros.spin_until(lambda: images.get_subscription_count() == 0, WITHIN_S)
 
 
 def test_the_program_is_scheduled_before_ordinary_ones_or_says_why_not(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import Log
 from ros_rig import keeping_all
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from system.terminal_operator import Operator
@@ -260,6 +261,8 @@ def test_whoever_reads_pictures_asks_for_none_again(running_graph: Any, operator
         "/stereo/left/image_raw": {"corners_left", "stereo", "stylus_tracker", "recognition"},
         "/stereo/right/image_raw": {"corners_right", "stereo", "stylus_tracker"},
     }
+    # Without a reader of its points stereo takes no images, nor corners, without whose reader none are found.
+    operator.ros.collect(operator.node, PointCloud2, "/stereo/points2", qos.RESULTS)
     found = operator.node.get_subscriptions_info_by_topic
     for topic, names in expected.items():
         operator.ros.spin_until(lambda t=topic, n=names: n <= {info.node_name for info in found(t)}, 20.0)

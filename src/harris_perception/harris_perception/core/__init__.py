@@ -13,8 +13,9 @@ Stereo
 Panel
     ``panel_template`` (what a layout looks like), ``panel_search`` (found from nothing), ``recognition`` (begin here),
     ``face_measurement`` with ``face_patches`` and ``edge_alignment`` (its pose to a fraction of a pixel),
-    ``planar_pose``, ``pose_agreement``, ``fiducials`` and ``face_depth`` (second opinions), ``panel_state`` (lamps,
-    knobs, screens, hands) with ``tip_record`` (what the stylus hides), ``panel_teaching`` (a new one).
+    ``planar_pose``, ``pose_agreement``, ``still_panel`` (nothing new to measure), ``fiducials`` and ``face_depth``
+    (second opinions), ``panel_state`` (lamps, knobs, screens, hands) with ``tip_record`` (what the stylus hides),
+    ``panel_teaching`` (a new one).
 Stylus and hand-eye
     ``stylus`` with ``ball_view`` and ``ball_fit`` (the tip in both pictures), ``hand_eye`` (begin here: a machine that
     only translates), ``reprojection`` (its last step, in pixels), ``backlash``, ``carriage_camera`` (cameras that ride
@@ -25,6 +26,6 @@ Cameras
 Measured against others
     ``repeatability``, ``boundary_evaluation``, ``stereo_evaluation``.
 Used by all
-    ``gray`` (encodings), ``sampling`` (between pixels), ``bitmap`` and ``lanes`` (bits for the loops), ``compiled``
-    (numba), ``pairing`` (messages of one moment), ``overlay`` (drawn for people).
+    ``gray`` (encodings), ``medians``, ``sampling`` (between pixels), ``bitmap`` and ``lanes`` (bits for the loops),
+    ``compiled`` (numba), ``pairing`` (messages of one moment), ``overlay`` (drawn for people).
 """

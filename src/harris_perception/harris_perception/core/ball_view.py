@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.medians import median
 from harris_perception.core.sampling import sampled
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array
@@ -104,7 +105,7 @@ def ball_view(
     bright = float(np.percentile(chroma, 98))
     contrast = np.maximum(bright - around, 1.0)
     share = (chroma - around) / contrast
-    level = max(0.4, 0.6 * min_chroma / float(np.median(contrast)))
+    level = max(0.4, 0.6 * min_chroma / median(contrast))
     above = share > level
     points = []
     for dx, dy in ((1, 0), (0, 1)):

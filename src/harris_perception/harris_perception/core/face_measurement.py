@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.core.edge_alignment import EdgePoints, edge_points, shifts
-from harris_perception.core.face_patches import Patches, compared
+from harris_perception.core.face_patches import Patches, PatchGrid, PrintPatches, compared, patch_side
 from harris_perception.core.harris import HarrisDetector
 from harris_perception.core.panel_search import Floats, Gray, robust_homography
 from harris_perception.core.panel_template import PanelTemplate, hidden_by_controls
@@ -51,6 +51,9 @@ _BESIDE_PX = 5
 # that; but telling it takes longer than to look, and from picture to picture the place is the same.
 _VIEWS_MM = 1.0
 _KEPT_VIEWS = 8
+# With and without a margin, from two places between which noise may decide; and their print with each blur.
+_KEPT_GRIDS, _KEPT_PRINTS = 4, 12
+_Place = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +133,10 @@ class FaceMeter:
         if best is None or len(best.corners_px) < config.min_points or len(best.edges) < config.edge_points:
             raise ValueError(f"the face of {layout.model} has too little print to be recognised")
         self._soft: dict[tuple[int, float], Level] = {}
+        self._number = {level.template.px_per_mm: number for number, level in enumerate(self.levels)}
         self._hidden = lru_cache(_KEPT_VIEWS)(self._hidden_from)
+        self._grid = lru_cache(_KEPT_GRIDS)(self._grid_from)
+        self._print = lru_cache(_KEPT_PRINTS)(self._print_from)
 
     def by_corners(self, rectified: Gray, start: Transform, camera: CameraModel, blur_px: float) -> PoseFit | None:
         """Return the pose after following the template's corners: robust, coarse."""
@@ -224,9 +230,10 @@ class FaceMeter:
             level = self._level_for(homography, blur_px)
             if level is None:
                 return 0.0
+            printed = self._print(level, _place_of(pose), 0)
             if not found:
-                visible, warped = self._visible(level, pose), self._warp(rectified, homography, level)
-            found[blur_px] = self._compared(level, visible, warped)
+                seen = printed.grid.cut(self._warp(rectified, homography, level))  # of all blurs the same
+            found[blur_px] = compared(printed, seen, self.config.patch_correlation)
         most = max(patches.count for patches in found.values())
         likeness = {blur: patches.likeness for blur, patches in found.items() if patches.count >= _COMPARED * most}
         best = max(likeness, key=lambda blur: likeness[blur])
@@ -238,10 +245,16 @@ class FaceMeter:
         level = self._level_for(homography, blur_px)
         if level is None:
             return None
-        return self._compared(level, self._visible(level, pose, _BESIDE_PX), self._warp(rectified, homography, level))
+        printed = self._print(level, _place_of(pose), _BESIDE_PX)
+        seen = printed.grid.cut(self._warp(rectified, homography, level))
+        return compared(printed, seen, self.config.patch_correlation)
 
-    def _compared(self, level: Level, visible: npt.NDArray[np.bool_], warped: Gray) -> Patches:
-        return compared(level.template, visible, warped, self.config.patch_mm, self.config.patch_correlation)
+    def _print_from(self, level: Level, place: _Place, margin_px: int) -> PrintPatches:
+        return PrintPatches(level.template, self._grid(self._number[level.template.px_per_mm], place, margin_px))
+
+    def _grid_from(self, number: int, place: _Place, margin_px: int) -> PatchGrid:
+        level = self.levels[number]
+        return PatchGrid(self._visible_from(level, place, margin_px), patch_side(level.template, self.config.patch_mm))
 
     def _level_for(self, homography: Array, blur_px: float) -> Level | None:
         """Return the level whose scale is nearest to the picture's; None for a homography that no camera makes."""
@@ -279,14 +292,14 @@ class FaceMeter:
 
     def _visible(self, level: Level, pose: Transform, margin_px: int = 0) -> npt.NDArray[np.bool_]:
         """Return where steady print is not hidden by proud controls, at least ``margin_px`` away from them."""
-        x, y, z = np.rint(pose.inverse().translation * 1e3 / _VIEWS_MM).tolist()
-        height, width = level.template.gray.shape
-        return np.asarray(
-            level.template.steady & ~self._hidden((x, y, z), (height, width), level.template.px_per_mm, margin_px)
-        )
+        return self._visible_from(level, _place_of(pose), margin_px)
+
+    def _visible_from(self, level: Level, place: _Place, margin_px: int) -> npt.NDArray[np.bool_]:
+        hidden = self._hidden(place, level.template.gray.shape, level.template.px_per_mm, margin_px)
+        return np.asarray(level.template.steady & ~hidden)
 
     def _hidden_from(
-        self, view: tuple[float, float, float], shape: tuple[int, int], px_per_mm: float, margin_px: int
+        self, view: _Place, shape: tuple[int, int], px_per_mm: float, margin_px: int
     ) -> npt.NDArray[np.bool_]:
         """Return what proud controls hide, and ``margin_px`` around, from a place in steps of ``_VIEWS_MM``."""
         hidden = hidden_by_controls(self.layout, np.array(view) * _VIEWS_MM, shape, px_per_mm)
@@ -300,6 +313,12 @@ class FaceMeter:
         rectified_from_level = homography @ inverse(level.template.px_from_mm)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(rectified, rectified_from_level, (width, height), flags=flags), np.uint8)
+
+
+def _place_of(camera_from_panel: Transform) -> _Place:
+    """Return where the camera is, in steps of ``_VIEWS_MM``."""
+    x, y, z = np.rint(camera_from_panel.inverse().translation * 1e3 / _VIEWS_MM).tolist()
+    return x, y, z
 
 
 def _level(template: PanelTemplate, detector: HarrisDetector) -> Level:

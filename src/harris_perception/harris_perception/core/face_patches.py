@@ -63,53 +63,87 @@ class Patches:
         return float(self.agreeing.mean()) if len(self.agreeing) >= 8 else 0.0
 
 
-def compared(
-    template: PanelTemplate,
-    visible: npt.NDArray[np.bool_],
-    warped: npt.NDArray[np.uint8],
-    patch_mm: float,
-    patch_correlation: float,
-) -> Patches:
-    """Compare a picture with the template, patch by patch.
+class PatchGrid:
+    """The patches of a face of which some is visible, and what does not depend on the picture that is compared.
+
+    Parameters
+    ----------
+    visible
+        (H, W) where steady print is not hidden.
+    side
+        Of a patch, px.
+    """
+
+    def __init__(self, visible: npt.NDArray[np.bool_], side: int) -> None:
+        self.side = side
+        self._rows, self._columns = visible.shape[0] // side, visible.shape[1] // side
+        across = np.linspace(-1.0, 1.0, side, dtype=np.float32)
+        plane = np.stack([np.ones((side, side), np.float32), *np.meshgrid(across, across)], axis=-1).reshape(-1, 3)
+        self._plane = plane
+        self.weight = w = self._patches(visible.astype(np.float32))
+        self.count = w.sum(axis=2, dtype=np.float64)
+        moments = (w @ (plane[:, :, None] * plane[:, None]).reshape(-1, 9)).reshape(*w.shape[:2], 3, 3)
+        self._moments = moments.astype(np.float64) + 1e-3 * np.eye(3)
+        self._full = np.maximum(self.count, 1.0)
+
+    def cut(self, picture: npt.NDArray[np.uint8]) -> Any:
+        """Return (rows, columns, side * side) of a picture (H, W), less a plane over each patch.
+
+        What such a plane explains is light: the edge of a shadow is no other print.
+        """
+        values = self._patches(cv2.GaussianBlur(picture, (0, 0), 1.0).astype(np.float32))
+        pull = ((self.weight * values) @ self._plane)[..., None].astype(np.float64)
+        fit = np.linalg.solve(self._moments, pull)[..., 0]
+        return values - fit.astype(np.float32) @ self._plane.T
+
+    def mean(self, values: Any) -> Any:
+        """Return the mean of what is visible in each patch, (rows, columns)."""
+        return (self.weight * values).sum(axis=2, dtype=np.float64) / self._full
+
+    def _patches(self, values: Any) -> Any:
+        """(rows, columns, side * side)."""
+        rows, columns, side = self._rows, self._columns, self.side
+        cut = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
+        return cut.transpose(0, 2, 1, 3).reshape(rows, columns, side * side)
+
+
+class PrintPatches:
+    """A template's print in the patches of a grid.
 
     Parameters
     ----------
     template
         Its ``gray`` is (H, W).
-    visible
-        (H, W) where steady print is not hidden.
-    warped
-        (H, W) uint8, the picture as the template shows the face.
-    patch_mm
-        Side of a patch.
+    grid
+        The patches that are visible.
+    """
+
+    def __init__(self, template: PanelTemplate, grid: PatchGrid) -> None:
+        self.template, self.grid = template, grid
+        self.values = grid.cut(template.gray)
+        self.variance = grid.mean(self.values * self.values)
+
+
+def patch_side(template: PanelTemplate, patch_mm: float) -> int:
+    """Return the side in px of a patch of ``patch_mm``."""
+    return max(5, round(patch_mm * template.px_per_mm))
+
+
+def compared(printed: PrintPatches, seen_values: Any, patch_correlation: float) -> Patches:
+    """Compare a picture with the template, patch by patch.
+
+    Parameters
+    ----------
+    printed
+        The template's patches.
+    seen_values
+        Of the picture as the template shows the face, cut by the same grid.
     patch_correlation
         Normalised correlation from which on a patch agrees.
     """
-    side = max(5, round(patch_mm * template.px_per_mm))
-    a, b = (cv2.GaussianBlur(p, (0, 0), 1.0).astype(np.float32) for p in (template.gray, warped))
-    weight = visible.astype(np.float32)
-    rows, columns = a.shape[0] // side, a.shape[1] // side
-    across = np.linspace(-1.0, 1.0, side, dtype=np.float32)
-    plane = np.stack([np.ones((side, side), np.float32), *np.meshgrid(across, across)], axis=-1).reshape(-1, 3)
-
-    def patches(values: Any) -> Any:
-        """(rows, columns, side * side)."""
-        cut = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
-        return cut.transpose(0, 2, 1, 3).reshape(rows, columns, side * side)
-
-    w, a, b = patches(weight), patches(a), patches(b)
-    count = w.sum(axis=2, dtype=np.float64)
-    moments = (w @ (plane[:, :, None] * plane[:, None]).reshape(-1, 9)).reshape(rows, columns, 3, 3).astype(np.float64)
-    moments += 1e-3 * np.eye(3)
-
-    def without_light(values: Any) -> Any:
-        """What a plane over the patch does not explain: the edge of a shadow is no other print."""
-        fit = np.linalg.solve(moments, ((w * values) @ plane)[..., None].astype(np.float64))[..., 0]
-        return values - fit.astype(np.float32) @ plane.T
-
-    a, b = without_light(a), without_light(b)
-    full = np.maximum(count, 1.0)
-    var_a, var_b, both = ((w * v).sum(axis=2, dtype=np.float64) / full for v in (a * a, b * b, a * b))
+    template, grid, side = printed.template, printed.grid, printed.grid.side
+    count, var_a = grid.count, printed.variance
+    var_b, both = grid.mean(seen_values * seen_values), grid.mean(printed.values * seen_values)
     correlation = both / np.sqrt(var_a * var_b + 1e-6)
     textured = (count > 0.3 * side * side) & (var_a > 36.0)
     agreeing = textured & (correlation > patch_correlation)

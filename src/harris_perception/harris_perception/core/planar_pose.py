@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.medians import median
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array, Transform, nearest_rotation
 
@@ -323,7 +324,7 @@ def _by_turn_and_shift(by_point: Array, arm: Array) -> Array:
 
 def _scale(error: Array, floor: float) -> float:
     """Return the standard deviation of residuals around zero but for outliers, at least ``floor``."""
-    return max(_MAD * float(np.median(np.abs(error))), floor)
+    return max(_MAD * median(np.abs(error)), floor)
 
 
 def _deviation(error: Array, floor: float) -> float:

@@ -56,6 +56,12 @@ class PoseAgreement:
             return None
         return mean_pose(self._agreeing)
 
+    @property
+    def settled(self) -> Transform | None:
+        """The pose that counts once as many frames as are averaged agree on it; one more would not change it."""
+        full = len(self._agreeing) == self._agreeing.maxlen and not self._others
+        return mean_pose(self._agreeing) if full else None
+
     def _near(self, a: Transform, b: Transform) -> bool:
         apart = np.linalg.norm(a.apply(self._corners) - b.apply(self._corners), axis=1)
         return bool(apart.max() * 1e3 <= self._config.tolerance_mm)

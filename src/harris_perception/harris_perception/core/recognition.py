@@ -17,7 +17,7 @@ finding the panel; where it was drawn from the layout its typeface is not the ma
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -180,7 +180,11 @@ class PanelRecogniser:
         self.mirrored = False
 
     def locate(
-        self, gray: Gray, corners_px: npt.ArrayLike, camera: CameraModel, suggested: Sequence[Transform] = ()
+        self,
+        gray: Gray,
+        corners_px: npt.ArrayLike | Callable[[], npt.ArrayLike],
+        camera: CameraModel,
+        suggested: Sequence[Transform] = (),
     ) -> Sighting | None:
         """Find the panel in a raw picture, or return None.
 
@@ -189,7 +193,8 @@ class PanelRecogniser:
         gray
             (H, W) uint8, raw.
         corners_px
-            (N, 2) its Harris corners in raw pixels by falling response.
+            (N, 2) its Harris corners in raw pixels by falling response, or what finds them: a panel that is followed
+            needs none.
         camera
             The camera that took it.
         suggested
@@ -207,7 +212,8 @@ class PanelRecogniser:
         rectified = self._rectify(gray, camera)
         sighting = self._track(rectified, camera) if self._last is not None else None
         if sighting is None:
-            sighting = self._search(rectified, corners_px, camera, suggested)
+            found = corners_px() if callable(corners_px) else corners_px
+            sighting = self._search(rectified, found, camera, suggested)
         self._failures = 0 if sighting is not None else self._failures + 1
         self.mirrored = self.mirrored and sighting is None
         self._last = sighting

@@ -29,6 +29,7 @@ from harris_perception.core.ball_view import (
     without_pairs,
 )
 from harris_perception.core.depth_range import DepthRange
+from harris_perception.core.medians import median
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import setting
 from icu_common.core.geometry import Array
@@ -202,7 +203,7 @@ class StylusTracker:
 
     def _blobs(self, chroma: Picture, window: Window, model: CameraModel) -> Iterator[_Blob]:
         """Yield connected regions of the ball's colour and a possible size, the largest first."""
-        level = float(np.median(chroma[::8, ::8])) + self.config.min_chroma
+        level = median(chroma[::8, ::8]) + self.config.min_chroma
         mask = np.asarray(cv2.threshold(chroma, min(level, 254.0), 255, cv2.THRESH_BINARY)[1])
         left, top, across, down = cv2.boundingRect(mask)  # much quicker than labelling, and mostly small
         if not across:
@@ -269,7 +270,7 @@ class StylusTracker:
         chroma = chroma_of(colours, cv2.CV_32F)
         clipped = np.maximum(chroma, 0)
         border = np.concatenate([clipped[0], clipped[-1], clipped[:, 0], clipped[:, -1]])
-        plain = np.full_like(chroma, np.median(border))
+        plain = np.full_like(chroma, median(border))
         view = ball_view(clipped, plain, corner, model, self.config.min_chroma)
         circle = self._circle(view, radius)
         if chroma.min() > -_COLOURED:

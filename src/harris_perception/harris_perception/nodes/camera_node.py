@@ -26,9 +26,10 @@ from icu_common.core import frames as frame_names
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.config import ConfigError
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import camera_info_message, header, image_message
+from icu_common.nodes.conversions import camera_info_message, header
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode, this_process
+from icu_common.nodes.images import image_bytes
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every, seconds_of
@@ -49,7 +50,7 @@ class Eye:
         self._infos.publish(self._info(picture, head))
         # Packing and sending a picture that nobody takes costs as much as one that is taken.
         if self._images.get_subscription_count():
-            self._images.publish(image_message(picture, "bgr8" if picture.ndim == 3 else "mono8", head))
+            self._images.publish(image_bytes(picture, "bgr8" if picture.ndim == 3 else "mono8", head))
 
     def _info(self, picture: Picture, head: Any) -> CameraInfo:
         height, width = picture.shape[:2]

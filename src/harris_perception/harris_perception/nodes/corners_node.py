@@ -33,7 +33,9 @@ from icu_common.nodes.conversions import (
 )
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
-from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.images import ReceivedImage
+from icu_common.nodes.newest import NewestImage
+from icu_common.nodes.on_demand import OnDemand, on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -66,6 +68,7 @@ class CornersNodeConfig(HarrisConfig):
     )
     combined: TracingConfig = nested(TracingConfig)
     edges: EdgeConfig = nested(EdgeConfig)
+    on_demand: bool = on_demand_setting()
 
     def __post_init__(self) -> None:
         HarrisConfig.__post_init__(self)
@@ -74,9 +77,9 @@ class CornersNodeConfig(HarrisConfig):
 
 
 class CornersNode(GraphNode):
-    """Publishes the ``corners`` of each ``image_raw``.
+    """Publishes the ``corners`` of each ``image_raw`` while they have a reader.
 
-    While somebody looks also ``corners_image``, ``edges`` (labels) and ``edge_lines`` (few points, for overlays).
+    Likewise ``corners_image``, ``edges`` (labels) and ``edge_lines`` (few points, for overlays).
     """
 
     def __init__(self, **options: Any) -> None:
@@ -84,15 +87,26 @@ class CornersNode(GraphNode):
         self._live = LiveParameters(self, CornersNodeConfig, self._use)
         with compiling(self):
             self._use(self._live.config)
-        self._frames = self._refused = self._found = self._reported = self._dropped = 0
+        self._frames = self._refused = self._found = self._reported = self._dropped = self._dropped_before = 0
         self._busy_s, self._refusal = 0.0, ""
-        self._corners = self.create_publisher(PointCloud2, "corners", qos.RESULTS)
-        self._picture = self.create_publisher(Image, "corners_image", qos.IMAGES)
-        self._labels = self.create_publisher(Image, "edges", qos.IMAGES)
-        self._lines = self.create_publisher(PointCloud2, "edge_lines", qos.RESULTS)
+        self._images: NewestImage | None = None
+        self._demand = OnDemand(self, self._listen, self._rest, always=not self._live.config.on_demand)
+        self._corners = self._demand.publisher(PointCloud2, "corners", qos.RESULTS)
+        self._picture = self._demand.publisher(Image, "corners_image", qos.IMAGES)
+        self._labels = self._demand.publisher(Image, "edges", qos.IMAGES)
+        self._lines = self._demand.publisher(PointCloud2, "edge_lines", qos.RESULTS)
         self._diagnostics = Diagnostics(self)
         every(self, 1.0, self._report)
-        self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
+        self._demand.begin()
+
+    def _listen(self) -> None:
+        self._images = NewestImage(self, "image_raw", self._on_image)
+
+    def _rest(self) -> None:
+        if self._images is not None:
+            self._images.end()
+            self._dropped_before += self._images.dropped
+            self._images = None
 
     def _use(self, config: CornersNodeConfig) -> None:
         self._corner_detector = _corner_detector(config)
@@ -101,7 +115,7 @@ class CornersNode(GraphNode):
         self._outlines = EdgeDetector(config.edges)
         (self._combined if config.edge_method == "combined" else self._outlines).warm()
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: ReceivedImage) -> None:
         start = time.perf_counter()
         try:
             gray = _gray(message)
@@ -117,7 +131,7 @@ class CornersNode(GraphNode):
         self._found = len(corners)
         self._busy_s += time.perf_counter() - start
 
-    def _found_in(self, gray: npt.NDArray[Any], message: Image) -> tuple[Corners | ScaledCorners, Edges | None]:
+    def _found_in(self, gray: npt.NDArray[Any], message: ReceivedImage) -> tuple[Corners | ScaledCorners, Edges | None]:
         config = self._live.config
         looked_at = self._labels.get_subscription_count() + self._lines.get_subscription_count() > 0
         fast, combined = config.corner_method == "fast", config.edge_method == "combined"
@@ -135,7 +149,7 @@ class CornersNode(GraphNode):
             return corners, self._outlines.detect(bgr_of(colors, message.encoding), corners.xy, strengths)
         return corners, self._outlines.detect(gray, corners.xy, strengths, level)
 
-    def _publish(self, corners: Corners | ScaledCorners, gray: npt.NDArray[Any], message: Image) -> None:
+    def _publish(self, corners: Corners | ScaledCorners, gray: npt.NDArray[Any], message: ReceivedImage) -> None:
         held = np.finfo(np.float32)
         columns, values = [*COLUMNS], [corners.xy, np.clip(corners.response, held.tiny, held.max)]
         if isinstance(corners, ScaledCorners):
@@ -146,26 +160,29 @@ class CornersNode(GraphNode):
             draw_corners(drawn, corners.xy)
             self._picture.publish(image_message(drawn, "bgr8", message.header))
 
-    def _publish_edges(self, edges: Edges, message: Image) -> None:
+    def _publish_edges(self, edges: Edges, message: ReceivedImage) -> None:
         if self._labels.get_subscription_count() > 0:
             self._labels.publish(image_message(edges.labels, "mono8", message.header))
         if self._lines.get_subscription_count() > 0:
             self._lines.publish(cloud_message(edge_lines.COLUMNS, edge_lines.edge_lines(edges), message.header))
 
     def _report(self) -> None:
-        new, dropped = self._frames - self._reported, self._images.dropped - self._dropped
-        self._reported, self._dropped = self._frames, self._images.dropped
+        total = self._dropped_before + (self._images.dropped if self._images is not None else 0)
+        new, dropped = self._frames - self._reported, total - self._dropped
+        self._reported, self._dropped = self._frames, total
         per_frame_ms = 1e3 * self._busy_s / new if new else 0.0
         self._busy_s = 0.0
         text = self._refusal or f"{new} pictures in the last second" + (f", {dropped} dropped" if dropped else "")
+        if idle := self._images is None:
+            text = "idle: no subscriber"
         values = [
             ("frames", self._frames),
-            ("dropped", self._images.dropped),
+            ("dropped", total),
             ("refused", self._refused),
             ("ms_per_frame", f"{per_frame_ms:.2f}"),
             ("corners", self._found),
         ]
-        self._diagnostics.tell("ok" if new and not self._refusal else "warn", text, values)
+        self._diagnostics.tell("ok" if idle or (new and not self._refusal) else "warn", text, values)
 
 
 def _corner_detector(config: CornersNodeConfig) -> HarrisDetector | HarrisLaplaceDetector | RepeatableDetector:
@@ -177,7 +194,7 @@ def _corner_detector(config: CornersNodeConfig) -> HarrisDetector | HarrisLaplac
     return HarrisLaplaceDetector(HarrisLaplaceConfig(detector=config, **pyramid))
 
 
-def _gray(message: Image) -> npt.NDArray[Any]:
+def _gray(message: ReceivedImage) -> npt.NDArray[Any]:
     picture = image_array(message)
     if message.encoding == "32FC1":
         return picture.astype(np.float32, copy=False)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from harris_perception.core.dense_stereo import DELTA_PX, F32, DenseConfig, DenseStereo, SemiGlobalConfig, warm
@@ -28,12 +29,11 @@ from icu_common.nodes.conversions import (
 )
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.images import ReceivedImage, subscribe_to_images
+from icu_common.nodes.on_demand import OnDemand
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
-
-_LOOK_S = 0.25
-"""How soon the node notices that somebody subscribes, or nobody any more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,11 +67,12 @@ class DenseStereoNode(GraphNode):
         with compiling(self):
             warm()
         self._configure()
-        self._disparity = self.create_publisher(DisparityImage, "disparity", qos.IMAGES)
-        self._points = self.create_publisher(PointCloud2, "dense_points", qos.IMAGES)
+        self._demand = OnDemand(self, self._start, self._rest)
+        self._disparity = self._demand.publisher(DisparityImage, "disparity", qos.IMAGES)
+        self._points = self._demand.publisher(PointCloud2, "dense_points", qos.IMAGES)
         self._diagnostics = Diagnostics(self, "dense_stereo")
-        every(self, _LOOK_S, self._follow_readers)
         every(self, 1.0, self._report)
+        self._demand.begin()
 
     def _configure(self) -> None:
         config, stereo = self._live.config, self._calibration.stereo
@@ -82,33 +83,33 @@ class DenseStereoNode(GraphNode):
         except ValueError as error:
             self._complaint = str(error)
 
-    def _wanted(self) -> bool:
-        return bool(self._disparity.get_subscription_count() + self._points.get_subscription_count())
+    def _start(self) -> None:
+        self._listening = [self._listen(number, side) for number, side in enumerate(SIDES)]
 
-    def _follow_readers(self) -> None:
-        if self._wanted() and not self._listening:
-            self._listening = [self._listen(number, side) for number, side in enumerate(SIDES)]
-        elif self._listening and not self._wanted():
-            while self._listening:
-                self.destroy_subscription(self._listening.pop())
-            self._pairs.clear()
+    def _rest(self) -> None:
+        while self._listening:
+            self.destroy_subscription(self._listening.pop())
+        self._pairs.clear()
 
     def _listen(self, stream: int, side: str) -> Subscription:
         # The newest only: a matcher that falls behind should skip pairs and not show old ones.
-        return self.create_subscription(
-            Image, f"{side}/image_raw", lambda message: self._on_image(stream, message), qos.NEWEST
-        )
+        return subscribe_to_images(self, f"{side}/image_raw", functools.partial(self._on_image, stream), qos.NEWEST)
 
-    def _on_image(self, stream: int, message: Image) -> None:
+    def _on_image(self, stream: int, message: ReceivedImage) -> None:
         pair = self._pairs.add(stream, stamp_ns(message.header.stamp), message)
-        if pair is None or self._stereo is None or not self._wanted() or not self._pairs.due(self._live.config.rate_hz):
+        if (
+            pair is None
+            or self._stereo is None
+            or not self._demand.wanted
+            or not self._pairs.due(self._live.config.rate_hz)
+        ):
             return
         try:
             self._match(self._stereo, *pair)
         except ValueError as error:
             self._complaint = str(error)
 
-    def _match(self, stereo: DenseStereo, left: Image, right: Image) -> None:
+    def _match(self, stereo: DenseStereo, left: ReceivedImage, right: ReceivedImage) -> None:
         start = time.perf_counter()
         grays = [gray_of(image_array(i), i.encoding) for i in (left, right)]
         level = self._levels.of(*grays)
@@ -135,7 +136,7 @@ class DenseStereoNode(GraphNode):
         silent = "no pairs of pictures in the last second" if self._pairs.newest_ns == self._reported_ns else ""
         self._reported_ns = self._pairs.newest_ns
         complaint = self._calibration.complaint or silent or self._complaint
-        state = "matching" if self._listening else "idle: nobody subscribes"
+        state = "matching" if self._listening else "idle: no subscriber"
         values = [("pairs", self._matched), ("unpaired", self._pairs.unpaired), *self._values]
         level, text = ("warn", complaint) if complaint and self._listening else ("ok", state)
         self._diagnostics.tell(level, text, values)

@@ -30,6 +30,7 @@ from harris_perception.core.calibrator import (
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, FacePoints
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
 from icu_common.nodes import qos
+from icu_common.nodes.camera_info import CameraInfoSubscription
 from icu_common.nodes.conversions import (
     axes_message,
     camera_model,
@@ -42,7 +43,6 @@ from icu_common.nodes.conversions import (
     point_array,
     point_message,
     result_of_message,
-    same_camera,
     stamp_ns,
     transform_message,
     transform_of_pose,
@@ -63,7 +63,7 @@ class HandEyeNode(GraphNode):
         super().__init__("hand_eye", **options)
         self._live = LiveParameters(self, CalibratorConfig, self._on_config)
         self.calibrator = Calibrator(self._live.config)
-        self._infos: dict[str, CameraInfo] = {}
+        self._cameras: dict[str, CameraInfoSubscription] = {}
         self._goal = self.create_publisher(PointStamped, "goal", qos.COMMAND)
         self._transform = self.create_publisher(TransformStamped, "camera_from_base", qos.LATCHED)
         self._axes = self.create_publisher(Float64MultiArray, "axes", qos.LATCHED)
@@ -82,7 +82,9 @@ class HandEyeNode(GraphNode):
         self.create_subscription(PointStamped, "contact", self._on_contact, qos.RESULTS)
         self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
         for side in ("left", "right"):
-            self.create_subscription(CameraInfo, f"{side}/camera_info", self._camera_callback(side), qos.SENSOR)
+            self._cameras[side] = CameraInfoSubscription(
+                self, f"{side}/camera_info", qos.SENSOR, self._camera_callback(side)
+            )
         for name, call in (
             ("run", self._run),
             ("add_sample", lambda: self.calibrator.add_sample(self._now_ns())),
@@ -116,16 +118,13 @@ class HandEyeNode(GraphNode):
 
     def _camera_callback(self, side: str) -> Callable[[CameraInfo], None]:
         def callback(message: CameraInfo) -> None:
-            if same_camera(self._infos.get(side), message):
-                return
-            self._infos.pop(side, None)
             try:
                 camera = camera_model(message, side)
             except ValueError as error:
                 self.get_logger().error(f"{side} camera_info: {error}", throttle_duration_sec=5.0)
                 self._act(self.calibrator.lose_camera(side, message.width, message.height))
+                self._cameras[side].again()
                 return
-            self._infos[side] = message
             self._act(self.calibrator.take_camera(side, camera, self._now_ns()))
 
         return callback

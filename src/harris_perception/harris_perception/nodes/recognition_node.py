@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections import OrderedDict, deque
@@ -27,6 +28,7 @@ from harris_perception.core.panel_state import PanelReader, StateConfig
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, with_plane
 from harris_perception.core.pose_agreement import PoseAgreement
 from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig, Sighting
+from harris_perception.core.still_panel import StillPanel
 from harris_perception.core.tip_record import TipRecord
 from harris_perception.nodes.panel_teacher import PanelTeacher
 from icu_common.core.camera_model import CameraModel
@@ -35,6 +37,7 @@ from icu_common.core.frames import CAMERA_LEFT, PANEL
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import LayoutError, PanelLayout, load_layout
 from icu_common.nodes import qos
+from icu_common.nodes.camera_info import CameraInfoSubscription
 from icu_common.nodes.conversions import (
     camera_model,
     check_frame,
@@ -47,13 +50,14 @@ from icu_common.nodes.conversions import (
     panel_state_message,
     point_array,
     pose_message,
-    same_camera,
     stamp_ns,
     transform_of_pose,
 )
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
-from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.images import ReceivedImage
+from icu_common.nodes.newest import NewestImage
+from icu_common.nodes.on_demand import on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every, seconds_of
@@ -63,6 +67,11 @@ _KEPT_UNREAD = 8
 _GIVEN_UP = 10.0
 """A picture waits no longer than so many ``tip_wait_s`` for a tracker that speaks of others only."""
 _TICK_S = 0.02
+_TRACKED = 15
+"""Images in a row in which the panel was found, after which corners are no longer subscribed to: following it needs
+none."""
+_UNCHANGED = 4
+"""Images in a row that may count as unchanged: at 5 Hz the panel is measured once a second at rest."""
 _MIRRORED = "the panel is seen in a mirror: switch off what flips this camera's pictures"
 _STEREO_AGE_NS = 3_000_000_000
 """Stereo looks at other pictures, on a busy computer a second later; a panel that stands still is as far in them."""
@@ -125,6 +134,9 @@ class RecognitionNodeConfig(Config):
         unit="mm",
         read_only=True,
     )
+    on_demand: bool = on_demand_setting(
+        "Subscribe to corners only while the panel is searched, and measure it once a second while it looks the same"
+    )
     recognition: RecognitionConfig = nested(RecognitionConfig)
     state: StateConfig = nested(StateConfig)
     harris: HarrisConfig = nested(HarrisConfig)
@@ -134,7 +146,7 @@ class RecognitionNodeConfig(Config):
 class _Unread:
     """A picture in which the panel was found, and whose controls are still to be read; waiting ``since_s``."""
 
-    message: Image
+    message: ReceivedImage
     sighting: Sighting
     pose: Transform
     since_s: float
@@ -150,11 +162,12 @@ class RecognitionNode(GraphNode):
         self._layout, self._picture = _designated(self._live.config)
         self._prepare(self._live.config)
         self._use(self._live.config)
-        self._camera: tuple[CameraInfo, CameraModel] | None = None
+        self._camera: CameraModel | None = None
         self._corners: OrderedDict[int, npt.NDArray[np.float32]] = OrderedDict()
         self._waiting: tuple[Image, float] | None = None
         self._last_stamp, self._last_seen_s, self._confidence = 0, 0.0, 0.0
-        self._frames = self._with_corners = self._found = 0
+        self._frames = self._with_corners = self._found = self._own_corners = self._tracked = 0
+        self._corners_in: Subscription | None = None
         self._busy_s, self._seen, self._refusal = 0.0, (0, 0, 0), ""
         self._sighting: Sighting | None = None
         self._levels = GreyLevels()
@@ -175,18 +188,18 @@ class RecognitionNode(GraphNode):
         self._confidence_out = self.create_publisher(Float32, "confidence", qos.RESULTS)
         self._diagnostics = Diagnostics(self)
         self._controls.publish(controls_message(self._layout, header(self.get_clock().now().nanoseconds, PANEL)))
-        self.create_subscription(CameraInfo, "camera_info", self._on_camera, qos.SENSOR)
-        self.create_subscription(PointCloud2, "corners", self._on_corners, qos.SENSOR)
+        self._infos = CameraInfoSubscription(self, "camera_info", qos.SENSOR, self._on_camera)
+        self._follow_corners()
         # Each of them says of one picture what is hidden in it.
         self.create_subscription(PointStamped, "tip", self._on_tip, qos.PICTURES)
         self.create_subscription(Header, "unseen", self._on_unseen, qos.PICTURES)
         if self._live.config.plane_max_age_s > 0:
             self.create_subscription(PoseWithCovarianceStamped, "plane", self._on_plane, qos.SENSOR)
         self._compare_depth()
-        self._images = NewestSubscription(self, Image, "image_raw", self._on_image)
+        self._images = NewestImage(self, "image_raw", self._on_image)
         every(self, _TICK_S, self._on_tick)
         every(self, 1.0, self._report)
-        self._teacher = PanelTeacher(self, self._live.config.teach_folder, lambda: self._camera and self._camera[1])
+        self._teacher = PanelTeacher(self, self._live.config.teach_folder, lambda: self._camera)
 
     def close(self) -> None:
         """Finish what is being taught."""
@@ -206,18 +219,29 @@ class RecognitionNode(GraphNode):
         self._reader = PanelReader(self._layout, config.state)
         self._detector = HarrisDetector(config.harris)
         self._markers = MarkerFinder(self._layout)
+        self._still = StillPanel(self._layout, _UNCHANGED)
 
     def _on_camera(self, message: CameraInfo) -> None:
-        if self._camera is not None and same_camera(self._camera[0], message):
-            return
         # By another camera's calibration the panel would be somewhere else.
+        self._still.forget()
         self._camera = self._waiting = None
         self._unread.clear()
         try:
-            self._camera = (message, camera_model(message, "left"))
+            self._camera = camera_model(message, "left")
             self._compare_depth()
         except ValueError as error:
+            self._infos.again()
             self.get_logger().error(f"camera_info: {error}", throttle_duration_sec=5.0)
+
+    def _follow_corners(self) -> None:
+        """Subscribe to corners while the panel is searched; they cost as much as all else at rest."""
+        tracked = self._live.config.on_demand and self._tracked >= _TRACKED
+        if tracked and self._corners_in is not None:
+            self.destroy_subscription(self._corners_in)
+            self._corners_in = None
+            self._corners.clear()
+        elif not tracked and self._corners_in is None:
+            self._corners_in = self.create_subscription(PointCloud2, "corners", self._on_corners, qos.SENSOR)
 
     def _on_corners(self, message: PointCloud2) -> None:
         try:
@@ -228,7 +252,7 @@ class RecognitionNode(GraphNode):
             self._corners.popitem(last=False)
         self._try_waiting()
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: ReceivedImage) -> None:
         stamp, period_ns = stamp_ns(message.header.stamp), 1e9 / self._live.config.rate_hz
         # A stamp before the last one is a recording that has started anew.
         early = 0 <= stamp - self._last_stamp < 0.9 * period_ns
@@ -298,6 +322,7 @@ class RecognitionNode(GraphNode):
         if self._confidence > 0 and self._seconds() - self._last_seen_s > self._live.config.silence_s:
             self.get_logger().warning("no pictures: the panel counts as lost")
             self._recogniser.forget()
+            self._still.forget()
             self._publish(None, self._agreement.add(None), None)
 
     def _try_waiting(self) -> None:
@@ -305,40 +330,68 @@ class RecognitionNode(GraphNode):
             return
         message, deadline_s = self._waiting
         corners = self._corners.get(stamp_ns(message.header.stamp))
-        if corners is not None or self._seconds() >= deadline_s:
+        if corners is not None or self._corners_in is None or self._seconds() >= deadline_s:
             self._waiting = None
             self._look(message, corners)
 
-    def _look(self, message: Image, corners: npt.NDArray[np.float32] | None) -> None:
+    def _look(self, message: ReceivedImage, corners: npt.NDArray[np.float32] | None) -> None:
         assert self._camera is not None
         start = time.perf_counter()
-        sighting, refusal = None, ""
+        sighting, known, refusal = None, None, ""
         try:
             gray = eight_bits(gray_of(image_array(message), message.encoding))
-            self._with_corners += corners is not None
-            xy = corners if corners is not None else self._detector.detect(gray).xy
-            camera = self._camera[1]
-            markers = self._markers.find(gray, camera)
-            sighting = self._recogniser.locate(gray, xy, camera, self._markers.poses(markers, camera))
-            self._compare(markers, sighting)
+            known = self._pose_if_unchanged(gray)
+            sighting = self._sighting if known is not None else self._measured(gray, corners)
         except ValueError as error:
             refusal = f"picture refused: {error}"
             self.get_logger().error(refusal, throttle_duration_sec=5.0)
         self._refusal = refusal
         if self._recogniser.mirrored:
             self.get_logger().error(_MIRRORED, throttle_duration_sec=30.0)
-        found = None
-        if sighting is not None and not self._alarm:
-            found = self._with_plane(sighting, stamp_ns(message.header.stamp))
-        pose = self._agreement.add(found)
+        pose = known
+        if known is None:
+            agreeing = sighting if not self._alarm else None
+            stamp = stamp_ns(message.header.stamp)
+            pose = self._agreement.add(None if agreeing is None else self._with_plane(agreeing, stamp))
         self._publish(sighting, pose, message)
         # Of a tracker that is far behind fewer pictures are read: without their own tips they tell what is not so.
         if sighting is not None and pose is not None and len(self._unread) < _KEPT_UNREAD:
             self._unread.append(_Unread(message=message, sighting=sighting, pose=pose, since_s=self._seconds()))
         self._frames += 1
         self._found += sighting is not None
+        self._tracked = self._tracked + 1 if sighting is not None else 0
+        self._follow_corners()
         self._busy_s += time.perf_counter() - start
         self._read_unread()
+
+    def _pose_if_unchanged(self, gray: npt.NDArray[np.uint8]) -> Transform | None:
+        """Return the pose that counts if it has settled and the panel looks as when it was measured last.
+
+        Who subscribes to the measured points wants those of each image.
+        """
+        if not self._live.config.on_demand or self._alarm or self._points.get_subscription_count():
+            return None
+        settled = self._agreement.settled
+        return settled if settled is not None and self._still.unchanged(gray) else None
+
+    def _measured(self, gray: npt.NDArray[np.uint8], corners: npt.NDArray[np.float32] | None) -> Sighting | None:
+        """Search or follow the panel in an image, and compare its markers with it."""
+        assert self._camera is not None
+        camera = self._camera
+        self._still.forget()
+        markers = self._markers.find(gray, camera)
+        xy = functools.partial(self._detected, gray) if corners is None else corners
+        self._with_corners += corners is not None
+        sighting = self._recogniser.locate(gray, xy, camera, self._markers.poses(markers, camera))
+        self._compare(markers, sighting)
+        if sighting is not None:
+            self._still.measured(gray, sighting.camera_from_panel, camera)
+        return sighting
+
+    def _detected(self, gray: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
+        """Return the corners of an image that is searched and whose published ones have not come."""
+        self._own_corners += 1
+        return self._detector.detect(gray).xy
 
     def _compare(self, markers: list[SeenMarker], sighting: Sighting | None) -> None:
         """Raise the alarm when the markers contradict the print; only markers that confirm it end it.
@@ -349,7 +402,7 @@ class RecognitionNode(GraphNode):
             return
         assert self._camera is not None
         pose, bound_mm = sighting.camera_from_panel, self._live.config.marker_bound_mm
-        text = self._markers.disagreement(markers, pose, self._camera[1], bound_mm)
+        text = self._markers.disagreement(markers, pose, self._camera, bound_mm)
         if text is None and not (self._confirmed or self._marker_alarm):
             text = "none of the panel's markers has been seen yet"
         if text is None:
@@ -368,7 +421,7 @@ class RecognitionNode(GraphNode):
         self._alarm = text
         self._alarm_out.publish(String(data=text))
 
-    def _publish(self, sighting: Sighting | None, pose: Transform | None, message: Image | None) -> None:
+    def _publish(self, sighting: Sighting | None, pose: Transform | None, message: ReceivedImage | None) -> None:
         self._sighting = sighting
         self._last_seen_s = self._seconds()
         self._confidence = sighting.agreement if sighting is not None and pose is not None else 0.0
@@ -403,7 +456,7 @@ class RecognitionNode(GraphNode):
         seen = self._reader.read(
             bgr_of(image_array(message), message.encoding, self._levels),
             unread.pose,
-            self._camera[1],
+            self._camera,
             stamp,
             patches=unread.sighting.patches,
             tip=tip,
@@ -419,10 +472,10 @@ class RecognitionNode(GraphNode):
             self.destroy_subscription(self._stereo_points)
             self._stereo_points = None
         frames, found = self._frames - self._seen[0], self._found - self._seen[1]
-        without = frames - (self._with_corners - self._seen[2])
-        self._seen = (self._frames, self._found, self._with_corners)
+        own = self._own_corners - self._seen[2]
+        self._seen = (self._frames, self._found, self._own_corners)
         text = "recognised" if self._confidence > 0 else "not recognised"
-        unaided = frames > 0 and without == frames
+        unaided = frames > 0 and own == frames
         if self._refusal:
             text += f": {self._refusal}"
         elif self._recogniser.mirrored:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 from rclpy.node import Node
@@ -9,7 +10,8 @@ from sensor_msgs.msg import CameraInfo
 
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import camera_model, same_camera
+from icu_common.nodes.camera_info import CameraInfoSubscription
+from icu_common.nodes.conversions import camera_model
 
 SIDES = ("left", "right")
 
@@ -38,14 +40,9 @@ class StereoCalibration:
         self.stereo: StereoModel | None = None
         self.complaint = "no camera_info yet"
         for side in SIDES:
-            node.create_subscription(
-                CameraInfo, f"{side}/camera_info", lambda info, side=side: self._on_info(side, info), qos.PICTURES
-            )
+            CameraInfoSubscription(node, f"{side}/camera_info", qos.PICTURES, functools.partial(self._on_info, side))
 
     def _on_info(self, side: str, info: CameraInfo) -> None:
-        # It comes with every picture; only a change is worth the work.
-        if same_camera(self._infos.get(side), info):
-            return
         self._infos[side] = info
         if len(self._infos) < len(SIDES):
             return

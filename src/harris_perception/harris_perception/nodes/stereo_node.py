@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from sensor_msgs.msg import Image, PointCloud2
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import PointCloud2
 
 from harris_perception.core.gray import eight_bits, gray_of
 from harris_perception.core.pairing import Pairing
@@ -39,6 +41,8 @@ from icu_common.nodes.conversions import (
 )
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.images import AnyImage, subscribe_to_images
+from icu_common.nodes.on_demand import OnDemand, on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -57,6 +61,7 @@ class StereoConfig(Config):
     )
     matching: MatchConfig = nested(MatchConfig)
     plane: PlaneConfig = nested(PlaneConfig)
+    on_demand: bool = on_demand_setting()
 
 
 class Matcher:
@@ -67,7 +72,7 @@ class Matcher:
         self._rectify = [Rectifier(model, stereo.left.size) for model in (stereo.left, stereo.right)]
         self._limits = disparity_range(stereo, config.matching)
 
-    def points(self, images: tuple[Image, Image], corners: tuple[PointCloud2, PointCloud2]) -> Array:
+    def points(self, images: tuple[AnyImage, AnyImage], corners: tuple[PointCloud2, PointCloud2]) -> Array:
         """Return (N, 4): x, y, z and the depth's standard deviation, metres, left rectified frame."""
         models = (self._stereo.left, self._stereo.right)
         grays = (eight_bits(gray_of(image_array(i), i.encoding)) for i in images)
@@ -83,6 +88,8 @@ class Matcher:
 class StereoNode(GraphNode):
     """Subscribes to ``image_raw``, ``camera_info`` and ``corners`` of both sides; publishes ``points2``,
     ``panel_plane``, and that with its covariance as ``panel_plane_estimate``.
+
+    Images and corners are subscribed to only while one of the three has a reader.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -97,17 +104,28 @@ class StereoNode(GraphNode):
         self._matched = self._reported_ns = 0
         self._values: list[tuple[str, Any]] = []
         self._complaint = ""
-        self._points = self.create_publisher(PointCloud2, "points2", qos.RESULTS)
-        self._plane = self.create_publisher(PoseStamped, "panel_plane", qos.RESULTS)
-        self._estimate = self.create_publisher(PoseWithCovarianceStamped, "panel_plane_estimate", qos.RESULTS)
+        self._inputs: list[Subscription] = []
+        self._demand = OnDemand(self, self._listen, self._rest, always=not self._live.config.on_demand)
+        self._points = self._demand.publisher(PointCloud2, "points2", qos.RESULTS)
+        self._plane = self._demand.publisher(PoseStamped, "panel_plane", qos.RESULTS)
+        self._estimate = self._demand.publisher(PoseWithCovarianceStamped, "panel_plane_estimate", qos.RESULTS)
         self._diagnostics = Diagnostics(self, "stereo")
-        for i, side in enumerate(SIDES):
-            self._listen(i, Image, f"{side}/image_raw")
-            self._listen(i + 2, PointCloud2, f"{side}/corners")
         every(self, 1.0, self._report)
+        self._demand.begin()
 
-    def _listen(self, stream: int, kind: Any, topic: str) -> None:
-        self.create_subscription(kind, topic, lambda message: self._on_message(stream, message), qos.PICTURES)
+    def _listen(self) -> None:
+        for i, side in enumerate(SIDES):
+            take_image = functools.partial(self._on_message, i)
+            take_corners = functools.partial(self._on_message, i + 2)
+            self._inputs += [
+                subscribe_to_images(self, f"{side}/image_raw", take_image, qos.PICTURES),
+                self.create_subscription(PointCloud2, f"{side}/corners", take_corners, qos.PICTURES),
+            ]
+
+    def _rest(self) -> None:
+        while self._inputs:
+            self.destroy_subscription(self._inputs.pop())
+        self._sets.clear()
 
     def _configure(self) -> None:
         config, stereo = self._live.config, self._calibration.stereo
@@ -116,16 +134,13 @@ class StereoNode(GraphNode):
 
     def _on_message(self, stream: int, message: Any) -> None:
         complete = self._sets.add(stream, stamp_ns(message.header.stamp), message)
-        if complete is None or self._matcher is None or not self._wanted():
+        if complete is None or self._matcher is None or not self._demand.wanted:
             return
         try:
             if self._sets.due(self._live.config.rate_hz):
                 self._match(self._matcher, complete)
         except ValueError as error:
             self._complaint = str(error)
-
-    def _wanted(self) -> bool:
-        return any(p.get_subscription_count() > 0 for p in (self._points, self._plane, self._estimate))
 
     def _match(self, matcher: Matcher, complete: tuple[Any, ...]) -> None:
         start = time.perf_counter()
@@ -150,13 +165,14 @@ class StereoNode(GraphNode):
             ]
 
     def _report(self) -> None:
-        silent = "no pictures with corners in the last second" if self._sets.newest_ns == self._reported_ns else ""
+        still = self._demand.running and self._sets.newest_ns == self._reported_ns
+        silent = "no pictures with corners in the last second" if still else ""
         self._reported_ns = self._sets.newest_ns
         # What a pair was found to lack is of no moment where pairs no longer come, or nobody asks for more.
-        wanted = self._wanted()
+        wanted = self._demand.wanted
         complaint = self._calibration.complaint or silent or (self._complaint if wanted else "")
         values = [("pairs", self._matched), ("unpaired", self._sets.unpaired), *self._values]
-        level, text = ("warn", complaint) if complaint else ("ok", "matching" if wanted else "idle: nobody subscribes")
+        level, text = ("warn", complaint) if complaint else ("ok", "matching" if wanted else "idle: no subscriber")
         self._diagnostics.tell(level, text, values)
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from geometry_msgs.msg import PointStamped
-from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from harris_perception.core.gray import bgr_of, has_color
@@ -19,6 +19,7 @@ from icu_common.nodes import qos
 from icu_common.nodes.conversions import header, image_array, point_message, stamp_ns
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.images import ReceivedImage, subscribe_to_images
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -41,9 +42,8 @@ class StylusNode(GraphNode):
         self._unseen = self.create_publisher(Header, "unseen", qos.RESULTS)
         self._diagnostics = Diagnostics(self, "stylus_tracker")
         for stream, side in enumerate(("left", "right")):
-            self.create_subscription(
-                Image, f"{side}/image_raw", lambda message, stream=stream: self._on_image(stream, message), qos.PICTURES
-            )
+            take = functools.partial(self._on_image, stream)
+            subscribe_to_images(self, f"{side}/image_raw", take, qos.PICTURES)
         every(self, 1.0, self._report)
 
     def _configure(self, config: StylusConfig) -> None:
@@ -51,7 +51,7 @@ class StylusNode(GraphNode):
         stereo = self._calibration.stereo
         self._tracker = StylusTracker(config, stereo) if stereo is not None else None
 
-    def _on_image(self, stream: int, message: Image) -> None:
+    def _on_image(self, stream: int, message: ReceivedImage) -> None:
         pair = self._pairs.add(stream, stamp_ns(message.header.stamp), message)
         if stream == 0 and pair is None:
             # One without a right picture is answered when the next one comes: nobody knows earlier.
@@ -89,7 +89,7 @@ class StylusNode(GraphNode):
         self._diagnostics.tell(level, text, values)
 
 
-def _color(image: Image) -> npt.NDArray[np.uint8]:
+def _color(image: ReceivedImage) -> npt.NDArray[np.uint8]:
     picture = image_array(image)
     if not has_color(image.encoding):
         raise ValueError(f"encoding {image.encoding!r} has no color, by which the ball is found")

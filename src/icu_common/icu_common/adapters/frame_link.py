@@ -34,7 +34,8 @@ class FrameServer:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._listener = listen_at(path)
-        self._readers: dict[socket.socket, memoryview] = {}
+        self._readers: dict[socket.socket, list[memoryview]] = {}
+        """What each reader has still to be sent."""
 
     def reader_count(self) -> int:
         """Accept waiting readers and return how many are connected."""
@@ -45,17 +46,20 @@ class FrameServer:
                 return len(self._readers)
             reader.setblocking(False)
             reader.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8 * 1024 * 1024)
-            self._readers[reader] = memoryview(b"")
+            self._readers[reader] = []
 
     def send(self, pictures: list[Picture], stamp_ns: int) -> None:
-        """Offer pictures of one shape, (H, W, 3) uint8, taken at ``stamp_ns`` (ROS time), to every reader."""
+        """Offer pictures of one shape, (H, W, 3) uint8, taken at ``stamp_ns`` (ROS time), to every reader.
+
+        They are not copied: they must not change before :meth:`flush` has returned True.
+        """
         height, width, channels = pictures[0].shape
         header = _HEADER.pack(_MAGIC, len(pictures), height, width, channels, stamp_ns)
-        message = memoryview(b"".join([header, *(np.ascontiguousarray(p).data for p in pictures)]))
+        parts = [memoryview(header), *(np.ascontiguousarray(p).data.cast("B") for p in pictures)]
         self.reader_count()
         for reader, left in list(self._readers.items()):
             if not left:
-                self._readers[reader] = message
+                self._readers[reader] = list(parts)
         self.flush()
 
     def flush(self) -> bool:
@@ -63,10 +67,9 @@ class FrameServer:
         for reader, left in list(self._readers.items()):
             try:
                 while left:
-                    left = left[reader.send(left) :]
-                self._readers[reader] = left
+                    _leave_out(left, reader.sendmsg(left))
             except BlockingIOError:
-                self._readers[reader] = left
+                continue
             except OSError:
                 reader.close()
                 del self._readers[reader]
@@ -89,6 +92,14 @@ class FrameServer:
         self.path.unlink(missing_ok=True)
 
 
+def _leave_out(parts: list[memoryview], count: int) -> None:
+    """Drop the first ``count`` bytes of the parts."""
+    while parts and count >= len(parts[0]):
+        count -= len(parts.pop(0))
+    if count:
+        parts[0] = parts[0][count:]
+
+
 class FrameClient:
     """Reads pictures from a :class:`FrameServer`.
 
@@ -100,7 +111,7 @@ class FrameClient:
 
     def __init__(self, path: Path) -> None:
         self._head: list[int] | None = None
-        self._part, self._done = bytearray(), 0
+        self._part, self._done = np.empty(0, np.uint8), 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.settimeout(1.0)
@@ -122,21 +133,21 @@ class FrameClient:
         """
         self._socket.settimeout(timeout_s)
         if self._head is None:
-            magic, *head = _HEADER.unpack(self._receive(_HEADER.size))
+            magic, *head = _HEADER.unpack(self._receive(_HEADER.size).data)
             count, height, width, channels, _ = head
             if magic != _MAGIC or not 0 < count * height * width * channels <= MAX_BYTES:
                 what = f"{count} pictures of {width} x {height} x {channels}"
                 raise ConnectionError(f"not a frame: magic {magic!r}, {what}")
             self._head = head
         *shape, stamp_ns = self._head
-        body = np.frombuffer(self._receive(math.prod(shape)), np.uint8).reshape(shape)
+        body = self._receive(math.prod(shape)).reshape(shape)
         self._head = None
         return list(body), stamp_ns
 
-    def _receive(self, size: int) -> bytearray:
+    def _receive(self, size: int) -> npt.NDArray[np.uint8]:
         if not self._done:
-            self._part = bytearray(size)
-        view = memoryview(self._part)
+            self._part = np.empty(size, np.uint8)
+        view = self._part.data
         while self._done < size:
             got = self._socket.recv_into(view[self._done :])
             if not got:

@@ -33,6 +33,7 @@ from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import Control, Dimple, PanelLayout, rgb
 from icu_common.core.panel_state import HIDDEN_BY, ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
+from icu_common.nodes.images import AnyImage
 
 _CHANNELS: dict[str, tuple[Any, int]] = {
     "mono8": (np.uint8, 1),
@@ -100,7 +101,7 @@ def image_message(picture: npt.NDArray[Any], encoding: str, head: Header) -> Ima
     return message
 
 
-def image_array(message: Image) -> npt.NDArray[Any]:
+def image_array(message: AnyImage) -> npt.NDArray[Any]:
     """Return a view on the message's pixels, (H, W) or (H, W, C), without a copy; do not write into it.
 
     Raises

@@ -6,9 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.node import Node
+from sensor_msgs.msg import Image
 
 from icu_common.nodes import qos
 from icu_common.nodes.graph_node import this_process
+from icu_common.nodes.images import ReceivedImage, image_of_bytes
 
 
 class NewestSubscription:
@@ -22,6 +24,8 @@ class NewestSubscription:
         As for ``Node.create_subscription``.
     callback
         Called with the message.
+    raw
+        Call back with the serialised message.
 
     Attributes
     ----------
@@ -30,12 +34,15 @@ class NewestSubscription:
         fell out of the queue before the first overrun was noticed are not known.
     """
 
-    def __init__(self, node: Node, message_type: Any, topic: str, callback: Callable[[Any], None]) -> None:
+    def __init__(
+        self, node: Node, message_type: Any, topic: str, callback: Callable[[Any], None], *, raw: bool = False
+    ) -> None:
         self.dropped = 0
         self._sequence = 0
         self._callback = callback
         self._node = node
-        self._subscription = node.create_subscription(message_type, topic, self._on_message, qos.NEWEST)
+        self._raw = raw
+        self._subscription = node.create_subscription(message_type, topic, self._on_message, qos.NEWEST, raw=raw)
 
     def end(self) -> None:
         """Listen no more."""
@@ -46,7 +53,7 @@ class NewestSubscription:
         # sent, which tells how many more fell out of a full queue; rclpy 7.1's EventsExecutor fails on callbacks that
         # ask for this count, so it is only known for messages that are taken here.
         drained = 0
-        while (newer := self._subscription.handle.take_message(self._subscription.msg_type, False)) is not None:
+        while (newer := self._subscription.handle.take_message(self._subscription.msg_type, self._raw)) is not None:
             message, info = newer
             drained += 1
         if drained:
@@ -59,3 +66,10 @@ class NewestSubscription:
         elif self._sequence:
             self._sequence += 1
         self._callback(message)
+
+
+class NewestImage(NewestSubscription):
+    """The same for images, which are not unpacked: the callback gets the newest as a ReceivedImage."""
+
+    def __init__(self, node: Node, topic: str, callback: Callable[[ReceivedImage], None]) -> None:
+        super().__init__(node, Image, topic, lambda data: callback(image_of_bytes(data)), raw=True)

@@ -132,6 +132,11 @@ class Desk:
         """Return the first line of this run in the audit file: nobody has control then, however the last one ended."""
         return [Record(record=record("the bridge", "start", self.boot_id, now))]
 
+    @property
+    def has_viewers(self) -> bool:
+        """Whether a page is connected; may be read from any thread."""
+        return bool(self._viewers)
+
     def join(self, name: str, role: Role = Role.OPERATOR, by_password: bool = False) -> tuple[str, dict[str, Any]]:
         """Add a page of the user ``name``; return its id and the first message for it.
 

@@ -37,6 +37,7 @@ from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import Control, LayoutError, PanelLayout, load_layout
 from icu_common.core.sequence import Sequence, parse_file
 from icu_common.nodes import qos
+from icu_common.nodes.camera_info import CameraInfoSubscription
 from icu_common.nodes.conversions import (
     axes_of_message,
     camera_model,
@@ -51,14 +52,14 @@ from icu_common.nodes.conversions import (
     point_array,
     point_message,
     result_of_message,
-    same_camera,
     stamp_ns,
     trajectory_array,
     transform_of_message,
     transform_of_pose,
 )
 from icu_common.nodes.graph_node import GraphNode
-from icu_common.nodes.newest import NewestSubscription
+from icu_common.nodes.images import ReceivedImage
+from icu_common.nodes.newest import NewestImage
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
@@ -119,12 +120,11 @@ class BridgeNode(GraphNode):
         config = parameters.config
         self._layout = _read_layout(config)
         self._replay = config.replay
-        self._cameras: dict[str, CameraInfo] = {}
         self._axes = np.eye(2)
         self._withdrawn = False
         self._camera_from_base: Transform | None = None
         self._layers: dict[tuple[str, str], Any] = {}
-        self._pictures: dict[str, NewestSubscription] = {}
+        self._pictures: dict[str, NewestImage] = {}
         self._roll = Roll(SILENT_S)
         robot = f"{socket.gethostname()}{self.get_namespace()}"
         self._seconds, self._simulated = seconds_of(self), runs_by_clock_topic(self)
@@ -187,8 +187,8 @@ class BridgeNode(GraphNode):
     # --- from the graph --------------------------------------------------------------------------------------------
 
     def _make_inlets(self) -> None:
-        self._hear(CameraInfo, "left/camera_info", qos.SENSOR, lambda m: self._camera_seen("left", m))
-        self._hear(CameraInfo, "right/camera_info", qos.SENSOR, lambda m: self._camera_seen("right", m))
+        self._hear_camera("left")
+        self._hear_camera("right")
         self._hear(PoseStamped, "panel/pose", qos.LATCHED, self._pose_seen)
         self._hear(MarkerArray, "panel/controls", qos.LATCHED, self._controls_seen)
         self._hear(DiagnosticArray, "panel/state", qos.SENSOR, self._panel_seen)
@@ -213,18 +213,19 @@ class BridgeNode(GraphNode):
         every(self, _SHOWN_PERIOD_S, self._hear_what_is_shown, wall=True)
 
     def _hear_what_is_shown(self) -> None:
-        """Listen to corners, edges and the other camera only while a page shows them, so that nobody works for nothing.
+        """Subscribe to images, corners and edges only while a page shows them.
 
-        The left camera is always heard: a motion without pictures is stopped, and a panel is taught in its picture.
+        The left camera is needed while any page is connected: the bridge stops a page's motion that has no images, and
+        a panel is taught in its image.
         """
         video = self._server.video
         for key in video.wanted - self._layers.keys():
             self._layers[key] = self._hear(PointCloud2, _LAYER_TOPICS[key], qos.SENSOR, self._layer_taker(*key))
         for key in self._layers.keys() - video.wanted:
             self.destroy_subscription(self._layers.pop(key))
-        cameras = video.cameras | {"left"}
+        cameras = video.cameras | ({"left"} if self._desk.has_viewers else set())
         for side in cameras - self._pictures.keys():
-            self._pictures[side] = NewestSubscription(self, Image, f"{side}/image_raw", self._picture_taker(side))
+            self._pictures[side] = NewestImage(self, f"{side}/image_raw", self._picture_taker(side))
         for side in self._pictures.keys() - cameras:
             self._pictures.pop(side).end()
             self._mail.newest(side, video.forget, side)
@@ -244,8 +245,8 @@ class BridgeNode(GraphNode):
 
         return self.create_subscription(message_type, topic, callback, profile)
 
-    def _picture_taker(self, side: str) -> Callable[[Image], None]:
-        def take(message: Image) -> None:
+    def _picture_taker(self, side: str) -> Callable[[ReceivedImage], None]:
+        def take(message: ReceivedImage) -> None:
             try:
                 picture = image_array(message)
             except ValueError as error:
@@ -264,14 +265,21 @@ class BridgeNode(GraphNode):
     def _state_taker(self, part: str) -> Callable[[String], None]:
         return lambda message: self._mail.newest(part, self._desk.set_state, part, message.data)
 
+    def _hear_camera(self, side: str) -> None:
+        def changed(message: CameraInfo) -> None:
+            try:
+                self._camera_seen(side, message)
+            except ValueError as error:
+                self.get_logger().error(f"{side}/camera_info: ignored: {error}", throttle_duration_sec=5.0)
+                cameras.again()
+
+        cameras = CameraInfoSubscription(self, f"{side}/camera_info", qos.SENSOR, changed)
+
     def _camera_seen(self, side: str, message: CameraInfo) -> None:
-        # Every picture repeats the calibration; only a new one is work.
-        if not same_camera(self._cameras.get(side), message):
-            model = camera_model(message, side) if message.k[0] else None  # CameraInfo.msg: 0 is "uncalibrated"
-            if model is None:
-                self.get_logger().info(f"the {side} camera is not calibrated: no control is drawn in its picture")
-            self._cameras[side] = message
-            self._mail.each(self._set_scene, {side: model})
+        model = camera_model(message, side) if message.k[0] else None  # CameraInfo.msg: 0 is "uncalibrated"
+        if model is None:
+            self.get_logger().info(f"the {side} camera is not calibrated: no control is drawn in its picture")
+        self._mail.each(self._set_scene, {side: model})
 
     def _pose_seen(self, message: PoseStamped) -> None:
         check_frame(message.header, CAMERA_LEFT)
