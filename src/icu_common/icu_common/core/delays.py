@@ -1,12 +1,16 @@
 """Codes of goals that failed only because something was slow, and the values that belong to such a code.
 
-A sender decides by the code whether to repeat a goal, never by the words of a reason.
+A sender decides by the code whether to repeat a goal, never by the words of a reason. A result has a code only if the
+same goal may succeed unchanged: the stylus has touched nothing, and no stop waits for a person.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
+
+from icu_common.core.results import GoalResult
 
 
 class ResultCode(str, Enum):
@@ -23,8 +27,7 @@ class ResultCode(str, Enum):
         return self.value
 
 
-RETRYABLE = frozenset(ResultCode)
-"""Codes after which the same goal may succeed unchanged. The sender still checks that nothing was touched."""
+_WHAT, _MEASURED, _LIMIT = "delayed", "delay_measured_s", "delay_limit_s"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,13 +52,29 @@ class Delay:
     limit_s: float
 
     def text(self) -> str:
-        """Return the delay for people: ``image of the left camera is late: 1.42 s (limit 1 s)``."""
+        """Return the delay for people."""
+        if math.isinf(self.measured_s):
+            return f"{self.what} is late: none yet (limit {self.limit_s:g} s)"
         return f"{self.what} is late: {self.measured_s:.2f} s (limit {self.limit_s:g} s)"
 
     def details(self) -> tuple[tuple[str, str], ...]:
         """Return the values as pairs for ``GoalResult.details``."""
         return (
-            ("delayed", self.what),
-            ("delay_measured_s", f"{self.measured_s:.3f}"),
-            ("delay_limit_s", f"{self.limit_s:g}"),
+            (_WHAT, self.what),
+            (_MEASURED, f"{self.measured_s:.3f}"),
+            (_LIMIT, f"{self.limit_s:g}"),
         )
+
+
+def delay_of(result: GoalResult) -> Delay | None:
+    """Return the delay that a result names, None if it has no known code or no values."""
+    values = dict(result.details)
+    try:
+        return Delay(
+            code=ResultCode(result.code),
+            what=values[_WHAT],
+            measured_s=float(values[_MEASURED]),
+            limit_s=float(values[_LIMIT]),
+        )
+    except (KeyError, ValueError):
+        return None
