@@ -7,7 +7,7 @@ same goal may succeed unchanged: the stylus has touched nothing, and no stop wai
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from icu_common.core.results import GoalResult
@@ -78,3 +78,13 @@ def delay_of(result: GoalResult) -> Delay | None:
         )
     except (KeyError, ValueError):
         return None
+
+
+def is_delayed(result: GoalResult) -> bool:
+    """Return whether slowness caused a result, whether or not the goal may be repeated."""
+    return any(key == _WHAT for key, _ in result.details)
+
+
+def with_load(result: GoalResult, load: str) -> GoalResult:
+    """Return the result with the processor's load as the end of its reason; as it is where the load is not known."""
+    return replace(result, reason=f"{result.reason}; {load}") if load else result
