@@ -252,9 +252,10 @@ def test_a_program_that_hangs_and_cannot_be_aborted_is_killed(clock: Clock) -> N
         clock.now += 1.0
         watch.group.watch(0.0)
     assert [text for _, text in watch.events] == ["hangs: no sign of life for 1.5 s: aborted"]
-    assert alive(first)
+    assert alive(first) and watch.group.hanging == {first}
     clock.now += 2.0
     watch.until(lambda: len(watch.events) == 2)
+    assert not watch.group.hanging
     assert watch.events[-1] == ("a", "ended with signal SIGKILL, restarted in 0.5 s")
     watch.group.stop()
 

@@ -173,6 +173,15 @@ class ProcessGroup:
         return {w.name: w.process.pid for w in self._programs if w.process is not None and w.process.poll() is None}
 
     @property
+    def hanging(self) -> frozenset[int]:
+        """Process numbers of programs that were found blocked and have not ended yet."""
+        return frozenset(
+            w.process.pid
+            for w in self._programs
+            if w.aborted_at is not None and w.process is not None and w.process.poll() is None
+        )
+
+    @property
     def misconfigured(self) -> list[str]:
         """Names of programs that cannot run with their configuration."""
         return [w.name for w in self._programs if w.misconfigured]

@@ -18,9 +18,11 @@ from queue import SimpleQueue
 from types import FrameType
 
 from icu_common.adapters.executables import find_executable
+from icu_common.adapters.hanging_programs import write_hanging
 from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
 from icu_common.core.option_bounds import named_path
+from icu_common.core.supervision import HANGING_VARIABLE
 from icu_common.core.yaml_text import values_of_pairs
 from icu_common.nodes import in_step
 from icu_common.nodes.runtime import prepare_transport
@@ -147,6 +149,8 @@ class BringUp:
         prepare_transport()
         here = Path(sys.argv[0])
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        hanging_path, hanging = temporary / "hanging.json", frozenset[int]()
+        environment[HANGING_VARIABLE] = str(hanging_path)
         if self.options.in_step:
             environment[in_step.VARIABLE] = "1"
         group = ProcessGroup(environment, self._output, self._event)
@@ -182,6 +186,9 @@ class BringUp:
                     if self.options.prepare:
                         self._start_preparation(group, here)
                 group.watch(0.2)
+                if group.hanging != hanging:
+                    hanging = group.hanging
+                    write_hanging(hanging_path, hanging)
             why = f", since {', '.join(group.misconfigured)} cannot run" if group.misconfigured else ""
             self.say(f"ending every program{why}")
         finally:
