@@ -6,7 +6,6 @@ same goal may succeed unchanged: the stylus has touched nothing, and no stop wai
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -41,7 +40,7 @@ class Delay:
     what
         The slow thing, as a noun phrase: ``image of the left camera``.
     measured_s
-        Measured age or duration in seconds; infinite if nothing came at all.
+        Measured age or duration in seconds.
     limit_s
         The limit that it exceeded, in seconds.
     """
@@ -53,8 +52,6 @@ class Delay:
 
     def text(self) -> str:
         """Return the delay for people."""
-        if math.isinf(self.measured_s):
-            return f"{self.what} is late: none yet (limit {self.limit_s:g} s)"
         return f"{self.what} is late: {self.measured_s:.2f} s (limit {self.limit_s:g} s)"
 
     def details(self) -> tuple[tuple[str, str], ...]:
