@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import threading
 import time
@@ -56,14 +57,19 @@ class LoadMeter:
     """
 
     def __init__(self, measure: Callable[[], ProcessorLoad] = measure_processor_load) -> None:
-        self._measure = measure
+        self._measure: Callable[[], ProcessorLoad] = measure
         self._lock = threading.Lock()
-        self._waiting: list[Callable[[str], object]] = []
+        self._waiting: list[Callable[[ProcessorLoad | None], object]] = []
         self._thread: threading.Thread | None = None
-        self._text, self._measured_s = "", -FRESH_S
+        self._load: ProcessorLoad | None = None
+        self._measured_s = -math.inf
 
     def describe(self, then: Callable[[str], object]) -> None:
-        """Call ``then`` with the load as text: at once if it was measured just now, else from the thread."""
+        """Call ``then`` with the load as text, as :meth:`measure` does; empty where it cannot be measured."""
+        self.measure(lambda load: then("" if load is None else load.text()))
+
+    def measure(self, then: Callable[[ProcessorLoad | None], object]) -> None:
+        """Call ``then`` with the load: at once if it was measured just now, else from the thread."""
         with self._lock:
             if time.monotonic() - self._measured_s > FRESH_S:
                 self._waiting.append(then)
@@ -71,7 +77,7 @@ class LoadMeter:
                     self._thread = threading.Thread(target=self._run, name="load", daemon=True)
                     self._thread.start()
                 return
-        then(self._text)
+        then(self._load)
 
     def finish(self, within_s: float = 2 * OVER_S) -> None:
         """Wait for a running measurement, so that what depends on it is still said."""
@@ -80,11 +86,11 @@ class LoadMeter:
             thread.join(within_s)
 
     def _run(self) -> None:
-        text = ""
+        load = None
         with contextlib.suppress(OSError, psutil.Error):  # /proc may be closed to this user
-            text = self._measure().text()
+            load = self._measure()
         with self._lock:
-            self._text, self._measured_s = text, time.monotonic()
+            self._load, self._measured_s = load, time.monotonic()
             waiting, self._waiting, self._thread = self._waiting, [], None
         for then in waiting:
-            then(text)
+            then(load)

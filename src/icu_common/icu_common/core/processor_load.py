@@ -62,7 +62,7 @@ def sorted_loads(loads: Iterable[ProgramLoad]) -> tuple[ProgramLoad, ...]:
 def program_name(executable: str, arguments: Iterable[str]) -> str:
     """Return the name of a program: that of the script where an interpreter runs one."""
     given = list(arguments)
-    if executable.startswith(("python", "pypy", "node", "perl", "ruby")):
+    if executable.startswith(("python", "pypy", "node", "perl", "ruby")) and "-c" not in given[1:2]:
         script = next((text for text in given[1:] if not text.startswith("-")), "")
         is_module = "-m" in given[1:2]
         executable = (script if is_module else script.rpartition("/")[2]) or executable

@@ -19,6 +19,7 @@ from types import FrameType
 
 from icu_common.adapters.executables import find_executable
 from icu_common.adapters.hanging_programs import write_hanging
+from icu_common.adapters.processor_load import LoadMeter
 from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
 from icu_common.core.option_bounds import named_path
@@ -149,6 +150,7 @@ class BringUp:
         prepare_transport()
         here = Path(sys.argv[0])
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        load = LoadMeter()
         hanging_path, hanging = temporary / "hanging.json", frozenset[int]()
         environment[HANGING_VARIABLE] = str(hanging_path)
         if self.options.in_step:
@@ -189,6 +191,8 @@ class BringUp:
                 if group.hanging != hanging:
                     hanging = group.hanging
                     write_hanging(hanging_path, hanging)
+                    if hanging:
+                        load.describe(lambda text: self.say(f"processor: {text}"))
             why = f", since {', '.join(group.misconfigured)} cannot run" if group.misconfigured else ""
             self.say(f"ending every program{why}")
         finally:
