@@ -132,7 +132,8 @@ def test_limits_grow_on_a_busy_computer(
     steps = gantry_prepare._Steps(session, 400.0, growth, meter)
     assert steps.wait(lambda: None, "no answer") == "came"
     lines = capsys.readouterr().out.splitlines()
-    busy = "no answer; the computer is busy (load 9.0 on 2 cores: cc1plus 195 %): all limits are"
+    load = "load 9.0 on 2 cores, the robot uses 0 %, other programs 195 %: cc1plus 195 %"
+    busy = f"no answer; the computer is busy ({load}): all limits are"
     assert lines == [f"{busy} {words} as long now" for words in said]
 
 

@@ -53,10 +53,12 @@ def test_the_robots_own_programs_are_marked_and_the_three_largest_are_named() ->
         ProgramLoad(name=n, percent=p, own=n == "corners") for n, p in (("corners", 60.0), ("a", 20.0), ("b", 12.0))
     ]
     load = ProcessorLoad(cores=2, load_average=7.06, programs=sorted_loads([one, *rest, two]))
-    assert load.text() == "load 7.1 on 2 cores: cc1plus 95 %, corners (robot) 60 %, a 20 %"
+    assert load.text() == (
+        "load 7.1 on 2 cores, the robot uses 60 %, other programs 127 %: cc1plus 95 %, corners (robot) 60 %, a 20 %"
+    )
     assert load.busy and not ProcessorLoad(cores=3, load_average=7.0, programs=load.programs).busy
     idle = ProcessorLoad(cores=2, load_average=0.2, programs=(ProgramLoad(name="a", percent=3.0, own=False),))
-    assert idle.text() == "load 0.2 on 2 cores: no program needs much"
+    assert idle.text() == "load 0.2 on 2 cores, the robot uses 0 %, other programs 3 %: none needs much"
 
 
 def test_a_meter_measures_once_for_several_messages_and_in_another_thread() -> None:
@@ -73,7 +75,7 @@ def test_a_meter_measures_once_for_several_messages_and_in_another_thread() -> N
     assert said == []
     may_end.set()
     meter.finish(WITHIN_S)
-    text = "load 1.0 on 2 cores: no program needs much"
+    text = "load 1.0 on 2 cores, the robot uses 0 %, other programs 0 %: none needs much"
     assert said == [f"first {text}", f"second {text}"]
     meter.describe(lambda text: said.append(f"third {text}"))
     assert said[2] == f"third {text}" and len(threads) == 1 and threads[0] is not threading.current_thread()

@@ -46,7 +46,30 @@ def test_each_change_is_named_once_and_again_after_a_return() -> None:
     assert watch.check_for(5.0) == [("camera", Condition.LATE), ("stereo", Condition.ENDED)]
     assert watch.check_for(60.0) == [], "a silent node is no news"
     assert watch.heard("stereo") and not watch.heard("stereo")
-    assert watch.check_for(10.0) == [("stereo", Condition.ENDED)]
+    assert watch.check_for(10.0) == [("stereo", Condition.ENDED)], "after an end the limit is as before"
+
+
+def test_a_node_that_is_late_again_and_again_is_named_less_and_less_often() -> None:
+    watch = Monitored()
+
+    def late_after_s() -> float:
+        for turn in range(200):
+            if watch.check():
+                return turn * 0.5
+        raise AssertionError("never late")
+
+    watch.heard("stereo")
+    watch.check()
+    found = []
+    for _ in range(7):
+        found.append(late_after_s())
+        assert watch.heard("stereo")
+    assert found == [3.0, 6.0, 12.0, 24.0, 48.0, 60.0, 60.0]
+    for _ in range(61):
+        watch.heard("stereo")
+        assert watch.check_for(1.0) == []
+    watch.heard("stereo")
+    assert late_after_s() == 3.0, "after a minute without news"
 
 
 def test_a_bridge_that_was_held_up_itself_takes_no_node_for_late() -> None:

@@ -47,7 +47,9 @@ class ProcessorLoad:
         """Return one clause for people."""
         named = [p for p in self.programs if p.percent >= LEAST_PERCENT][:LISTED]
         shares = ", ".join(f"{p.name}{' (robot)' if p.own else ''} {p.percent:.0f} %" for p in named)
-        return f"load {self.load_average:.1f} on {self.cores} cores: {shares or 'no program needs much'}"
+        robot, others = (sum(p.percent for p in self.programs if p.own is own) for own in (True, False))
+        whole = f"the robot uses {robot:.0f} %, other programs {others:.0f} %"
+        return f"load {self.load_average:.1f} on {self.cores} cores, {whole}: {shares or 'none needs much'}"
 
 
 def sorted_loads(loads: Iterable[ProgramLoad]) -> tuple[ProgramLoad, ...]:

@@ -9,6 +9,8 @@ from enum import Enum
 LONGEST_TURN_S = 1.0
 """Silence that counts between two checks: a bridge that was held up itself has not read what came."""
 
+_LARGEST_LIMIT_S = _REGULAR_S = 60.0
+
 
 class Condition(str, Enum):
     """What is known of a node."""
@@ -44,8 +46,11 @@ class Change:
 
 @dataclass(slots=True, kw_only=True)
 class _Reporter:
+    limit_s: float
     sender: Sender
     silent_s: float = 0.0
+    regular_s: float = 0.0
+    """Seconds of reports in time since the node was late for the last time."""
     condition: Condition = Condition.REPORTS
 
 
@@ -55,7 +60,8 @@ class LivenessMonitor:
     Parameters
     ----------
     limit_s
-        Seconds without a report from which on a node is late; nodes report every second.
+        Seconds without a report from which on a node is late; nodes report every second. The limit of a node that
+        has been late doubles, up to a minute, until the node has reported in time for a minute.
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -65,9 +71,16 @@ class LivenessMonitor:
 
     def heard(self, name: str, sender: Sender) -> bool:
         """Take a report; return whether its node had been late, or worse."""
-        before = self._reporters.get(name)
-        self._reporters[name] = _Reporter(sender=sender)
-        return before is not None and before.condition is not Condition.REPORTS
+        reporter = self._reporters.setdefault(name, _Reporter(limit_s=self._limit_s, sender=sender))
+        before, reporter.condition = reporter.condition, Condition.REPORTS
+        reporter.sender, reporter.silent_s = sender, 0.0
+        if before is not Condition.REPORTS:
+            reporter.regular_s = 0.0
+            # On a computer that stays busy the same news would come every few seconds.
+            reporter.limit_s = (
+                min(2 * reporter.limit_s, _LARGEST_LIMIT_S) if before is Condition.LATE else self._limit_s
+            )
+        return before is not Condition.REPORTS
 
     def check(self, now_s: float, condition_of: Callable[[Sender], Condition]) -> list[Change]:
         """Return the changes since the last check, in alphabetical order.
@@ -85,6 +98,10 @@ class LivenessMonitor:
         for name, reporter in sorted(self._reporters.items()):
             reporter.silent_s += turn_s
             if reporter.silent_s <= self._limit_s:
+                reporter.regular_s += turn_s
+            if reporter.regular_s > _REGULAR_S:
+                reporter.limit_s = self._limit_s
+            if reporter.silent_s <= reporter.limit_s:
                 continue
             condition = condition_of(reporter.sender)
             if condition is not reporter.condition:

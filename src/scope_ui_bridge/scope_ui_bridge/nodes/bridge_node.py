@@ -340,9 +340,10 @@ class BridgeNode(Node):
     def _check_liveness(self) -> None:
         # What is logged here goes to the page's console by way of /rosout.
         changes = self._liveness.check(self._liveness_s(), self._condition_of)
-        late = ", ".join(change.name for change in changes if change.condition is Condition.LATE)
+        late = [change for change in changes if change.condition is Condition.LATE]
         if late:
-            self._load.describe(partial(self._report_late, f"no report for {SILENT_S:g} s, late: {late}"))
+            silent_s, names = min(change.silent_s for change in late), ", ".join(change.name for change in late)
+            self._load.describe(partial(self._report_late, f"no report for {silent_s:.0f} s, late: {names}"))
         for change in changes:
             if change.condition is Condition.ENDED:
                 self.get_logger().error(f"{change.name} has ended")
