@@ -264,6 +264,21 @@ def test_a_heartbeat_that_stays_away_ends_the_goal_soon_after_a_hold_up() -> Non
     assert bench.readings[2] == 0.0
 
 
+def test_a_controller_that_is_held_up_all_the_time_still_gives_up_a_motion() -> None:
+    bench = Bench(config(motion_timeout_s=1.0)).start()
+    bench.tell(msg.PointGoal(frame="base_link", xyz=np.array([0.2, 0.1, 0.0]), stamp_ns=0))
+    (sent,) = (action for action in bench.actions if isinstance(action, msg.SendTrajectory))
+    limit_s = 1.5 * sent.path.duration_s + 1.0
+    began_ns, bench._motion = bench.now_ns, None  # the driver never answers
+    while not bench.finals:
+        bench.now_ns += 250 * MS
+        for event in (msg.Heartbeat(), msg.Joints(readings=bench.readings.copy()), msg.Tick()):
+            bench.tell(event)
+        assert bench.now_ns - began_ns < 3 * limit_s * 1e9
+    assert "no result of the motion" in bench.finals[0].reason and bench.stops == 1
+    assert limit_s < (bench.now_ns - began_ns) / 1e9 < 2 * limit_s + 0.5
+
+
 def test_a_hold_up_counts_only_until_the_queue_is_empty() -> None:
     hold_up = HoldUp()
     assert hold_up.note(0) == 0.0 and hold_up.note(150 * MS) == 0.0

@@ -59,8 +59,7 @@ class Controller(GoalPhases):
         self._actions = []
         gap_s = self._hold_up.note(now_ns)
         self._world.held_up_s = self._hold_up.recent_s(now_ns)
-        if self.phase is not Phase.CONTACT:  # what a phase waits for may be in the queue; a contact is never longer
-            self._deadline_ns += nanoseconds(gap_s)
+        self._move_deadline(gap_s)
         if jumped_back_s > CLOCK_JUMP_S:
             self._world.forget_times()
             self._rest_look = NO_LOOK

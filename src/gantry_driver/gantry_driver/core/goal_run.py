@@ -51,7 +51,7 @@ class GoalRun:
         self._arrived_ns: int | None = None
         self._tip_look = self._rest_look = NO_LOOK
         self._asked_ns = 0
-        self._base_s = self._limit_s = 0.0
+        self._base_s = self._limit_s = self._moved_s = 0.0
         self._path: Path | None = None
         self._sent = 0
         self._late: Delay | None = None
@@ -63,8 +63,19 @@ class GoalRun:
     def _enter(self, phase: Phase, within_s: float) -> None:
         self.phase, self._phase_ns = phase, self._now_ns
         self._deadline_ns = self._now_ns + nanoseconds(within_s)
-        self._base_s = self._limit_s = within_s
+        self._base_s, self._limit_s, self._moved_s = within_s, within_s, 0.0
         self._late = None
+
+    def _move_deadline(self, gap_s: float) -> None:
+        """Let a phase wait for as long as the controller was held up: what it waits for may be in the queue.
+
+        A contact is never longer, and no phase more than twice as long, however often the controller is held up.
+        """
+        if self.phase is Phase.CONTACT:
+            return
+        gap_s = min(gap_s, self._base_s - self._moved_s)
+        self._moved_s += gap_s
+        self._deadline_ns += nanoseconds(gap_s)
 
     def _go(self, phase: Phase, path: Path) -> None:
         self._enter(phase, 1.5 * path.duration_s + self.config.motion_timeout_s)
@@ -115,7 +126,7 @@ class GoalRun:
         self.phase = phase
         self._tip_look = Look(after_ns=self._now_ns + nanoseconds(settle_s), needed=needed, kept=kept)
         self._deadline_ns = self._tip_look.after_ns + nanoseconds(timeout_s)
-        self._base_s = self._limit_s = timeout_s
+        self._base_s, self._limit_s, self._moved_s = timeout_s, timeout_s, 0.0
         self._late = None
 
     def _looked(self, job: Job, seen: bool) -> Step | None:
@@ -150,7 +161,7 @@ class GoalRun:
         elif self.phase in WAITING and not job.touched_ns and self._world.seen is not None:
             newest_ns, needed_ns = self._world.seen.stamp_ns, self._phase_ns + nanoseconds(self.config.settle_s)
             what = "image of the controls that the recognition has evaluated"
-        if newest_ns > needed_ns or not needed_ns:
+        if newest_ns > needed_ns or not needed_ns or not newest_ns:
             return None
         age_s = self._world.age_s(newest_ns)
         return Delay(code=ResultCode.LATE_IMAGE, what=what, measured_s=age_s, limit_s=self._limit_s)
