@@ -238,11 +238,12 @@ def test_a_command_that_may_be_older_than_two_seconds_moves_nothing() -> None:
     assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
 
 
-def test_a_hold_up_of_the_controller_alone_ends_no_goal() -> None:
-    bench = Bench().start()
+@pytest.mark.parametrize("held_ms", [1500, 6000])
+def test_a_hold_up_of_the_controller_alone_ends_no_goal(held_ms: int) -> None:
+    bench = Bench(config(motion_timeout_s=0.5)).start()
 
     def hold_up(bench: Bench) -> None:
-        bench.now_ns += 1500 * MS  # heartbeat, joint_states and images of this time wait in the queue
+        bench.now_ns += held_ms * MS  # heartbeat, joint_states, images and the motion's result wait in the queue
 
     bench.on_phase[Phase.APPROACH] = hold_up
     result = bench.do("press:RUN_STOP")
