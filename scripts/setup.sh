@@ -116,7 +116,7 @@ fi
 # On Jazzy, Ubuntu's OpenCV must find the numpy that it was compiled for, whatever else pip installs.
 constraints=()
 if [ $jazzy = yes ]; then
-  "$python" -c 'import cv2, numpy, serial, yaml, aiohttp' 2>/dev/null \
+  "$python" -c 'import cv2, numpy, serial, yaml, aiohttp, psutil' 2>/dev/null \
     || fail "libraries are missing; install them with: rosdep install --from-paths src --ignore-src -y --skip-keys python3-numba"
   "$python" -c 'import numpy; print("numpy==" + numpy.__version__)' > "$venv/constraints.txt"
   constraints=(--constraint "$venv/constraints.txt")

@@ -331,6 +331,8 @@ class VirtualRobot:
             self._tell(msg.TipSeen(in_camera=found.tip, stamp_ns=stamp))
             if self._procedure is not None:
                 self._act(self._procedure.tip(stamp, found.tip, self.now_ns))
+        else:
+            self._tell(msg.TipUnseen(stamp_ns=stamp))
 
     def _every_panel(self) -> None:
         if self._procedure is not None:

@@ -14,7 +14,7 @@ setup(
         ("share/" + NAME, ["package.xml"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"libraries": ["numpy", "opencv-python-headless", "PyYAML"]},  # for pip
+    extras_require={"libraries": ["numpy", "opencv-python-headless", "PyYAML", "psutil"]},  # for pip
     zip_safe=True,
     description="Frames, cameras, parameters, QoS, messages and results shared by the gantry robot",
     license="Apache-2.0",

@@ -205,6 +205,8 @@ class RecordedRobot(VirtualRobot):
         if tip is not None:
             self._still.tip(self._stamp, tip)
             self._tell(msg.TipSeen(in_camera=tip, stamp_ns=self._stamp))
+        else:
+            self._tell(msg.TipUnseen(stamp_ns=self._stamp))
 
     def _recognise(self, stamp: int, exposed: float) -> None:
         self._stamp, self._both = stamp, False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ REMAPS = [
             "calibration/camera_from_base": "/calibration/camera_from_base",
             "calibration/axes": "/calibration/axes",
             "stylus/tip": "/stylus/tip",
+            "stylus/unseen": "/stylus/unseen",
             "joint_states": "/joint_states",
             "heartbeat": "/operator/heartbeat",
             "camera_info": "/stereo/left/camera_info",
@@ -93,6 +95,9 @@ class GantryBench:
         self.tip_error: Array = np.zeros(3)
         self.ahead_s = 0.0
         """Of the cameras' clock."""
+        self.late_s = 0.0
+        """After an image arrives all that comes of it."""
+        self._images: deque[tuple[int, int]] = deque()
         self.heartbeat = heartbeat
         self.obey = True
         self.trajectories: list[JointTrajectory] = []
@@ -135,7 +140,12 @@ class GantryBench:
     def _publish(self) -> None:
         now = self.now_ns()
         self.joints.publish(joint_message(JOINTS, self.readings, header(now, "")))
-        seen = header(now + int(self.ahead_s * 1e9), CAMERA_LEFT)
+        self._images.append((now + int(self.late_s * 1e9), now))
+        while self._images and self._images[0][0] <= now:
+            self._publish_image(self._images.popleft()[1])
+
+    def _publish_image(self, taken_ns: int) -> None:
+        seen = header(taken_ns + int(self.ahead_s * 1e9), CAMERA_LEFT)
         self.camera.publish(camera_info_message(CAMERA, seen))
         self.pose.publish(pose_message(CAMERA_FROM_PANEL, seen))
         self.confidence.publish(Float32(data=0.9))

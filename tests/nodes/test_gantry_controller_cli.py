@@ -17,15 +17,17 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped
 from nodes.gantry_bench import RUN_STOP, GantryBench
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 
 from gantry_driver.cli import gantry_goal, gantry_sequence
 from icu_common.core import preparation
+from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import result_message
+from icu_common.nodes.conversions import result_message, stamp_ns
 
 
 class Program:
@@ -90,6 +92,39 @@ def test_rejected(ros: Any, bench: GantryBench) -> None:
     assert code == 1 and "rejected: move to (0.9, 0.05, 0) m in base_link: gantry_x_joint = 0.9000 m" in output, output
     assert "lies outside 0.0000 to 0.3590 m" in output
     assert bench.trajectories == []
+
+
+class RejectingController:
+    """Answers the first goals as stale, and then with ``reached``."""
+
+    def __init__(self, ros: Any, stale: int) -> None:
+        node = ros.plain("controller")
+        self.stamps: list[int] = []
+        self._stale = stale
+        self._result = node.create_publisher(DiagnosticArray, "/gantry/result", qos.RESULTS)
+        node.create_publisher(String, "/gantry/driver_state", qos.LATCHED)
+        node.create_subscription(Header, "/operator/heartbeat", lambda message: None, qos.SENSOR)
+        node.create_subscription(PointStamped, "/gantry/goal", self._on_goal, qos.COMMAND)
+        self._state = node.create_publisher(String, "/gantry/state", qos.LATCHED)
+        self._state.publish(String(data="ready"))
+
+    def _on_goal(self, message: PointStamped) -> None:
+        self.stamps.append(stamp_ns(message.header.stamp))
+        goal = GoalResult(goal_id=str(self.stamps[-1]), goal="move", outcome=Outcome.REACHED, duration_s=1.0)
+        if len(self.stamps) <= self._stale:
+            late = Delay(code=ResultCode.STALE, what="goal", measured_s=0.7, limit_s=0.5)
+            goal = replace(goal, outcome=Outcome.REJECTED, reason="stale", code=late.code.value, details=late.details())
+        self._result.publish(result_message(goal, self.stamps[-1]))
+
+
+@pytest.mark.parametrize(("stale", "sent", "code"), [(0, 1, 0), (2, 3, 0), (3, 3, 1)])
+def test_a_goal_that_arrives_too_late_is_sent_again(ros: Any, stale: int, sent: int, code: int) -> None:
+    controller = RejectingController(ros, stale)
+    ended, output = Program(ros, "gantry_goal", "0.10", "0.05").end()
+    assert ended == code, output
+    assert len(controller.stamps) == len(set(controller.stamps)) == sent
+    again = [f"the goal arrived too late; sending it again, try {n} of 3" for n in range(2, sent + 1)]
+    assert [line for line in output.splitlines() if "too late" in line] == again
 
 
 def test_nobody_there(ros: Any) -> None:

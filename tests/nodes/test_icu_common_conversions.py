@@ -12,6 +12,7 @@ from pinhole import pinhole
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64MultiArray
 
+from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import Control, Dimple, PanelLayout
 from icu_common.core.results import GoalResult, Outcome
@@ -118,6 +119,20 @@ def test_result_round_trip() -> None:
         cv.result_message(GoalResult(goal_id="", goal="x", outcome=Outcome.REJECTED, reason="why"), 1)
     )
     assert rejected.reason == "why" and math.isnan(rejected.error_m)
+
+
+def test_the_code_of_a_result_travels_and_is_empty_where_a_sender_gives_none() -> None:
+    delay = Delay(code=ResultCode.STALE, what="goal", measured_s=0.527, limit_s=0.5)
+    result = GoalResult(goal_id="7", goal="x", outcome=Outcome.REJECTED, code=delay.code, details=delay.details())
+    message = cv.result_message(result, 1)
+    assert [pair.value for pair in message.status[0].values if pair.key == "code"] == ["stale"]
+    back = cv.result_of_message(message)
+    assert back.code == result.code and ResultCode(back.code) is ResultCode.STALE
+    assert (back.goal_id, back.outcome, back.reason) == ("7", Outcome.REJECTED, "")
+    assert dict(back.details) == {"delayed": "goal", "delay_measured_s": "0.527", "delay_limit_s": "0.5"}
+    old = cv.result_message(GoalResult(goal_id="7", goal="x", outcome=Outcome.REJECTED), 1)
+    assert not any(pair.key == "code" for pair in old.status[0].values)
+    assert cv.result_of_message(old).code == ""
 
 
 def test_joints_by_name() -> None:

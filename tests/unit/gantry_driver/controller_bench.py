@@ -93,7 +93,7 @@ class Bench:
         self.confidence = 0.9
         self.camera_from_panel = CAMERA_FROM_PANEL
         self.driver = "idle"
-        self.talking = {"heartbeat", "joints", "camera", "tip", "panel", "driver"}
+        self.talking = {"heartbeat", "joints", "camera", "tip", "tracker", "panel", "driver"}
         self.calibration: tuple[Transform, Array] | None = (CAMERA_FROM_BASE, np.eye(2))
         self.answer: Outcome = Outcome.REACHED
         self.answer_reason = ""
@@ -227,6 +227,8 @@ class Bench:
         if "tip" in self.talking and not self._dazzled():
             seen = self.tip_seen_in_base() + self.noise_m * self.rng.standard_normal(3)
             self.tell(msg.TipSeen(in_camera=self.camera_from_base().apply(seen), stamp_ns=self.now_ns))
+        elif "tracker" in self.talking:
+            self.tell(msg.TipUnseen(stamp_ns=self.now_ns))
 
     def _dazzled(self) -> bool:
         place = BASE_FROM_PANEL.inverse().apply(self.tip_in_base())[:2]

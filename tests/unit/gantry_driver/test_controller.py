@@ -318,7 +318,7 @@ def test_what_falls_silent(silent: str, words: list[str], base_goals_too: bool, 
         bench.talking -= {silent}
     bench.start()
     bench.talking -= {silent}
-    bench.run(1.5)
+    bench.run(4.5)  # what is only late is waited for: see test_controller_patience
     assert bench.controller.state == state
     rejected(bench, bench.do("press:RUN_STOP"), *words)
     result = bench.go(0.1, 0.1)
@@ -369,8 +369,8 @@ def test_panel_never_seen_unsure_or_old() -> None:
 
     bench = Bench().start()
     bench.talking -= {"panel"}
-    bench.run(2.5)
-    rejected(bench, bench.do("press:RUN_STOP"), "no pose of the panel for 2.", "at most 2 s")
+    bench.run(8.5)
+    rejected(bench, bench.do("press:RUN_STOP"), "no pose of the panel for 8.", "at most 2 s")
     assert bench.controller.state == "waiting: panel pose is old"
 
 
@@ -552,11 +552,12 @@ def test_jumping_tip_is_not_averaged() -> None:
     stylus_is_up(bench)
 
 
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK, Phase.TOUCH])
-def test_stalled_camera_in_every_phase(phase: Phase) -> None:
+@pytest.mark.parametrize(("phase", "limit_s"), [(Phase.APPROACH, 4), (Phase.LOOK, 4), (Phase.TOUCH, 1)])
+def test_stalled_camera_in_every_phase(phase: Phase, limit_s: int) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = silence("camera")
-    aborted(bench, bench.do("press:RUN_STOP"), "the camera has stalled", "no picture for 1.0 s", "the stylus is up")
+    words = "the camera has stalled", f"no picture for {limit_s}.0 s", "the stylus is up"
+    aborted(bench, bench.do("press:RUN_STOP"), *words)
     stylus_is_up(bench)
 
 

@@ -244,5 +244,5 @@ def test_no_fixed_camera_waits_for_a_panel_that_it_does_not_see() -> None:
     bench = Bench(seed=3).start()
     assert bench.go(0.2, 0.1).outcome is Outcome.REACHED
     bench.talking.discard("panel")
-    bench.run(2.5)
+    bench.run(8.5)
     assert bench.do("press:RUN_STOP").outcome is Outcome.REJECTED

@@ -35,6 +35,7 @@ SYSTEM_KEYS = {
     "python3-numpy": "numpy",
     "python3-opencv": "cv2",
     "python3-serial": "serial",
+    "python3-psutil": "psutil",
     "python3-yaml": "yaml",
 }
 """Keys of rosdep (rosdistro/rosdep/python.yaml) and their modules; rosbags has none, numba none for Ubuntu."""
@@ -44,6 +45,7 @@ BY_NAME = {
     "numpy": "numpy",
     "opencv-python-headless": "cv2",
     "pyserial": "serial",
+    "psutil": "psutil",
     "PyYAML": "yaml",
 }
 """Names for pip and their modules."""

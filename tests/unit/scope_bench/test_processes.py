@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -252,11 +253,37 @@ def test_a_program_that_hangs_and_cannot_be_aborted_is_killed(clock: Clock) -> N
         clock.now += 1.0
         watch.group.watch(0.0)
     assert [text for _, text in watch.events] == ["hangs: no sign of life for 1.5 s: aborted"]
-    assert alive(first)
+    assert alive(first) and watch.group.hanging == {first}
     clock.now += 2.0
     watch.until(lambda: len(watch.events) == 2)
+    assert not watch.group.hanging
     assert watch.events[-1] == ("a", "ended with signal SIGKILL, restarted in 0.5 s")
     watch.group.stop()
+
+
+def test_a_program_that_waits_for_the_processor_is_late_and_hangs_only_after_longer(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(processes, "_waits_for_core", lambda pid: {"7": 0.1 * clock.now, "8": 0.8 * clock.now})
+    watch = Watch(silent_s=2.0)
+    watch.group.start("a", [*PYTHON, CANNOT_END], tells_ready=True)
+    watch.until_ready()
+    for _ in range(8):
+        clock.now += 1.0
+        watch.group.watch(0.0)
+    late = ("a", "is late: no sign of life for 2 s, it waits for the processor")
+    assert watch.events == [late] and not watch.group.hanging
+    clock.now += 1.0
+    watch.group.watch(0.0)
+    assert watch.events == [late, ("a", "hangs: no sign of life for 8 s: aborted")]
+    watch.group.stop()
+
+
+def test_the_time_that_threads_wait_for_the_processor_is_read() -> None:
+    with subprocess.Popen([*PYTHON, "input()"], stdin=subprocess.PIPE) as process:
+        assert str(process.pid) in processes._waits_for_core(process.pid)
+        process.kill()
+    assert processes._waits_for_core(process.pid) == {}
 
 
 def with_a_stopped_program(folder: Path) -> tuple[Watch, int]:

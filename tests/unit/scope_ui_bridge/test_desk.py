@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from unit.scope_ui_bridge.desk_rig import BOOT, Rig, answer, logged, of_type, pose, refusal, selected, shown_selections
 
+from icu_common.core.delays import ResultCode
 from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.geometry import Transform
 from icu_common.core.gesture import Gesture, Point, parse_gesture
@@ -465,6 +466,20 @@ def test_a_held_jog_goes_on_in_steps_and_ends_when_let_go() -> None:
     rig.jog(0, 0)
     (ended,) = logged(rig.end(second.stamp_ns))
     assert (ended["entry"], ended["status"]) == (entry["entry"], "reached")
+
+
+def test_a_jog_step_that_came_too_late_is_sent_again_while_the_button_is_held() -> None:
+    rig = Rig()
+    rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
+    (goal,) = of_type(rig.jog(0, 1), SendGoal)
+    stale = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=Outcome.REJECTED, code=ResultCode.STALE.value)
+    rig.wait(0.2, alive=True)
+    (again,) = of_type(rig.desk.result(stale, rig.now), SendGoal)
+    assert again.point == goal.point and again.stamp_ns > goal.stamp_ns
+    assert again.stamp_ns == rig.now.ros_ns, "the new stamp is the time of sending, not of the press"
+    rig.wait(0.35, alive=True)  # let go
+    late = GoalResult(goal_id=str(again.stamp_ns), goal="", outcome=Outcome.REJECTED, code=ResultCode.STALE.value)
+    assert of_type(rig.desk.result(late, rig.now), SendGoal) == []
 
 
 @pytest.mark.parametrize("how", ["silence", "stop", "release", "rejected"])

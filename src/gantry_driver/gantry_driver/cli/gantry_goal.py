@@ -11,7 +11,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from geometry_msgs.msg import PointStamped
 from std_msgs.msg import String
@@ -31,6 +31,7 @@ from gantry_driver.cli.operator_session import (
 )
 from gantry_driver.core.goal_job import WORKING
 from icu_common.adapters.program_end import ends_quietly
+from icu_common.core.delays import ResultCode
 from icu_common.core.frames import BASE, CAMERA_LEFT, PANEL
 from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
@@ -39,6 +40,8 @@ from icu_common.nodes.conversions import header, point_message
 from icu_common.nodes.runtime import own_arguments
 
 STOP_ANSWER_S = 3.0
+STALE_TRIES = 3
+"""Maximum number of times that a goal is sent which the controller rejects because it arrived too late."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,15 +137,23 @@ def carry_out(session: OperatorSession, request: Request) -> int:
     goal_id = ""
     try:
         session.wait_until_taken(publisher, "gantry/result", until)
-        if request.gesture is None:
-            assert request.xyz is not None
-            stamp = session.now_ns()
-            goal_id = str(stamp)
-            points.publish(point_message(request.xyz, header(stamp, BASE)))
-        else:
-            goal_id = request.gesture.id
-            commands.publish(String(data=request.gesture.text()))
-        code = _follow(session, goal_id, until)
+        for count in range(1, STALE_TRIES + 1):
+            if request.gesture is None:
+                assert request.xyz is not None
+                stamp = session.now_ns()
+                goal_id = str(stamp)
+                points.publish(point_message(request.xyz, header(stamp, BASE)))
+            else:
+                # An answer to an earlier try must not be taken for one to this.
+                gesture = replace(request.gesture, id=request.gesture.id + (f"-{count}" if count > 1 else ""))
+                goal_id = gesture.id
+                commands.publish(String(data=gesture.text()))
+            result = _follow(session, goal_id, until)
+            stale = result.outcome is Outcome.REJECTED and result.code == ResultCode.STALE
+            if not stale or count == STALE_TRIES:
+                break
+            say(f"the goal arrived too late; sending it again, try {count + 1} of {STALE_TRIES}")
+        code = REACHED if result.outcome is Outcome.REACHED else FAILED
         if code == REACHED and request.xyz is not None and request.xyz[2] < 0:
             say("the stylus is down: without an operator the driver now stops and lifts it, then needs gantry/reset")
         return code
@@ -156,7 +167,7 @@ def carry_out(session: OperatorSession, request: Request) -> int:
         return _stop(session, goal_id)
 
 
-def _follow(session: OperatorSession, goal_id: str, until: float, *, stopping: bool = False) -> int:
+def _follow(session: OperatorSession, goal_id: str, until: float, *, stopping: bool = False) -> GoalResult:
     shown = 0
 
     def final() -> GoalResult | None:
@@ -172,14 +183,14 @@ def _follow(session: OperatorSession, goal_id: str, until: float, *, stopping: b
         state = session.latest("gantry/state")
         return "" if state in WORKING else f"the controller has been {state!r}"
 
-    result = session.wait_for_answer(
+    result: GoalResult = session.wait_for_answer(
         final,
         "gantry/result",
         resting,
         until,
         lambda: f"no final answer; the controller was last {session.latest('gantry/state')!r}",
     )
-    return REACHED if result.outcome is Outcome.REACHED else FAILED
+    return result
 
 
 def _stop(session: OperatorSession, goal_id: str) -> int:

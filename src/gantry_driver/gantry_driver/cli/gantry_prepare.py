@@ -6,6 +6,7 @@ Exit codes: 0 ready, 1 refused or failed (with the reason), 2 wrong usage, 3 not
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -26,12 +27,18 @@ from gantry_driver.cli.operator_session import (
     operator_session,
     say,
 )
+from icu_common.adapters.processor_load import LoadMeter, measure_processor_load
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.preparation import Cause, Report, Stage, calibration_report, to_line
+from icu_common.core.processor_load import ProcessorLoad
 from icu_common.nodes.runtime import own_arguments
 
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
 _BROKEN = ("disconnected", "stopped", "alarm", "mismatch")
+TIMEOUT_S = 400.0
+GROWTH = 4.0
+"""Factor up to which limits grow while other programs use the processor."""
+MEASURE_S = 10.0
 CONNECT_S = 60.0
 CAMERA_S = 120.0
 HOME_S = 10.0
@@ -97,9 +104,17 @@ class Narrator:
 
 
 def prepare(
-    session: OperatorSession, *, home: bool, calibrate: bool, until: float, narrator: Narrator | None = None
+    session: OperatorSession,
+    *,
+    home: bool,
+    calibrate: bool,
+    timeout_s: float,
+    growth: float = GROWTH,
+    narrator: Narrator | None = None,
 ) -> None:
     """Go through the steps; ``home`` and ``calibrate`` ask for them even where they are not needed.
+
+    On a busy computer all limits grow up to ``growth`` times what they are.
 
     Raises
     ------
@@ -108,7 +123,7 @@ def prepare(
     for topic in (DRIVER, CALIBRATION):
         session.watch(topic)
     narrator = narrator or Narrator()
-    steps = _Steps(session, until, narrator)
+    steps = _Steps(session, timeout_s, growth, narrator=narrator)
     narrator.begin(Stage.CONNECTING)
     steps.connect()
     narrator.begin(Stage.ENABLING)
@@ -137,25 +152,71 @@ def prepare(
 
 
 class _Steps:
-    def __init__(self, session: OperatorSession, until: float, narrator: Narrator | None = None) -> None:
+    def __init__(
+        self,
+        session: OperatorSession,
+        timeout_s: float,
+        growth: float = GROWTH,
+        load: LoadMeter | None = None,
+        narrator: Narrator | None = None,
+    ) -> None:
         self._session = session
-        self._until = until
         self._narrator = narrator or Narrator()
+        self._started = time.monotonic()
+        self._timeout_s, self._growth = timeout_s, growth
+        self._factor = 1.0
+        self._load = load or LoadMeter()
         self._seen_before_call: dict[str, int] = {}
         self._publishers_before_call: dict[str, Ends] = {}
+
+    @property
+    def _until(self) -> float:
+        return self._started + self._timeout_s * self._factor
+
+    def _patiently(self, wait: Callable[[float], Any], base_s: float = math.inf) -> Any:
+        """Carry out a wait with a deadline, which moves while the computer is busy.
+
+        ``base_s`` is the limit of this wait alone; the deadline of the whole preparation holds as well.
+        """
+        began = time.monotonic()
+        while True:
+            until = min(self._until, began + base_s * self._factor)
+            try:
+                return wait(until)
+            except TimedOut as error:
+                if time.monotonic() <= until or not self._grow(str(error)):
+                    raise
+
+    def _grow(self, missing: str) -> bool:
+        """Double all limits if the computer is busy and the bound is not reached; say what uses the processor."""
+        if 2 * self._factor > self._growth:
+            return False
+        measured: list[ProcessorLoad | None] = []
+        self._load.measure(measured.append)
+        self._session.wait_for(lambda: measured, time.monotonic() + MEASURE_S, lambda: missing)
+        load = measured[0]
+        if load is None or not load.busy:
+            return False
+        self._factor *= 2
+        self._narrator.say(
+            f"{missing}; the computer is busy ({load.text()}): all limits are {self._factor:g} times as long now"
+        )
+        return True
 
     def connect(self) -> None:
         """Wait for the driver, and longer for a board that is still connecting."""
         session = self._session
         text = self.wait(lambda: session.latest(DRIVER), "no gantry/driver_state: is the driver running?")
         self._narrator.say(f"driver: {text}")
-        session.wait_until_heard(self._until)
-        ready = min(self._until, time.monotonic() + CONNECT_S)
+        self._patiently(session.wait_until_heard)
         try:
-            session.wait_for(
-                lambda: session.latest(DRIVER).partition(":")[0] not in ("disconnected", "connecting", "homing"),
-                ready,
-                lambda: f"the driver is {session.latest(DRIVER)!r}",
+            self._patiently(
+                lambda until: session.wait_for(
+                    lambda: session.latest(DRIVER).partition(":")[0] not in ("disconnected", "connecting", "homing"),
+                    until,
+                    lambda: f"the driver is {session.latest(DRIVER)!r}",
+                ),
+                CONNECT_S,
             )
         except TimedOut as error:
             raise Failed(str(error)) from error
@@ -166,14 +227,14 @@ class _Steps:
     def wait(self, condition: Callable[[], Any], missing: str | Callable[[], str]) -> Any:
         """Wait for a condition until the deadline of the whole preparation."""
         say_missing = missing if callable(missing) else lambda: missing
-        return self._session.wait_for(condition, self._until, say_missing)
+        return self._patiently(lambda until: self._session.wait_for(condition, until, say_missing))
 
     def call(self, service_type: Any, name: str, request: Any, *, patience_s: float = 0.0) -> None:
         """Call a service, again while it refuses and there is patience; the last refusal is a failure."""
         session = self._session
         client = session.node.create_client(service_type, name)
         self.wait(client.service_is_ready, f"service {name} is not offered")
-        give_up = min(time.monotonic() + patience_s, self._until)
+        began = time.monotonic()
         refusal = ""
         while True:
             self._seen_before_call = {topic: len(texts) for topic, texts in session.states.items()}
@@ -184,7 +245,8 @@ class _Steps:
             if answer.success:
                 break
             again = time.monotonic() + RETRY_S
-            if again > give_up:
+            late = again > min(began + patience_s * self._factor, self._until)
+            if late and not (patience_s and self._grow(f"{name} is refused so far: {answer.message}")):
                 raise Failed(f"{name} was refused: {answer.message}")
             if answer.message != refusal:
                 refusal = answer.message
@@ -215,9 +277,8 @@ class _Steps:
                     return True
             return False
 
-        self._session.wait_for_answer(
-            ended, topic, lambda: "", self._until, lambda: f"{what} has not ended: {self._session.latest(topic)!r}"
-        )
+        missing = lambda: f"{what} has not ended: {self._session.latest(topic)!r}"  # noqa: E731
+        self._patiently(lambda until: self._session.wait_for_answer(ended, topic, lambda: "", until, missing))
 
     def wait_ready(self) -> None:
         """Wait for the controller, printing each of its states."""
@@ -234,7 +295,8 @@ class _Steps:
                 raise Failed(f"the controller is {text!r}")
             return text == "ready"
 
-        session.wait_for(ready, self._until, lambda: f"the controller is {session.latest(CONTROLLER)!r}, not ready")
+        missing = lambda: f"the controller is {session.latest(CONTROLLER)!r}, not ready"  # noqa: E731
+        self._patiently(lambda until: session.wait_for(ready, until, missing))
 
 
 @ends_quietly
@@ -246,21 +308,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--home", action="store_true", help="home even if the machine is homed")
     parser.add_argument("--calibrate", action="store_true", help="calibrate even if a calibration is loaded")
-    parser.add_argument("--timeout", type=number, default=400.0, metavar="S", help="whole time allowed (default 400)")
+    parser.add_argument(
+        "--timeout",
+        type=number,
+        metavar="S",
+        help=f"whole time allowed (default {TIMEOUT_S:g}, on a busy computer up to {GROWTH:g} times as long)",
+    )
     parser.add_argument("--json", action="store_true", help="print progress as JSON, one object a line, for programs")
     given = parser.parse_args(own_arguments(arguments))
-    if not given.timeout > 0:
+    if given.timeout is not None and not given.timeout > 0:
         parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
     with operator_session("gantry_prepare", arguments) as session:
         narrator = Narrator(json=given.json)
-        until = time.monotonic() + given.timeout
         try:
-            prepare(session, home=given.home, calibrate=given.calibrate, until=until, narrator=narrator)
+            limits = (TIMEOUT_S, GROWTH) if given.timeout is None else (given.timeout, 1.0)
+            prepare(
+                session,
+                home=given.home,
+                calibrate=given.calibrate,
+                timeout_s=limits[0],
+                growth=limits[1],
+                narrator=narrator,
+            )
         except Failed as error:
             narrator.fail(Cause.REFUSED, str(error))
             return FAILED
         except TimedOut as error:
-            narrator.fail(Cause.TIMED_OUT, str(error))
+            load = measure_processor_load()
+            narrator.fail(Cause.TIMED_OUT, f"{error}; {load.text()}" if load.busy else str(error))
             return TIMED_OUT
         except Interrupted:
             narrator.fail(Cause.INTERRUPTED, "interrupted: stopping")

@@ -98,7 +98,7 @@ class OperatorSession:
     def watch(self, topic: str) -> None:
         """Collect the texts of a latched state topic in ``states[topic]``."""
         texts = self.states.setdefault(topic, [])
-        self.node.create_subscription(String, topic, lambda m: texts.append(m.data), qos.LATCHED)
+        self.node.create_subscription(String, topic, lambda m: texts.append(m.data), qos.EACH_LATCHED)
 
     def hear(self, topic: str) -> list[GoalResult]:
         """Return the list into which the answers on a topic come; what is no answer is logged."""

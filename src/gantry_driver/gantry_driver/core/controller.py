@@ -8,19 +8,23 @@ it early, and what keeps one from starting, in ``world``; what is made of a look
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core import goal_intake
+from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import MOVING, NANO, OTHERWISE, STATES, Fault, Job, Phase
 from gantry_driver.core.goal_phases import GoalPhases
 from gantry_driver.core.goal_run import nanoseconds
 from gantry_driver.core.motion_plan import OutOfReach
+from gantry_driver.core.patience import CLICK_MAX_AGE_S, HoldUp
 from gantry_driver.core.scene import Refused
 from gantry_driver.core.servo import NO_LOOK, Look
 from gantry_driver.core.world import CROSSED_M
+from icu_common.core.delays import Delay, ResultCode, delay_of
 from icu_common.core.gesture import GestureError, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
 
@@ -31,6 +35,10 @@ CLOCK_JUMP_S = 0.5
 
 class Controller(GoalPhases):
     """See the module's text. Feed every event to :meth:`handle` and carry out the actions in their order."""
+
+    def __init__(self, config: ControllerConfig) -> None:
+        super().__init__(config)
+        self._hold_up = HoldUp()
 
     @property
     def state(self) -> str:
@@ -53,6 +61,9 @@ class Controller(GoalPhases):
         jumped_back_s = (self._now_ns - now_ns) / NANO
         self._now_ns = self._world.now_ns = now_ns
         self._actions = []
+        gap_s = self._hold_up.note(now_ns)
+        self._world.held_up_s = self._hold_up.recent_s(now_ns)
+        self._move_deadline(gap_s)
         if jumped_back_s > CLOCK_JUMP_S:
             self._world.forget_times()
             self._rest_look = NO_LOOK
@@ -65,6 +76,8 @@ class Controller(GoalPhases):
             # On the way out after one fault only those count that forbid the rest of the way.
             if fault is not None and (self._job.fault is None or not fault.lift or fault.stop):
                 self._break_off(self._job, fault)
+        if self._job is not None and self._job.fault is None:
+            self._report_delays(self._job)
         self._advance()
         self._show_state()
         actions, self._actions = self._actions, []
@@ -137,6 +150,9 @@ class Controller(GoalPhases):
                 # Pictures come late: those of the contact still count when the stylus is on its way up.
                 self._tip_look = self._tip_look.with_tip(event.in_camera, event.stamp_ns)
                 self._rest_look = self._rest_look.with_tip(event.in_camera, event.stamp_ns)
+                world.tracked_ns = max(world.tracked_ns, event.stamp_ns)
+            case msg.TipUnseen():
+                world.tracked_ns = max(world.tracked_ns, event.stamp_ns)
             case msg.CameraSeen():
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
             case msg.Heartbeat():
@@ -168,10 +184,15 @@ class Controller(GoalPhases):
         if result.outcome is Outcome.REACHED:
             self._arrived_ns = self._now_ns
         elif result.outcome.final:
+            delay = delay_of(result)
+            if delay is not None and self._send_again(self._job, delay):
+                return
             cause = f"the driver {result.outcome.value} the motion: {result.reason or 'no reason given'}"
             # A driver that has broken a motion off lifts the stylus itself; one that has refused it rests as it is.
             stop = result.outcome is Outcome.REJECTED and self._extended
-            self._break_off(self._job, Fault(cause=cause, lift=False, stop=stop))
+            if delay is not None:  # STALE would say that the goal itself is too old
+                delay = replace(delay, code=ResultCode.SLOW)
+            self._break_off(self._job, Fault(cause=cause, lift=False, stop=stop, delay=delay))
 
     def _show_state(self) -> None:
         if self._job is not None:
@@ -193,6 +214,12 @@ class Controller(GoalPhases):
         except GestureError as error:
             self._reject(_id_in(text), text, str(error))
             return
+        if (held_s := self._world.held_up_s) > CLICK_MAX_AGE_S:
+            # A command has no stamp: this one may have waited for as long.
+            delay = Delay(code=ResultCode.STALE, what="command", measured_s=held_s, limit_s=CLICK_MAX_AGE_S)
+            reason = f"stale: the controller was held up for {held_s:.1f} s, {CLICK_MAX_AGE_S:g} s are allowed"
+            self._reject(gesture.id or text, text, reason, delay)
+            return
         goal_id = gesture.id or text
         make_job = partial(goal_intake.gesture_job, gesture, text, goal_id, self._world, self.config)
         self._accept_or_reject(goal_id, text, make_job)
@@ -208,16 +235,18 @@ class Controller(GoalPhases):
             self._reject(goal_id, text, f"{text}: {error}")
             return
         except Refused as error:
-            self._reject(goal_id, text, str(error))
+            self._reject(goal_id, text, str(error), error.delay)
             return
         self._job = job
         self._world.unchecked = False
         self._publish(job, Outcome.ACCEPTED, Phase.SIGHT.value if job.unplanned else "")
         self._start(job)
 
-    def _reject(self, goal_id: str, text: str, reason: str) -> None:
+    def _reject(self, goal_id: str, text: str, reason: str, delay: Delay | None = None) -> None:
         self.counts[Outcome.REJECTED] += 1
         result = GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=reason)
+        if delay is not None:
+            result = replace(result, code=delay.code.value, details=delay.details())
         self._actions.append(msg.PublishResult(result=result))
 
 

@@ -116,6 +116,15 @@ class ControllerConfig(Config):
     camera_timeout_s: float = setting(
         1.0, "Age of the newest picture at which the camera counts as stalled", minimum=0.1, maximum=10.0, unit="s"
     )
+    slow_tries: int = setting(
+        3,
+        "Tries with doubled limits where only slowness exceeded a limit and nothing has been touched; 1: no retry",
+        minimum=1,
+        maximum=6,
+    )
+    slow_limit_max_s: float = setting(
+        10.0, "Largest limit that such tries grow to", minimum=0.1, maximum=120.0, unit="s"
+    )
     min_confidence: float = setting(0.3, "Recognition needed for a touch", minimum=0.0, maximum=1.0)
     panel_max_age_s: float = setting(2.0, "Age of the panel's pose for a touch", minimum=0.1, maximum=60.0, unit="s")
     camera_on_carriage: bool = setting(

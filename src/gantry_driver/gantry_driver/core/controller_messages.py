@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from gantry_driver.core.motion_plan import Path
 from gantry_driver.core.scene import PanelMap
 from icu_common.core.camera_model import CameraModel
+from icu_common.core.delays import Delay
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_state import PanelSeen
 from icu_common.core.results import GoalResult
@@ -125,6 +126,13 @@ class TipSeen:
     stamp_ns: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TipUnseen:
+    """The stylus tracker has evaluated an image in which the tip is not certain."""
+
+    stamp_ns: int
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraSeen:
     camera: CameraModel
@@ -155,6 +163,7 @@ Event = (
     | CameraFromBase
     | Axes
     | TipSeen
+    | TipUnseen
     | CameraSeen
     | Heartbeat
     | Tick
@@ -193,4 +202,12 @@ class CallStop:
     reason: str
 
 
-Action = SendTrajectory | PublishResult | SetState | ShowTarget | CallStop
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportDelay:
+    """Log that something is slow, and what the controller does about it: ``then``."""
+
+    delay: Delay
+    then: str
+
+
+Action = SendTrajectory | PublishResult | SetState | ShowTarget | CallStop | ReportDelay

@@ -16,9 +16,11 @@ from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.controller_messages import PointGoal
 from gantry_driver.core.effects import Knob, knob_of
 from gantry_driver.core.goal_job import NANO, Aim, Job
+from gantry_driver.core.patience import goal_limit_s
 from gantry_driver.core.scene import Refused, Scene
 from gantry_driver.core.targets import Touch
 from gantry_driver.core.world import World, since
+from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.geometry import Array
 from icu_common.core.gesture import TURNING, Gesture, Point
@@ -46,10 +48,13 @@ def point_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
     if goal.frame not in targets.FRAMES:
         raise Refused(f"frame {goal.frame!r} is none of {', '.join(targets.FRAMES)}")
     if goal.stamp_ns != 0:
-        age_s = (world.now_ns - goal.stamp_ns) / NANO
-        if not -config.goal_max_age_s <= age_s <= config.goal_max_age_s:
+        age_s, limit_s = (world.now_ns - goal.stamp_ns) / NANO, goal_limit_s(world.held_up_s, config)
+        if age_s < -config.goal_max_age_s:
             reason = f"stale: the stamp is {age_s:.3f} s old, {config.goal_max_age_s:g} s are allowed"
-            raise Refused(f"{reason}; the stamp is of the future: do the clocks agree?" if age_s < 0 else reason)
+            raise Refused(f"{reason}; the stamp is of the future: do the clocks agree?")
+        if age_s > limit_s:
+            delay = Delay(code=ResultCode.STALE, what="goal", measured_s=age_s, limit_s=limit_s)
+            raise Refused(f"stale: the stamp is {age_s:.3f} s old, {limit_s:g} s are allowed", delay)
     if goal.frame == BASE:
         return _move_job(goal, world, config)
     x, y, z = (float(v) for v in goal.xyz)
@@ -66,7 +71,7 @@ def _move_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
         raise Refused(f"z = {goal.xyz[2]:g} m: this stylus can only be up, 0, or touch")
     for obstacle in world.obstacles(config):
         if obstacle.every_goal:
-            raise Refused(obstacle.reason)
+            raise Refused(obstacle.reason, obstacle.delay)
     axes = world.base_from_reading
     aim = Aim(base_from_reading=np.eye(2) if axes is None else axes)
     motion_plan.check_reach(aim.readings_at(goal.xyz[np.newaxis]), config.motion)
@@ -107,9 +112,9 @@ def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config:
     """
     if isinstance(gesture.target, Point) and gesture.target.frame not in targets.FRAMES:
         raise Refused(f"frame {gesture.target.frame!r} is none of {', '.join(targets.FRAMES)}")
-    for obstacle in world.obstacles(config):
+    for obstacle in sorted(world.obstacles(config), key=lambda o: o.passing):
         if not obstacle.passing or _in_picture(gesture):
-            raise Refused(obstacle.reason)
+            raise Refused(obstacle.reason, obstacle.delay)
         aim = Aim(base_from_reading=np.eye(2))
         return Job(goal_id=goal_id, text=text, kind=gesture.kind, started_ns=world.now_ns, aim=aim, gesture=gesture)
     scene, seen = world.scene(), world.recently_seen(config)
@@ -152,9 +157,11 @@ def _check_marker_not_old(name: str, kind: str, world: World, config: Controller
     """Refuse a knob whose marker was read, only too long ago: turned unseen it would end somewhere, unnoticed."""
     last = None if world.seen is None else world.seen.control(name)
     if world.seen is not None and last is not None and not (kind == "turn" and math.isnan(last.angle_deg)):
+        age_s, limit_s = world.age_s(world.seen.stamp_ns), config.state_max_age_s
         raise Refused(
-            f"nothing is seen of {name} {since(world.age_s(world.seen.stamp_ns))}, "
-            f"at most {config.state_max_age_s:g} s are allowed: try again, or is the computer too busy?"
+            f"nothing is seen of {name} {since(age_s)}, "
+            f"at most {limit_s:g} s are allowed: try again, or is the computer too busy?",
+            Delay(code=ResultCode.SLOW, what=f"marker of {name}", measured_s=age_s, limit_s=limit_s),
         )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from gantry_driver.core.effects import Knob
 from gantry_driver.core.scene import Scene
 from gantry_driver.core.targets import Touch
+from icu_common.core.delays import Delay
 from icu_common.core.geometry import Array
 from icu_common.core.gesture import Gesture
 from icu_common.core.panel_state import PanelSeen
@@ -59,6 +60,8 @@ FREE_VIEW = (Phase.APPROACH, Phase.LOOK, Phase.CORRECT, Phase.RETURN)
 """Here nothing but the stylus may hide the control."""
 STANDING = (Phase.LOOK, Phase.TOUCH, Phase.CONTACT)
 """Here x and y rest: what cameras on the carriage see belongs to what is read."""
+WAITING = (Phase.SIGHT, Phase.WAIT, Phase.LOOK, Phase.READ)
+"""Here the machine stands still, in the air before the touch."""
 PUSHING = (Phase.TOUCH, Phase.TURN)
 """Here a panel that has moved or is in doubt stops the machine at once; elsewhere the stylus is in the air, goes up."""
 # What /gantry/state shows; every other phase is OTHERWISE.
@@ -87,11 +90,15 @@ class Step(str, Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """Why a goal ends early: ``lift`` when the stylus may go up, ``stop`` when the machine must be held at once."""
+    """Why a goal ends early: ``lift`` when the stylus may go up, ``stop`` when the machine must be held at once.
+
+    ``delay`` names what was slow, where slowness alone is the cause.
+    """
 
     cause: str
     lift: bool = True
     stop: bool = False
+    delay: Delay | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -174,8 +181,13 @@ class Job:
             return self.goal_base()
         return self.beside[0] if self.beside else np.array([*self.touch.in_base[:2], self.touch.hover_z])
 
-    def result(self, outcome: Outcome, reason: str, now_ns: int) -> GoalResult:
-        """Return the answer to whoever asked."""
+    def result(
+        self, outcome: Outcome, reason: str, now_ns: int, delay: Delay | None = None, *, repeatable: bool = False
+    ) -> GoalResult:
+        """Return the answer to the sender.
+
+        ``delay`` is the cause if slowness alone is; ``repeatable``: the same goal may succeed unchanged.
+        """
         touch, knob = self.touch, self.knob
         details = [("gesture", self.kind)]
         if touch is not None:
@@ -201,5 +213,6 @@ class Job:
             reason=reason,
             error_m=self.error_m,
             duration_s=(now_ns - self.started_ns) / NANO if outcome.final else math.nan,
-            details=tuple(details),
+            details=(*details, *(() if delay is None else delay.details())),
+            code=delay.code.value if delay is not None and repeatable else "",
         )

@@ -60,17 +60,17 @@ class GoalPhases(GoalRun):
 
     def _ended(self, job: Job) -> Step | None:
         if self.phase is Phase.SIGHT:
-            return self._looked(self._may_plan())
+            return self._looked(job, self._may_plan())
         if self.phase is Phase.WAIT:
-            return self._looked(job.touch is not None and job.touch.control not in self._world.hidden_ns)
+            return self._looked(job, job.touch is not None and job.touch.control not in self._world.hidden_ns)
         if self.phase is Phase.READ:
-            return self._looked(self._effect_seen(job))
+            return self._looked(job, self._effect_seen(job))
         if self.phase in LOOKING:
             if self.phase is Phase.CONTACT and self._now_ns < job.down_ns + nanoseconds(job.hold_s):
                 return None  # also when enough has been seen
-            if self._seen_in_base(job) is not None:
-                return Step.SEEN
-            return Step.UNSEEN if self._now_ns > self._deadline_ns else None
+            # Nothing is touched while the images of what may be in the way are late.
+            timely = self.phase is not Phase.LOOK or not self._view_delays()
+            return self._looked(job, timely and self._seen_in_base(job) is not None)
         if self._arrived_ns is not None and self._standing():
             if job.fault is not None and self.phase is not Phase.BREAK_OFF:
                 self._lift_after_fault(job)
@@ -99,21 +99,22 @@ class GoalPhases(GoalRun):
     def _may_plan(self) -> bool:
         """Whether the panel has been seen from here, with what its controls show, or will not be."""
         world = self._world
-        obstacle = next(world.obstacles(self.config), None)
-        if obstacle is not None:
-            return not obstacle.passing
+        obstacles = list(world.obstacles(self.config))
+        if obstacles:
+            return not all(obstacle.passing for obstacle in obstacles)
         return world.seen is None or world.from_here(world.seen.stamp_ns, self.config)
 
     def _plan_in_sight(self, waiting: Job) -> None:
         """Take the goal as if it came now; who gave it has its first answer already."""
         assert waiting.gesture is not None
         try:
-            for obstacle in self._world.obstacles(self.config):
-                raise Refused(obstacle.reason)
+            for obstacle in sorted(self._world.obstacles(self.config), key=lambda o: o.passing):
+                raise Refused(obstacle.reason, obstacle.delay)
             job = goal_intake.gesture_job(waiting.gesture, waiting.text, waiting.goal_id, self._world, self.config)
             self._way_to(job)
         except (Refused, OutOfReach) as error:
-            self._finish(waiting, Outcome.ABORTED, f"{error}; nothing was moved")
+            delay = error.delay if isinstance(error, Refused) else None
+            self._finish(waiting, Outcome.ABORTED, f"{error}; nothing was moved", delay)
             return
         job.started_ns = waiting.started_ns
         self._job = job
@@ -233,6 +234,10 @@ class GoalPhases(GoalRun):
             self._touch_down(job)
             return
         assert job.touch is not None and job.scene is not None
+        if self._late is not None:  # from beside the images would be as late
+            cause = f"{self._tip_look.unseen_text(self.config.tip_spread_m)}: {self._late.text()}"
+            self._break_off(job, Fault(cause=cause, delay=self._late))
+            return
         job.beside = places_beside(job.touch, job.scene, job.aim, self.config) if job.beside is None else job.beside[1:]
         if job.beside:
             self._try(job, Phase.APPROACH, lambda: self._way_to(job))
@@ -249,6 +254,10 @@ class GoalPhases(GoalRun):
 
     def _touch_down(self, job: Job) -> None:
         assert job.touch is not None
+        if not job.touched_ns and (delays := self._view_delays()):
+            cause = f"nothing is touched with late images: {delays[0].text()}"
+            self._break_off(job, Fault(cause=cause, delay=delays[0]))
+            return
         depth, config = -job.touch.touch_z, self.config
         here = self._world.here
         job.plunge_ns = self._now_ns

@@ -9,10 +9,24 @@ import numpy as np
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core import motion_plan
 from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import FREE_VIEW, MOVING, NANO, PUSHING, STANDING, UP, Fault, Job, Phase, Step
+from gantry_driver.core.goal_job import (
+    FREE_VIEW,
+    MOVING,
+    NANO,
+    PUSHING,
+    STANDING,
+    UP,
+    WAITING,
+    Fault,
+    Job,
+    Phase,
+    Step,
+)
 from gantry_driver.core.motion_plan import OutOfReach, Path
+from gantry_driver.core.patience import next_limit_s
 from gantry_driver.core.servo import NO_LOOK, Look
 from gantry_driver.core.world import EXTENDED_M, World
+from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.geometry import Array
 from icu_common.core.results import Outcome
 
@@ -37,12 +51,31 @@ class GoalRun:
         self._arrived_ns: int | None = None
         self._tip_look = self._rest_look = NO_LOOK
         self._asked_ns = 0
+        self._base_s = self._limit_s = self._moved_s = 0.0
+        self._path: Path | None = None
+        self._sent = 0
+        self._late: Delay | None = None
+        """What was late when the phase's time was over."""
+        self._reported: set[str] = set()
 
     # The motion and the look that a phase waits for
 
     def _enter(self, phase: Phase, within_s: float) -> None:
         self.phase, self._phase_ns = phase, self._now_ns
         self._deadline_ns = self._now_ns + nanoseconds(within_s)
+        self._base_s, self._limit_s, self._moved_s = within_s, within_s, 0.0
+        self._late = None
+
+    def _move_deadline(self, gap_s: float) -> None:
+        """Let a phase wait for as long as the controller was held up: what it waits for may be in the queue.
+
+        A contact is never longer, and no phase more than twice as long, however often the controller is held up.
+        """
+        if self.phase is Phase.CONTACT:
+            return
+        gap_s = min(gap_s, self._base_s - self._moved_s)
+        self._moved_s += gap_s
+        self._deadline_ns += nanoseconds(gap_s)
 
     def _go(self, phase: Phase, path: Path) -> None:
         self._enter(phase, 1.5 * path.duration_s + self.config.motion_timeout_s)
@@ -50,10 +83,26 @@ class GoalRun:
         self._stamp_ns = max(self._now_ns, self._stamp_ns + 1)
         if len(path.points):
             self._end, self._arrived_ns = path.points[-1], None
+            self._path, self._sent = path, 1
             self._actions.append(msg.SendTrajectory(stamp_ns=self._stamp_ns, path=path))
         else:
             # The machine stands there already; joint_states younger than this moment confirm it.
             self._end, self._arrived_ns = self._world.here, self._now_ns
+
+    def _send_again(self, job: Job, delay: Delay) -> bool:
+        """Send the path once more that the driver rejected only because it came late; False if it may not be sent.
+
+        The machine has not moved, so the path still begins where it stands.
+        """
+        if self._path is None or job.touched_ns or self._sent >= self.config.slow_tries:
+            return False
+        self._sent += 1
+        then = f"it is sent again, try {self._sent} of {self.config.slow_tries}"
+        self._actions.append(msg.ReportDelay(delay=delay, then=then))
+        self._enter(self.phase, 1.5 * self._path.duration_s + self.config.motion_timeout_s)
+        self._stamp_ns = max(self._now_ns, self._stamp_ns + 1)
+        self._actions.append(msg.SendTrajectory(stamp_ns=self._stamp_ns, path=self._path))
+        return True
 
     def _try(self, job: Job, phase: Phase, plan: Callable[[], Path]) -> None:
         """Enter a phase whose path may leave the reachable area because of a correction."""
@@ -77,9 +126,57 @@ class GoalRun:
         self.phase = phase
         self._tip_look = Look(after_ns=self._now_ns + nanoseconds(settle_s), needed=needed, kept=kept)
         self._deadline_ns = self._tip_look.after_ns + nanoseconds(timeout_s)
+        self._base_s, self._limit_s, self._moved_s = timeout_s, timeout_s, 0.0
+        self._late = None
 
-    def _looked(self, seen: bool) -> Step | None:
-        return Step.SEEN if seen else Step.UNSEEN if self._now_ns > self._deadline_ns else None
+    def _looked(self, job: Job, seen: bool) -> Step | None:
+        return Step.SEEN if seen else Step.UNSEEN if self._is_over(job) else None
+
+    def _is_over(self, job: Job) -> bool:
+        """Whether the phase's time is over; while images are only late, it gets a larger limit up to a bound."""
+        if self._now_ns <= self._deadline_ns:
+            return False
+        self._late = self._image_delay(job)
+        limit_s = next_limit_s(self._limit_s, self._base_s, self.config)
+        if self._late is None or limit_s is None:
+            return True
+        self._deadline_ns += nanoseconds(limit_s - self._limit_s)
+        self._limit_s = limit_s
+        self._actions.append(msg.ReportDelay(delay=self._late, then=f"waiting up to {limit_s:g} s"))
+        return False
+
+    def _image_delay(self, job: Job) -> Delay | None:
+        """Return by how much the images are late that the present phase waits for; None if they have been seen."""
+        newest_ns, needed_ns = self._world.tracked_ns, 0
+        what = "image that the stylus tracker has evaluated"
+        if self.phase is Phase.LOOK:
+            if (delays := self._view_delays()) and self._seen_in_base(job) is not None:
+                return delays[0]
+            # Fewer than half of the images of this time have been evaluated.
+            needed_ns = self._tip_look.after_ns + nanoseconds(self._base_s / 2)
+        elif self.phase is Phase.MEASURE:
+            needed_ns = self._tip_look.until_ns
+        elif self.phase is Phase.SIGHT and (delay := self._world.first_delay(self.config)) is not None:
+            return delay
+        elif self.phase in WAITING and not job.touched_ns and self._world.seen is not None:
+            newest_ns, needed_ns = self._world.seen.stamp_ns, self._phase_ns + nanoseconds(self.config.settle_s)
+            what = "image of the controls that the recognition has evaluated"
+        if newest_ns > needed_ns or not needed_ns or not newest_ns:
+            return None
+        age_s = self._world.age_s(newest_ns)
+        return Delay(code=ResultCode.LATE_IMAGE, what=what, measured_s=age_s, limit_s=self._limit_s)
+
+    def _view_delays(self) -> list[Delay]:
+        """Return what of the images is too late for a touch, though a look may still wait for it."""
+        return [delay for delay in self._world.delays(self.config) if delay.code is ResultCode.LATE_IMAGE]
+
+    def _report_delays(self, job: Job) -> None:
+        """Report each delay once that a goal waits for, before it touches anything."""
+        waits = not job.touched_ns and self.phase in (*WAITING, *FREE_VIEW)
+        delays = {delay.what: delay for delay in (self._world.delays(self.config) if waits else ())}
+        for what in delays.keys() - self._reported:
+            self._actions.append(msg.ReportDelay(delay=delays[what], then="the goal waits for it"))
+        self._reported = set(delays)
 
     def _standing(self) -> bool:
         # The driver's state and joints come on other topics than its result, in any order.
@@ -114,22 +211,32 @@ class GoalRun:
     def _fault(self, job: Job) -> Fault | None:
         """Return what ends the goal early, if anything; asked after every event."""
         pushing, crossing = self.phase in PUSHING, self.phase not in STANDING
-        fault = self._world.machine_fault(self.config, pushing=pushing)
+        patient = not job.touched_ns
+        waiting = patient and self.phase in WAITING
+        fault = self._world.machine_fault(self.config, pushing=pushing, waiting=waiting)
         if fault is not None or job.touch is None or self.phase in UP:
             return fault
         assert job.scene is not None
         if self.phase in FREE_VIEW and (fault := self._world.view_fault(self.config, job.touch.control)) is not None:
             return fault
-        return self._world.sight_fault(self.config, job.scene, job.touch.in_panel, pushing=pushing, crossing=crossing)
+        return self._world.sight_fault(
+            self.config,
+            job.scene,
+            job.touch.in_panel,
+            pushing=pushing,
+            crossing=crossing,
+            patient=patient and self.phase in (*FREE_VIEW, *WAITING),
+        )
 
     def _break_off(self, job: Job, fault: Fault) -> None:
         """End the goal early: hold the machine, or let a motion in the air end and retract, or only report."""
         cause = fault.cause if job.fault is None else f"{job.fault.cause}; then {fault.cause}"
+        delay = fault.delay if job.fault is None else None
         if fault.stop:
             self._actions.append(msg.CallStop(reason=cause))
-            self._abort(job, f"{cause}; the machine was told to stop")
+            self._abort(job, f"{cause}; the machine was told to stop", delay, stopped=True)
         elif not fault.lift or job.fault is not None:
-            self._abort(job, f"{cause}; no more motion was ordered")
+            self._abort(job, f"{cause}; no more motion was ordered", delay)
         else:
             job.fault = fault
             if self.phase not in MOVING:
@@ -140,24 +247,31 @@ class GoalRun:
 
     def _finish_broken_off(self, job: Job) -> None:
         assert job.fault is not None
-        self._abort(job, f"{job.fault.cause}; the stylus is up")
+        self._abort(job, f"{job.fault.cause}; the stylus is up", job.fault.delay)
 
-    def _abort(self, job: Job, reason: str) -> None:
+    def _abort(self, job: Job, reason: str, delay: Delay | None = None, *, stopped: bool = False) -> None:
         """End a goal that was broken off: who presses once more what has acted presses twice."""
         if job.touched_ns and not reason.startswith("touched"):
             reason = f"the stylus had gone down: look at the panel before trying again; {reason}"
-        self._finish(job, Outcome.ABORTED, reason)
+        self._finish(job, Outcome.ABORTED, reason, delay, stopped=stopped)
 
-    def _finish(self, job: Job, outcome: Outcome, reason: str = "") -> None:
+    def _finish(
+        self, job: Job, outcome: Outcome, reason: str = "", delay: Delay | None = None, *, stopped: bool = False
+    ) -> None:
         if outcome is Outcome.REACHED and job.measured_beside:
             reason = "the tip was measured beside the target, as it could not be seen before it"
         self.phase = Phase.IDLE
         self._job = None
-        self._publish(job, outcome, reason)
+        self._reported = set()
+        # What has touched, or waits for a reset, is not to be repeated without a person.
+        self._publish(job, outcome, reason, delay, repeatable=not job.touched_ns and not stopped)
 
-    def _publish(self, job: Job, outcome: Outcome, reason: str = "") -> None:
+    def _publish(
+        self, job: Job, outcome: Outcome, reason: str = "", delay: Delay | None = None, *, repeatable: bool = False
+    ) -> None:
         self.counts[outcome] += 1
-        self._actions.append(msg.PublishResult(result=job.result(outcome, reason, self._now_ns)))
+        result = job.result(outcome, reason, self._now_ns, delay, repeatable=repeatable)
+        self._actions.append(msg.PublishResult(result=result))
 
 
 def nanoseconds(seconds: float) -> int:

@@ -13,12 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from icu_common.core.camera_model import CameraModel
+from icu_common.core.delays import Delay
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import Control, Dimple
 
 
 class Refused(ValueError):
-    """The goal cannot be carried out; the message names the value and the bound."""
+    """The goal cannot be carried out; the message names the value and the bound.
+
+    ``delay`` is given where slowness alone is the cause.
+    """
+
+    def __init__(self, reason: str, delay: Delay | None = None) -> None:
+        super().__init__(reason)
+        self.delay = delay
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
 
 from gantry_driver.core.connection import HOLD_REPEAT_S, Goal, Reading
@@ -24,6 +25,7 @@ from gantry_driver.core.trajectory_gcode import (
     stylus_lines,
     write_motion,
 )
+from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.results import GoalResult, Outcome
 
 QUEUED_LINES = 600
@@ -86,8 +88,14 @@ class Streaming(Stopping):
             Age of the trajectory's stamp; 0 for "now".
         """
         text = f"{len(points)} points" + (f" to {tuple(points[-1].positions_m)}" if points else "")
+        if not abs(age_s) <= (limit_s := self.config.goal_max_age_s):
+            # The sender may send the same path with a new stamp: nothing has moved. One of the future has no code.
+            delay = Delay(code=ResultCode.STALE, what="trajectory at the driver", measured_s=age_s, limit_s=limit_s)
+            reason = f"stale: its stamp is {age_s:.3f} s old, {limit_s:g} s are allowed"
+            stale = GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=reason)
+            return self._answer(replace(stale, code=delay.code.value, details=delay.details()) if age_s > 0 else stale)
         try:
-            if refusal := self._goal_refusal(age_s, now):
+            if refusal := self._goal_refusal(now):
                 raise TrajectoryError(refusal)
             x, y, z = self.reading_m or (0.0, 0.0, 0.0)
             if self.config.stylus.kind != "z_axis":
@@ -103,7 +111,7 @@ class Streaming(Stopping):
     def run_program(self, goal_id: str, source: Iterable[str], now: float) -> GoalResult:
         """Check a whole G-code program and start it; or refuse it, with line and column, before a byte is sent."""
         try:
-            if refusal := self._goal_refusal(0.0, now):
+            if refusal := self._goal_refusal(now):
                 raise TrajectoryError(refusal)
             checker = self.program_checker()
             checked = list(checker.check_all(source))
@@ -134,7 +142,7 @@ class Streaming(Stopping):
     ) -> GoalResult:
         """Start a program that :meth:`program_checker` has passed; checking a long one takes seconds."""
         try:
-            if refusal := self._goal_refusal(0.0, now):
+            if refusal := self._goal_refusal(now):
                 raise TrajectoryError(refusal)
             if self.program_checker().begins != checker.begins:
                 raise TrajectoryError("place or work offset have changed since the program was checked")
@@ -156,9 +164,7 @@ class Streaming(Stopping):
 
     # --- what may start ----------------------------------------------------------------------------------------------
 
-    def _goal_refusal(self, age_s: float, now: float) -> str:
-        if not abs(age_s) <= self.config.goal_max_age_s:
-            return f"stale: its stamp is {age_s:.3f} s old, {self.config.goal_max_age_s:g} s are allowed"
+    def _goal_refusal(self, now: float) -> str:
         if self.phase is not Phase.IDLE:
             return f"the driver is {self.state_text}"
         return self._permission(now)

@@ -11,9 +11,11 @@ import numpy as np
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import NANO, Fault
+from gantry_driver.core.patience import patient_limit_s
 from gantry_driver.core.scene import PanelMap, Scene
 from gantry_driver.core.stylus_state import tells_of_stylus
 from icu_common.core.camera_model import CameraModel
+from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_state import PanelSeen
 
@@ -41,13 +43,15 @@ _LIFTS_NOTHING = ("disconnected", "connecting", "unhomed", "mismatch", "alarm")
 class Obstacle:
     """What keeps goals from starting: ``state`` for /gantry/state, ``reason`` with value and bound for a rejection.
 
-    One that is ``passing`` may go away by itself: cameras on the carriage have not seen the panel from where they are.
+    One that is ``passing`` may go away by itself: cameras on the carriage have not seen the panel from where they are,
+    or something is late. ``delay`` names what is late, if nothing else is wrong.
     """
 
     state: str
     reason: str
     every_goal: bool
     passing: bool = False
+    delay: Delay | None = None
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -60,6 +64,8 @@ class World:
     now_ns: int = 0
     wall_ns: int = 0
     """Wall time of the newest event; ``heartbeat_ns`` is of the same clock."""
+    held_up_s: float = 0.0
+    """By how much messages may look too old, because the controller itself was held up."""
     driver: str = "disconnected: nothing heard from the driver"
     readings: Array | None = None
     readings_ns: int = 0
@@ -74,6 +80,9 @@ class World:
     resting_base_from_panel: Transform | None = None
     """By the last pose that was seen from where the cameras stood then."""
     confidence: float = 0.0
+    confidence_ns: int = 0
+    tracked_ns: int = 0
+    """Stamp of the newest image in which the stylus tracker has looked for the tip."""
     panel_alarm: str = ""
     panel: PanelMap | None = None
     seen: PanelSeen | None = None
@@ -91,14 +100,18 @@ class World:
         assert self.readings is not None
         return self.readings
 
-    def machine_fault(self, config: ControllerConfig, *, pushing: bool) -> Fault | None:
-        """Return what ends every goal: a driver not at work, an operator who has gone, a panel that is in doubt."""
+    def machine_fault(self, config: ControllerConfig, *, pushing: bool, waiting: bool = False) -> Fault | None:
+        """Return what ends every goal: a driver not at work, an operator who has gone, a panel that is in doubt.
+
+        ``waiting``: the machine stands still and has touched nothing, so that late joint_states only cost time.
+        """
         state = self.driver.partition(":")[0]
         if state not in ("idle", "moving"):
             return Fault(cause=f"the driver is {self.driver!r}", lift=False)
-        if self.age_s(self.readings_ns) > config.joints_timeout_s:
-            age = since(self.age_s(self.readings_ns))
-            return Fault(cause=f"no joint_states {age}", lift=False, stop=True)
+        joints_s, limit_s = self.age_s(self.readings_ns), config.joints_timeout_s
+        if joints_s > (patient_limit_s(limit_s, config) if waiting else limit_s):
+            cause = f"no joint_states {since(joints_s)}"
+            return Fault(cause=cause, lift=False, stop=not waiting, delay=_joints_delay(joints_s, config))
         if self.heartbeat_age_s > config.heartbeat_timeout_s:
             age = since(self.heartbeat_age_s)
             return Fault(cause=f"lost the operator: no heartbeat {age}")
@@ -107,17 +120,26 @@ class World:
         return None
 
     def sight_fault(
-        self, config: ControllerConfig, scene: Scene, in_panel: Array, *, pushing: bool, crossing: bool
+        self,
+        config: ControllerConfig,
+        scene: Scene,
+        in_panel: Array,
+        *,
+        pushing: bool,
+        crossing: bool,
+        patient: bool = False,
     ) -> Fault | None:
         """Return what ends a touch at ``in_panel`` (3,).
 
         A calibration that does not fit any more, a stalled camera, or a panel that has moved since ``scene``.
+        ``patient``: nothing has been touched, so that late images only cost time.
         """
         if self.base_from_reading is None:
             return Fault(cause="the calibration was withdrawn", stop=pushing)
-        if self.age_s(self.camera_stamp_ns) > config.camera_timeout_s:
-            age = since(self.age_s(self.camera_stamp_ns))
-            return Fault(cause=f"the camera has stalled: no picture {age}")
+        camera_s, limit_s = self.age_s(self.camera_stamp_ns), config.camera_timeout_s
+        if camera_s > (patient_limit_s(limit_s, config) if patient else limit_s):
+            cause = f"the camera has stalled: no picture {since(camera_s)}"
+            return Fault(cause=cause, delay=_camera_delay(camera_s, config))
         # A dip of the confidence alone means nothing: the arm hides a part of the panel.
         if self.confidence >= config.min_confidence and self.camera_from_panel is not None:
             before, now = scene.camera_from_panel, self.camera_from_panel
@@ -134,6 +156,12 @@ class World:
                     stop=pushing,
                 )
         return None
+
+    def first_delay(self, config: ControllerConfig) -> Delay | None:
+        """Return what a goal that is to start waits for, None if it waits for something else, or for nothing."""
+        obstacles = list(self.obstacles(config))
+        late = bool(obstacles) and all(obstacle.passing for obstacle in obstacles)
+        return next((o.delay for o in obstacles if o.delay is not None), None) if late else None
 
     def take_readings(self, readings: Array) -> None:
         """Take where the machine stands."""
@@ -179,17 +207,37 @@ class World:
             hidden_s = (self.seen.stamp_ns - since_ns) / NANO
             if hidden_s >= config.hidden_after_s:
                 return Fault(cause=f"something (a hand?) hides {control} since {hidden_s:.1f} s")
-        if self.age_s(self.panel_stamp_ns) > config.panel_max_age_s:
-            age = since(self.age_s(self.panel_stamp_ns))
+        panel_s, delay = self.age_s(self.panel_stamp_ns), self.panel_delay(config)
+        if delay is not None and panel_s > patient_limit_s(config.panel_max_age_s, config):
+            return Fault(cause=f"no pose of the panel {since(panel_s)}: the recognition is late", delay=delay)
+        if delay is None and panel_s > config.panel_max_age_s:
             return Fault(
-                cause=f"the panel is not recognised {age}, at most {config.panel_max_age_s:g} s are allowed: "
+                cause=f"the panel is not recognised {since(panel_s)}, "
+                f"at most {config.panel_max_age_s:g} s are allowed: "
                 "is something before it, or too little light?"
             )
         return None
 
+    def panel_delay(self, config: ControllerConfig) -> Delay | None:
+        """Return by how much the panel's pose is late; None if it is young, or if the recognition has no pose.
+
+        A recognition that reports at present that it does not recognise the panel is not slow.
+        """
+        panel_s, limit_s = self.age_s(self.panel_stamp_ns), config.panel_max_age_s
+        reports_none = self.confidence < config.min_confidence and self.age_s(self.confidence_ns) <= limit_s
+        if panel_s <= limit_s or reports_none or not math.isfinite(panel_s):
+            return None
+        return Delay(code=ResultCode.LATE_IMAGE, what="pose of the panel", measured_s=panel_s, limit_s=limit_s)
+
+    def delays(self, config: ControllerConfig) -> list[Delay]:
+        """Return what is older than its limit now, though it came once, by slowness alone."""
+        joints_s, camera_s = self.age_s(self.readings_ns), self.age_s(self.camera_stamp_ns)
+        found = [_joints_delay(joints_s, config), _camera_delay(camera_s, config), self.panel_delay(config)]
+        return [delay for delay in found if delay is not None]
+
     def take_confidence(self, value: float, config: ControllerConfig) -> None:
         """Believe the pose that came before a good confidence; forget one that came before a bad one."""
-        self.confidence = value
+        self.confidence, self.confidence_ns = value, self.now_ns
         if self.reported_panel is not None and value >= config.min_confidence:
             self.camera_from_panel = self.reported_panel.camera_from_panel
             self.panel_stamp_ns = self.reported_panel.stamp_ns
@@ -201,7 +249,7 @@ class World:
         """Believe no time any more, after the clock was set back."""
         self.heartbeat_ns = None
         self.camera_stamp_ns = None
-        self.panel_stamp_ns = 0
+        self.panel_stamp_ns = self.confidence_ns = self.tracked_ns = 0
         self.reported_panel = None
         self.seen = None
         self.hidden_ns = {}
@@ -209,8 +257,14 @@ class World:
         self.crossed_ns = min(self.crossed_ns, self.now_ns)
 
     def age_s(self, when_ns: int | None) -> float:
-        """Return how long ago that was in seconds, infinite for never."""
-        return math.inf if not when_ns else (self.now_ns - when_ns) / NANO
+        """Return how long ago that was in seconds, infinite for never.
+
+        Right after a hold-up of the controller that time does not count: newer messages still wait in its queue.
+        """
+        if not when_ns:
+            return math.inf
+        age_s = (self.now_ns - when_ns) / NANO
+        return age_s - min(self.held_up_s, max(age_s, 0.0))
 
     @property
     def heartbeat_age_s(self) -> float:
@@ -256,11 +310,14 @@ class World:
                 shown += self._left_down_text()
             yield Obstacle(state=shown, reason=f"the driver is {self.driver!r}, 'idle' is needed", every_goal=True)
         elif self.readings is None or silent:
-            text = f"no joint_states {since(self.age_s(self.readings_ns))}"
+            joints_s = self.age_s(self.readings_ns)
+            delay = _joints_delay(joints_s, config)
             yield Obstacle(
                 state="waiting: no joint_states" + self._left_down_text(),
-                reason=f"{text}, at most {config.joints_timeout_s:g} s are allowed",
+                reason=f"no joint_states {since(joints_s)}, at most {config.joints_timeout_s:g} s are allowed",
                 every_goal=True,
+                passing=delay is not None and joints_s <= patient_limit_s(config.joints_timeout_s, config),
+                delay=delay,
             )
         elif self.unchecked and self.readings[2] > EXTENDED_M:
             text = self.left_behind_text()
@@ -284,6 +341,8 @@ class World:
                 reason=f"no picture from the left camera {since(camera_age)}, "
                 f"at most {config.camera_timeout_s:g} s are allowed",
                 every_goal=False,
+                passing=camera_age <= patient_limit_s(config.camera_timeout_s, config),
+                delay=_camera_delay(camera_age, config),
             )
         yield from self._panel_obstacles(config)
 
@@ -318,7 +377,22 @@ class World:
                 state="waiting: panel pose is old",
                 reason=f"no pose of the panel {since(pose_age)}, at most {config.panel_max_age_s:g} s are allowed",
                 every_goal=False,
+                passing=pose_age <= patient_limit_s(config.panel_max_age_s, config),
+                delay=self.panel_delay(config),
             )
+
+
+def _joints_delay(age_s: float, config: ControllerConfig) -> Delay | None:
+    return _delay(ResultCode.SLOW, "joint_states", age_s, config.joints_timeout_s)
+
+
+def _camera_delay(age_s: float, config: ControllerConfig) -> Delay | None:
+    return _delay(ResultCode.LATE_IMAGE, "image of the left camera", age_s, config.camera_timeout_s)
+
+
+def _delay(code: ResultCode, what: str, age_s: float, limit_s: float) -> Delay | None:
+    late = limit_s < age_s < math.inf
+    return Delay(code=code, what=what, measured_s=age_s, limit_s=limit_s) if late else None
 
 
 def since(age_s: float) -> str:

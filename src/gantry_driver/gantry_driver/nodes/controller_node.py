@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import traceback
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -24,9 +25,12 @@ from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller import Controller
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.scene import PanelMap
+from icu_common.adapters.processor_load import LoadMeter
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.camera_model import CameraModel
+from icu_common.core.delays import is_delayed, with_load
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
+from icu_common.core.results import GoalResult
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     axes_of_message,
@@ -68,6 +72,7 @@ class ControllerNode(GraphNode):
         # Elsewhere ROS time is wall time, or that of a recording, whose heartbeats are recorded as well.
         self._wall_ns = (lambda: round(1e9 * steady_s())) if this_process.simulated else self._now_ns
         self._camera: tuple[CameraInfo, CameraModel] | None = None
+        self._load = LoadMeter()
         self._trajectory = self.create_publisher(JointTrajectory, "trajectory", qos.COMMAND)
         self._result = self.create_publisher(DiagnosticArray, "result", qos.RESULTS)
         self._state = self.create_publisher(String, "state", qos.LATCHED)
@@ -90,6 +95,7 @@ class ControllerNode(GraphNode):
         self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, _camera_from_base)
         self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, _axes)
         self._see(PointStamped, "stylus/tip", qos.SENSOR, _tip)
+        self._see(Header, "stylus/unseen", qos.SENSOR, lambda m: msg.TipUnseen(stamp_ns=stamp_ns(m.stamp)))
         self._see(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
         self._hear(Header, "heartbeat", qos.SENSOR, lambda m: msg.Heartbeat())
         # Last: after a hold-up executors other than that of our programs take what waits in this order.
@@ -104,6 +110,7 @@ class ControllerNode(GraphNode):
     def close(self) -> None:
         """Hold the machine if a goal is in work, and say that nobody controls it any more."""
         self._act(self._controller.close(self._now_ns()))
+        self._load.finish()
 
     def _hear(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:
         def callback(message: Any) -> None:
@@ -121,7 +128,7 @@ class ControllerNode(GraphNode):
         """Hear what comes of pictures; those of the future are ignored, for they would be young for too long."""
 
         def seen(message: Any) -> msg.Event:
-            check_not_ahead(message.header, self.get_clock())
+            check_not_ahead(message if isinstance(message, Header) else message.header, self.get_clock())
             return convert(message)
 
         self._hear(message_type, topic, profile, seen)
@@ -164,9 +171,9 @@ class ControllerNode(GraphNode):
                     path = action.path
                     self._trajectory.publish(trajectory_message(JOINTS, path.points, path.times_s, head))
                 case msg.PublishResult():
-                    answer = action.result
-                    self.get_logger().info(f"{answer.goal}: {answer.outcome.value} {answer.reason}".rstrip())
-                    self._result.publish(result_message(answer, self._now_ns()))
+                    self._answer(action.result)
+                case msg.ReportDelay():
+                    self._load.describe(partial(self._report_delay, f"{action.delay.text()}; {action.then}"))
                 case msg.SetState():
                     self._state.publish(String(data=action.text))
                 case msg.ShowTarget():
@@ -174,6 +181,20 @@ class ControllerNode(GraphNode):
                 case msg.CallStop():
                     self.get_logger().error(f"stop: {action.reason}")
                     self._stop.publish(Empty())
+
+    def _answer(self, answer: GoalResult) -> None:
+        """Publish a result; one that slowness caused names the programs that use the processor."""
+        if is_delayed(answer):
+            self._load.describe(lambda load: self._publish(with_load(answer, load)))
+        else:
+            self._publish(answer)
+
+    def _publish(self, answer: GoalResult) -> None:
+        self.get_logger().info(f"{answer.goal}: {answer.outcome.value} {answer.reason}".rstrip())
+        self._result.publish(result_message(answer, self._now_ns()))
+
+    def _report_delay(self, text: str, load: str) -> None:
+        self.get_logger().warning(f"{text}; {load}" if load else text)
 
     def _diagnose(self) -> None:
         controller = self._controller

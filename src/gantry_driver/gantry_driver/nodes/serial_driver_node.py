@@ -39,6 +39,7 @@ from icu_common.nodes.conversions import (
     result_message,
     stamp_ns,
 )
+from icu_common.nodes.diagnostics import sender_values
 from icu_common.nodes.graph_node import GraphLifecycleNode, this_process
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
@@ -244,7 +245,7 @@ class SerialDriverNode(GraphLifecycleNode):
         if settings and settings != self._settings_told:
             self._settings_told = settings
             self._outbox.put(lambda: self._settings.publish(String(data=settings)))
-        values.append(("real_time", str(is_real_time())))
+        values += [("real_time", str(is_real_time())), *sender_values(self)]
         level = LEVELS.get(state.partition(":")[0], "error")
         status = diagnostic_status(f"{self.get_name()}: board", level, state, values)
         message = DiagnosticArray(header=header(self._now_ns(), ""), status=[status])

@@ -38,6 +38,8 @@ class GoalResult:
         Time since the goal was accepted, NaN in ``accepted`` and ``rejected``.
     details
         Further key and value pairs, for people and logs.
+    code
+        Machine-readable cause, a value of :class:`icu_common.core.delays.ResultCode`; empty for every other cause.
     """
 
     goal_id: str
@@ -47,3 +49,4 @@ class GoalResult:
     error_m: float = math.nan
     duration_s: float = math.nan
     details: tuple[tuple[str, str], ...] = ()
+    code: str = ""

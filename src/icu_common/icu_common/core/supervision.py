@@ -14,5 +14,8 @@ LONGEST_CALLBACK_S = 120.0
 AFTER_CRASH_VARIABLE = "ICU_AFTER_CRASH"
 """Set in the environment of a program whose predecessor was ended by a signal."""
 
+HANGING_VARIABLE = "ICU_HANGING_FILE"
+"""Names the file in which bring-up writes which programs hang: see icu_common.adapters.hanging_programs."""
+
 DEAF = 75
 """Exit code of a program that is to be started anew (EX_TEMPFAIL of sysexits.h): see icu_common.nodes.hearing."""

@@ -8,11 +8,17 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
+from icu_common.adapters.process_identity import own_process
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import diagnostic_status, header
 
 own_names: set[str] = set()
 """Of whom this process tells."""
+
+
+def sender_values(node: Node) -> list[tuple[str, str]]:
+    """Return the node and its process, by which the operator page sees whether a silent node is late or has ended."""
+    return [("node", node.get_fully_qualified_name()), ("process", own_process())]
 
 
 class Diagnostics:
@@ -25,6 +31,6 @@ class Diagnostics:
 
     def tell(self, level: str, message: str, values: Iterable[tuple[str, Any]]) -> None:
         """Publish it; ``level`` is ok, warn or error."""
-        status = diagnostic_status(self._name, level, message, values)
+        status = diagnostic_status(self._name, level, message, [*values, *sender_values(self._node)])
         head = header(self._node.get_clock().now().nanoseconds, "")
         self._publisher.publish(DiagnosticArray(header=head, status=[status]))

@@ -20,6 +20,10 @@ _LONGEST_TURN_S = 1.0
 """No more silence is counted between two looks: bring-up may have stood still itself."""
 _LAST_READS = 64
 """So often the pipe of a program that has ended, which holds as much as one or two reads, is read at most."""
+_STARVED_SHARE = 0.5
+"""Share of its silence for which a thread waited for a core: from here on the program is late, and does not hang."""
+_STARVED_FACTOR = 4.0
+"""Factor up to which such a program may be silent for longer; what spins in a loop waits for a core as well."""
 _ABORT_S = 5.0
 """For what hangs to tell where (Python's faulthandler) and to end, before it is killed."""
 
@@ -47,6 +51,10 @@ class Watched:
     life_pipe: int | None = None
     ready: bool = False
     silence_s: float = 0.0
+    waited: dict[str, float] = field(default_factory=dict)
+    """Seconds for which each thread had waited for a core when the silence began to count; empty before."""
+    waited_since_s: float = 0.0
+    reported_late: bool = False
     aborted_at: float | None = None
 
     @property
@@ -60,6 +68,15 @@ def _is_stopped(pid: int) -> bool:
     with contextlib.suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0] in "tT"
     return False
+
+
+def _waits_for_core(pid: int) -> dict[str, float]:
+    """Return for how many seconds each thread of a process has waited for a core so far (proc(5), schedstat)."""
+    found = {}
+    for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        with contextlib.suppress(OSError, IndexError, ValueError):
+            found[path.parent.name] = int(path.read_text().split()[1]) / 1e9
+    return found
 
 
 class ProcessGroup:
@@ -156,6 +173,7 @@ class ProcessGroup:
             os.set_blocking(ready[0], False)
             watched.life_pipe = ready[0]
         watched.ready, watched.silence_s, watched.aborted_at = False, 0.0, None
+        watched.waited, watched.reported_late = {}, False
         watched.starts.append(time.monotonic())
         watched.restart_at = None
         assert watched.process.stdout is not None
@@ -192,6 +210,15 @@ class ProcessGroup:
         )
 
     @property
+    def hanging(self) -> frozenset[int]:
+        """Process numbers of programs that were found blocked and have not ended yet."""
+        return frozenset(
+            w.process.pid
+            for w in self._programs
+            if w.aborted_at is not None and w.process is not None and w.process.poll() is None
+        )
+
+    @property
     def misconfigured(self) -> list[str]:
         """Names of programs that cannot run with their configuration."""
         return [w.name for w in self._programs if w.misconfigured]
@@ -206,12 +233,22 @@ class ProcessGroup:
             if not os.read(pipe, 4096):  # it has closed the pipe, or ended
                 self._close_pipe(watched)
             watched.ready, watched.silence_s = True, 0.0
+            watched.waited, watched.reported_late = {}, False
             return
         watched.silence_s += turn_s
         if watched.silence_s > SIGN_OF_LIFE_S and _is_stopped(process.pid):
             watched.silence_s = 0.0  # what is let go on needs a moment for its next sign
+        if watched.ready and watched.silence_s > SIGN_OF_LIFE_S and not watched.waited:
+            watched.waited, watched.waited_since_s = _waits_for_core(process.pid), watched.silence_s
         if watched.ready and watched.silence_s > self._silent_s:
-            why = f"hangs: no sign of life for {self._silent_s:g} s"
+            if watched.silence_s <= _STARVED_FACTOR * self._silent_s and self._is_starved(watched, process.pid):
+                if not watched.reported_late:
+                    watched.reported_late = True
+                    text = f"is late: no sign of life for {self._silent_s:g} s, it waits for the processor"
+                    self._on_event(watched.name, text)
+                return
+            limit_s = self._silent_s * (_STARVED_FACTOR if watched.reported_late else 1.0)
+            why = f"hangs: no sign of life for {limit_s:g} s"
         elif not watched.ready and len(watched.starts) > 1 and now - watched.starts[-1] > self._ready_s:
             why = f"is not ready {self._ready_s:g} s after its restart"
         else:
@@ -220,6 +257,14 @@ class ProcessGroup:
         self._close_pipe(watched)
         watched.aborted_at = now
         process.send_signal(signal.SIGABRT)
+
+    @staticmethod
+    def _is_starved(watched: Watched, pid: int) -> bool:
+        """Whether a thread of a silent program has waited for a core for most of the time."""
+        silent_s = watched.silence_s - watched.waited_since_s
+        waited = _waits_for_core(pid)
+        longest_s = max((waited.get(thread, 0.0) - since_s for thread, since_s in watched.waited.items()), default=0.0)
+        return longest_s > _STARVED_SHARE * silent_s
 
     @staticmethod
     def _close_pipe(watched: Watched) -> None:

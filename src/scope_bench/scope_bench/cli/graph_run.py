@@ -10,8 +10,11 @@ import time
 from pathlib import Path
 
 from icu_common.adapters.executables import find_executable
+from icu_common.adapters.hanging_programs import write_hanging
+from icu_common.adapters.processor_load import LoadMeter
 from icu_common.adapters.terminal_keys import typed_text
 from icu_common.core.preparation import Report, Stage, from_line
+from icu_common.core.supervision import HANGING_VARIABLE
 from scope_bench.adapters.fork_server import ForkServer
 from scope_bench.adapters.processes import ProcessGroup
 from scope_bench.adapters.screen import Screen
@@ -85,15 +88,19 @@ class GraphRun:
         self._repeat_offered = False
         self._box: tuple[str, ...] = ()
         self._status: Status | None = None
+        self._load = LoadMeter()
+        self._hanging = frozenset[int]()
 
     def run(self, temporary: Path, environment: dict[str, str]) -> int:
         """Run until a signal comes or nothing can run; return the exit code."""
+        hanging_file = temporary / "hanging.json"
+        environment = {**environment, HANGING_VARIABLE: str(hanging_file)}
         nodes = sum(program.is_node for program in self._programs)
         forks = ForkServer(environment) if nodes >= _FORKING_PAYS and not self._options.composed else None
         group = ProcessGroup(environment, self._output, self._event, forks=forks)
         self._group = group
         try:
-            self._serve(temporary)
+            self._serve(temporary, hanging_file)
             why = f", since {', '.join(group.misconfigured)} cannot run" if group.misconfigured else ""
             self._screen.clear()
             self._screen.say(f"ending every program{why}")
@@ -103,7 +110,7 @@ class GraphRun:
                 self._screen.say(f"had to be killed: {', '.join(killed)}")
         return 1 if group.gave_up or killed else 0
 
-    def _serve(self, temporary: Path) -> None:
+    def _serve(self, temporary: Path, hanging_file: Path) -> None:
         waiting = list(self._programs)
         together = [p for p in waiting if self._options.composed and p.is_node and not p.ends_last]
         waiting = [p for p in waiting if p not in together]
@@ -124,7 +131,17 @@ class GraphRun:
                     self._start_preparation()
             self._show(total)
             self._group.watch(_REST_S if self._box else _TURN_S)
+            self._note_hanging(hanging_file)
             self._read_keys()
+
+    def _note_hanging(self, path: Path) -> None:
+        """Let the page's bridge know which programs give no sign of life, and say what uses the processor then."""
+        if self._group.hanging == self._hanging:
+            return
+        self._hanging = self._group.hanging
+        write_hanging(path, self._hanging)
+        if self._hanging:
+            self._load.describe(lambda text: self._screen.say(f"processor: {text}"))
 
     def _screen_started(self) -> None:
         text = f"started {len(self._group.running())} programs of the profile {self._options.profile}"

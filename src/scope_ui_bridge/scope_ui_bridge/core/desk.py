@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from icu_common.core.delays import ResultCode
 from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.geometry import Array
 from icu_common.core.gesture import Point
@@ -570,9 +571,9 @@ class Desk:
         )
         return [self._jog_step(entry, now), shown(entry)]
 
-    def _jog_step(self, entry: LogEntry, now: Now) -> Order:
+    def _jog_step(self, entry: LogEntry, now: Now, *, again: bool = False) -> Order:
         assert self._jog is not None
-        x, y = self._jog.advance()
+        x, y = self._jog.xy if again else self._jog.advance()
         goal = self._goal(entry, BASE, (x, y), f"jog ({x * 1e3:.1f}, {y * 1e3:.1f}) mm", {}, now)
         return replace(goal, until_s=self._jog.until_s)
 
@@ -652,10 +653,13 @@ class Desk:
             known = self._log.add(who, action, target, now, status="accepted", goal_id=result.goal_id)
         jog = self._jog
         if jog is not None and jog.entry == known.entry and result.outcome.final:
-            if result.outcome is Outcome.REACHED and now.mono_s < jog.until_s and self.lease.holder == jog.viewer:
+            # A step that reached the controller too late is sent again: whoever ordered it still holds the button.
+            late = result.outcome is Outcome.REJECTED and result.code == ResultCode.STALE
+            goes_on = late or result.outcome is Outcome.REACHED
+            if goes_on and now.mono_s < jog.until_s and self.lease.holder == jog.viewer:
                 goal_id = str(self._new_stamp_ns(now))
                 known = self._log.update(known, goal_id=goal_id, sent_s=now.graph_s, status="sent")
-                return [self._jog_step(known, now)]
+                return [self._jog_step(known, now, again=late)]
             self._jog = None
             if result.outcome is not Outcome.REACHED:  # as at a limit: what is held on to is not tried again
                 self._refused_jog = (jog, result.reason)

@@ -16,6 +16,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,9 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from icu_common.adapters.hanging_programs import hanging_file, read_hanging
+from icu_common.adapters.process_identity import is_alive, process_number
+from icu_common.adapters.processor_load import LoadMeter
 from icu_common.adapters.real_time import BRIDGE, ask_for_real_time
 from icu_common.core.config import ConfigError
 from icu_common.core.frames import CAMERA_LEFT, JOINTS
@@ -70,8 +74,8 @@ from scope_ui_bridge.core.audit import AuditError
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.layers import CORNERS, EDGES
+from scope_ui_bridge.core.liveness import Condition, LivenessMonitor, Sender, judge
 from scope_ui_bridge.core.passwords import Role
-from scope_ui_bridge.core.roll import Roll
 from scope_ui_bridge.core.scene import Face, labels_of
 from scope_ui_bridge.core.sequencing import stored_name
 from scope_ui_bridge.core.sign_in import SignIn
@@ -105,7 +109,7 @@ _LAYER_COLUMNS = {CORNERS: ("u", "v"), EDGES: ("u", "v", "line")}
 _SHOWN_PERIOD_S = 0.2
 _MAX_PATH = 200
 SILENT_S = 5.0
-"""A node reports every second; a busy machine may delay that."""
+"""Seconds without a report from which on a node counts as late; nodes report every second."""
 _RECORDERS = ("bag_recorder", "rosbag2_recorder")
 """Beginnings of the names of recorders: bag_record's, and that of `ros2 bag record`."""
 _LEVELS = {20: "info", 30: "warn", 40: "error", 50: "fatal"}
@@ -125,7 +129,9 @@ class BridgeNode(GraphNode):
         self._camera_from_base: Transform | None = None
         self._layers: dict[tuple[str, str], Any] = {}
         self._pictures: dict[str, NewestImage] = {}
-        self._roll = Roll(SILENT_S)
+        self._liveness = LivenessMonitor(SILENT_S)
+        self._hanging_file = hanging_file()
+        self._load = LoadMeter()
         robot = f"{socket.gethostname()}{self.get_namespace()}"
         self._seconds, self._simulated = seconds_of(self), runs_by_clock_topic(self)
         self._desk = Desk(config, secrets.token_hex(8), self._layout.title if self._layout else "", robot)
@@ -144,7 +150,7 @@ class BridgeNode(GraphNode):
             raise
         self._server.post(self._desk.begun)
         every(self, 1.0, self._check_server, wall=True)
-        every(self, 0.5, self._call_the_roll)
+        every(self, 0.5, self._check_liveness)
         every(self, 1.0, self._check_states, wall=True)
         every(self, 1.0, self._look_for_recorders, wall=True)
         self.issue_token()
@@ -161,6 +167,7 @@ class BridgeNode(GraphNode):
     def close(self) -> None:
         """End the server; without its heartbeat the driver holds."""
         self._server.close()
+        self._load.finish()
         if self._token_file is not None:
             with contextlib.suppress(OSError):  # as where it could not be written
                 self._token_file.unlink()
@@ -343,18 +350,39 @@ class BridgeNode(GraphNode):
     def _factor_seen(self, message: Float32) -> None:
         self._mail.newest("factor", self._desk.machine.set_simulation_factor, float(message.data))
 
-    def _call_the_roll(self) -> None:
+    def _check_liveness(self) -> None:
         # What is logged here goes to the page's console by way of /rosout.
-        for name in self._roll.newly_gone(self._seconds()):
-            self.get_logger().error(f"{name} has been silent for {SILENT_S:g} s: it has ended, or hangs")
+        changes = self._liveness.check(self._seconds(), self._condition_of)
+        late = [change for change in changes if change.condition is Condition.LATE]
+        if late:
+            silent_s, names = min(change.silent_s for change in late), ", ".join(change.name for change in late)
+            self._load.describe(partial(self._report_late, f"no report for {silent_s:.0f} s, late: {names}"))
+        for change in changes:
+            if change.condition is Condition.ENDED:
+                self.get_logger().error(f"{change.name} has ended")
+            elif change.condition is Condition.HANGS:
+                self.get_logger().fatal(f"{change.name} hangs: it gives no sign of life")
+
+    def _report_late(self, text: str, load: str) -> None:
+        self.get_logger().warning(f"{text}; {load}" if load else text)
+
+    def _condition_of(self, sender: Sender) -> Condition:
+        number = process_number(sender.process)
+        nodes = {f"{place.rstrip('/')}/{name}" for name, place in self.get_node_names_and_namespaces()}
+        return judge(
+            alive=None if number is None else is_alive(number),
+            hangs=number in read_hanging(self._hanging_file),
+            in_graph=sender.node in nodes,
+        )
 
     def _facts_seen(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if self._roll.heard(status.name, self._seconds()):
+            facts = {pair.key: pair.value for pair in status.values}
+            sender = Sender(node=facts.get("node", ""), process=facts.get("process", ""))
+            if self._liveness.heard(status.name, sender):
                 self.get_logger().info(f"{status.name} reports again")
             part = next((part for name, part in _REPORTERS.items() if name in status.name), "")
             if part:
-                facts = {pair.key: pair.value for pair in status.values}
                 self._mail.newest(f"facts {part}", self._desk.machine.set_facts, part, facts)
 
     def _said(self, message: Log) -> None:

@@ -1,0 +1,63 @@
+"""How much longer the controller waits where only slowness made it exceed a limit; pure, no clock.
+
+Nothing here applies after the stylus has begun to go down: from then on every limit holds as configured.
+"""
+
+from __future__ import annotations
+
+from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.goal_job import NANO
+
+CLICK_MAX_AGE_S = 2.0
+"""Maximum age of an order of a person, whatever held it up: an older one must never move anything."""
+HELD_UP_S = 0.2
+"""Interval between two events from which on the controller was held up; it ticks every 0.05 s."""
+BACKLOG_S = 0.25
+"""Duration after a hold-up for which messages of that time may still wait in the queue."""
+_GROWTH = 2.0
+
+
+def patient_limit_s(base_s: float, config: ControllerConfig) -> float:
+    """Return the largest limit that ``base_s`` grows to while nothing has been touched."""
+    grown_s = base_s * _GROWTH ** (config.slow_tries - 1)
+    return max(base_s, min(grown_s, config.slow_limit_max_s))
+
+
+def next_limit_s(limit_s: float, base_s: float, config: ControllerConfig) -> float | None:
+    """Return the limit of the next try, None after the last one."""
+    most_s = patient_limit_s(base_s, config)
+    return min(_GROWTH * limit_s, most_s) if limit_s < most_s else None
+
+
+class HoldUp:
+    """Measures how long the controller itself could not handle events: its messages waited for as long.
+
+    A message that was sent meanwhile looks old, and a stream looks silent, until the queue is empty.
+    """
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+        self._gap_ns = self._noticed_ns = 0
+
+    def note(self, now_ns: int) -> float:
+        """Take the time of an event; return the seconds of the hold-up that just ended, 0 for none."""
+        gap_ns = 0 if self._last_ns is None else now_ns - self._last_ns
+        self._last_ns = now_ns
+        if gap_ns <= HELD_UP_S * NANO:
+            return 0.0
+        # Right after a longer hold-up its messages may still wait.
+        before_ns = self._gap_ns if self._is_recent(now_ns - gap_ns) else 0
+        self._gap_ns, self._noticed_ns = max(gap_ns, before_ns), now_ns
+        return gap_ns / NANO
+
+    def recent_s(self, now_ns: int) -> float:
+        """Return the seconds by which messages may be older than they should be, 0 once the queue is empty."""
+        return self._gap_ns / NANO if self._is_recent(now_ns) else 0.0
+
+    def _is_recent(self, now_ns: int) -> bool:
+        return self._gap_ns > 0 and 0 <= now_ns - self._noticed_ns <= BACKLOG_S * NANO
+
+
+def goal_limit_s(held_up_s: float, config: ControllerConfig) -> float:
+    """Return the maximum age of a stamped goal; the controller's own hold-up is no fault of its sender."""
+    return max(config.goal_max_age_s, min(config.goal_max_age_s + held_up_s, CLICK_MAX_AGE_S))
