@@ -1,18 +1,29 @@
-"""The calibration as a procedure: go to spread places, wait for stillness, look at the tip, solve, check.
+"""The calibration as a procedure: go to spread places, look at the tip at rest, solve, check, go on where it lacks.
 
-A state machine without clock or messages: events and the time go in, actions come out. Every wait has a deadline, and
-whatever goes wrong ends the run with a reason; it never starts again by itself.
+A state machine without clock or messages: events and the time go in, actions come out. Every wait has a deadline. What
+was only late is tried again, with more time; whatever else goes wrong ends the run with a reason.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from harris_perception.core.backlash import Backlash, measure_backlash
-from harris_perception.core.calibration_plan import BACKLASH, SAMPLED, Purpose, RunConfig, Stop, plan
+from harris_perception.core.calibration_look import Look, Patience, Rest, Seen
+from harris_perception.core.calibration_plan import RunConfig, corners, next_stops, plan
+from harris_perception.core.calibration_tour import (
+    BACKLASH,
+    FITTED,
+    SAMPLED,
+    Purpose,
+    Stop,
+    readings_of,
+    seconds,
+)
 from harris_perception.core.carriage_camera import (
     Contact,
     PanelSample,
@@ -24,13 +35,14 @@ from harris_perception.core.hand_eye import (
     DegenerateError,
     HandEye,
     HandEyeConfig,
+    MisfitError,
     Place,
     Sample,
     calibrate,
     tip_place,
 )
 from harris_perception.core.planar_pose import FacePoints
-from harris_perception.core.still_watch import StillConfig, StillWatch
+from harris_perception.core.still_watch import StillConfig
 from icu_common.core.camera_model import StereoModel
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.results import GoalResult, Outcome
@@ -48,6 +60,10 @@ NEVER_SEEN = (
 )
 _WRONG_WAYS = 2
 """So many ways down in a row that are seen to be others than they should be are the stylus and not a wrong sighting."""
+LATE = ("stale", "late_image", "slow")
+"""Codes of a goal's answer that mean that something was late, and nothing is wrong."""
+_PAUSE_S = 0.25
+"""Seconds before a goal that was answered so is sent again, doubled with each repetition."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +76,12 @@ class SendGoal:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """So many of so many places are done."""
+    """Positions that are finished, of the total, and about how many seconds the others take."""
 
     done: int
     total: int
     note: str = ""
+    remaining_s: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,17 +136,21 @@ class CalibrationRun:
         self._contacts = tuple(contacts)
         self._see_panel = config.mounting == "carriage"
         self._see_tip = not (self._see_panel and contacts)
-        self._watch = StillWatch(still)
+        self._still, self._rest, self._patience = still, Rest(still), Patience(config)
         self._stops = plan(config, see_tip=self._see_tip)
         self._places = sum(s.purpose in SAMPLED for s in self._stops)
         self._index = -1
-        self._goal_id = ""
-        self._accepted = self._arrived = False
-        self._deadline_ns = now_ns
+        # The goals sent for this stop: a late answer to an earlier one counts, too.
+        self._goal_ids: set[str] = set()
+        self._accepted = self._arrived = self._pausing = False
+        self._start_ns = self._sent_ns = self._deadline_ns = now_ns
+        self._look: Look | None = None
+        self._left: Look | None = None
         self._samples: dict[Purpose, list[Sample]] = {purpose: [] for purpose in SAMPLED}
         self._panels: dict[Purpose, list[PanelSample]] = {purpose: [] for purpose in SAMPLED}
         self._done = 0
         self._missed: list[str] = []
+        self._late = ""
         self._face: Transform | None = None
         self._proud_m = 0.0
         self._looks: dict[tuple[float, float], tuple[Transform | None, Array, float]] = {}
@@ -151,56 +172,119 @@ class CalibrationRun:
 
     def reading(self, stamp_ns: int, reading: Array) -> None:
         """Take readings (3,) m."""
-        self._watch.reading(stamp_ns, reading)
+        self._rest.take(stamp_ns, reading)
 
     def result(self, result: GoalResult, now_ns: int) -> list[Action]:
         """Take an answer of the controller; those to others' goals are ignored."""
-        if self.over or self._arrived or result.goal_id != self._goal_id:
+        if self.over or self._arrived or result.goal_id not in self._goal_ids:
             return []
         if result.outcome is Outcome.ACCEPTED:
-            self._accepted = True
-            self._deadline_ns = now_ns + int(self._config.move_timeout_s * 1e9)
+            self._accepted, self._pausing = True, False
+            self._deadline_ns = now_ns + self._patience.limit_ns(self._config.move_timeout_s)
             return []
         stop = self._stops[self._index]
-        if result.outcome is not Outcome.REACHED:
-            where = f"x = {stop.x * 1e3:.0f}, y = {stop.y * 1e3:.0f}, z = {stop.z * 1e3:.0f} mm"
-            return self._fail(f"the goal {where} was {result.outcome.value}: {result.reason or 'no reason given'}")
-        self._arrived = True
-        if stop.purpose in (Purpose.APPROACH, Purpose.PARK):
-            return list(self._next(now_ns))
-        self._watch.restart(now_ns)
-        self._deadline_ns = now_ns + int(self._config.look_timeout_s * 1e9)
-        return []
+        if result.outcome is Outcome.REACHED:
+            return self._arrive(stop, now_ns)
+        if result.outcome is Outcome.REJECTED and self._accepted:
+            return []  # an earlier goal for this stop is under way, which makes the controller busy
+        reason = result.reason or "no reason given"
+        if result.code in LATE and self._patience.again():
+            self._accepted, self._pausing = False, True
+            self._deadline_ns = now_ns + self._patience.limit_ns(_PAUSE_S)
+            return [self._progress(now_ns, self._patience.note(reason))]
+        where = f"x = {stop.x * 1e3:.0f}, y = {stop.y * 1e3:.0f}, z = {stop.z * 1e3:.0f} mm"
+        return self._fail(f"the goal {where} was {result.outcome.value}: {reason}")
 
-    def tip(self, stamp_ns: int, tip: Array, now_ns: int) -> list[Action]:
-        """Take a sighting (3,) m in the camera's frame."""
-        self._watch.tip(stamp_ns, tip)
-        return self._look(now_ns)
+    def _arrive(self, stop: Stop, now_ns: int) -> list[Action]:
+        self._arrived, self._pausing = True, False
+        self._patience.begin()
+        if stop.purpose is Purpose.PARK:
+            return list(self._next(now_ns))
+        self._deadline_ns = now_ns + self._patience.limit_ns(self._config.look_timeout_s)
+        return self._advance(now_ns)
+
+    # What is seen; the stamps decide what belongs to which look.
+
+    def image(self, stamp_ns: int, now_ns: int) -> list[Action]:
+        """Note that the cameras have taken an image."""
+        for look in self._open():
+            look.image(stamp_ns)
+        return self._advance(now_ns)
+
+    def tip(self, stamp_ns: int, tip: Array | None, now_ns: int) -> list[Action]:
+        """Take a sighting (3,) m in the camera's frame; None: the tip is not seen in that image."""
+        for look in self._open():
+            look.tip(stamp_ns, tip)
+        return self._advance(now_ns)
 
     def panel(self, stamp_ns: int, camera_from_panel: Transform, points: FacePoints, now_ns: int) -> list[Action]:
         """Take a pose of the panel and what was measured for it; fixed cameras do not need it."""
-        self._watch.panel(stamp_ns, camera_from_panel, points)
-        return self._look(now_ns)
+        for look in self._open():
+            look.panel(stamp_ns, camera_from_panel, points)
+        return self._advance(now_ns)
 
-    def _look(self, now_ns: int) -> list[Action]:
-        if self.over or not self._arrived:
+    def _open(self) -> list[Look]:
+        return [look for look in (self._left, self._look) if look is not None]
+
+    def _advance(self, now_ns: int) -> list[Action]:
+        """Finish the look that was left, and leave the present one, as soon as they have what they need."""
+        if self.over:
             return []
-        sample = self._watch.sample(now_ns) if self._see_tip else None
-        panel = self._watch.panel_sample(now_ns) if self._see_panel else None
-        if isinstance(sample, str) or isinstance(panel, str):
+        if self._left is not None:
+            if not self._left.evaluated():
+                return []
+            left, self._left = self._left, None
+            if actions := self._take(left):
+                return actions
+        if not self._arrived or self._look is None:
+            return self._conclude(now_ns) if self._index == len(self._stops) else []
+        self._look.rest(self._rest.since_ns, self._rest.known(now_ns))
+        if self._look.lacks():
             return []
-        stop = self._stops[self._index]
-        if sample is not None:
-            if wrong := self._wrong_way(stop, sample.tip):
-                return self._fail(wrong)
-            self._looks[stop.x, stop.y] = None if panel is None else panel.camera_from_panel, sample.tip, stop.z
-        if stop.purpose is not Purpose.ABOVE:
-            if sample is not None:
-                self._samples[stop.purpose].append(sample)
-            if panel is not None:
-                self._panels[stop.purpose].append(panel)
-            self._done += 1
+        return self._leave(now_ns)
+
+    def _leave(self, now_ns: int) -> list[Action]:
+        """Go on while the newest images are still evaluated."""
+        assert self._look is not None
+        look, self._look = self._look, None
+        look.leave(now_ns)
+        if look.tips:
+            # How much room there is has to be known before the next way down.
+            self._looks[look.stop.x, look.stop.y] = look.camera_from_panel, np.mean(look.tips, axis=0), look.stop.z
+        if look.evaluated():
+            if actions := self._take(look):
+                return actions
+        else:
+            self._left = look
         return list(self._next(now_ns))
+
+    def _take(self, look: Look) -> list[Action]:
+        """Keep what a look has given, or count it as missed; return what ends the run for that."""
+        seen = look.result()
+        if isinstance(seen, str):
+            return self._miss(seen)
+        stop = look.stop
+        if seen.tip is not None:
+            if wrong := self._wrong_way(stop, seen.tip.tip):
+                return self._fail(wrong)
+            self._looks[stop.x, stop.y] = look.camera_from_panel, seen.tip.tip, stop.z
+        if stop.purpose is not Purpose.ABOVE:
+            self._keep(stop.purpose, seen)
+        return []
+
+    def _keep(self, purpose: Purpose, seen: Seen) -> None:
+        if seen.tip is not None:
+            self._samples[purpose].append(seen.tip)
+        if seen.panel is not None:
+            self._panels[purpose].append(seen.panel)
+        self._done += 1
+
+    def _miss(self, why: str) -> list[Action]:
+        self._missed.append(why)
+        if len(self._missed) <= self._config.max_missed * self._places:
+            return []
+        missed = f"{len(self._missed)} of {self._places} places gave no sample; last: {why}"
+        return self._fail(missed if self._looks or not self._see_tip else f"{missed}; {NEVER_SEEN}")
 
     def _wrong_way(self, stop: Stop, tip: Array) -> str:
         """Compare a way down with what is seen of it; the whole fit would tell only after all the others."""
@@ -248,29 +332,68 @@ class CalibrationRun:
 
     def tick(self, now_ns: int) -> list[Action]:
         """Look at the deadline."""
-        if self.over or now_ns < self._deadline_ns:
+        if self.over:
             return []
-        if not self._arrived:
-            config = self._config
-            waited = config.move_timeout_s if self._accepted else config.accept_timeout_s
-            what = "reached" if self._accepted else "answered"
-            return self._fail(f"the goal was not {what} within {waited:g} s")
-        tip = self._watch.sample(now_ns) if self._see_tip else None
-        panel = self._watch.panel_sample(now_ns) if self._see_panel else None
-        self._missed.append(next((why for why in (tip, panel) if isinstance(why, str)), "it was seen too late"))
-        if len(self._missed) > self._config.max_missed * self._places:
-            missed = f"{len(self._missed)} of {self._places} places gave no sample; last: {self._missed[-1]}"
-            return self._fail(missed if self._looks or not self._see_tip else f"{missed}; {NEVER_SEEN}")
-        if self._stops[self._index].purpose is Purpose.ABOVE:
+        if actions := self._advance(now_ns):
+            return actions
+        if now_ns < self._deadline_ns:
+            return []
+        if self._pausing:
+            return [self._send(now_ns)]
+        if self._arrived:
+            return self._look_late(now_ns)
+        if self._index == len(self._stops):
+            self._give_up_left()
+            return self._conclude(now_ns)
+        return self._goal_late(now_ns)
+
+    def _goal_late(self, now_ns: int) -> list[Action]:
+        """Wait longer for an answer; one that was not answered at all is sent again, too: it may have been lost."""
+        config = self._config
+        limit_s = config.move_timeout_s if self._accepted else config.accept_timeout_s
+        waited_s = self._patience.limit_ns(limit_s) * 1e-9
+        late = f"the goal was not {'reached' if self._accepted else 'answered'} within {waited_s:g} s"
+        if not self._patience.again():
+            return self._fail(late)
+        actions = [self._progress(now_ns, self._patience.note(late))]
+        if not self._accepted:
+            return [*actions, self._send(now_ns)]
+        self._deadline_ns = now_ns + self._patience.limit_ns(limit_s)
+        return actions
+
+    def _look_late(self, now_ns: int) -> list[Action]:
+        """Wait longer for images and what evaluates them; go on where they came and the tip was not seen in them."""
+        look = self._look if self._left is None else self._left
+        assert look is not None
+        late = look.late(now_ns)
+        if late and self._patience.again():
+            self._deadline_ns = now_ns + self._patience.limit_ns(self._config.look_timeout_s)
+            return [self._progress(now_ns, self._patience.note(late))]
+        if self._left is not None:
+            failed = self._give_up_left()
+            self._deadline_ns = now_ns + self._patience.limit_ns(self._config.look_timeout_s)
+            return failed
+        self._look = None
+        missed = look.result()
+        failed = self._miss(late or (missed if isinstance(missed, str) else look.lacks() or "it was seen too late"))
+        if failed:
+            return failed
+        if look.stop.purpose is Purpose.ABOVE:
             self._index += 1  # what is missed is the way down after it
         return list(self._next(now_ns))
 
+    def _give_up_left(self) -> list[Action]:
+        left, self._left = self._left, None
+        return [] if left is None else self._take(left)
+
     def _next(self, now_ns: int) -> Iterator[Action]:
         self._index += 1
-        done = self._done + len(self._missed)
-        yield Progress(done, self._places, f"{len(self._missed)} missed" if self._missed else "")
+        self._patience.begin()
+        yield self._progress(now_ns)
         if self._index == len(self._stops):
-            yield self._solve()
+            self._arrived, self._look = False, None
+            self._deadline_ns = now_ns + self._patience.limit_ns(self._config.look_timeout_s)
+            yield from self._conclude(now_ns)
             return
         stop = self._stops[self._index]
         room = self._room(stop)
@@ -280,38 +403,102 @@ class CalibrationRun:
         if not room:
             stop = Stop(stop.x, stop.y, 0.0, Purpose.ABOVE)
             self._stops.insert(self._index, stop)
-        self._goal_id, self._accepted, self._arrived = str(now_ns), False, False
-        self._deadline_ns = now_ns + int(self._config.accept_timeout_s * 1e9)
-        x, y = (float(v) for v in self._axes @ np.array([stop.x, stop.y]))
-        yield SendGoal((x, y, stop.z), now_ns)
+        self._goal_ids, self._look = set(), None
+        if stop.purpose is not Purpose.PARK:
+            self._look = Look(stop, now_ns, self._still, see_tip=self._see_tip, see_panel=self._see_panel)
+        yield self._send(now_ns)
 
-    def _solve(self) -> Action:
+    def _send(self, now_ns: int) -> SendGoal:
+        """Return the goal of this stop, with a stamp of now."""
+        stop = self._stops[self._index]
+        self._accepted = self._arrived = self._pausing = False
+        self._goal_ids.add(str(now_ns))
+        self._deadline_ns = now_ns + self._patience.limit_ns(self._config.accept_timeout_s)
+        x, y = (float(v) for v in self._axes @ np.array([stop.x, stop.y]))
+        return SendGoal((x, y, stop.z), now_ns)
+
+    def _progress(self, now_ns: int, late: str = "") -> Progress:
+        done = self._done + len(self._missed)
+        notes = [f"{len(self._missed)} missed"] if self._missed else []
+        # The forecast is made for an undisturbed machine; what is done tells how much slower this one is.
+        index = max(self._index, 0)
+        spent_s, left_s = seconds(None, self._stops[:index]), seconds(None, self._stops) 
+        left_s -= spent_s
+        pace = 1.0 if index < 3 else (now_ns - self._start_ns) * 1e-9 / spent_s
+        return Progress(done, self._places, "; ".join([*notes, *([late] if late else [])]), pace * left_s)
+
+    # The end: solve and check, or go on where the calibration lacks something.
+
+    def _conclude(self, now_ns: int) -> list[Action]:
+        """Solve, unless images of the last stop are still evaluated."""
+        if self._left is not None:
+            return []
+        solved = self._solve()
+        if isinstance(solved, DegenerateError):
+            more = isinstance(solved, MisfitError) or len(self._fitted()) < self._solver.min_samples
+            if not (more and self._go_on(())):
+                return self._fail(str(solved))
+            return list(self._again(now_ns))
+        if self._error_m(solved) > self._config.enough_m and self._go_on(solved.fit.used):
+            return list(self._again(now_ns))
         self.over = True
-        checks = max(len(kept[Purpose.CHECK]) for kept in (self._samples, self._panels))
+        return [self._check(solved)]
+
+    def _again(self, now_ns: int) -> Iterator[Action]:
+        self._index -= 1
+        yield from self._next(now_ns)
+
+    def _go_on(self, used: Sequence[bool] | Array) -> bool:
+        """Append the position that the calibration lacks most; false where there is none."""
+        readings = [sample.reading for sample in self._fitted()]
+        known = [reading for reading, counts in zip(readings, used) if counts] if len(used) else readings
+        fitted = {(stop.x, stop.y) for stop in self._stops if stop.purpose is Purpose.FIT}
+        more = next_stops(self._config, np.reshape(known, (-1, 3)), fitted, self._stops[-1], see_tip=self._see_tip)
+        last = [s for s in more[-1:] if s.z]
+        self._stops += [*more, *(s._replace(z=0.0, purpose=Purpose.PARK) for s in last)]
+        self._places += len(more)
+        return bool(more)
+
+    def _fitted(self, *others: Purpose) -> Sequence[Sample | PanelSample]:
+        kept: dict[Purpose, list[Sample]] | dict[Purpose, list[PanelSample]]
+        kept = self._panels if self._see_panel else self._samples
+        return [sample for purpose in (*FITTED, *others) for sample in kept[purpose]]
+
+    def _error_m(self, calibration: HandEye) -> float:
+        return calibration.own_sigma_m(corners(self._config))
+
+    def _solve(self, *others: Purpose) -> HandEye | DegenerateError:
+        """Solve from all samples but those of the held-out positions, or with ``others``."""
+        fitted = self._fitted(*others)
+        try:
+            if not self._see_panel:
+                return calibrate([s for s in fitted if isinstance(s, Sample)], self._cameras, self._solver)
+            panels = [s for s in fitted if isinstance(s, PanelSample)]
+            tips = [sample for purpose in SAMPLED for sample in self._samples[purpose]]
+            return calibrate_on_carriage(panels, tips, self._cameras, self._contacts, self._solver)
+        except DegenerateError as error:
+            return error
+
+    def _check(self, calibration: HandEye) -> Finished | Failed:
+        """Compare with the held-out positions; a calibration that has passed is solved again with them."""
+        panels, tips = self._panels[Purpose.CHECK], self._samples[Purpose.CHECK]
+        checks = max(len(panels), len(tips))
         if checks < 2:
             return Failed(f"only {checks} held-out places gave a sample, 2 are needed to check the result")
-        try:
-            calibration, errors = self._on_carriage() if self._see_panel else self._fixed()
-        except DegenerateError as error:
-            return Failed(str(error))
+        if self._see_panel:
+            errors = held_out_on_carriage(calibration, panels, self._cameras.left)
+        else:
+            errors = held_out_errors(calibration, tips)
         if errors.max() > self._config.max_held_out_m:
             what = "panel" if self._see_panel else "tip"
             return Failed(
                 f"at a held-out place the {what} was {errors.max() * 1e3:.2f} mm off, "
                 f"{self._config.max_held_out_m * 1e3:.2f} mm are accepted"
             )
+        whole = self._solve(Purpose.CHECK)
+        if isinstance(whole, HandEye):
+            calibration = whole
         return Finished(calibration, errors, (self._backlash(calibration, 0), self._backlash(calibration, 1)))
-
-    def _fixed(self) -> tuple[HandEye, Array]:
-        calibration = calibrate(self._samples[Purpose.FIT], self._cameras, self._solver)
-        return calibration, held_out_errors(calibration, self._samples[Purpose.CHECK])
-
-    def _on_carriage(self) -> tuple[HandEye, Array]:
-        tips = [sample for purpose in SAMPLED for sample in self._samples[purpose]]
-        calibration = calibrate_on_carriage(
-            self._panels[Purpose.FIT], tips, self._cameras, self._contacts, self._solver
-        )
-        return calibration, held_out_on_carriage(calibration, self._panels[Purpose.CHECK], self._cameras.left)
 
     def _backlash(self, calibration: HandEye, axis: int) -> Backlash | None:
         """Compare where the carriage is after coming from above with where it is, close by, after coming from below."""

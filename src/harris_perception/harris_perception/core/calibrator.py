@@ -15,7 +15,7 @@ import numpy as np
 
 from harris_perception.core import calibration_run
 from harris_perception.core.calibration_file import CalibrationFileError, StoredCalibration, check_fits
-from harris_perception.core.calibration_plan import RunConfig, check_plan
+from harris_perception.core.calibration_plan import RunConfig, check_plan, corners
 from harris_perception.core.calibration_run import CalibrationRun, Failed, Finished, Progress, SendGoal
 from harris_perception.core.carriage_camera import (
     MAX_CONTACTS,
@@ -390,7 +390,7 @@ class Calibrator:
             right=self.cameras.get("right"),
             machine=self.config.machine,
             rms_m=solved.fit.rms_m,
-            sigma_m=solved.sigma_m(_corners(self.config.run)),
+            sigma_m=solved.sigma_m(corners(self.config.run)),
             held_out_m=float(held_out_m.max()) if len(held_out_m) else float("nan"),
             samples=int(solved.fit.used.sum()),
             made_at=datetime.fromtimestamp(now_ns * 1e-9, timezone.utc).isoformat(timespec="seconds"),
@@ -512,10 +512,3 @@ class Calibrator:
             values += [("tip_off_mm", f"{self.drift.tip_m * 1e3:.3f}"), ("drift", self.drifted or "none")]
             values.append(("control_off_mm", f"{self.drift.control_m * 1e3:.3f}"))
         return values
-
-
-def _corners(config: RunConfig) -> Array:
-    """Return readings (4, 3) at the corners of the calibrated area, on the panel's side."""
-    depth = -min(config.heights_m)
-    corners = [(x, y, depth) for x in (config.x_min_m, config.x_max_m) for y in (config.y_min_m, config.y_max_m)]
-    return np.array(corners)

@@ -38,6 +38,9 @@ class GoalResult:
         Time since the goal was accepted, NaN in ``accepted`` and ``rejected``.
     details
         Further key and value pairs, for people and logs.
+    code
+        Why it was rejected or aborted, for programs: ``stale``, ``late_image`` or ``slow`` where only something was late;
+        empty otherwise.
     """
 
     goal_id: str
@@ -47,3 +50,4 @@ class GoalResult:
     error_m: float = math.nan
     duration_s: float = math.nan
     details: tuple[tuple[str, str], ...] = ()
+    code: str = ""

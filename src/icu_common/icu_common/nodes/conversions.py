@@ -409,6 +409,7 @@ def result_message(result: GoalResult, stamp: int) -> DiagnosticArray:
         ("reason", result.reason),
         ("error_m", repr(result.error_m)),
         ("duration_s", repr(result.duration_s)),
+        ("code", result.code),
         *result.details,
     ]
     return DiagnosticArray(header=header(stamp, ""), status=[diagnostic_status("goal", level, text, values)])
@@ -425,7 +426,7 @@ def result_of_message(message: DiagnosticArray) -> GoalResult:
     if len(message.status) != 1 or message.status[0].name != "goal":
         raise ValueError("not the answer to a goal")
     values = {pair.key: pair.value for pair in message.status[0].values}
-    known = ("goal_id", "goal", "outcome", "reason", "error_m", "duration_s")
+    known = ("goal_id", "goal", "outcome", "reason", "error_m", "duration_s", "code")
     return GoalResult(
         goal_id=values.get("goal_id", ""),
         goal=values.get("goal", ""),
@@ -434,6 +435,7 @@ def result_of_message(message: DiagnosticArray) -> GoalResult:
         error_m=float(values.get("error_m", math.nan)),
         duration_s=float(values.get("duration_s", math.nan)),
         details=tuple((k, v) for k, v in values.items() if k not in known),
+        code=values.get("code", ""),
     )
 
 
