@@ -137,10 +137,11 @@ class Look:
         return sample_of(tips, self._reading, self._still)
 
     def evaluated(self) -> bool:
-        """Whether nothing more is to come of a look that was left: as much as is needed, or a word on each image."""
+        """Whether nothing more is to come that is needed: enough sightings, or an answer for each image."""
         if not self._see_tip:
             return True
-        answered = any(stamp > self._until_ns for stamp in self._tips)
+        # The tracker takes the images in order.
+        answered = bool(self._until_ns) and any(stamp > self._until_ns for stamp in self._tips)
         counted = {stamp for stamp in self._images if self._counts(stamp)}
         return len(self.tips) >= self._still.tips or answered or counted <= self._tips.keys()
 

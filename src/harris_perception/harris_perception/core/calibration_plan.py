@@ -39,21 +39,21 @@ class RunConfig(Config):
         6, "Positions chosen for the first solution; more follow while the error is too large", minimum=2, maximum=400
     )
     enough_m: float = setting(
-        0.00004,
+        0.000024,
         "Predicted error, without what all samples share, at which no more positions follow; 0: all are visited",
         minimum=0.0,
         maximum=0.01,
         unit="m",
     )
     heights_m: tuple[float, ...] = setting(
-        (0.0, -0.012),
-        "Heights in base_link at each position; with cameras on the carriage one of them at each, in turn",
+        (0.0, -0.016),
+        "Heights in base_link at each position, less low where there is less room; with cameras on the carriage one of them at each, in turn",
         minimum=-0.5,
         maximum=0.0,
         unit="m",
     )
     held_out: int = setting(4, "Maximum number of positions between the others that check it", minimum=2, maximum=50)
-    held_out_height_m: float = setting(-0.012, "Height of every second one", minimum=-0.5, maximum=0.0, unit="m")
+    held_out_height_m: float = setting(-0.006, "Height of every second one", minimum=-0.5, maximum=0.0, unit="m")
     backlash_places: int = setting(
         2, "Positions at the lower end of each axis, entered from both sides, for the backlash", minimum=0, maximum=20
     )

@@ -52,6 +52,8 @@ CLEAR_M = 0.001
 _EDGE = 1.4
 """So much larger is the variance of a tip at the edge of the travel, where the backlash is measured, than all places'
 misfit tells: the likeliest for seeds 100 to 149 of the benchmark with fixed cameras."""
+_LEAST_PART = 0.5
+"""Part of the configured way down that is still worth going where there is no room for all of it."""
 _LEAN = 0.1
 """No panel leans more (rad): so much nearer than where it was looked at it may be, as a part of the way from there."""
 NEVER_SEEN = (
@@ -239,18 +241,19 @@ class CalibrationRun:
         if not self._arrived or self._look is None:
             return self._conclude(now_ns) if self._index == len(self._stops) else []
         self._look.rest(self._rest.since_ns, self._rest.known(now_ns))
-        if self._look.lacks():
+        if self._look.lacks() or (self._lowers_next() and not self._look.evaluated()):
             return []
         return self._leave(now_ns)
+
+    def _lowers_next(self) -> bool:
+        """Whether the next stop is lower: then everything that was seen has to be judged before."""
+        return self._index + 1 < len(self._stops) and self._stops[self._index + 1].z < 0.0
 
     def _leave(self, now_ns: int) -> list[Action]:
         """Go on while the newest images are still evaluated."""
         assert self._look is not None
         look, self._look = self._look, None
         look.leave(now_ns)
-        if look.tips:
-            # How much room there is has to be known before the next way down.
-            self._looks[look.stop.x, look.stop.y] = look.camera_from_panel, np.mean(look.tips, axis=0), look.stop.z
         if look.evaluated():
             if actions := self._take(look):
                 return actions
@@ -313,20 +316,26 @@ class CalibrationRun:
         assert face is not None
         return float(face.inverse().apply(tip)[2]) - z, float(np.hypot(x - stop.x, y - stop.y))
 
-    def _room(self, stop: Stop) -> bool | str:
-        """Return whether the stylus may be lowered so far, as far as is known; or why it must not be."""
+    def _room(self, stop: Stop) -> Stop | str | None:
+        """Return the stop, not as low where there is less room; None: look from above first; or why it must not be.
+
+        As far as is known: a panel that is not recognised leaves all the room.
+        """
         if stop.z == 0 or not (self._see_panel or self._face is not None):
-            return True
+            return stop
         height_m, away_m = self._height(stop)
-        left_m = height_m - self._proud_m + stop.z
-        if left_m >= CLEAR_M + _LEAN * away_m:
-            return True
+        free_m = height_m - self._proud_m - CLEAR_M - _LEAN * away_m
+        if free_m >= -stop.z:
+            return stop
         if away_m > 0:
-            return False
+            return None
+        least_m = -_LEAST_PART * stop.z
+        if free_m >= least_m:
+            return stop._replace(z=-free_m)
         return (
-            f"lowered by {-stop.z * 1e3:.1f} mm the stylus could touch the panel, above which its tip is "
+            f"lowered by {least_m * 1e3:.1f} mm the stylus could touch the panel, above which its tip is "
             f"{height_m * 1e3:.1f} mm (the tallest control and the ball take {self._proud_m * 1e3:.1f}): put the "
-            f"instrument {(CLEAR_M - left_m) * 1e3:.1f} mm further away, or let run.heights_m and held_out_height_m go "
+            f"instrument {(least_m - free_m) * 1e3:.1f} mm further away, or let run.heights_m and held_out_height_m go "
             "less far"
         )
 
@@ -389,20 +398,22 @@ class CalibrationRun:
     def _next(self, now_ns: int) -> Iterator[Action]:
         self._index += 1
         self._patience.begin()
-        yield self._progress(now_ns)
         if self._index == len(self._stops):
             self._arrived, self._look = False, None
             self._deadline_ns = now_ns + self._patience.limit_ns(self._config.look_timeout_s)
             yield from self._conclude(now_ns)
             return
+        yield self._progress(now_ns)
         stop = self._stops[self._index]
         room = self._room(stop)
         if isinstance(room, str):
             yield from self._fail(room)
             return
-        if not room:
-            stop = Stop(stop.x, stop.y, 0.0, Purpose.ABOVE)
+        if room is None:
+            stop = stop._replace(z=0.0, purpose=Purpose.ABOVE)
             self._stops.insert(self._index, stop)
+        else:
+            stop = self._stops[self._index] = room
         self._goal_ids, self._look = set(), None
         if stop.purpose is not Purpose.PARK:
             self._look = Look(stop, now_ns, self._still, see_tip=self._see_tip, see_panel=self._see_panel)
@@ -422,10 +433,9 @@ class CalibrationRun:
         notes = [f"{len(self._missed)} missed"] if self._missed else []
         # The forecast is made for an undisturbed machine; what is done tells how much slower this one is.
         index = max(self._index, 0)
-        spent_s, left_s = seconds(None, self._stops[:index]), seconds(None, self._stops) 
-        left_s -= spent_s
+        spent_s, whole_s = seconds(None, self._stops[:index]), seconds(None, self._stops)
         pace = 1.0 if index < 3 else (now_ns - self._start_ns) * 1e-9 / spent_s
-        return Progress(done, self._places, "; ".join([*notes, *([late] if late else [])]), pace * left_s)
+        return Progress(done, self._places, "; ".join([*notes, *([late] if late else [])]), pace * (whole_s - spent_s))
 
     # The end: solve and check, or go on where the calibration lacks something.
 
@@ -442,7 +452,7 @@ class CalibrationRun:
         if self._error_m(solved) > self._config.enough_m and self._go_on(solved.fit.used):
             return list(self._again(now_ns))
         self.over = True
-        return [self._check(solved)]
+        return [self._progress(now_ns), self._check(solved)]
 
     def _again(self, now_ns: int) -> Iterator[Action]:
         self._index -= 1

@@ -18,6 +18,8 @@ _HOP_S, _LOWER_S = 0.25, 0.15
 _LOOK_S = 0.35
 _PRIOR = 1e-7
 """Information before the first sample, of each unknown: as good as none, and the matrix can be inverted."""
+_FAR_M = 100.0
+"""Length by which an order is longer that ends where it should not."""
 _REACH_M = 0.03
 """Extension at which a stylus touches a panel: beyond every sample, so its direction counts most there."""
 
@@ -118,7 +120,7 @@ def _way_s(before: Stop | None, stop: Stop) -> float:
 def shortest(groups: Sequence[Sequence[Stop]]) -> list[Stop]:
     """Return all stops in an order that is short from readings zero: nearest first, then 2-opt.
 
-    Each group keeps its own order. A group that ends with the stylus extended costs a way up when it is the last.
+    Each group keeps its own order. The last is a held-out position, from above: a drive that slips late shows there.
     """
     points = np.array([(0.0, 0.0), *((g[0].x, g[0].y) for g in groups)])
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
@@ -126,10 +128,10 @@ def shortest(groups: Sequence[Sequence[Stop]]) -> list[Stop]:
     while left:
         order.append(min(left, key=lambda i: apart[order[-1], i]))
         left.remove(order[-1])
-    up = [0.0, *(_TRAVEL_M_S * (abs(g[-1].z) / _STYLUS_M_S + _LOWER_S) if g[-1].z else 0.0 for g in groups)]
+    ends = [group[-1].purpose is Purpose.CHECK and not group[-1].z for group in groups]
 
     def length(order: list[int]) -> float:
-        return float(sum(apart[a, b] for a, b in itertools.pairwise(order))) + up[order[-1]]
+        return float(sum(apart[a, b] for a, b in itertools.pairwise(order))) + _FAR_M * (not ends[order[-1] - 1])
 
     better = True
     while better:

@@ -123,6 +123,7 @@ class Calibrator:
         self._loaded: StoredCalibration | None = None
         self._refused = ""
         self._run: CalibrationRun | None = None
+        self._progress = Progress(0, 0, remaining_s=0.0)
         self._panel: Transform | None = None
         self._controls: dict[str, Array] = {}
         self._settings = ""
@@ -202,6 +203,14 @@ class Calibrator:
         """Take a finite tip (3,) m in the left camera's frame."""
         self.watch.tip(stamp_ns, tip)
         return [] if self._run is None else self._follow(self._run.tip(stamp_ns, tip, now_ns), now_ns)
+
+    def take_unseen(self, stamp_ns: int, now_ns: int) -> list[Action]:
+        """Take that the tip was looked for in the images of that stamp and not found."""
+        return [] if self._run is None else self._follow(self._run.tip(stamp_ns, None, now_ns), now_ns)
+
+    def take_image(self, stamp_ns: int, now_ns: int) -> list[Action]:
+        """Take that the cameras have taken an image, which counts during a run."""
+        return [] if self._run is None else self._follow(self._run.image(stamp_ns, now_ns), now_ns)
 
     def take_panel(self, stamp_ns: int, pose: Transform, now_ns: int) -> list[Action]:
         """Take camera_from_panel."""
@@ -348,8 +357,10 @@ class Calibrator:
             if isinstance(event, SendGoal):
                 actions.append(event)
             elif isinstance(event, Progress):
+                self._progress = event
                 note = f" ({event.note})" if event.note else ""
-                actions += self._set_state(f"calibrating {event.done}/{event.total}{note}")
+                left = f"{event.done}/{event.total}, {event.remaining_s:.0f} s left"
+                actions += self._set_state(f"calibrating {left}{note}")
             elif isinstance(event, Failed):
                 actions += self._fail_run(event.reason)
             else:
@@ -504,6 +515,9 @@ class Calibrator:
     def values(self) -> list[tuple[str, Any]]:
         """Return what diagnostics tell."""
         values: list[tuple[str, Any]] = [("samples", len(self.samples)), ("contacts", len(self.contacts))]
+        if self._run is not None:
+            done, total = self._progress.done, self._progress.total
+            values += [("done", done), ("total", total), ("remaining_s", f"{self._progress.remaining_s:.1f}")]
         if self.stored is not None:
             values += self.stored.values()
         if self._solved is not None:

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray, Header, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
@@ -72,6 +72,7 @@ class HandEyeNode(Node):
         self._act([SetState(self.calibrator.state)])
         self._load()
         self.create_subscription(PointStamped, "tip", self._on_tip, qos.SENSOR)
+        self.create_subscription(Header, "unseen", self._on_unseen, qos.SENSOR)
         self.create_subscription(JointState, "joint_states", self._on_joints, qos.SENSOR)
         self.create_subscription(String, "driver_state", self._on_driver, qos.LATCHED)
         self.create_subscription(String, "machine_settings", self._on_settings, qos.LATCHED)
@@ -117,6 +118,8 @@ class HandEyeNode(Node):
     def _camera_callback(self, side: str) -> Callable[[CameraInfo], None]:
         def callback(message: CameraInfo) -> None:
             if same_camera(self._infos.get(side), message):
+                # It comes with its image, which is evaluated only later.
+                self._act(self.calibrator.take_image(stamp_ns(message.header.stamp), self._now_ns()))
                 return
             self._infos.pop(side, None)
             try:
@@ -151,6 +154,9 @@ class HandEyeNode(Node):
             self.get_logger().error(f"tip {tip.tolist()} m ignored: it is not finite", throttle_duration_sec=5.0)
             return
         self._act(self.calibrator.take_tip(stamp_ns(message.header.stamp), tip, self._now_ns()))
+
+    def _on_unseen(self, message: Header) -> None:
+        self._act(self.calibrator.take_unseen(stamp_ns(message.stamp), self._now_ns()))
 
     def _on_panel(self, message: PoseStamped) -> None:
         try:
