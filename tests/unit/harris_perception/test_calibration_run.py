@@ -198,7 +198,9 @@ def test_the_machine_moves_on_while_the_last_images_are_evaluated() -> None:
     print("saved", saved_s, "s")
     assert saved_s > 24 * 0.03
     assert len(waiting.goals) == len(rig.goals)
-    np.testing.assert_allclose(rig.end.calibration.base_from_reading, waiting.end.calibration.base_from_reading, atol=6e-4)
+    np.testing.assert_allclose(
+        rig.end.calibration.base_from_reading, waiting.end.calibration.base_from_reading, atol=6e-4
+    )
 
 
 def test_cameras_on_the_carriage_see_the_tip_at_each_height_in_turn() -> None:
@@ -377,9 +379,7 @@ def answered_late(rig: Machine, number: int) -> None:
         (answered_late, "the goal was not answered within 3 s; repetition 1 of 4", 2),
     ],
 )
-def test_a_goal_that_was_only_late_is_sent_again_and_the_samples_are_kept(
-    fault: Any, note: str, repeated: int
-) -> None:
+def test_a_goal_that_was_only_late_is_sent_again_and_the_samples_are_kept(fault: Any, note: str, repeated: int) -> None:
     rig = machine(fault=fault)
     assert isinstance(rig.end, Finished), rig.end
     plain = machine()
@@ -419,8 +419,8 @@ def test_a_goal_that_was_rejected_for_something_else_ends_the_run_whatever_the_w
 @pytest.mark.parametrize(
     ("what", "late"),
     [
-        ("dark", "no image of a resting machine arrived for "),
-        ("lost", "no image of a resting machine was evaluated for "),
+        ("dark", "no image of the resting machine arrived for "),
+        ("lost", "no image of the resting machine was evaluated for "),
     ],
 )
 def test_images_that_are_late_are_waited_for_longer(what: str, late: str) -> None:

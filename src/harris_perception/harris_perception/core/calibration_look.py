@@ -101,7 +101,9 @@ class Look:
     @property
     def tips(self) -> list[Array]:
         """The sightings that count, oldest first; of a machine that still rests the newest only."""
-        found = [tip for stamp, tip in sorted(self._tips.items(), key=_stamp) if tip is not None and self._counts(stamp)]
+        found = [
+            tip for stamp, tip in sorted(self._tips.items(), key=_stamp) if tip is not None and self._counts(stamp)
+        ]
         return found if self._until_ns else found[-self._still.tips :]
 
     @property
@@ -162,12 +164,12 @@ class Look:
 
     def late(self, now_ns: int) -> str:
         """Return what is slow when a look has not ended in time, empty when everything was seen in time but the tip."""
+        if any(map(self._counts, (*self._tips, *self._panels))):
+            return ""
         waited_s = (now_ns - self._from_ns) / _NANO
-        counted = sum(map(self._counts, self._images))
-        if not any(map(self._counts, (*self._tips, *self._panels))):
-            what = "image of a resting machine was evaluated" if counted else "image of a resting machine arrived"
-            return f"no {what} for {waited_s:.1f} s"
-        return ""
+        if any(map(self._counts, self._images)):
+            return f"no image of the resting machine was evaluated for {waited_s:.1f} s"
+        return f"no image of the resting machine arrived for {waited_s:.1f} s"
 
 
 def _stamp(item: tuple[int, object]) -> int:

@@ -68,9 +68,7 @@ class RunConfig(Config):
     )
     max_retries: int = setting(20, "Repetitions in one run", minimum=0, maximum=1000)
     longest_wait_s: float = setting(60.0, "Limit of the doubled times", minimum=1.0, maximum=600.0, unit="s")
-    max_missed: float = setting(
-        0.25, "Part of the positions where the tip may stay unseen", minimum=0.0, maximum=0.9
-    )
+    max_missed: float = setting(0.25, "Part of the positions where the tip may stay unseen", minimum=0.0, maximum=0.9)
     max_held_out_m: float = setting(0.001, "Greatest error at the held-out places", minimum=1e-6, maximum=0.1, unit="m")
 
     def __post_init__(self) -> None:

@@ -12,35 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harris_perception.core.backlash import Backlash, measure_backlash
-from harris_perception.core.calibration_look import Look, Patience, Rest, Seen
-from harris_perception.core.calibration_plan import RunConfig, corners, next_stops, plan
-from harris_perception.core.calibration_tour import (
-    BACKLASH,
-    FITTED,
-    SAMPLED,
-    Purpose,
-    Stop,
-    readings_of,
-    seconds,
-)
-from harris_perception.core.carriage_camera import (
-    Contact,
-    PanelSample,
-    calibrate_on_carriage,
-    held_out_on_carriage,
-    origin_place,
-)
-from harris_perception.core.hand_eye import (
-    DegenerateError,
-    HandEye,
-    HandEyeConfig,
-    MisfitError,
-    Place,
-    Sample,
-    calibrate,
-    tip_place,
-)
+from harris_perception.core.calibration_look import Look, Patience, Rest
+from harris_perception.core.calibration_plan import RunConfig, next_stops, plan
+from harris_perception.core.calibration_solution import Failed, Finished, Samples
+from harris_perception.core.calibration_tour import SAMPLED, Purpose, Stop, seconds
+from harris_perception.core.carriage_camera import Contact
+from harris_perception.core.hand_eye import DegenerateError, HandEyeConfig, MisfitError
 from harris_perception.core.planar_pose import FacePoints
 from harris_perception.core.still_watch import StillConfig
 from icu_common.core.camera_model import StereoModel
@@ -49,9 +26,6 @@ from icu_common.core.results import GoalResult, Outcome
 
 CLEAR_M = 0.001
 """So far the ball stays above whatever stands highest on the panel: nothing is to be touched by a calibration."""
-_EDGE = 1.4
-"""So much larger is the variance of a tip at the edge of the travel, where the backlash is measured, than all places'
-misfit tells: the likeliest for seeds 100 to 149 of the benchmark with fixed cameras."""
 _LEAST_PART = 0.5
 """Part of the configured way down that is still worth going where there is no room for all of it."""
 _LEAN = 0.1
@@ -86,22 +60,6 @@ class Progress:
     remaining_s: float = math.nan
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Finished:
-    """The calibration, the errors (N,) m at the held-out places, and the backlash of x and y where it was measured."""
-
-    calibration: HandEye
-    held_out_m: Array
-    backlash: tuple[Backlash | None, Backlash | None] = (None, None)
-
-
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """The run has ended without a calibration."""
-
-    reason: str
-
-
 Action = SendGoal | Progress | Finished | Failed
 _FINE = ("idle", "moving")
 
@@ -133,9 +91,8 @@ class CalibrationRun:
         base_from_reading: Array | None = None,
         contacts: Sequence[Contact] = (),
     ) -> None:
-        self._config, self._solver, self._cameras = config, solver, cameras
+        self._config, self._solver = config, solver
         self._axes = np.eye(2) if base_from_reading is None else base_from_reading
-        self._contacts = tuple(contacts)
         self._see_panel = config.mounting == "carriage"
         self._see_tip = not (self._see_panel and contacts)
         self._still, self._rest, self._patience = still, Rest(still), Patience(config)
@@ -148,8 +105,7 @@ class CalibrationRun:
         self._start_ns = self._sent_ns = self._deadline_ns = now_ns
         self._look: Look | None = None
         self._left: Look | None = None
-        self._samples: dict[Purpose, list[Sample]] = {purpose: [] for purpose in SAMPLED}
-        self._panels: dict[Purpose, list[PanelSample]] = {purpose: [] for purpose in SAMPLED}
+        self._samples = Samples(config, solver, cameras, contacts)
         self._done = 0
         self._missed: list[str] = []
         self._late = ""
@@ -272,15 +228,9 @@ class CalibrationRun:
                 return self._fail(wrong)
             self._looks[stop.x, stop.y] = look.camera_from_panel, seen.tip.tip, stop.z
         if stop.purpose is not Purpose.ABOVE:
-            self._keep(stop.purpose, seen)
+            self._samples.keep(stop.purpose, seen)
+            self._done += 1
         return []
-
-    def _keep(self, purpose: Purpose, seen: Seen) -> None:
-        if seen.tip is not None:
-            self._samples[purpose].append(seen.tip)
-        if seen.panel is not None:
-            self._panels[purpose].append(seen.panel)
-        self._done += 1
 
     def _miss(self, why: str) -> list[Action]:
         self._missed.append(why)
@@ -443,16 +393,16 @@ class CalibrationRun:
         """Solve, unless images of the last stop are still evaluated."""
         if self._left is not None:
             return []
-        solved = self._solve()
+        solved = self._samples.solve()
         if isinstance(solved, DegenerateError):
-            more = isinstance(solved, MisfitError) or len(self._fitted()) < self._solver.min_samples
+            more = isinstance(solved, MisfitError) or len(self._samples.fitted()) < self._solver.min_samples
             if not (more and self._go_on(())):
                 return self._fail(str(solved))
             return list(self._again(now_ns))
-        if self._error_m(solved) > self._config.enough_m and self._go_on(solved.fit.used):
+        if self._samples.error_m(solved) > self._config.enough_m and self._go_on(solved.fit.used):
             return list(self._again(now_ns))
         self.over = True
-        return [self._progress(now_ns), self._check(solved)]
+        return [self._progress(now_ns), self._samples.check(solved)]
 
     def _again(self, now_ns: int) -> Iterator[Action]:
         self._index -= 1
@@ -460,7 +410,7 @@ class CalibrationRun:
 
     def _go_on(self, used: Sequence[bool] | Array) -> bool:
         """Append the position that the calibration lacks most; false where there is none."""
-        readings = [sample.reading for sample in self._fitted()]
+        readings = [sample.reading for sample in self._samples.fitted()]
         known = [reading for reading, counts in zip(readings, used) if counts] if len(used) else readings
         fitted = {(stop.x, stop.y) for stop in self._stops if stop.purpose is Purpose.FIT}
         more = next_stops(self._config, np.reshape(known, (-1, 3)), fitted, self._stops[-1], see_tip=self._see_tip)
@@ -469,66 +419,6 @@ class CalibrationRun:
         self._places += len(more)
         return bool(more)
 
-    def _fitted(self, *others: Purpose) -> Sequence[Sample | PanelSample]:
-        kept: dict[Purpose, list[Sample]] | dict[Purpose, list[PanelSample]]
-        kept = self._panels if self._see_panel else self._samples
-        return [sample for purpose in (*FITTED, *others) for sample in kept[purpose]]
-
-    def _error_m(self, calibration: HandEye) -> float:
-        return calibration.own_sigma_m(corners(self._config))
-
-    def _solve(self, *others: Purpose) -> HandEye | DegenerateError:
-        """Solve from all samples but those of the held-out positions, or with ``others``."""
-        fitted = self._fitted(*others)
-        try:
-            if not self._see_panel:
-                return calibrate([s for s in fitted if isinstance(s, Sample)], self._cameras, self._solver)
-            panels = [s for s in fitted if isinstance(s, PanelSample)]
-            tips = [sample for purpose in SAMPLED for sample in self._samples[purpose]]
-            return calibrate_on_carriage(panels, tips, self._cameras, self._contacts, self._solver)
-        except DegenerateError as error:
-            return error
-
-    def _check(self, calibration: HandEye) -> Finished | Failed:
-        """Compare with the held-out positions; a calibration that has passed is solved again with them."""
-        panels, tips = self._panels[Purpose.CHECK], self._samples[Purpose.CHECK]
-        checks = max(len(panels), len(tips))
-        if checks < 2:
-            return Failed(f"only {checks} held-out places gave a sample, 2 are needed to check the result")
-        if self._see_panel:
-            errors = held_out_on_carriage(calibration, panels, self._cameras.left)
-        else:
-            errors = held_out_errors(calibration, tips)
-        if errors.max() > self._config.max_held_out_m:
-            what = "panel" if self._see_panel else "tip"
-            return Failed(
-                f"at a held-out place the {what} was {errors.max() * 1e3:.2f} mm off, "
-                f"{self._config.max_held_out_m * 1e3:.2f} mm are accepted"
-            )
-        whole = self._solve(Purpose.CHECK)
-        if isinstance(whole, HandEye):
-            calibration = whole
-        return Finished(calibration, errors, (self._backlash(calibration, 0), self._backlash(calibration, 1)))
-
-    def _backlash(self, calibration: HandEye, axis: int) -> Backlash | None:
-        """Compare where the carriage is after coming from above with where it is, close by, after coming from below."""
-        below, above = (self._seen(calibration, purpose) for purpose in BACKLASH[axis])
-        # A place where nothing was seen leaves its neighbour alone.
-        near = 3 * self._config.approach_m
-        pairs = [(a, b) for a in below for b in above if np.abs(a.reading - b.reading).max() < near]
-        return measure_backlash(calibration, axis, pairs) if pairs else None
-
-    def _seen(self, calibration: HandEye, purpose: Purpose) -> list[Place]:
-        if not self._see_panel:
-            return [tip_place(calibration, sample, self._cameras, _EDGE) for sample in self._samples[purpose]]
-        return [origin_place(calibration, panel, self._cameras.left) for panel in self._panels[purpose]]
-
     def _fail(self, reason: str) -> list[Action]:
         self.over = True
         return [Failed(reason)]
-
-
-def held_out_errors(calibration: HandEye, samples: list[Sample]) -> Array:
-    """Return (N,) m: how far the tip was from where the calibration expects it."""
-    expected = calibration.tip_in_camera(np.array([s.reading for s in samples]))
-    return np.asarray(np.linalg.norm(expected - np.array([s.tip for s in samples]), axis=1))

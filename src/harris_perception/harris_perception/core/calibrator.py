@@ -359,8 +359,8 @@ class Calibrator:
             elif isinstance(event, Progress):
                 self._progress = event
                 note = f" ({event.note})" if event.note else ""
-                left = f"{event.done}/{event.total}, {event.remaining_s:.0f} s left"
-                actions += self._set_state(f"calibrating {left}{note}")
+                text = f"calibrating {event.done}/{event.total}, {event.remaining_s:.0f} s left{note}"
+                actions += self._set_state(text)
             elif isinstance(event, Failed):
                 actions += self._fail_run(event.reason)
             else:
