@@ -47,7 +47,7 @@ class RunConfig(Config):
     )
     heights_m: tuple[float, ...] = setting(
         (0.0, -0.016),
-        "Heights in base_link at each position, less low where there is less room; with cameras on the carriage one of them at each, in turn",
+        "Heights in base_link at each position, less low where there is less room; on the carriage one, in turn",
         minimum=-0.5,
         maximum=0.0,
         unit="m",

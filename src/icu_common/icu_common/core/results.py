@@ -39,8 +39,8 @@ class GoalResult:
     details
         Further key and value pairs, for people and logs.
     code
-        Why it was rejected or aborted, for programs: ``stale``, ``late_image`` or ``slow`` where only something was late;
-        empty otherwise.
+        Why it was rejected or aborted, for programs: ``stale``, ``late_image`` or ``slow`` where something was only
+        late, else empty.
     """
 
     goal_id: str
