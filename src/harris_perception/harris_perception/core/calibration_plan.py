@@ -39,7 +39,7 @@ class RunConfig(Config):
         6, "Positions chosen for the first solution; more follow while the error is too large", minimum=2, maximum=400
     )
     enough_m: float = setting(
-        0.000024,
+        0.000033,
         "Predicted error, without what all samples share, at which no more positions follow; 0: all are visited",
         minimum=0.0,
         maximum=0.01,
@@ -176,7 +176,7 @@ def _checks(config: RunConfig, see_tip: bool) -> list[Stop]:
     spread = [int(i * 0.618034 * len(between)) % len(between) for i in range(config.held_out)]
     chosen = list(dict.fromkeys([*spread, *range(len(between))]))[: config.held_out]
     low = config.held_out_height_m if see_tip else 0.0
-    return [Stop(*between[i], low if n % 2 else 0.0, Purpose.CHECK) for n, i in enumerate(chosen)]
+    return [Stop(between[i][0], between[i][1], low if n % 2 else 0.0, Purpose.CHECK) for n, i in enumerate(chosen)]
 
 
 def _from_both_sides(config: RunConfig) -> list[list[Stop]]:

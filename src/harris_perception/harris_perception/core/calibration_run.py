@@ -314,7 +314,7 @@ class CalibrationRun:
         late = f"the goal was not {'reached' if self._accepted else 'answered'} within {waited_s:g} s"
         if not self._patience.again():
             return self._fail(late)
-        actions = [self._progress(now_ns, self._patience.note(late))]
+        actions: list[Action] = [self._progress(now_ns, self._patience.note(late))]
         if not self._accepted:
             return [*actions, self._send(now_ns)]
         self._deadline_ns = now_ns + self._patience.limit_ns(limit_s)
@@ -399,7 +399,7 @@ class CalibrationRun:
             if not (more and self._go_on(())):
                 return self._fail(str(solved))
             return list(self._again(now_ns))
-        if self._samples.error_m(solved) > self._config.enough_m and self._go_on(solved.fit.used):
+        if self._samples.error_m(solved) > self._config.enough_m and self._go_on(solved.fit.used.tolist()):
             return list(self._again(now_ns))
         self.over = True
         return [self._progress(now_ns), self._samples.check(solved)]
@@ -408,7 +408,7 @@ class CalibrationRun:
         self._index -= 1
         yield from self._next(now_ns)
 
-    def _go_on(self, used: Sequence[bool] | Array) -> bool:
+    def _go_on(self, used: Sequence[bool]) -> bool:
         """Append the position that the calibration lacks most; false where there is none."""
         readings = [sample.reading for sample in self._samples.fitted()]
         known = [reading for reading, counts in zip(readings, used) if counts] if len(used) else readings
