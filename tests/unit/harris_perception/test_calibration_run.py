@@ -441,6 +441,22 @@ def test_images_that_are_late_are_waited_for_longer(what: str, late: str) -> Non
     assert (rig.progress[-1].done, rig.progress[-1].note) == (rig.progress[-1].total, "")
 
 
+def test_a_goal_that_is_sent_twice_counts_once() -> None:
+    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
+    run.start(0)
+
+    def answer(goal_id: str, outcome: Outcome, reason: str = "") -> list[Action]:
+        return run.result(GoalResult(goal_id=goal_id, goal="", outcome=outcome, reason=reason), 3_200 * MS)
+
+    (progress, again) = run.tick(3_000 * MS)
+    assert isinstance(progress, Progress) and isinstance(again, SendGoal) and again.stamp_ns == 3_000 * MS
+    # The answers to the first goal come late; the second is rejected because the first is under way.
+    assert answer("0", Outcome.ACCEPTED) == []
+    assert answer(str(again.stamp_ns), Outcome.REJECTED, "busy with 'move to ...'") == []
+    assert answer("0", Outcome.REACHED) == [] and not run.over
+    assert answer("0", Outcome.ABORTED, "twice") == [], "it has arrived"
+
+
 def test_an_alarm_of_the_driver_ends_the_run() -> None:
     run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
     run.start(0)

@@ -101,7 +101,8 @@ class CalibrationRun:
         self._index = -1
         # The goals sent for this stop: a late answer to an earlier one counts, too.
         self._goal_ids: set[str] = set()
-        self._accepted = self._arrived = self._pausing = False
+        self._accepted = ""
+        self._arrived = self._pausing = False
         self._start_ns = self._sent_ns = self._deadline_ns = now_ns
         self._look: Look | None = None
         self._left: Look | None = None
@@ -137,17 +138,17 @@ class CalibrationRun:
         if self.over or self._arrived or result.goal_id not in self._goal_ids:
             return []
         if result.outcome is Outcome.ACCEPTED:
-            self._accepted, self._pausing = True, False
+            self._accepted, self._pausing = result.goal_id, False
             self._deadline_ns = now_ns + self._patience.limit_ns(self._config.move_timeout_s)
             return []
         stop = self._stops[self._index]
         if result.outcome is Outcome.REACHED:
             return self._arrive(stop, now_ns)
-        if result.outcome is Outcome.REJECTED and self._accepted:
-            return []  # an earlier goal for this stop is under way, which makes the controller busy
+        if result.outcome is Outcome.REJECTED and self._accepted not in ("", result.goal_id):
+            return []  # another goal for this stop is under way, which makes the controller busy
         reason = result.reason or "no reason given"
         if result.code in LATE and self._patience.again():
-            self._accepted, self._pausing = False, True
+            self._accepted, self._pausing = "", True
             self._deadline_ns = now_ns + self._patience.limit_ns(_PAUSE_S)
             return [self._progress(now_ns, self._patience.note(reason))]
         where = f"x = {stop.x * 1e3:.0f}, y = {stop.y * 1e3:.0f}, z = {stop.z * 1e3:.0f} mm"
@@ -372,7 +373,7 @@ class CalibrationRun:
     def _send(self, now_ns: int) -> SendGoal:
         """Return the goal of this stop, with a stamp of now."""
         stop = self._stops[self._index]
-        self._accepted = self._arrived = self._pausing = False
+        self._accepted, self._arrived, self._pausing = "", False, False
         self._goal_ids.add(str(now_ns))
         self._deadline_ns = now_ns + self._patience.limit_ns(self._config.accept_timeout_s)
         x, y = (float(v) for v in self._axes @ np.array([stop.x, stop.y]))
