@@ -321,8 +321,12 @@ class VirtualRobot:
         stamp, exposed = self.now_ns, self.now
         if self.driver.state == "idle":
             self._rested_ns = stamp
-        self._after(INFO_S, lambda: self._procedure and self._act(self._procedure.image(stamp, self.now_ns)))
+        self._after(INFO_S, lambda: self._announce(stamp))
         self._after(PICTURE_S, lambda: self._see(stamp, exposed))
+
+    def _announce(self, stamp: int) -> None:
+        if self._procedure is not None:
+            self._act(self._procedure.image(stamp, self.now_ns))
 
     def _see(self, stamp: int, exposed: float) -> None:
         self._tell(msg.CameraSeen(camera=self.cameras[0], stamp_ns=stamp))

@@ -24,6 +24,8 @@ from icu_common.core.camera_model import StereoModel
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.results import GoalResult, Outcome
 
+__all__ = ["Action", "CalibrationRun", "Failed", "Finished", "Progress", "SendGoal"]
+
 CLEAR_M = 0.001
 """So far the ball stays above whatever stands highest on the panel: nothing is to be touched by a calibration."""
 _LEAST_PART = 0.5
