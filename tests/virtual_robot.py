@@ -54,6 +54,8 @@ START_S = 1000.0
 FRAME_S = 1 / 15
 PICTURE_S = 0.06
 """From exposure to the tip's message: measured on the graph by bench_graph_latency."""
+INFO_S = 0.02
+"""From exposure to camera_info, which comes with the image."""
 MESSAGE_S = 0.002
 TICK_S = 0.05
 HEARTBEAT_S = 0.2
@@ -98,6 +100,7 @@ class VirtualRobot:
         self._pose: Any = None
         self._tips = TipRecord()
         self._panel_stamp = 0
+        self._rested_ns = 0
         self.watch_panel = False
         self._confidence = 0.0
         self._phase_s = 0.0
@@ -316,23 +319,30 @@ class VirtualRobot:
         if not self.camera_on:
             return
         stamp, exposed = self.now_ns, self.now
+        if self.driver.state == "idle":
+            self._rested_ns = stamp
+        self._after(INFO_S, lambda: self._announce(stamp))
         self._after(PICTURE_S, lambda: self._see(stamp, exposed))
+
+    def _announce(self, stamp: int) -> None:
+        if self._procedure is not None:
+            self._act(self._procedure.image(stamp, self.now_ns))
 
     def _see(self, stamp: int, exposed: float) -> None:
         self._tell(msg.CameraSeen(camera=self.cameras[0], stamp_ns=stamp))
         if self.controller.phase not in LOOKING and self._procedure is None:
             return
-        if self._procedure is not None and self.driver.state != "idle":
+        if self._procedure is not None and stamp > self._rested_ns:
             return
         left, right = self._pictures(exposed)
         found = self.tracker.find(left, right)
         self._tips.add(stamp, found.tip)
         if found.tip is not None:
             self._tell(msg.TipSeen(in_camera=found.tip, stamp_ns=stamp))
-            if self._procedure is not None:
-                self._act(self._procedure.tip(stamp, found.tip, self.now_ns))
         else:
             self._tell(msg.TipUnseen(stamp_ns=stamp))
+        if self._procedure is not None:
+            self._act(self._procedure.tip(stamp, found.tip, self.now_ns))
 
     def _every_panel(self) -> None:
         if self._procedure is not None:

@@ -137,7 +137,7 @@ def test_run_calibrates_publishes_and_saves(ros: Any, tmp_path: Path) -> None:
     rig.say_driver("idle")
     assert rig.call("run") == (True, "calibrating; watch the state")
     rig.watch(lambda: rig.state.startswith(("calibrated", "failed")), 60.0)
-    assert rig.state.startswith("calibrated: 12 samples, rms 0."), rig.state
+    assert rig.state.startswith("calibrated: 18 samples, rms 0."), rig.state
     rig.ros.spin_until(lambda: rig.transforms and rig.axes, 10.0)
     message = rig.transforms[-1]
     assert (message.header.frame_id, message.child_frame_id) == (CAMERA_LEFT, BASE)
@@ -147,13 +147,12 @@ def test_run_calibrates_publishes_and_saves(ros: Any, tmp_path: Path) -> None:
     assert error.max() < 0.0005
     np.testing.assert_allclose(np.array(rig.axes[-1].data).reshape(2, 2), AXES, atol=0.001)
     kept = load(path)
-    assert (kept.machine, kept.samples, kept.right is not None) == ("bench", 12, True)
+    assert (kept.machine, kept.samples, kept.right is not None) == ("bench", 18, True)
     assert 0 < kept.held_out_m < 0.001
     heights = {round(g.point.z, 4) for g in rig.goals}
-    assert heights == {0.0, -0.012, -0.006}
-    # Two places at the lower end of each axis, which the controller enters from above, tell the backlash; the last is
-    # where it parks, too.
-    assert [sum(value(g.point) == 0.0 for g in rig.goals) for value in (lambda p: p.x, lambda p: p.y)] == [2, 3]
+    assert heights == {0.0, -0.016, -0.006}
+    # Two places at the lower end of each axis, which the controller enters from above, tell the backlash.
+    assert [sum(value(g.point) == 0.0 for g in rig.goals) for value in (lambda p: p.x, lambda p: p.y)] == [2, 2]
     assert np.abs(kept.backlash_m).max() < 0.0002, "this machine has none"
     assert (kept.backlash_sigma_m > 0).all()
 

@@ -113,6 +113,7 @@ def test_result_round_trip() -> None:
         error_m=0.000123,
         duration_s=2.5,
         details=(("tries", "2"),),
+        code="slow",
     )
     assert cv.result_of_message(cv.result_message(result, 1)) == result
     rejected = cv.result_of_message(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from unit.harris_perception.rectified_pair import PAIR as CAMERAS
 
-from harris_perception.core.calibration_plan import Purpose, RunConfig, check_plan, plan
+from harris_perception.core.calibration_plan import Purpose, RunConfig, check_plan, corners, plan
 from harris_perception.core.calibration_run import Action, CalibrationRun, Failed, Finished, Progress, SendGoal
 from harris_perception.core.carriage_camera import PanelSample
 from harris_perception.core.hand_eye import DegenerateError, HandEyeConfig, Sample
@@ -40,8 +40,9 @@ class Machine:
         self.goals: list[tuple[float, float, float]] = []
         self.progress: list[Progress] = []
         self.end: Finished | Failed | None = None
-        self.silent = self.blind = False
-        self.outcome = Outcome.REACHED
+        self.silent = self.blind = self.dark = self.lost = False
+        self.outcome, self.code = Outcome.REACHED, ""
+        self.images: list[tuple[int, Any]] = []
 
     def act(self, actions: list[Action]) -> None:
         for action in actions:
@@ -68,9 +69,13 @@ class Machine:
         self.true = np.array([*(self.reading[:2] - self.lag), self.stylus_scale * self.reading[2]]) - self.slip
 
         def answer(outcome: Outcome, reason: str = "") -> None:
-            result = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome, reason=reason)
+            code = self.code if outcome is self.outcome else ""
+            result = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome, reason=reason, code=code)
             self.act(self.run.result(result, self.now))
 
+        if self.outcome is Outcome.REJECTED:
+            answer(self.outcome, "stale: the stamp is 0.527 s old, 0.5 s are allowed")
+            return
         answer(Outcome.ACCEPTED)
         self.now += 800 * MS
         self.run.reading(self.now, self.reading)
@@ -78,26 +83,32 @@ class Machine:
             answer(self.outcome, "" if self.outcome is Outcome.REACHED else "hit the wall")
 
     def spin(self, seconds: float) -> None:
-        """15 pictures and 10 readings a second until the run is over."""
+        """15 images and 10 readings a second until the run is over; the tracker needs 33 ms for an image."""
         for step in range(int(seconds * 30)):
             self.now += 33 * MS
             if self.end is not None:
                 return
             if step % 3 == 0:
                 self.run.reading(self.now, self.reading)
-            if step % 2 == 0 and not self.blind:
+            shown, self.images = self.images, []
+            for stamp, tip in [] if self.lost else shown:
+                self.act(self.run.tip(stamp, tip, self.now))
+            if step % 2 == 0 and not self.dark and self.end is None:
                 base = np.array([*(AXES @ self.true[:2]), 0.0]) + self.true[2] * np.array([0.001, -0.0015, -1.0])
                 noise = self.rng.normal(0, (0.00004, 0.00004, 0.0002))
-                self.act(self.run.tip(self.now - 20 * MS, POSE.apply(base) + noise, self.now))
+                self.images.append((self.now, None if self.blind else POSE.apply(base) + noise))
+                self.act(self.run.image(self.now, self.now))
             self.act(self.run.tick(self.now))
 
 
 def machine(seed: int = 1, fault: Any = None, face: Transform | None = None, **config: Any) -> Machine:
-    run = CalibrationRun(RunConfig(**config), StillConfig(), HandEyeConfig(), CAMERAS, 0)
+    # The tip is seen worse than a real one: the first solution is to be good enough where nothing else is asked for.
+    settings = RunConfig(**{"enough_m": 0.001, **config})
+    run = CalibrationRun(settings, StillConfig(), HandEyeConfig(), CAMERAS, 10_000 * MS)
     run.keep_clear_of(face, 0.017)
     rig = Machine(run, seed, fault)
     rig.act(run.start(rig.now))
-    rig.spin(300.0)
+    rig.spin(1500.0)
     return rig
 
 
@@ -120,39 +131,90 @@ def test_run_finds_the_hidden_axes_and_checks_itself() -> None:
         assert 0.00001 < backlash.sigma_m < 0.0001
     assert len(rig.end.held_out_m) == 4
     assert rig.end.held_out_m.max() < 0.0004
-    assert [p.total for p in rig.progress] == [36] * len(rig.progress)
-    assert rig.progress[-1].done == 36
+    totals = [p.total for p in rig.progress]
+    assert totals[0] == 24 and totals == sorted(totals)
+    assert rig.progress[-1].done == rig.progress[-1].total
 
 
-def test_places_are_spread_inside_the_limits_and_entered_from_lower_left() -> None:
-    config = RunConfig()
-    stops = plan(config)
+def test_progress_forecasts_the_seconds_that_are_left() -> None:
+    rig = machine()
+    assert isinstance(rig.end, Finished), rig.end
+    first, last = rig.progress[0], rig.progress[-1]
+    assert (first.done, last.remaining_s) == (0, 0.0) and 15.0 < first.remaining_s < 30.0
+    # This machine is slower than the forecast's: its pace counts after three stops.
+    took_s = (rig.now - 10_000 * MS) * 1e-9
+    half = next(p for p in rig.progress if p.done >= 12)
+    print("took", took_s, "s; forecast", first.remaining_s, "s, in the middle", half.remaining_s, "s")
+    assert abs(half.remaining_s - took_s / 2) < 0.2 * took_s
+
+
+def test_positions_are_chosen_for_what_they_tell_and_lie_inside_the_limits() -> None:
+    stops = plan(RunConfig())
     fit = np.array([(s.x, s.y, s.z) for s in stops if s.purpose is Purpose.FIT])
-    assert len(fit) == 24
-    np.testing.assert_allclose(fit.min(axis=0), (0.03, 0.03, -0.012))
+    assert len(fit) == 12, "six positions, two heights"
+    np.testing.assert_allclose(fit.min(axis=0), (0.03, 0.03, -0.016))
     np.testing.assert_allclose(fit.max(axis=0), (0.33, 0.18, 0.0))
-    for before, stop in itertools.pairwise(stops):
-        if stop.purpose in (Purpose.FIT, Purpose.CHECK):
-            assert stop.x >= before.x and stop.y >= before.y, (before, stop)
+    corners = {(0.03, 0.03), (0.33, 0.03), (0.03, 0.18), (0.33, 0.18)}
+    assert corners <= {(round(x, 9), round(y, 9)) for x, y, _ in fit}, "far apart, slopes show best"
     checks = [(s.x, s.y) for s in stops if s.purpose is Purpose.CHECK]
     assert len(set(checks)) == 4
     assert not set(checks) & {(x, y) for x, y, _ in fit}
-    assert stops[-1].z == 0.0
+    assert stops[-1].purpose is Purpose.CHECK and stops[-1].z == 0.0, "a drive that slips late is noticed, too"
+    # Each position is looked at from above before the stylus is lowered there.
+    for before, stop in itertools.pairwise(stops):
+        if stop.purpose is Purpose.FIT and stop.z < 0.0:
+            assert before[:3] == (stop.x, stop.y, 0.0)
+
+
+def test_the_order_of_the_positions_is_short() -> None:
+    stops = plan(RunConfig())
+    way = sum(np.hypot(b.x - a.x, b.y - a.y) for a, b in itertools.pairwise(stops))
+    print(f"{way * 1e3:.0f} mm")
+    assert way < 1.3, "once round an area of 300 by 150 mm are 0.9 m"
+
+
+def test_positions_follow_one_by_one_while_the_predicted_error_is_too_large() -> None:
+    every = machine(enough_m=0.0)
+    assert isinstance(every.end, Finished), every.end
+    fit = {goal[:2] for goal in every.goals if min(goal[:2]) > 0.02}
+    grid = {(x, y) for x in np.linspace(0.03, 0.33, 4).tolist() for y in np.linspace(0.03, 0.18, 3).tolist()}
+    assert grid <= fit, "all of the grid, and no more after that"
+    assert (every.progress[-1].done, every.progress[-1].total) == (36, 36)
+    least_m = every.end.calibration.own_sigma_m(corners(RunConfig()))
+    some = machine(enough_m=1.15 * least_m)
+    assert isinstance(some.end, Finished)
+    print(f"{1e3 * least_m:.4f} mm after 36, 1.15 times it after {some.progress[-1].done}")
+    assert 24 < some.progress[-1].done < 36
+    assert some.end.calibration.own_sigma_m(corners(RunConfig())) < 1.2 * least_m
+    assert machine(enough_m=2 * least_m).progress[-1].done == 24
+
+
+def test_the_machine_moves_on_while_the_last_images_are_evaluated() -> None:
+    rig = machine()
+    assert isinstance(rig.end, Finished)
+    waiting = machine(fault=lambda rig, number: setattr(rig.run, "image", lambda stamp_ns, now_ns: []))
+    assert isinstance(waiting.end, Finished)
+    saved_s = (waiting.now - rig.now) * 1e-9
+    print("saved", saved_s, "s")
+    assert saved_s > 24 * 0.03
+    assert len(waiting.goals) == len(rig.goals)
+    np.testing.assert_allclose(
+        rig.end.calibration.base_from_reading, waiting.end.calibration.base_from_reading, atol=6e-4
+    )
 
 
 def test_cameras_on_the_carriage_see_the_tip_at_each_height_in_turn() -> None:
-    fixed, riding = plan(RunConfig()), plan(RunConfig(mounting="carriage"))
-    heights = np.array([s.z for s in riding if s.purpose is Purpose.FIT]).reshape(3, 4)
-    np.testing.assert_array_equal(heights[0], (0.0, -0.012, 0.0, -0.012))
-    np.testing.assert_array_equal(heights[1], (-0.012, 0.0, -0.012, 0.0))
-    assert len(fixed) - len(riding) == 12
+    riding = plan(RunConfig(mounting="carriage", places=12))
+    heights = {(round(s.x, 3), round(s.y, 3)): s.z for s in riding if s.purpose is Purpose.FIT}
+    assert len(heights) == sum(s.purpose is Purpose.FIT for s in riding) == 12
+    assert [heights[x, 0.03] for x in (0.03, 0.13, 0.23, 0.33)] == [0.0, -0.016, 0.0, -0.016]
+    assert [heights[x, 0.105] for x in (0.03, 0.13, 0.23, 0.33)] == [-0.016, 0.0, -0.016, 0.0]
 
 
 def test_cameras_on_the_carriage_that_do_not_see_the_tip_have_no_use_for_a_way_down() -> None:
-    riding = RunConfig(mounting="carriage")
-    above = plan(riding, see_tip=False)
+    above = plan(RunConfig(mounting="carriage"), see_tip=False)
     assert {s.z for s in above} == {0.0}
-    assert [(s.x, s.y, s.purpose) for s in above] == [(s.x, s.y, s.purpose) for s in plan(riding)]
+    assert sum(s.purpose is Purpose.FIT for s in above) == 6
 
 
 def test_backlash_is_told_by_neighbours_entered_from_both_sides() -> None:
@@ -162,11 +224,10 @@ def test_backlash_is_told_by_neighbours_entered_from_both_sides() -> None:
         assert len(pairs) == 2
         for a, b in pairs:
             assert (getattr(a, axis), getattr(b, axis)) == (0.006, 0.0)
-            assert stops[stops.index(a) - 1].purpose is Purpose.APPROACH
 
 
 def silent(rig: Machine, number: int) -> None:
-    rig.silent = number == 5
+    rig.silent = number >= 5
 
 
 def never_there(rig: Machine, number: int) -> None:
@@ -184,10 +245,10 @@ def blind_for_good(rig: Machine, number: int) -> None:
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
-        (silent, r"the goal was not answered within 3 s"),
-        (never_there, r"the goal was not reached within 30 s"),
-        (aborts, r"the goal x = 30, y = 30, z = -12 mm was aborted: hit the wall"),
-        (blind_for_good, r"10 of 36 places gave no sample; last: the tip was seen 0 of 8 times while"),
+        (silent, r"the goal was not answered within 48 s"),
+        (never_there, r"the goal was not reached within 60 s"),
+        (aborts, r"the goal x = 6, y = 80, z = 0 mm was aborted: hit the wall"),
+        (blind_for_good, r"7 of 24 places gave no sample; last: the tip was seen 0 of 3 times while"),
     ],
 )
 def test_every_wait_ends_with_its_reason(fault: Any, reason: str) -> None:
@@ -205,52 +266,65 @@ def face_below(distance_m: float) -> Transform:
     return POSE @ Transform(np.eye(3), np.array([0.02, 0.025, -distance_m]))
 
 
-@pytest.mark.parametrize("distance_m", [0.010, 0.018, 0.028])
+@pytest.mark.parametrize("distance_m", [0.010, 0.018, 0.025])
 def test_a_panel_that_is_too_near_is_not_touched_by_the_calibration(distance_m: float) -> None:
     rig = machine(face=face_below(distance_m))
     assert isinstance(rig.end, Failed), rig.end
-    assert "lowered by 12.0 mm the stylus could touch the panel, above which its tip is" in rig.end.reason
+    assert "lowered by 8.0 mm the stylus could touch the panel, above which its tip is" in rig.end.reason
     further = re.search(r"put the instrument ([\d.]+) mm further away", rig.end.reason)
-    assert further is not None and abs(float(further[1]) - (30.0 - 1e3 * distance_m)) < 0.5, "12, 17 and 1 mm"
+    assert further is not None and abs(float(further[1]) - (26.0 - 1e3 * distance_m)) < 0.5, "8, 17 and 1 mm"
     assert min(z for _, _, z in rig.goals) == 0.0, "the stylus was never lowered"
 
 
+@pytest.mark.parametrize("distance_m", [0.027, 0.030, 0.033])
+def test_the_stylus_is_lowered_less_where_there_is_less_room(distance_m: float) -> None:
+    rig = machine(face=face_below(distance_m))
+    assert isinstance(rig.end, Finished), rig.end
+    lowest_m = -min(z for _, _, z in rig.goals)
+    assert abs(lowest_m - (distance_m - 0.018)) < 0.0004, "1 mm above what stands 17 mm high, with the ball"
+    heights = face_below(distance_m).inverse().apply(POSE.apply(np.array(rig.goals)))[:, 2]
+    assert heights.min() > 0.0175
+
+
 def test_a_panel_that_is_far_enough_is_no_reason() -> None:
-    assert isinstance(machine(face=face_below(0.031)).end, Finished)
+    rig = machine(face=face_below(0.035))
+    assert isinstance(rig.end, Finished)
+    assert min(z for _, _, z in rig.goals) == -0.016
 
 
 def test_a_place_that_was_not_seen_from_above_is_looked_at_again_before_the_stylus_is_lowered_there() -> None:
     def blind_at_the_first(rig: Machine, number: int) -> None:
-        rig.blind = number == 2
+        rig.blind = number == 1
 
     near = machine(fault=blind_at_the_first, face=face_below(0.018))
     assert isinstance(near.end, Failed) and "the stylus could touch the panel" in near.end.reason
-    assert near.goals == [(0.027, 0.027, 0.0), (0.03, 0.03, 0.0), (0.03, 0.03, 0.0)]
-    far = machine(fault=blind_at_the_first, face=face_below(0.031))
+    assert near.goals == [(0.03, 0.03, 0.0), (0.03, 0.03, 0.0)]
+    far = machine(fault=blind_at_the_first, face=face_below(0.036))
     assert isinstance(far.end, Finished)
-    assert far.goals[1:4] == [(0.03, 0.03, 0.0), (0.03, 0.03, 0.0), (0.03, 0.03, -0.012)]
-    assert (far.progress[-1].done, far.progress[-1].total, far.progress[-1].note) == (36, 36, "1 missed")
+    assert far.goals[:3] == [(0.03, 0.03, 0.0), (0.03, 0.03, 0.0), (0.03, 0.03, -0.016)]
+    assert (far.progress[-1].done, far.progress[-1].note) == (far.progress[-1].total, "1 missed")
 
 
 def test_the_stylus_is_not_lowered_where_it_is_not_seen_from_above() -> None:
     def blind_at_the_first(rig: Machine, number: int) -> None:
         rig.blind = rig.goals[-1][:2] == (0.03, 0.03)
 
-    rig = machine(fault=blind_at_the_first, face=face_below(0.031))
+    rig = machine(fault=blind_at_the_first, face=face_below(0.036))
     assert isinstance(rig.end, Finished)
-    assert rig.goals[1:4] == [(0.03, 0.03, 0.0), (0.03, 0.03, 0.0), (rig.goals[4][0], 0.03, 0.0)]
-    assert [z for _, _, z in rig.goals].count(-0.012) == 11
-    assert (rig.progress[-1].done, rig.progress[-1].total, rig.progress[-1].note) == (36, 36, "2 missed")
+    assert rig.goals[:2] == [(0.03, 0.03, 0.0), (0.03, 0.03, 0.0)]
+    assert (0.03, 0.03, -0.016) not in rig.goals
+    assert (rig.progress[-1].done, rig.progress[-1].note) == (rig.progress[-1].total, "2 missed")
 
 
 def test_a_panel_that_leans_is_not_touched_at_the_held_out_places() -> None:
-    lean = np.asarray(cv2.Rodrigues(np.array([0.0, np.radians(3.0), 0.0]))[0], dtype=float)
-    face = POSE @ Transform(lean, np.array([0.02, 0.025, -0.022]))
+    lean = np.asarray(cv2.Rodrigues(np.array([0.0, np.radians(-3.0), 0.0]))[0], dtype=float)
+    face = POSE @ Transform(lean, np.array([0.02, 0.025, -0.036]))
     rig = machine(face=face, heights_m=(0.0,), held_out_height_m=-0.012)
     heights = face.inverse().apply(POSE.apply(np.array(rig.goals)))[:, 2]
-    assert heights[0] < 0.024 and heights.max() > 0.037, "no room on the left, and much on the right"
+    print("above the panel, mm:", 1e3 * heights)
+    assert heights[0] > 0.031, "enough room where the run begins"
     assert heights.min() > 0.017, "above the tallest control"
-    assert isinstance(rig.end, Failed) and "lowered by 12.0 mm the stylus could touch" in rig.end.reason
+    assert isinstance(rig.end, Failed) and "lowered by 6.0 mm the stylus could touch" in rig.end.reason
 
 
 @pytest.mark.parametrize("scale", [2.0, 0.5, 0.0])
@@ -260,9 +334,9 @@ def test_a_stylus_that_goes_another_way_than_it_should_is_noticed_on_its_second_
 
     rig = machine(fault=other_steps)
     assert isinstance(rig.end, Failed)
-    found = re.match(r"lowered by 12\.0 mm the tip moved by ([\d.]+) mm: check .*\$102", rig.end.reason)
-    assert found is not None and abs(float(found[1]) - 12.0 * scale) < 0.5, rig.end.reason
-    assert [z for _, _, z in rig.goals].count(-0.012) == 2
+    found = re.match(r"lowered by 16\.0 mm the tip moved by ([\d.]+) mm: check .*\$102", rig.end.reason)
+    assert found is not None and abs(float(found[1]) - 16.0 * scale) < 0.5, rig.end.reason
+    assert [z for _, _, z in rig.goals].count(-0.016) == 2
 
 
 def test_one_way_down_that_is_seen_wrongly_does_not_matter() -> None:
@@ -286,8 +360,101 @@ def test_a_tip_that_is_nowhere_seen_is_no_matter_of_some_places() -> None:
         rig.blind = True
 
     rig = machine(fault=swapped_cameras)
-    assert isinstance(rig.end, Failed) and rig.end.reason.startswith("10 of 36 places gave no sample; last: the tip")
+    assert isinstance(rig.end, Failed) and rig.end.reason.startswith("7 of 24 places gave no sample; last: the tip")
     assert "; the tip was nowhere seen by both cameras: are left and right swapped, is one upside" in rig.end.reason
+
+
+def stale(rig: Machine, number: int) -> None:
+    rig.outcome, rig.code = (Outcome.REJECTED, "stale") if number in (3, 4, 9) else (Outcome.REACHED, "")
+
+
+def answered_late(rig: Machine, number: int) -> None:
+    rig.silent = number in (5, 6)
+
+
+@pytest.mark.parametrize(
+    ("fault", "note", "repeated"),
+    [
+        (stale, "stale: the stamp is 0.527 s old, 0.5 s are allowed; repetition 1 of 4", 3),
+        (answered_late, "the goal was not answered within 3 s; repetition 1 of 4", 2),
+    ],
+)
+def test_a_goal_that_was_only_late_is_sent_again_and_the_samples_are_kept(fault: Any, note: str, repeated: int) -> None:
+    rig = machine(fault=fault)
+    assert isinstance(rig.end, Finished), rig.end
+    plain = machine()
+    assert len(rig.goals) == len(plain.goals) + repeated
+    assert note in {p.note for p in rig.progress}, {p.note for p in rig.progress}
+    assert [p.done for p in rig.progress] == sorted(p.done for p in rig.progress), "nothing is lost"
+    assert (rig.progress[-1].done, rig.progress[-1].note) == (rig.progress[-1].total, "")
+
+
+def test_a_goal_that_stays_late_ends_the_run_after_a_bounded_number_of_repetitions() -> None:
+    def always(rig: Machine, number: int) -> None:
+        rig.outcome, rig.code = Outcome.REJECTED, "stale"
+
+    rig = machine(fault=always)
+    assert isinstance(rig.end, Failed)
+    assert rig.end.reason.endswith("was rejected: stale: the stamp is 0.527 s old, 0.5 s are allowed")
+    assert len(rig.goals) == 1 + RunConfig().retries
+
+    def often(rig: Machine, number: int) -> None:
+        rig.outcome, rig.code = (Outcome.REJECTED, "stale") if number % 2 else (Outcome.REACHED, "")
+
+    rig = machine(fault=often, max_retries=5)
+    assert isinstance(rig.end, Failed)
+    assert len(rig.goals) == 11, "five stops, each sent twice, and one more"
+
+
+@pytest.mark.parametrize("code", ["", "alarm"])
+def test_a_goal_that_was_rejected_for_something_else_ends_the_run_whatever_the_words_are(code: str) -> None:
+    def refuses(rig: Machine, number: int) -> None:
+        rig.outcome, rig.code = Outcome.REJECTED, code
+
+    rig = machine(fault=refuses)
+    assert isinstance(rig.end, Failed) and "stale" in rig.end.reason
+    assert len(rig.goals) == 1
+
+
+@pytest.mark.parametrize(
+    ("what", "late"),
+    [
+        ("dark", "no image of the resting machine arrived for "),
+        ("lost", "no image of the resting machine was evaluated for "),
+    ],
+)
+def test_images_that_are_late_are_waited_for_longer(what: str, late: str) -> None:
+    run = CalibrationRun(RunConfig(enough_m=0.001), StillConfig(), HandEyeConfig(), CAMERAS, 10_000 * MS)
+    rig = Machine(run, 1)
+    rig.act(run.start(rig.now))
+    rig.spin(2.0)
+    done = rig.progress[-1].done
+    assert 0 < done < 10
+    setattr(rig, what, True)
+    rig.spin(25.0)
+    notes = [p.note for p in rig.progress]
+    assert any(note.startswith(late) and note.endswith("repetition 2 of 4") for note in notes), notes
+    assert rig.end is None and rig.progress[-1].done <= done + 2
+    setattr(rig, what, False)
+    rig.spin(100.0)
+    assert isinstance(rig.end, Finished), rig.end
+    assert (rig.progress[-1].done, rig.progress[-1].note) == (rig.progress[-1].total, "")
+
+
+def test_a_goal_that_is_sent_twice_counts_once() -> None:
+    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
+    run.start(0)
+
+    def answer(goal_id: str, outcome: Outcome, reason: str = "") -> list[Action]:
+        return run.result(GoalResult(goal_id=goal_id, goal="", outcome=outcome, reason=reason), 3_200 * MS)
+
+    (progress, again) = run.tick(3_000 * MS)
+    assert isinstance(progress, Progress) and isinstance(again, SendGoal) and again.stamp_ns == 3_000 * MS
+    # The answers to the first goal come late; the second is rejected because the first is under way.
+    assert answer("0", Outcome.ACCEPTED) == []
+    assert answer(str(again.stamp_ns), Outcome.REJECTED, "busy with 'move to ...'") == []
+    assert answer("0", Outcome.REACHED) == [] and not run.over
+    assert answer("0", Outcome.ABORTED, "twice") == [], "it has arrived"
 
 
 def test_an_alarm_of_the_driver_ends_the_run() -> None:
@@ -306,13 +473,26 @@ def test_answers_to_other_goals_are_ignored() -> None:
     assert not run.over
 
 
-def test_a_slipping_drive_is_noticed_at_the_held_out_places() -> None:
-    def slips(rig: Machine, number: int) -> None:
-        rig.slip = np.array([0.003, 0.0, 0.0]) if number > 27 else np.zeros(3)
+def test_an_error_at_a_held_out_place_ends_the_run() -> None:
+    checks = {(s.x, s.y) for s in plan(RunConfig()) if s.purpose is Purpose.CHECK}
 
-    rig = machine(fault=slips)
+    def elsewhere(rig: Machine, number: int) -> None:
+        rig.slip = np.array([0.003, 0.0, 0.0]) * (rig.goals[-1][:2] in checks)
+
+    rig = machine(fault=elsewhere)
     assert isinstance(rig.end, Failed)
     assert re.match(r"at a held-out place the tip was [23]\.\d\d mm off, 1\.00 mm are accepted", rig.end.reason)
+
+
+@pytest.mark.parametrize("after", [10, 16, 22, 23])
+def test_a_slipping_drive_is_noticed_wherever_it_slips(after: int) -> None:
+    def slips(rig: Machine, number: int) -> None:
+        rig.slip = np.array([0.003, 0.0, 0.0]) if number > after else np.zeros(3)
+
+    rig = machine(fault=slips)
+    assert isinstance(rig.end, Failed), rig.end
+    print(rig.end.reason)
+    assert re.search(r"at a held-out place the tip was [23]|do not fit the rest|miss one another", rig.end.reason)
 
 
 def test_still_watch_wants_a_resting_machine_and_a_steady_tip() -> None:

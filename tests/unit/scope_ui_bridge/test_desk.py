@@ -29,6 +29,7 @@ from scope_ui_bridge.core.effects import (
     SendGoal,
     StopNow,
 )
+from scope_ui_bridge.core.machine_view import split_state
 from scope_ui_bridge.core.passwords import Role
 
 # --- from click to command ---
@@ -1093,3 +1094,20 @@ def test_a_gesture_at_a_pixel_survives_its_text() -> None:
     gesture = Gesture(kind="hold", target=Point(x=700.25, y=3.0, frame="camera_left_optical_frame"), argument=1.0)
     assert parse_gesture(gesture.text()) == gesture
     assert np.isfinite(parse_gesture(gesture.text()).argument)
+
+
+@pytest.mark.parametrize(
+    ("text", "state", "reason"),
+    [
+        ("calibrating 3/12, 9 s left", "calibrating", "3/12, 9 s left"),
+        (
+            "calibrating 3/12, 9 s left (stale: 0.5 s; repetition 1 of 4)",
+            "calibrating",
+            "3/12, 9 s left (stale: 0.5 s; repetition 1 of 4)",
+        ),
+        ("stopped: by the operator", "stopped", "by the operator"),
+        ("idle", "idle", ""),
+    ],
+)
+def test_progress_keeps_what_it_waits_for_in_one_piece(text: str, state: str, reason: str) -> None:
+    assert split_state(text) == (state, reason)

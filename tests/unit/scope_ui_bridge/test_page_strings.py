@@ -56,7 +56,7 @@ UNSAID = {
             "{} id={}.{}",
             "Operator {}",
         ),
-        *("the operator's page", "{} +- {} mm", "calibrating {}/{}{}", "{} to {}"),
+        *("the operator's page", "{} +- {} mm", "calibrating {}/{}, {} s left{}", "{} to {}"),
     ),
     "lines of the audit file": (
         *("take control", "hand over control", "release control", "lose control", "the bridge"),

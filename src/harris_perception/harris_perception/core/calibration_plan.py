@@ -3,44 +3,72 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
+from harris_perception.core.calibration_tour import (
+    BACKLASH,
+    FITTED,
+    SAMPLED,
+    Aims,
+    Purpose,
+    Stop,
+    readings_of,
+    seconds,
+    shortest,
+)
 from harris_perception.core.hand_eye import HandEyeConfig, Sample, checked
 from icu_common.core.config import Config, ConfigError, setting
+from icu_common.core.geometry import Array
+
+__all__ = ["BACKLASH", "FITTED", "SAMPLED", "Purpose", "RunConfig", "Stop", "check_plan", "next_stops", "plan"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig(Config):
-    """Where the run goes and how long it waits."""
+    """Where the run goes, how long it waits, and when it has seen enough."""
 
     mounting: str = setting("fixed", "Where the cameras are mounted", choices=("fixed", "carriage"), read_only=True)
     x_min_m: float = setting(0.03, "Least x reading", minimum=0.0, maximum=5.0, unit="m")
     x_max_m: float = setting(0.33, "Greatest x reading", minimum=0.0, maximum=5.0, unit="m")
     y_min_m: float = setting(0.03, "Least y reading", minimum=0.0, maximum=5.0, unit="m")
     y_max_m: float = setting(0.18, "Greatest y reading", minimum=0.0, maximum=5.0, unit="m")
-    columns: int = setting(4, "Places along x", minimum=2, maximum=20)
-    rows: int = setting(3, "Places along y", minimum=2, maximum=20)
+    columns: int = setting(4, "Positions along x to choose from", minimum=2, maximum=20)
+    rows: int = setting(3, "Positions along y to choose from", minimum=2, maximum=20)
+    places: int = setting(
+        6, "Positions chosen for the first solution; more follow while the error is too large", minimum=2, maximum=400
+    )
+    enough_m: float = setting(
+        0.000033,
+        "Predicted error, without what all samples share, at which no more positions follow; 0: all are visited",
+        minimum=0.0,
+        maximum=0.01,
+        unit="m",
+    )
     heights_m: tuple[float, ...] = setting(
-        (0.0, -0.012),
-        "Heights in base_link at each place; with cameras on the carriage one of them at each, in turn",
+        (0.0, -0.016),
+        "Heights in base_link at each position, less low where there is less room; on the carriage one, in turn",
         minimum=-0.5,
         maximum=0.0,
         unit="m",
     )
-    held_out: int = setting(4, "Places between the others, if there are so many, that check it", minimum=2, maximum=50)
-    held_out_height_m: float = setting(-0.006, "Their height", minimum=-0.5, maximum=0.0, unit="m")
+    held_out: int = setting(4, "Maximum number of positions between the others that check it", minimum=2, maximum=50)
+    held_out_height_m: float = setting(-0.006, "Height of every second one", minimum=-0.5, maximum=0.0, unit="m")
     backlash_places: int = setting(
-        2, "Places at the lower end of each axis, entered from above, that tell the backlash", minimum=0, maximum=20
+        2, "Positions at the lower end of each axis, entered from both sides, for the backlash", minimum=0, maximum=20
     )
     approach_m: float = setting(
-        0.003, "Each row is entered from so far left and below, which takes up the backlash", minimum=0.0, maximum=0.05
+        0.003, "Half the distance between the two positions of such a pair", minimum=0.0, maximum=0.05, unit="m"
     )
     accept_timeout_s: float = setting(3.0, "A goal is answered within", minimum=0.1, maximum=60.0, unit="s")
     move_timeout_s: float = setting(30.0, "A goal is reached within", minimum=1.0, maximum=600.0, unit="s")
     look_timeout_s: float = setting(6.0, "A still tip is seen within", minimum=0.5, maximum=120.0, unit="s")
-    max_missed: float = setting(0.25, "Part of the places where the tip may stay unseen", minimum=0.0, maximum=0.9)
+    retries: int = setting(
+        4, "Repetitions of a step that was only late, each with twice the time", minimum=0, maximum=20
+    )
+    max_retries: int = setting(20, "Repetitions in one run", minimum=0, maximum=1000)
+    longest_wait_s: float = setting(60.0, "Limit of the doubled times", minimum=1.0, maximum=600.0, unit="s")
+    max_missed: float = setting(0.25, "Part of the positions where the tip may stay unseen", minimum=0.0, maximum=0.9)
     max_held_out_m: float = setting(0.001, "Greatest error at the held-out places", minimum=1e-6, maximum=0.1, unit="m")
 
     def __post_init__(self) -> None:
@@ -56,88 +84,111 @@ class RunConfig(Config):
             raise ConfigError("columns = 2, rows = 2: at least 3 of one are needed, for two held-out places between")
 
 
-class Purpose(str, Enum):
-    """Why the run goes to a place."""
-
-    APPROACH = "approach"
-    ABOVE = "above"
-    FIT = "fit"
-    CHECK = "check"
-    X_BELOW = "x from below"
-    X_ABOVE = "x from above"
-    Y_BELOW = "y from below"
-    Y_ABOVE = "y from above"
-    PARK = "park"
-
-
-BACKLASH = ((Purpose.X_BELOW, Purpose.X_ABOVE), (Purpose.Y_BELOW, Purpose.Y_ABOVE))
-SAMPLED = (Purpose.FIT, Purpose.CHECK, *BACKLASH[0], *BACKLASH[1])
-
-
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """One goal of the run: readings x and y, and the height z in base_link; metres."""
-
-    x: float
-    y: float
-    z: float
-    purpose: Purpose
-
-
 def plan(config: RunConfig, *, see_tip: bool = True) -> list[Stop]:
-    """Return the goals in order: each place is entered towards +x and +y, so that the backlash is always taken up.
+    """Return the goals up to the first solution, in order.
 
-    Where the cameras do not see the tip, a way down tells nothing, and nothing would tell how far it may go.
+    The controller enters each position from below, so that the backlash is always taken up. Where the cameras do not
+    see the tip, lowering it measures nothing, and nothing measures how far it may be lowered.
     """
-    xs = np.linspace(config.x_min_m, config.x_max_m, config.columns)
-    ys = np.linspace(config.y_min_m, config.y_max_m, config.rows)
-    back = config.approach_m
-    stops: list[Stop] = []
-    for row, y in enumerate(ys):
-        stops.append(Stop(float(xs[0]) - back, float(y) - back, 0.0, Purpose.APPROACH))
-        for column, x in enumerate(xs):
-            heights = config.heights_m
-            if config.mounting == "carriage":
-                # The panel looks the same from each height, and the tip moves with nothing else.
-                heights = heights[(row + column) % len(heights) :][:1] if see_tip else (0.0,)
-            stops += [Stop(float(x), float(y), z, Purpose.FIT) for z in heights]
-    between = [(float(x), float(y)) for y in (ys[1:] + ys[:-1]) / 2 for x in (xs[1:] + xs[:-1]) / 2]
-    # Places at the golden ratio's steps are spread evenly however many are wanted.
-    spread = [int(i * 0.618034 * len(between)) % len(between) for i in range(config.held_out)]
-    chosen = list(dict.fromkeys([*spread, *range(len(between))]))[: config.held_out]
-    for x, y in (between[i] for i in sorted(chosen)):
-        stops.append(Stop(x - back, y - back, 0.0, Purpose.APPROACH))
-        stops.append(Stop(x, y, config.held_out_height_m if see_tip else 0.0, Purpose.CHECK))
-    stops += _from_both_sides(config)
+    groups = [*_from_both_sides(config), *([stop] for stop in _checks(config, see_tip))]
+    known = [readings_of([s for g in groups for s in g if s.purpose in (*FITTED, Purpose.CHECK)])]
+    sets, aims = _grid(config, see_tip), _aims(config)
+    for _ in range(min(config.places, len(sets))):
+        chosen = sets.pop(aims.best(np.vstack(known), sets))
+        known.append(readings_of(chosen))
+        groups.append(chosen)
+    stops = shortest(groups)
     last = stops[-1]
-    return [*stops, Stop(last.x, last.y, 0.0, Purpose.PARK)]
+    return [*stops, last._replace(z=0.0, purpose=Purpose.PARK)] if last.z else stops
+
+
+def next_stops(
+    config: RunConfig, known: Array, visited: set[tuple[float, float]], at: Stop, *, see_tip: bool = True
+) -> list[Stop]:
+    """Return the goals of one more position: the one that helps most per second; empty when none is left.
+
+    Parameters
+    ----------
+    config
+        The run's.
+    known
+        (N, 3) m, readings of the samples that were used.
+    visited
+        Readings x and y of the positions that the run has been to.
+    at
+        Where the machine is.
+    see_tip
+        Whether the cameras see the tip.
+    """
+    sets = [stops for stops in _grid(config, see_tip) if (stops[0].x, stops[0].y) not in visited]
+    if not sets:
+        return []
+    return sets[_aims(config).best(known, sets, [seconds(at, stops) for stops in sets])]
 
 
 def check_plan(config: RunConfig, solver: HandEyeConfig) -> None:
-    """Refuse a plan from which nothing could be solved, before anything moves.
+    """Refuse positions from which nothing could be solved, before anything moves.
 
     Raises
     ------
     DegenerateError
         As the solver would at the end of the run.
     """
-    readings = [np.array([s.x, s.y, -s.z]) for s in plan(config) if s.purpose is Purpose.FIT]
+    readings = readings_of([stop for stops in _grid(config, True) for stop in stops])
     checked([Sample(reading=r, tip=r, covariance=np.zeros((3, 3))) for r in readings], "the tip", solver)
 
 
-def _from_both_sides(config: RunConfig) -> list[Stop]:
-    """Return the places that tell the backlash, in pairs: close together, entered from below and from above.
+def corners(config: RunConfig) -> Array:
+    """Return readings (4, 3) at the corners of the calibrated area, on the panel's side."""
+    depth = -min(config.heights_m)
+    xs, ys = (config.x_min_m, config.x_max_m), (config.y_min_m, config.y_max_m)
+    return np.array([(x, y, depth) for x in xs for y in ys])
+
+
+def _aims(config: RunConfig) -> Aims:
+    return Aims((config.x_min_m, config.y_min_m), (config.x_max_m, config.y_max_m))
+
+
+def _axes(config: RunConfig) -> tuple[Array, Array]:
+    xs = np.linspace(config.x_min_m, config.x_max_m, config.columns)
+    return xs, np.linspace(config.y_min_m, config.y_max_m, config.rows)
+
+
+def _grid(config: RunConfig, see_tip: bool) -> list[list[Stop]]:
+    """Return the positions to choose from, each with the stops at its heights."""
+    xs, ys = _axes(config)
+    sets = []
+    for row, y in enumerate(ys):
+        for column, x in enumerate(xs):
+            heights = config.heights_m
+            if config.mounting == "carriage":
+                # The panel looks the same from each height, and the tip moves with nothing else.
+                heights = heights[(row + column) % len(heights) :][:1] if see_tip else (0.0,)
+            sets.append([Stop(float(x), float(y), z, Purpose.FIT) for z in heights])
+    return sets
+
+
+def _checks(config: RunConfig, see_tip: bool) -> list[Stop]:
+    """Return the held-out positions, in the middle between others."""
+    xs, ys = _axes(config)
+    between = [(float(x), float(y)) for y in (ys[1:] + ys[:-1]) / 2 for x in (xs[1:] + xs[:-1]) / 2]
+    # Places at the golden ratio's steps are spread evenly however many are wanted.
+    spread = [int(i * 0.618034 * len(between)) % len(between) for i in range(config.held_out)]
+    chosen = list(dict.fromkeys([*spread, *range(len(between))]))[: config.held_out]
+    low = config.held_out_height_m if see_tip else 0.0
+    return [Stop(between[i][0], between[i][1], low if n % 2 else 0.0, Purpose.CHECK) for n, i in enumerate(chosen)]
+
+
+def _from_both_sides(config: RunConfig) -> list[list[Stop]]:
+    """Return the pairs of stops for the backlash: close together, entered from below and from above.
 
     The controller enters every place from below, except at the lower end of an axis, where there is no room for it:
     reading 0 is entered from above. There the carriage lags the other way.
     """
-    stops = []
-    back = config.approach_m
+    pairs, beside = [], 2 * config.approach_m
     for share in (np.arange(config.backlash_places) + 1.0) / (config.backlash_places + 1):
         y = float(config.y_min_m + share * (config.y_max_m - config.y_min_m))
-        stops.append(Stop(back, y - back, 0.0, Purpose.APPROACH))
-        stops += [Stop(2 * back, y, 0.0, Purpose.X_BELOW), Stop(0.0, y, 0.0, Purpose.X_ABOVE)]
+        pairs.append([Stop(beside, y, 0.0, Purpose.X_BELOW), Stop(0.0, y, 0.0, Purpose.X_ABOVE)])
         x = float(config.x_min_m + share * (config.x_max_m - config.x_min_m))
-        stops.append(Stop(x - back, back, 0.0, Purpose.APPROACH))
-        stops += [Stop(x, 2 * back, 0.0, Purpose.Y_BELOW), Stop(x, 0.0, 0.0, Purpose.Y_ABOVE)]
-    return stops
+        pairs.append([Stop(x, beside, 0.0, Purpose.Y_BELOW), Stop(x, 0.0, 0.0, Purpose.Y_ABOVE)])
+    return pairs

@@ -1,45 +1,35 @@
-"""The calibration as a procedure: go to spread places, wait for stillness, look at the tip, solve, check.
+"""The calibration as a procedure: go to spread places, look at the tip at rest, solve, check, go on where it lacks.
 
-A state machine without clock or messages: events and the time go in, actions come out. Every wait has a deadline, and
-whatever goes wrong ends the run with a reason; it never starts again by itself.
+A state machine without clock or messages: events and the time go in, actions come out. Every wait has a deadline. What
+was only late is tried again, with more time; whatever else goes wrong ends the run with a reason.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from harris_perception.core.backlash import Backlash, measure_backlash
-from harris_perception.core.calibration_plan import BACKLASH, SAMPLED, Purpose, RunConfig, Stop, plan
-from harris_perception.core.carriage_camera import (
-    Contact,
-    PanelSample,
-    calibrate_on_carriage,
-    held_out_on_carriage,
-    origin_place,
-)
-from harris_perception.core.hand_eye import (
-    DegenerateError,
-    HandEye,
-    HandEyeConfig,
-    Place,
-    Sample,
-    calibrate,
-    tip_place,
-)
+from harris_perception.core.calibration_look import Look, Patience, Rest
+from harris_perception.core.calibration_plan import RunConfig, next_stops, plan
+from harris_perception.core.calibration_solution import Failed, Finished, Samples
+from harris_perception.core.calibration_tour import SAMPLED, Purpose, Stop, seconds
+from harris_perception.core.carriage_camera import Contact
+from harris_perception.core.hand_eye import DegenerateError, HandEyeConfig, MisfitError
 from harris_perception.core.planar_pose import FacePoints
-from harris_perception.core.still_watch import StillConfig, StillWatch
+from harris_perception.core.still_watch import StillConfig
 from icu_common.core.camera_model import StereoModel
 from icu_common.core.geometry import Array, Transform
 from icu_common.core.results import GoalResult, Outcome
 
+__all__ = ["Action", "CalibrationRun", "Failed", "Finished", "Progress", "SendGoal"]
+
 CLEAR_M = 0.001
 """So far the ball stays above whatever stands highest on the panel: nothing is to be touched by a calibration."""
-_EDGE = 1.4
-"""So much larger is the variance of a tip at the edge of the travel, where the backlash is measured, than all places'
-misfit tells: the likeliest for seeds 100 to 149 of the benchmark with fixed cameras."""
+_LEAST_PART = 0.5
+"""Part of the configured way down that is still worth going where there is no room for all of it."""
 _LEAN = 0.1
 """No panel leans more (rad): so much nearer than where it was looked at it may be, as a part of the way from there."""
 NEVER_SEEN = (
@@ -48,6 +38,10 @@ NEVER_SEEN = (
 )
 _WRONG_WAYS = 2
 """So many ways down in a row that are seen to be others than they should be are the stylus and not a wrong sighting."""
+LATE = ("stale", "late_image", "slow")
+"""Codes of a goal's answer that mean that something was late, and nothing is wrong."""
+_PAUSE_S = 0.25
+"""Seconds before a goal that was answered so is sent again, doubled with each repetition."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,27 +54,12 @@ class SendGoal:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """So many of so many places are done."""
+    """Positions that are finished, of the total, and about how many seconds the others take."""
 
     done: int
     total: int
     note: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Finished:
-    """The calibration, the errors (N,) m at the held-out places, and the backlash of x and y where it was measured."""
-
-    calibration: HandEye
-    held_out_m: Array
-    backlash: tuple[Backlash | None, Backlash | None] = (None, None)
-
-
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """The run has ended without a calibration."""
-
-    reason: str
+    remaining_s: float = math.nan
 
 
 Action = SendGoal | Progress | Finished | Failed
@@ -114,22 +93,25 @@ class CalibrationRun:
         base_from_reading: Array | None = None,
         contacts: Sequence[Contact] = (),
     ) -> None:
-        self._config, self._solver, self._cameras = config, solver, cameras
+        self._config, self._solver = config, solver
         self._axes = np.eye(2) if base_from_reading is None else base_from_reading
-        self._contacts = tuple(contacts)
         self._see_panel = config.mounting == "carriage"
         self._see_tip = not (self._see_panel and contacts)
-        self._watch = StillWatch(still)
+        self._still, self._rest, self._patience = still, Rest(still), Patience(config)
         self._stops = plan(config, see_tip=self._see_tip)
         self._places = sum(s.purpose in SAMPLED for s in self._stops)
         self._index = -1
-        self._goal_id = ""
-        self._accepted = self._arrived = False
-        self._deadline_ns = now_ns
-        self._samples: dict[Purpose, list[Sample]] = {purpose: [] for purpose in SAMPLED}
-        self._panels: dict[Purpose, list[PanelSample]] = {purpose: [] for purpose in SAMPLED}
+        # The goals sent for this stop: a late answer to an earlier one counts, too.
+        self._goal_ids: set[str] = set()
+        self._accepted = ""
+        self._arrived = self._pausing = False
+        self._start_ns = self._sent_ns = self._deadline_ns = now_ns
+        self._look: Look | None = None
+        self._left: Look | None = None
+        self._samples = Samples(config, solver, cameras, contacts)
         self._done = 0
         self._missed: list[str] = []
+        self._late = ""
         self._face: Transform | None = None
         self._proud_m = 0.0
         self._looks: dict[tuple[float, float], tuple[Transform | None, Array, float]] = {}
@@ -151,56 +133,114 @@ class CalibrationRun:
 
     def reading(self, stamp_ns: int, reading: Array) -> None:
         """Take readings (3,) m."""
-        self._watch.reading(stamp_ns, reading)
+        self._rest.take(stamp_ns, reading)
 
     def result(self, result: GoalResult, now_ns: int) -> list[Action]:
         """Take an answer of the controller; those to others' goals are ignored."""
-        if self.over or self._arrived or result.goal_id != self._goal_id:
+        if self.over or self._arrived or result.goal_id not in self._goal_ids:
             return []
         if result.outcome is Outcome.ACCEPTED:
-            self._accepted = True
-            self._deadline_ns = now_ns + int(self._config.move_timeout_s * 1e9)
+            self._accepted, self._pausing = result.goal_id, False
+            self._deadline_ns = now_ns + self._patience.limit_ns(self._config.move_timeout_s)
             return []
         stop = self._stops[self._index]
-        if result.outcome is not Outcome.REACHED:
-            where = f"x = {stop.x * 1e3:.0f}, y = {stop.y * 1e3:.0f}, z = {stop.z * 1e3:.0f} mm"
-            return self._fail(f"the goal {where} was {result.outcome.value}: {result.reason or 'no reason given'}")
-        self._arrived = True
-        if stop.purpose in (Purpose.APPROACH, Purpose.PARK):
-            return list(self._next(now_ns))
-        self._watch.restart(now_ns)
-        self._deadline_ns = now_ns + int(self._config.look_timeout_s * 1e9)
-        return []
+        if result.outcome is Outcome.REACHED:
+            return self._arrive(stop, now_ns)
+        if result.outcome is Outcome.REJECTED and self._accepted not in ("", result.goal_id):
+            return []  # another goal for this stop is under way, which makes the controller busy
+        reason = result.reason or "no reason given"
+        if result.code in LATE and self._patience.again():
+            self._accepted, self._pausing = "", True
+            self._deadline_ns = now_ns + self._patience.limit_ns(_PAUSE_S)
+            return [self._progress(now_ns, self._patience.note(reason))]
+        where = f"x = {stop.x * 1e3:.0f}, y = {stop.y * 1e3:.0f}, z = {stop.z * 1e3:.0f} mm"
+        return self._fail(f"the goal {where} was {result.outcome.value}: {reason}")
 
-    def tip(self, stamp_ns: int, tip: Array, now_ns: int) -> list[Action]:
-        """Take a sighting (3,) m in the camera's frame."""
-        self._watch.tip(stamp_ns, tip)
-        return self._look(now_ns)
+    def _arrive(self, stop: Stop, now_ns: int) -> list[Action]:
+        self._arrived, self._pausing = True, False
+        self._patience.begin()
+        if stop.purpose is Purpose.PARK:
+            return list(self._next(now_ns))
+        self._deadline_ns = now_ns + self._patience.limit_ns(self._config.look_timeout_s)
+        return self._advance(now_ns)
+
+    # What is seen; the stamps decide what belongs to which look.
+
+    def image(self, stamp_ns: int, now_ns: int) -> list[Action]:
+        """Note that the cameras have taken an image."""
+        for look in self._open():
+            look.image(stamp_ns)
+        return self._advance(now_ns)
+
+    def tip(self, stamp_ns: int, tip: Array | None, now_ns: int) -> list[Action]:
+        """Take a sighting (3,) m in the camera's frame; None: the tip is not seen in that image."""
+        for look in self._open():
+            look.tip(stamp_ns, tip)
+        return self._advance(now_ns)
 
     def panel(self, stamp_ns: int, camera_from_panel: Transform, points: FacePoints, now_ns: int) -> list[Action]:
         """Take a pose of the panel and what was measured for it; fixed cameras do not need it."""
-        self._watch.panel(stamp_ns, camera_from_panel, points)
-        return self._look(now_ns)
+        for look in self._open():
+            look.panel(stamp_ns, camera_from_panel, points)
+        return self._advance(now_ns)
 
-    def _look(self, now_ns: int) -> list[Action]:
-        if self.over or not self._arrived:
+    def _open(self) -> list[Look]:
+        return [look for look in (self._left, self._look) if look is not None]
+
+    def _advance(self, now_ns: int) -> list[Action]:
+        """Finish the look that was left, and leave the present one, as soon as they have what they need."""
+        if self.over:
             return []
-        sample = self._watch.sample(now_ns) if self._see_tip else None
-        panel = self._watch.panel_sample(now_ns) if self._see_panel else None
-        if isinstance(sample, str) or isinstance(panel, str):
+        if self._left is not None:
+            if not self._left.evaluated():
+                return []
+            left, self._left = self._left, None
+            if actions := self._take(left):
+                return actions
+        if not self._arrived or self._look is None:
+            return self._conclude(now_ns) if self._index == len(self._stops) else []
+        self._look.rest(self._rest.since_ns, self._rest.known(now_ns))
+        if self._look.lacks() or (self._lowers_next() and not self._look.evaluated()):
             return []
-        stop = self._stops[self._index]
-        if sample is not None:
-            if wrong := self._wrong_way(stop, sample.tip):
-                return self._fail(wrong)
-            self._looks[stop.x, stop.y] = None if panel is None else panel.camera_from_panel, sample.tip, stop.z
-        if stop.purpose is not Purpose.ABOVE:
-            if sample is not None:
-                self._samples[stop.purpose].append(sample)
-            if panel is not None:
-                self._panels[stop.purpose].append(panel)
-            self._done += 1
+        return self._leave(now_ns)
+
+    def _lowers_next(self) -> bool:
+        """Whether the next stop is lower: then everything that was seen has to be judged before."""
+        return self._index + 1 < len(self._stops) and self._stops[self._index + 1].z < 0.0
+
+    def _leave(self, now_ns: int) -> list[Action]:
+        """Go on while the newest images are still evaluated."""
+        assert self._look is not None
+        look, self._look = self._look, None
+        look.leave(now_ns)
+        if look.evaluated():
+            if actions := self._take(look):
+                return actions
+        else:
+            self._left = look
         return list(self._next(now_ns))
+
+    def _take(self, look: Look) -> list[Action]:
+        """Keep what a look has given, or count it as missed; return what ends the run for that."""
+        seen = look.result()
+        if isinstance(seen, str):
+            return self._miss(seen)
+        stop = look.stop
+        if seen.tip is not None:
+            if wrong := self._wrong_way(stop, seen.tip.tip):
+                return self._fail(wrong)
+            self._looks[stop.x, stop.y] = look.camera_from_panel, seen.tip.tip, stop.z
+        if stop.purpose is not Purpose.ABOVE:
+            self._samples.keep(stop.purpose, seen)
+            self._done += 1
+        return []
+
+    def _miss(self, why: str) -> list[Action]:
+        self._missed.append(why)
+        if len(self._missed) <= self._config.max_missed * self._places:
+            return []
+        missed = f"{len(self._missed)} of {self._places} places gave no sample; last: {why}"
+        return self._fail(missed if self._looks or not self._see_tip else f"{missed}; {NEVER_SEEN}")
 
     def _wrong_way(self, stop: Stop, tip: Array) -> str:
         """Compare a way down with what is seen of it; the whole fit would tell only after all the others."""
@@ -229,109 +269,159 @@ class CalibrationRun:
         assert face is not None
         return float(face.inverse().apply(tip)[2]) - z, float(np.hypot(x - stop.x, y - stop.y))
 
-    def _room(self, stop: Stop) -> bool | str:
-        """Return whether the stylus may be lowered so far, as far as is known; or why it must not be."""
+    def _room(self, stop: Stop) -> Stop | str | None:
+        """Return the stop, not as low where there is less room; None: look from above first; or why it must not be.
+
+        As far as is known: a panel that is not recognised leaves all the room.
+        """
         if stop.z == 0 or not (self._see_panel or self._face is not None):
-            return True
+            return stop
         height_m, away_m = self._height(stop)
-        left_m = height_m - self._proud_m + stop.z
-        if left_m >= CLEAR_M + _LEAN * away_m:
-            return True
+        free_m = height_m - self._proud_m - CLEAR_M - _LEAN * away_m
+        if free_m >= -stop.z:
+            return stop
         if away_m > 0:
-            return False
+            return None
+        least_m = -_LEAST_PART * stop.z
+        if free_m >= least_m:
+            return stop._replace(z=-free_m)
         return (
-            f"lowered by {-stop.z * 1e3:.1f} mm the stylus could touch the panel, above which its tip is "
+            f"lowered by {least_m * 1e3:.1f} mm the stylus could touch the panel, above which its tip is "
             f"{height_m * 1e3:.1f} mm (the tallest control and the ball take {self._proud_m * 1e3:.1f}): put the "
-            f"instrument {(CLEAR_M - left_m) * 1e3:.1f} mm further away, or let run.heights_m and held_out_height_m go "
+            f"instrument {(least_m - free_m) * 1e3:.1f} mm further away, or let run.heights_m and held_out_height_m go "
             "less far"
         )
 
     def tick(self, now_ns: int) -> list[Action]:
         """Look at the deadline."""
-        if self.over or now_ns < self._deadline_ns:
+        if self.over:
             return []
-        if not self._arrived:
-            config = self._config
-            waited = config.move_timeout_s if self._accepted else config.accept_timeout_s
-            what = "reached" if self._accepted else "answered"
-            return self._fail(f"the goal was not {what} within {waited:g} s")
-        tip = self._watch.sample(now_ns) if self._see_tip else None
-        panel = self._watch.panel_sample(now_ns) if self._see_panel else None
-        self._missed.append(next((why for why in (tip, panel) if isinstance(why, str)), "it was seen too late"))
-        if len(self._missed) > self._config.max_missed * self._places:
-            missed = f"{len(self._missed)} of {self._places} places gave no sample; last: {self._missed[-1]}"
-            return self._fail(missed if self._looks or not self._see_tip else f"{missed}; {NEVER_SEEN}")
-        if self._stops[self._index].purpose is Purpose.ABOVE:
+        if actions := self._advance(now_ns):
+            return actions
+        if now_ns < self._deadline_ns:
+            return []
+        if self._pausing:
+            return [self._send(now_ns)]
+        if self._arrived:
+            return self._look_late(now_ns)
+        if self._index == len(self._stops):
+            self._give_up_left()
+            return self._conclude(now_ns)
+        return self._goal_late(now_ns)
+
+    def _goal_late(self, now_ns: int) -> list[Action]:
+        """Wait longer for an answer; one that was not answered at all is sent again, too: it may have been lost."""
+        config = self._config
+        limit_s = config.move_timeout_s if self._accepted else config.accept_timeout_s
+        waited_s = self._patience.limit_ns(limit_s) * 1e-9
+        late = f"the goal was not {'reached' if self._accepted else 'answered'} within {waited_s:g} s"
+        if not self._patience.again():
+            return self._fail(late)
+        actions: list[Action] = [self._progress(now_ns, self._patience.note(late))]
+        if not self._accepted:
+            return [*actions, self._send(now_ns)]
+        self._deadline_ns = now_ns + self._patience.limit_ns(limit_s)
+        return actions
+
+    def _look_late(self, now_ns: int) -> list[Action]:
+        """Wait longer for images and what evaluates them; go on where they came and the tip was not seen in them."""
+        look = self._look if self._left is None else self._left
+        assert look is not None
+        late = look.late(now_ns)
+        if late and self._patience.again():
+            self._deadline_ns = now_ns + self._patience.limit_ns(self._config.look_timeout_s)
+            return [self._progress(now_ns, self._patience.note(late))]
+        if self._left is not None:
+            failed = self._give_up_left()
+            self._deadline_ns = now_ns + self._patience.limit_ns(self._config.look_timeout_s)
+            return failed
+        self._look = None
+        missed = look.result()
+        failed = self._miss(late or (missed if isinstance(missed, str) else look.lacks() or "it was seen too late"))
+        if failed:
+            return failed
+        if look.stop.purpose is Purpose.ABOVE:
             self._index += 1  # what is missed is the way down after it
         return list(self._next(now_ns))
 
+    def _give_up_left(self) -> list[Action]:
+        left, self._left = self._left, None
+        return [] if left is None else self._take(left)
+
     def _next(self, now_ns: int) -> Iterator[Action]:
         self._index += 1
-        done = self._done + len(self._missed)
-        yield Progress(done, self._places, f"{len(self._missed)} missed" if self._missed else "")
+        self._patience.begin()
         if self._index == len(self._stops):
-            yield self._solve()
+            self._arrived, self._look = False, None
+            self._deadline_ns = now_ns + self._patience.limit_ns(self._config.look_timeout_s)
+            yield from self._conclude(now_ns)
             return
+        yield self._progress(now_ns)
         stop = self._stops[self._index]
         room = self._room(stop)
         if isinstance(room, str):
             yield from self._fail(room)
             return
-        if not room:
-            stop = Stop(stop.x, stop.y, 0.0, Purpose.ABOVE)
+        if room is None:
+            stop = stop._replace(z=0.0, purpose=Purpose.ABOVE)
             self._stops.insert(self._index, stop)
-        self._goal_id, self._accepted, self._arrived = str(now_ns), False, False
-        self._deadline_ns = now_ns + int(self._config.accept_timeout_s * 1e9)
+        else:
+            stop = self._stops[self._index] = room
+        self._goal_ids, self._look = set(), None
+        if stop.purpose is not Purpose.PARK:
+            self._look = Look(stop, now_ns, self._still, see_tip=self._see_tip, see_panel=self._see_panel)
+        yield self._send(now_ns)
+
+    def _send(self, now_ns: int) -> SendGoal:
+        """Return the goal of this stop, with a stamp of now."""
+        stop = self._stops[self._index]
+        self._accepted, self._arrived, self._pausing = "", False, False
+        self._goal_ids.add(str(now_ns))
+        self._deadline_ns = now_ns + self._patience.limit_ns(self._config.accept_timeout_s)
         x, y = (float(v) for v in self._axes @ np.array([stop.x, stop.y]))
-        yield SendGoal((x, y, stop.z), now_ns)
+        return SendGoal((x, y, stop.z), now_ns)
 
-    def _solve(self) -> Action:
+    def _progress(self, now_ns: int, late: str = "") -> Progress:
+        done = self._done + len(self._missed)
+        notes = [f"{len(self._missed)} missed"] if self._missed else []
+        # The forecast is made for an undisturbed machine; what is done tells how much slower this one is.
+        index = max(self._index, 0)
+        spent_s, whole_s = seconds(None, self._stops[:index]), seconds(None, self._stops)
+        pace = 1.0 if index < 3 else (now_ns - self._start_ns) * 1e-9 / spent_s
+        return Progress(done, self._places, "; ".join([*notes, *([late] if late else [])]), pace * (whole_s - spent_s))
+
+    # The end: solve and check, or go on where the calibration lacks something.
+
+    def _conclude(self, now_ns: int) -> list[Action]:
+        """Solve, unless images of the last stop are still evaluated."""
+        if self._left is not None:
+            return []
+        solved = self._samples.solve()
+        if isinstance(solved, DegenerateError):
+            more = isinstance(solved, MisfitError) or len(self._samples.fitted()) < self._solver.min_samples
+            if not (more and self._go_on(())):
+                return self._fail(str(solved))
+            return list(self._again(now_ns))
+        if self._samples.error_m(solved) > self._config.enough_m and self._go_on(solved.fit.used.tolist()):
+            return list(self._again(now_ns))
         self.over = True
-        checks = max(len(kept[Purpose.CHECK]) for kept in (self._samples, self._panels))
-        if checks < 2:
-            return Failed(f"only {checks} held-out places gave a sample, 2 are needed to check the result")
-        try:
-            calibration, errors = self._on_carriage() if self._see_panel else self._fixed()
-        except DegenerateError as error:
-            return Failed(str(error))
-        if errors.max() > self._config.max_held_out_m:
-            what = "panel" if self._see_panel else "tip"
-            return Failed(
-                f"at a held-out place the {what} was {errors.max() * 1e3:.2f} mm off, "
-                f"{self._config.max_held_out_m * 1e3:.2f} mm are accepted"
-            )
-        return Finished(calibration, errors, (self._backlash(calibration, 0), self._backlash(calibration, 1)))
+        return [self._progress(now_ns), self._samples.check(solved)]
 
-    def _fixed(self) -> tuple[HandEye, Array]:
-        calibration = calibrate(self._samples[Purpose.FIT], self._cameras, self._solver)
-        return calibration, held_out_errors(calibration, self._samples[Purpose.CHECK])
+    def _again(self, now_ns: int) -> Iterator[Action]:
+        self._index -= 1
+        yield from self._next(now_ns)
 
-    def _on_carriage(self) -> tuple[HandEye, Array]:
-        tips = [sample for purpose in SAMPLED for sample in self._samples[purpose]]
-        calibration = calibrate_on_carriage(
-            self._panels[Purpose.FIT], tips, self._cameras, self._contacts, self._solver
-        )
-        return calibration, held_out_on_carriage(calibration, self._panels[Purpose.CHECK], self._cameras.left)
-
-    def _backlash(self, calibration: HandEye, axis: int) -> Backlash | None:
-        """Compare where the carriage is after coming from above with where it is, close by, after coming from below."""
-        below, above = (self._seen(calibration, purpose) for purpose in BACKLASH[axis])
-        # A place where nothing was seen leaves its neighbour alone.
-        near = 3 * self._config.approach_m
-        pairs = [(a, b) for a in below for b in above if np.abs(a.reading - b.reading).max() < near]
-        return measure_backlash(calibration, axis, pairs) if pairs else None
-
-    def _seen(self, calibration: HandEye, purpose: Purpose) -> list[Place]:
-        if not self._see_panel:
-            return [tip_place(calibration, sample, self._cameras, _EDGE) for sample in self._samples[purpose]]
-        return [origin_place(calibration, panel, self._cameras.left) for panel in self._panels[purpose]]
+    def _go_on(self, used: Sequence[bool]) -> bool:
+        """Append the position that the calibration lacks most; false where there is none."""
+        readings = [sample.reading for sample in self._samples.fitted()]
+        known = [reading for reading, counts in zip(readings, used) if counts] if len(used) else readings
+        fitted = {(stop.x, stop.y) for stop in self._stops if stop.purpose is Purpose.FIT}
+        more = next_stops(self._config, np.reshape(known, (-1, 3)), fitted, self._stops[-1], see_tip=self._see_tip)
+        last = [s for s in more[-1:] if s.z]
+        self._stops += [*more, *(s._replace(z=0.0, purpose=Purpose.PARK) for s in last)]
+        self._places += len(more)
+        return bool(more)
 
     def _fail(self, reason: str) -> list[Action]:
         self.over = True
         return [Failed(reason)]
-
-
-def held_out_errors(calibration: HandEye, samples: list[Sample]) -> Array:
-    """Return (N,) m: how far the tip was from where the calibration expects it."""
-    expected = calibration.tip_in_camera(np.array([s.reading for s in samples]))
-    return np.asarray(np.linalg.norm(expected - np.array([s.tip for s in samples]), axis=1))

@@ -15,7 +15,7 @@ import numpy as np
 
 from harris_perception.core import calibration_run
 from harris_perception.core.calibration_file import CalibrationFileError, StoredCalibration, check_fits
-from harris_perception.core.calibration_plan import RunConfig, check_plan
+from harris_perception.core.calibration_plan import RunConfig, check_plan, corners
 from harris_perception.core.calibration_run import CalibrationRun, Failed, Finished, Progress, SendGoal
 from harris_perception.core.carriage_camera import (
     MAX_CONTACTS,
@@ -123,6 +123,7 @@ class Calibrator:
         self._loaded: StoredCalibration | None = None
         self._refused = ""
         self._run: CalibrationRun | None = None
+        self._progress = Progress(0, 0, remaining_s=0.0)
         self._panel: Transform | None = None
         self._controls: dict[str, Array] = {}
         self._settings = ""
@@ -202,6 +203,14 @@ class Calibrator:
         """Take a finite tip (3,) m in the left camera's frame."""
         self.watch.tip(stamp_ns, tip)
         return [] if self._run is None else self._follow(self._run.tip(stamp_ns, tip, now_ns), now_ns)
+
+    def take_unseen(self, stamp_ns: int, now_ns: int) -> list[Action]:
+        """Take that the tip was looked for in the images of that stamp and not found."""
+        return [] if self._run is None else self._follow(self._run.tip(stamp_ns, None, now_ns), now_ns)
+
+    def take_image(self, stamp_ns: int, now_ns: int) -> list[Action]:
+        """Take that the cameras have taken an image, which counts during a run."""
+        return [] if self._run is None else self._follow(self._run.image(stamp_ns, now_ns), now_ns)
 
     def take_panel(self, stamp_ns: int, pose: Transform, now_ns: int) -> list[Action]:
         """Take camera_from_panel."""
@@ -348,8 +357,10 @@ class Calibrator:
             if isinstance(event, SendGoal):
                 actions.append(event)
             elif isinstance(event, Progress):
+                self._progress = event
                 note = f" ({event.note})" if event.note else ""
-                actions += self._set_state(f"calibrating {event.done}/{event.total}{note}")
+                text = f"calibrating {event.done}/{event.total}, {event.remaining_s:.0f} s left{note}"
+                actions += self._set_state(text)
             elif isinstance(event, Failed):
                 actions += self._fail_run(event.reason)
             else:
@@ -390,7 +401,7 @@ class Calibrator:
             right=self.cameras.get("right"),
             machine=self.config.machine,
             rms_m=solved.fit.rms_m,
-            sigma_m=solved.sigma_m(_corners(self.config.run)),
+            sigma_m=solved.sigma_m(corners(self.config.run)),
             held_out_m=float(held_out_m.max()) if len(held_out_m) else float("nan"),
             samples=int(solved.fit.used.sum()),
             made_at=datetime.fromtimestamp(now_ns * 1e-9, timezone.utc).isoformat(timespec="seconds"),
@@ -504,6 +515,9 @@ class Calibrator:
     def values(self) -> list[tuple[str, Any]]:
         """Return what diagnostics tell."""
         values: list[tuple[str, Any]] = [("samples", len(self.samples)), ("contacts", len(self.contacts))]
+        if self._run is not None:
+            done, total = self._progress.done, self._progress.total
+            values += [("done", done), ("total", total), ("remaining_s", f"{self._progress.remaining_s:.1f}")]
         if self.stored is not None:
             values += self.stored.values()
         if self._solved is not None:
@@ -512,10 +526,3 @@ class Calibrator:
             values += [("tip_off_mm", f"{self.drift.tip_m * 1e3:.3f}"), ("drift", self.drifted or "none")]
             values.append(("control_off_mm", f"{self.drift.control_m * 1e3:.3f}"))
         return values
-
-
-def _corners(config: RunConfig) -> Array:
-    """Return readings (4, 3) at the corners of the calibrated area, on the panel's side."""
-    depth = -min(config.heights_m)
-    corners = [(x, y, depth) for x in (config.x_min_m, config.x_max_m) for y in (config.y_min_m, config.y_max_m)]
-    return np.array(corners)

@@ -129,6 +129,10 @@ class DegenerateError(ValueError):
     """The samples do not determine the calibration; the message says what to add."""
 
 
+class MisfitError(DegenerateError):
+    """The samples miss one another; more of them may show which are wrong."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Fit:
     """A robust linear regression of points on readings.
@@ -230,7 +234,19 @@ class HandEye:
 
     def sigma_m(self, readings: Array) -> float:
         """Return the predicted rms distance, m, between fitted and true tip over readings (N, 3)."""
-        return float(np.sqrt(np.mean(np.trace(self.covariance(readings), axis1=1, axis2=2))))
+        return _rms(self.covariance(readings))
+
+    def own_sigma_m(self, readings: Array) -> float:
+        """Return the same without what all samples share: the part that more samples reduce."""
+        rows = np.atleast_2d(readings)
+        own = self.fit.own_covariance(_design(rows, len(self.fit.regression) == 4))
+        if self.tip_fit is not None:
+            own = own + self.tip_fit.own_covariance(extension_design(rows[:, 2], len(self.tip_fit.regression) == 2))
+        return _rms(own)
+
+
+def _rms(covariances: Array) -> float:
+    return float(np.sqrt(np.mean(np.trace(covariances, axis1=1, axis2=2))))
 
 
 def calibrate(samples: Sequence[Sample], cameras: StereoModel, config: HandEyeConfig | None = None) -> HandEye:
@@ -389,7 +405,7 @@ def robust_fit(design: Array, points: Array, shape: Array, config: HandEyeConfig
     factor = float(np.einsum("ni,ij,nj->", residuals, np.linalg.inv(shape), residuals)) / max(freedom, 1)
     rms = misfit_rms(design[used], points[used], regression)
     if rms > config.max_rms_m:
-        raise DegenerateError(
+        raise MisfitError(
             f"the samples miss one another by {rms * 1e3:.2f} mm rms, {config.max_rms_m * 1e3:.2f} mm are accepted: "
             "check that the tip is seen well and that nothing slips"
         )
@@ -530,7 +546,7 @@ def _check_left_out(used: npt.NDArray[np.bool_], config: HandEyeConfig) -> None:
     left_out = np.flatnonzero(~used)
     if len(left_out) > config.max_outliers * len(used) or int(used.sum()) < config.min_samples:
         numbers = ", ".join(str(i + 1) for i in left_out)
-        raise DegenerateError(
+        raise MisfitError(
             f"{len(left_out)} of {len(used)} samples do not fit the rest (numbers {numbers}): the tip was seen wrongly "
             "there, or the drive slipped; add samples in other places or start anew"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,12 +23,12 @@ _PANEL_S = 2.0
 class StillConfig(Config):
     """When the machine stands still and its tip is seen well."""
 
-    settle_s: float = setting(0.3, "Rest before the tip is looked at", minimum=0.0, maximum=10.0, unit="s")
+    settle_s: float = setting(0.1, "Rest before an image counts, by its stamp", minimum=0.0, maximum=10.0, unit="s")
     moved_m: float = setting(0.00001, "Readings that differ more are motion", minimum=0.0, maximum=0.01, unit="m")
     fresh_s: float = setting(
         1.0, "Readings and tips older than this count no more", minimum=0.1, maximum=60.0, unit="s"
     )
-    tips: int = setting(8, "Sightings that make one sample", minimum=3, maximum=200)
+    tips: int = setting(3, "Sightings that make one sample", minimum=3, maximum=200)
     scatter_m: float = setting(0.0008, "Their greatest rms scatter", minimum=1e-6, maximum=0.05, unit="m")
     panels: int = setting(3, "Poses of the panel that make one sample", minimum=1, maximum=200)
 
@@ -100,9 +101,7 @@ class StillWatch:
         fresh = [(pose, points) for stamp, pose, points in self._panels if stamp >= oldest_ns and stamp > after_ns]
         if len(fresh) < config.panels:
             return f"the panel was seen {len(fresh)} of {config.panels} times while the machine stood still"
-        pose = mean_pose([pose for pose, _ in fresh])
-        points = FacePoints.joined([points for _, points in fresh])
-        return PanelSample(reading=reading, camera_from_panel=pose, points=points)
+        return panel_sample_of(fresh, reading)
 
     def sample(self, now_ns: int, after_ns: int = 0) -> Sample | str:
         """Return a sample of what was seen after ``after_ns``, or why there is none yet."""
@@ -113,13 +112,25 @@ class StillWatch:
         fresh = [tip for stamp, tip in self._tips if stamp >= oldest_ns and stamp > after_ns]
         if len(fresh) < config.tips:
             return f"the tip was seen {len(fresh)} of {config.tips} times while the machine stood still"
-        tips = np.array(fresh)
-        centre = np.median(tips, axis=0)
-        distance = np.linalg.norm(tips - centre, axis=1)
-        # A single wrong sighting must not spoil the mean: beyond three times the middle distance it is left out.
-        near = tips[distance <= 3.0 * max(float(np.median(distance)), 1e-6)]
-        scatter = float(np.sqrt(np.mean(distance**2)))
-        if scatter > config.scatter_m:
-            return f"the tip scatters by {scatter * 1e3:.2f} mm, {config.scatter_m * 1e3:.2f} mm are accepted"
-        covariance = np.cov(near.T) / len(near)
-        return Sample(reading=reading, tip=near.mean(axis=0), covariance=covariance)
+        return sample_of(fresh, reading, config)
+
+
+def sample_of(sightings: Sequence[Array], reading: Array, config: StillConfig) -> Sample | str:
+    """Return the mean of sightings (3,) m of a tip at rest, or why they make no sample."""
+    tips = np.array(sightings)
+    centre = np.median(tips, axis=0)
+    distance = np.linalg.norm(tips - centre, axis=1)
+    # A single wrong sighting must not spoil the mean: beyond three times the middle distance it is left out.
+    near = tips[distance <= 3.0 * max(float(np.median(distance)), 1e-6)]
+    scatter = float(np.sqrt(np.mean(distance**2)))
+    if scatter > config.scatter_m:
+        return f"the tip scatters by {scatter * 1e3:.2f} mm, {config.scatter_m * 1e3:.2f} mm are accepted"
+    covariance = np.cov(near.T) / len(near) if len(near) > 1 else np.zeros((3, 3))
+    return Sample(reading=reading, tip=near.mean(axis=0), covariance=covariance)
+
+
+def panel_sample_of(sightings: Sequence[tuple[Transform, FacePoints]], reading: Array) -> PanelSample:
+    """Return the mean of the panel's poses and all their points."""
+    pose = mean_pose([pose for pose, _ in sightings])
+    points = FacePoints.joined([points for _, points in sightings])
+    return PanelSample(reading=reading, camera_from_panel=pose, points=points)

@@ -10,7 +10,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray, Header, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
@@ -72,6 +72,7 @@ class HandEyeNode(GraphNode):
         self._act([SetState(self.calibrator.state)])
         self._load()
         self.create_subscription(PointStamped, "tip", self._on_tip, qos.SENSOR)
+        self.create_subscription(Header, "unseen", self._on_unseen, qos.SENSOR)
         self.create_subscription(JointState, "joint_states", self._on_joints, qos.SENSOR)
         self.create_subscription(String, "driver_state", self._on_driver, qos.LATCHED)
         self.create_subscription(String, "machine_settings", self._on_settings, qos.LATCHED)
@@ -83,7 +84,7 @@ class HandEyeNode(GraphNode):
         self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
         for side in ("left", "right"):
             self._cameras[side] = CameraInfoSubscription(
-                self, f"{side}/camera_info", qos.SENSOR, self._camera_callback(side)
+                self, f"{side}/camera_info", qos.SENSOR, self._camera_callback(side), self._on_image
             )
         for name, call in (
             ("run", self._run),
@@ -129,6 +130,10 @@ class HandEyeNode(GraphNode):
 
         return callback
 
+    def _on_image(self, stamp: int) -> None:
+        # It is evaluated only later; the calibration need not wait for that before it moves on.
+        self._act(self.calibrator.take_image(stamp, self._now_ns()))
+
     def _on_joints(self, message: JointState) -> None:
         try:
             check_not_ahead(message.header, self.get_clock())
@@ -150,6 +155,9 @@ class HandEyeNode(GraphNode):
             self.get_logger().error(f"tip {tip.tolist()} m ignored: it is not finite", throttle_duration_sec=5.0)
             return
         self._act(self.calibrator.take_tip(stamp_ns(message.header.stamp), tip, self._now_ns()))
+
+    def _on_unseen(self, message: Header) -> None:
+        self._act(self.calibrator.take_unseen(stamp_ns(message.stamp), self._now_ns()))
 
     def _on_panel(self, message: PoseStamped) -> None:
         try:

@@ -23,9 +23,11 @@ _MOVING = {
 
 
 def split_state(text: str) -> tuple[str, str]:
-    """Split ``state: reason`` or ``calibrating 3/12`` into the state's name and the rest."""
+    """Split ``state: reason`` or ``calibrating 3/12, 9 s left (...)`` into the state's name and the rest."""
     name, _, reason = text.partition(":")
     head, _, progress = name.strip().partition(" ")
+    if head == "calibrating":
+        return head, text.strip().removeprefix(head).strip()  # what it waits for may contain a colon
     return head, (reason.strip() or progress.strip())
 
 
