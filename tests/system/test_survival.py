@@ -181,7 +181,10 @@ class Scene:
 
     def prepared(self, kind: Any, name: str, request: Any) -> None:
         client = self.operator.node.create_client(kind, name)
-        self.until(client.service_is_ready, 15.0, f"{name} is offered")
+        # A program that is forked is back before its killed predecessor is believed gone: a request that leaves before
+        # the new one is matched would reach neither.
+        count = self.operator.node.count_services
+        self.until(lambda: client.service_is_ready() and count(name) == 1, 15.0, f"{name} is offered")
         future = client.call_async(request)
         self.until(future.done, 10.0, f"{name} answers")
         assert future.result().success, future.result().message
