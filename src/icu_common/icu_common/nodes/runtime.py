@@ -42,7 +42,7 @@ from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIAB
 from icu_common.nodes import in_step
 from icu_common.nodes.hearing import Hearing
 
-TEARDOWN_S = 2.5
+TEARDOWN_S = 4.0
 """Maximum seconds to destroy closed nodes and shut rclpy down; then the process prints where it hangs, and ends.
 
 Fast DDS's threads can wait for each other while other participants leave (docs/decisions/processes.md).
