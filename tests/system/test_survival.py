@@ -181,10 +181,7 @@ class Scene:
 
     def prepared(self, kind: Any, name: str, request: Any) -> None:
         client = self.operator.node.create_client(kind, name)
-        # A program that is forked is back before its killed predecessor is believed gone: a request that leaves before
-        # the new one is matched would reach neither.
-        count = self.operator.node.count_services
-        self.until(lambda: client.service_is_ready() and count(name) == 1, 15.0, f"{name} is offered")
+        self.until(client.service_is_ready, 15.0, f"{name} is offered")
         future = client.call_async(request)
         self.until(future.done, 10.0, f"{name} answers")
         assert future.result().success, future.result().message
@@ -244,6 +241,9 @@ class Scene:
             self.operator.reset()
         if row.stays_homed:
             self.until(lambda: not unwell(), 25.0, lambda: f"{unwell()} do not report that they are well")
+        if "serial_driver" in row.killed:  # else its predecessor's services, which nobody serves, would be asked
+            restart = self.operator.driver_states
+            self.until(lambda: any(s.data == "unhomed" for s in restart[states:]), 25.0, "the driver is there again")
         if "ui_bridge" in row.killed:
             self.until(lambda: "Operator page:" in self.graph.output[log:], 25.0, "the page is there again")
         if row.stays_homed:
