@@ -242,6 +242,9 @@ class Scene:
             self.operator.reset()
         if row.stays_homed:
             self.until(lambda: not unwell(), 25.0, lambda: f"{unwell()} do not report that they are well")
+        if "serial_driver" in row.killed:  # else its predecessor's services, which nobody serves, would be asked
+            restart = self.operator.driver_states
+            self.until(lambda: any(s.data == "unhomed" for s in restart[states:]), 25.0, "the driver is there again")
         if "ui_bridge" in row.killed:
             self.until(lambda: "Operator page:" in self.graph.output[log:], 25.0, "the page is there again")
         if row.stays_homed:

@@ -57,7 +57,7 @@ def test_a_box_fits_and_has_the_address_in_one_piece(columns: int, rows: int) ->
     for row in drawn:
         assert len(without_controls(row)) < columns or row in (ADDRESS, LOG)
     if any("\x1b" in row for row in drawn):
-        assert len(drawn) <= rows
+        assert height(drawn, columns) <= rows
     terminal = SmallTerminal(columns, max(rows, 60))
     terminal.write(redraw(0, [], drawn)).write(redraw(height(drawn, columns), ["above"], ["last"]))
     assert terminal.screen == ["above", "last"], "the height counts wrapped rows, too"

@@ -43,7 +43,7 @@ from icu_common.nodes.graph_node import GraphLifecycleNode, GraphNode, this_proc
 from icu_common.nodes.hearing import Hearing
 from icu_common.nodes.timers import runs_by_clock_topic
 
-TEARDOWN_S = 2.5
+TEARDOWN_S = 4.0
 """Maximum seconds to destroy closed nodes and shut rclpy down; then the process prints where it hangs, and ends.
 
 Fast DDS's threads can wait for each other while other participants leave (docs/decisions/processes.md).

@@ -78,13 +78,13 @@ def box_rows(box: Box, columns: int, rows: int, *, unicode: bool = True) -> list
     beside = inner - code_width - 2
     notes = _paragraphs(box.notes, beside) if code else []
     whole = [text for text in (box.address, box.footer) if text]
-    fits = max(len(code), len(notes)) + len(whole) + 2 <= rows and all(len(text) <= inner for text in whole)
+    fits = max(len(code), len(notes)) + height(whole, columns) + 2 <= rows
     if not code or beside < 16 or not fits:
         content = [(note, len(note)) for note in _paragraphs(box.notes, inner)]
     else:
-        height = max(len(code), len(notes))
-        code += [" " * code_width] * (height - len(code))
-        notes += [""] * (height - len(notes))
+        count = max(len(code), len(notes))
+        code += [" " * code_width] * (count - len(code))
+        notes += [""] * (count - len(notes))
         content = [(f"{left}  {right}", code_width + 2 + len(right)) for left, right in zip(code, notes)]
     inner = max(min(inner, max([*map(len, whole), *(width for _, width in content)])), 8)
     across, down, corners = ("─", "│", "┌┐└┘") if unicode else ("-", "|", "++++")
