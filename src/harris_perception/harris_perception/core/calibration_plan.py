@@ -36,7 +36,7 @@ class RunConfig(Config):
     columns: int = setting(4, "Positions along x to choose from", minimum=2, maximum=20)
     rows: int = setting(3, "Positions along y to choose from", minimum=2, maximum=20)
     places: int = setting(
-        6, "Positions chosen for the first solution; more follow while the error is too large", minimum=2, maximum=400
+        8, "Positions chosen for the first solution; more follow while the error is too large", minimum=2, maximum=400
     )
     enough_m: float = setting(
         0.000033,
