@@ -62,7 +62,7 @@ class SerialLink:
         on_turn: Callable[[int, int, int], None] | None = None,
     ) -> None:
         self._clock, self._on_turn = clock, on_turn
-        self._wakes = self._read_bytes = self._written_bytes = 0
+        self._wakes = self._wakes_seen = self._read_bytes = self._written_bytes = 0
         self._machine = machine
         self._port_name = port
         self._baud = baud
@@ -206,7 +206,7 @@ class SerialLink:
                     self._publish()
 
     def _step(self) -> None:
-        wakes, now = self._wakes, self._clock()
+        now = self._clock()
         if self._fd >= 0:
             self._turn()
             if self._machine.connected:
@@ -222,7 +222,7 @@ class SerialLink:
         if self._on_turn is not None:
             read, written = self._read_bytes, self._written_bytes
             self._read_bytes = self._written_bytes = 0
-            self._on_turn(wakes, read, written)
+            self._on_turn(self._wakes_seen, read, written)
 
     def _open(self) -> None:
         try:
@@ -279,6 +279,7 @@ class SerialLink:
             woken = os.read(self._wake_read, 4096)
             for number in _STOP_SIGNALS.keys() & set(woken):
                 self.stop(_STOP_SIGNALS[number])
+        self._wakes_seen = self._wakes
         return bool(ready.get(self._fd, 0) & ~select.POLLOUT)
 
     def _read(self) -> bytes:
