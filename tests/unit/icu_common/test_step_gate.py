@@ -124,6 +124,24 @@ def test_progress_elsewhere_is_none_for_what_is_outstanding(
     assert settled, "a lost message must not stop the time for ever"
 
 
+def test_messages_on_another_topic_do_not_prolong_the_wait(
+    ledgers: list[StepLedger], gate: StepGate, clock: Clock
+) -> None:
+    """The simulation factor is published by the wall clock, also while the time stands still."""
+    camera, detector = ledgers[:2]
+    detector.subscribe("/image")
+    detector.subscribe("/simulation_factor")
+    assert gate.settled()
+    camera.expect("/image")
+    for _ in range(12):
+        camera.expect("/simulation_factor")
+        settled = gate.settled()
+        detector.finish("/simulation_factor")
+        settled = settled or gate.settled()
+        clock.now_s += 0.5
+    assert settled and [late.topic for late in gate.left_behind] == ["/image"]
+
+
 def test_process_that_has_ended_is_not_waited_for(tmp_path: Path, ledgers: list[StepLedger], clock: Clock) -> None:
     camera, watcher = ledgers[0], ledgers[2]
     gate = StepGate(watcher, patience_s=5.0, clock=clock)

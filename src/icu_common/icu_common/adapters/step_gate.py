@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from icu_common.adapters.step_ledger import Counts, StepLedger
 from icu_common.core.outstanding import Outstanding
@@ -61,8 +62,9 @@ class StepGate:
         self._patience_s, self._callback_patience_s = patience_s, callback_patience_s
         self._clock = clock
         self._outstanding = Outstanding()
-        self._finished: Counts | None = None
-        self._progress_s = self._looked_s = clock()
+        self._finished: Counts = np.zeros(0, np.int64)
+        self._since_s: npt.NDArray[np.float64] = np.zeros(0)
+        self._looked_s = clock()
         self._processes: dict[int, int] = {}
         self._suspended: dict[int, tuple[Counts, int]] = {}
         """Of processes that were left behind, by row: subscriptions, and messages finished then."""
@@ -79,29 +81,33 @@ class StepGate:
             self._processes = processes
             self._outstanding.forgive(owed)
             return False
+        since_s = self._note_progress(finished, owed, now_s)
         if not owed.any():
-            self._finished, self._progress_s = None, now_s
             return True
-        # Programs that do not count publish as well: only progress on what is outstanding is some.
-        progress = finished[owed > 0]
-        if self._finished is None or not np.array_equal(progress, self._finished):
-            self._finished, self._progress_s = progress, now_s
-            return False
         if now_s - self._looked_s > _LOOK_FOR_ENDED_S:
             self._looked_s = now_s
             self._forget_ended()
-        if now_s - self._progress_s <= self._patience_s:
+        stuck = np.where((owed > 0) & (now_s - since_s > self._patience_s), owed, 0)
+        if not stuck.any():
             return False
-        late = self._laggards(owed)
+        late = self._laggards(stuck)
         busy = any(self._ledger.is_busy(row) for row in late)
-        if busy and now_s - self._progress_s <= self._callback_patience_s:
+        if busy and (now_s - since_s[stuck > 0]).max() <= self._callback_patience_s:
             return False
         self.left_behind = tuple(late.values())
         for row in late:
             self._suspended[row] = self._ledger.suspend(row), self._ledger.progress(row)
-        self._outstanding.forgive(owed)
-        self._finished = None
-        return True
+        self._outstanding.forgive(stuck)
+        return not (owed - stuck).any()
+
+    def _note_progress(self, finished: Counts, owed: Counts, now_s: float) -> npt.NDArray[np.float64]:
+        """Return, for each topic, since when it has made no progress; one with nothing outstanding needs none."""
+        if added := len(finished) - len(self._finished):
+            self._finished = np.pad(self._finished, (0, added))
+            self._since_s = np.pad(self._since_s, (0, added), constant_values=now_s)
+        self._since_s[(finished != self._finished) | (owed == 0)] = now_s
+        self._finished = finished
+        return self._since_s
 
     def owed(self) -> list[str]:
         """Return the topics with outstanding messages."""

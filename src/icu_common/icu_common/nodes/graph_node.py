@@ -122,7 +122,7 @@ class _Graph:
         if this_process.ledger is None:
             return super().create_publisher(msg_type, topic, qos_profile, **kwargs)  # type: ignore[misc]
         kwargs.setdefault("publisher_class", CountedPublisher)
-        profile = _lossless(qos_profile, most=_PUBLISHED_DEPTH)
+        profile = _lossless(qos_profile, published=True)
         made = super().create_publisher(msg_type, topic, profile, **kwargs)  # type: ignore[misc]
         this_process.publishers.append(made)
         return made
@@ -211,14 +211,15 @@ class GraphLifecycleNode(_Graph, LifecycleNode):
     """A lifecycle node of the graph."""
 
 
-def _lossless(profile: Any, most: int = _DEPTH) -> QoSProfile:
+def _lossless(profile: Any, *, published: bool = False) -> QoSProfile:
     """Return a profile with which no message is lost, dropped or outdated, with the durability of ``profile``."""
+    depth = _PUBLISHED_DEPTH if published else _DEPTH
     if not isinstance(profile, QoSProfile):
-        return QoSProfile(depth=most, reliability=ReliabilityPolicy.RELIABLE)
-    # A latched topic keeps its depth: a late subscriber gets as many messages.
-    latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+    # A publisher's depth is what a late subscriber of a latched topic gets.
+    latched = published and profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return QoSProfile(
-        depth=profile.depth if latched else most,
+        depth=profile.depth if latched else depth,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=profile.durability,
     )
