@@ -10,9 +10,11 @@ from typing import Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.context import Context
+from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
 
-from icu_common.nodes.graph_node import GraphNode, this_process
+from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphNode, this_process
+from icu_common.nodes.timers import runs_by_clock_topic
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import BagTopic, is_known
 from scope_bench.nodes.bag_qos import is_large, listening_qos, message_class, recorded_qos
@@ -86,6 +88,8 @@ class BagRecorder(GraphNode):
         """Hand over what has come, and return how much that is; there may be more pictures and clouds."""
         found: list[tuple[int, str, bytes, Callable[[bytes], None]]] = []
         clock = self.get_clock()
+        if clock.ros_time_is_active and not clock.now().nanoseconds:
+            return 0  # what has come waits for the first time on /clock
         for name, (subscription, most) in self._heard.items():
             for _ in range(most):
                 if (taken := subscription.handle.take_message(subscription.msg_type, True)) is None:
@@ -107,7 +111,10 @@ class BagRecorder(GraphNode):
         super().destroy_node()
 
     def look(self) -> None:
-        """Subscribe to what has appeared."""
+        """Subscribe to what has appeared, and follow the clock of a simulation."""
+        if not runs_by_clock_topic(self) and self.count_publishers(self.resolve_topic_name(CLOCK_TOPIC)):
+            # Stamps of the system's time would be ahead of those in the messages, by as much as the simulation is slow.
+            self.set_parameters([Parameter("use_sim_time", value=True)])
         for name, kinds in self.get_topic_names_and_types():
             wanted = name in self._topics if self._topics else not (self._exclude and self._exclude.search(name))
             if wanted and name not in self.recorded and name not in self._ignored:
