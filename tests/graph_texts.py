@@ -38,6 +38,8 @@ ONLY_ELSEWHERE = {
             "jpeg_encoder",
             "hearing",
             "step_ledger",
+            "images",
+            "on_demand",
         ),
     ),
 }

@@ -20,6 +20,7 @@ def started(ros: Ros, given: list[str], tmp_path: Path, monkeypatch: pytest.Monk
 
     class Reader:
         gave_up = ()
+        hanging: frozenset[int] = frozenset()
 
         def __init__(self, *_: Any, **__: Any) -> None:
             self.misconfigured: list[str] = []

@@ -1070,9 +1070,11 @@ def test_operator_is_lost_by_the_wall_clock_and_nothing_else_is() -> None:
     bench.talking.discard("heartbeat")
     controller, wall_ns = bench.controller, 5 * 10**9
     controller.handle(msg.Heartbeat(), bench.now_ns, wall_ns)
-    controller.handle(msg.Tick(), bench.now_ns, wall_ns + 500_000_000)
+    for late_ms in range(50, 550, 50):
+        controller.handle(msg.Tick(), bench.now_ns, wall_ns + late_ms * 1_000_000)
     assert controller.state == "ready"
-    controller.handle(msg.Tick(), bench.now_ns, wall_ns + 700_000_000)
+    for late_ms in range(550, 750, 50):  # a longer pause between two ticks would be the controller's own
+        controller.handle(msg.Tick(), bench.now_ns, wall_ns + late_ms * 1_000_000)
     assert controller.state == "waiting: no operator (heartbeat)"
     controller.handle(msg.Heartbeat(), bench.now_ns, wall_ns + 700_000_000)
     assert controller.state == "ready"

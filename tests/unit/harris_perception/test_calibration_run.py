@@ -21,6 +21,12 @@ from icu_common.core.config import ConfigError
 from icu_common.core.geometry import Transform
 from icu_common.core.results import GoalResult, Outcome
 
+
+def run_config(**changes: Any) -> RunConfig:
+    """Return a configuration with six positions, which tell enough for these tests."""
+    return RunConfig(**{"places": 6, **changes})
+
+
 AXES = np.array([[1.003, -0.002], [0.0, 0.998]])
 POSE = Transform(
     np.asarray(cv2.Rodrigues(np.array([2.71, 0.05, -0.08]))[0], dtype=float), np.array([-0.17, 0.09, 0.66])
@@ -103,7 +109,7 @@ class Machine:
 
 def machine(seed: int = 1, fault: Any = None, face: Transform | None = None, **config: Any) -> Machine:
     # The tip is seen worse than a real one: the first solution is to be good enough where nothing else is asked for.
-    settings = RunConfig(**{"enough_m": 0.001, **config})
+    settings = run_config(**{"enough_m": 0.001, **config})
     run = CalibrationRun(settings, StillConfig(), HandEyeConfig(), CAMERAS, 10_000 * MS)
     run.keep_clear_of(face, 0.017)
     rig = Machine(run, seed, fault)
@@ -149,7 +155,7 @@ def test_progress_forecasts_the_seconds_that_are_left() -> None:
 
 
 def test_positions_are_chosen_for_what_they_tell_and_lie_inside_the_limits() -> None:
-    stops = plan(RunConfig())
+    stops = plan(run_config())
     fit = np.array([(s.x, s.y, s.z) for s in stops if s.purpose is Purpose.FIT])
     assert len(fit) == 12, "six positions, two heights"
     np.testing.assert_allclose(fit.min(axis=0), (0.03, 0.03, -0.016))
@@ -167,7 +173,7 @@ def test_positions_are_chosen_for_what_they_tell_and_lie_inside_the_limits() -> 
 
 
 def test_the_order_of_the_positions_is_short() -> None:
-    stops = plan(RunConfig())
+    stops = plan(run_config())
     way = sum(np.hypot(b.x - a.x, b.y - a.y) for a, b in itertools.pairwise(stops))
     print(f"{way * 1e3:.0f} mm")
     assert way < 1.3, "once round an area of 300 by 150 mm are 0.9 m"
@@ -180,12 +186,12 @@ def test_positions_follow_one_by_one_while_the_predicted_error_is_too_large() ->
     grid = {(x, y) for x in np.linspace(0.03, 0.33, 4).tolist() for y in np.linspace(0.03, 0.18, 3).tolist()}
     assert grid <= fit, "all of the grid, and no more after that"
     assert (every.progress[-1].done, every.progress[-1].total) == (36, 36)
-    least_m = every.end.calibration.own_sigma_m(corners(RunConfig()))
+    least_m = every.end.calibration.own_sigma_m(corners(run_config()))
     some = machine(enough_m=1.15 * least_m)
     assert isinstance(some.end, Finished)
     print(f"{1e3 * least_m:.4f} mm after 36, 1.15 times it after {some.progress[-1].done}")
     assert 24 < some.progress[-1].done < 36
-    assert some.end.calibration.own_sigma_m(corners(RunConfig())) < 1.2 * least_m
+    assert some.end.calibration.own_sigma_m(corners(run_config())) < 1.2 * least_m
     assert machine(enough_m=2 * least_m).progress[-1].done == 24
 
 
@@ -204,7 +210,7 @@ def test_the_machine_moves_on_while_the_last_images_are_evaluated() -> None:
 
 
 def test_cameras_on_the_carriage_see_the_tip_at_each_height_in_turn() -> None:
-    riding = plan(RunConfig(mounting="carriage", places=12))
+    riding = plan(run_config(mounting="carriage", places=12))
     heights = {(round(s.x, 3), round(s.y, 3)): s.z for s in riding if s.purpose is Purpose.FIT}
     assert len(heights) == sum(s.purpose is Purpose.FIT for s in riding) == 12
     assert [heights[x, 0.03] for x in (0.03, 0.13, 0.23, 0.33)] == [0.0, -0.016, 0.0, -0.016]
@@ -212,13 +218,13 @@ def test_cameras_on_the_carriage_see_the_tip_at_each_height_in_turn() -> None:
 
 
 def test_cameras_on_the_carriage_that_do_not_see_the_tip_have_no_use_for_a_way_down() -> None:
-    above = plan(RunConfig(mounting="carriage"), see_tip=False)
+    above = plan(run_config(mounting="carriage"), see_tip=False)
     assert {s.z for s in above} == {0.0}
     assert sum(s.purpose is Purpose.FIT for s in above) == 6
 
 
 def test_backlash_is_told_by_neighbours_entered_from_both_sides() -> None:
-    stops = plan(RunConfig())
+    stops = plan(run_config())
     for axis, below, above in (("x", Purpose.X_BELOW, Purpose.X_ABOVE), ("y", Purpose.Y_BELOW, Purpose.Y_ABOVE)):
         pairs = [(a, b) for a, b in itertools.pairwise(stops) if (a.purpose, b.purpose) == (below, above)]
         assert len(pairs) == 2
@@ -396,7 +402,7 @@ def test_a_goal_that_stays_late_ends_the_run_after_a_bounded_number_of_repetitio
     rig = machine(fault=always)
     assert isinstance(rig.end, Failed)
     assert rig.end.reason.endswith("was rejected: stale: the stamp is 0.527 s old, 0.5 s are allowed")
-    assert len(rig.goals) == 1 + RunConfig().retries
+    assert len(rig.goals) == 1 + run_config().retries
 
     def often(rig: Machine, number: int) -> None:
         rig.outcome, rig.code = (Outcome.REJECTED, "stale") if number % 2 else (Outcome.REACHED, "")
@@ -424,7 +430,7 @@ def test_a_goal_that_was_rejected_for_something_else_ends_the_run_whatever_the_w
     ],
 )
 def test_images_that_are_late_are_waited_for_longer(what: str, late: str) -> None:
-    run = CalibrationRun(RunConfig(enough_m=0.001), StillConfig(), HandEyeConfig(), CAMERAS, 10_000 * MS)
+    run = CalibrationRun(run_config(enough_m=0.001), StillConfig(), HandEyeConfig(), CAMERAS, 10_000 * MS)
     rig = Machine(run, 1)
     rig.act(run.start(rig.now))
     rig.spin(2.0)
@@ -442,7 +448,7 @@ def test_images_that_are_late_are_waited_for_longer(what: str, late: str) -> Non
 
 
 def test_a_goal_that_is_sent_twice_counts_once() -> None:
-    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
+    run = CalibrationRun(run_config(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
     run.start(0)
 
     def answer(goal_id: str, outcome: Outcome, reason: str = "") -> list[Action]:
@@ -458,7 +464,7 @@ def test_a_goal_that_is_sent_twice_counts_once() -> None:
 
 
 def test_an_alarm_of_the_driver_ends_the_run() -> None:
-    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
+    run = CalibrationRun(run_config(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
     run.start(0)
     assert run.driver_state("moving") == []
     assert run.driver_state("alarm: hard limit") == [Failed("the driver says 'alarm: hard limit'")]
@@ -466,7 +472,7 @@ def test_an_alarm_of_the_driver_ends_the_run() -> None:
 
 
 def test_answers_to_other_goals_are_ignored() -> None:
-    run = CalibrationRun(RunConfig(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
+    run = CalibrationRun(run_config(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
     run.start(77)
     other = GoalResult(goal_id="78", goal="", outcome=Outcome.ABORTED)
     assert run.result(other, 100) == []
@@ -474,7 +480,7 @@ def test_answers_to_other_goals_are_ignored() -> None:
 
 
 def test_an_error_at_a_held_out_place_ends_the_run() -> None:
-    checks = {(s.x, s.y) for s in plan(RunConfig()) if s.purpose is Purpose.CHECK}
+    checks = {(s.x, s.y) for s in plan(run_config()) if s.purpose is Purpose.CHECK}
 
     def elsewhere(rig: Machine, number: int) -> None:
         rig.slip = np.array([0.003, 0.0, 0.0]) * (rig.goals[-1][:2] in checks)
@@ -560,7 +566,7 @@ def test_still_watch_forgets_a_panel_that_is_not_seen_any_more() -> None:
 )
 def test_impossible_plans_are_refused(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        RunConfig(**wrong)
+        run_config(**wrong)
 
 
 @pytest.mark.parametrize(
@@ -575,15 +581,15 @@ def test_impossible_plans_are_refused(wrong: dict[str, Any], message: str) -> No
 def test_a_plan_that_cannot_be_solved_is_refused_before_it_moves(
     run: dict[str, Any], solver: dict[str, Any], message: str
 ) -> None:
-    check_plan(RunConfig(), HandEyeConfig())
+    check_plan(run_config(), HandEyeConfig())
     with pytest.raises(DegenerateError, match=message):
-        check_plan(RunConfig(**run), HandEyeConfig(**solver))
+        check_plan(run_config(**run), HandEyeConfig(**solver))
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(2, 3), (3, 3), (4, 3), (5, 4), (2, 11)])
 def test_as_many_places_are_held_out_as_are_asked_for(columns: int, rows: int) -> None:
     between = (columns - 1) * (rows - 1)
     for held_out in (2, 4, 6, 12):
-        stops = plan(RunConfig(columns=columns, rows=rows, held_out=held_out))
+        stops = plan(run_config(columns=columns, rows=rows, held_out=held_out))
         places = {(s.x, s.y) for s in stops if s.purpose is Purpose.CHECK}
         assert len(places) == min(held_out, between)

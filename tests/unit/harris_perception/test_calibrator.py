@@ -150,7 +150,7 @@ def ride(calibrator: Calibrator, base_from_panel: Transform, unseen: Sequence[in
 
 def riding(**run: Any) -> Calibrator:
     """Return one with cameras on the carriage, and a panel with a knob of 15 mm, which with the ball is 17 mm."""
-    config = RunConfig(mounting="carriage", **run)
+    config = RunConfig(**{"mounting": "carriage", "places": 6, **run})
     calibrator = Calibrator(CalibratorConfig(machine="bench", run=config, still=CONFIG.still))
     for side, baseline in (("left", 0.0), ("right", 0.12)):
         calibrator.take_camera(side, camera(baseline_m=baseline), NOW_NS)
@@ -189,7 +189,7 @@ def test_cameras_that_see_no_tip_lower_nothing() -> None:
     calibrator = riding()
     calibrator.contacts = [Contact(reading=np.array([0.1, 0.1, 0.016]), in_panel=np.array([0.1, 0.1, 0.002]))]
     goals = ride(calibrator, Transform(np.eye(3), np.array([0.03, 0.03, -0.018])), unseen=range(100))
-    assert len(goals) == len(plan(RunConfig(mounting="carriage"), see_tip=False)), "all the way to its end"
+    assert len(goals) == len(plan(RunConfig(mounting="carriage", places=6), see_tip=False)), "all the way to its end"
     assert {float(goal[2]) for goal in goals} == {0.0}
 
 

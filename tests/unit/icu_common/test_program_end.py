@@ -71,7 +71,12 @@ importlib.import_module(sys.argv[1])
 """
 NEED_NO_ROS = {
     *(f"harris_perception.cli.{name}" for name in ("calibrate", "hand_eye", "harris", "panel_teach", "stereo")),
-    *("gantry_driver.cli.gantry_gcode", "scope_bench.cli.bag_info", "scope_bench.cli.render"),
+    *(
+        "gantry_driver.cli.gantry_gcode",
+        "scope_bench.cli.bag_info",
+        "scope_bench.cli.bring_up",
+        "scope_bench.cli.render",
+    ),
     "scope_ui_bridge.cli.page_admin",
 }
 

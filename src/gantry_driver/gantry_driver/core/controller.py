@@ -38,7 +38,7 @@ class Controller(GoalPhases):
 
     def __init__(self, config: ControllerConfig) -> None:
         super().__init__(config)
-        self._hold_up = HoldUp()
+        self._hold_up, self._wall_hold_up = HoldUp(), HoldUp()
 
     @property
     def state(self) -> str:
@@ -58,6 +58,8 @@ class Controller(GoalPhases):
         if self._closed:
             return []
         self._world.wall_ns = now_ns if wall_ns is None else wall_ns
+        self._wall_hold_up.note(self._world.wall_ns)
+        self._world.wall_held_up_s = self._wall_hold_up.recent_s(self._world.wall_ns)
         jumped_back_s = (self._now_ns - now_ns) / NANO
         self._now_ns = self._world.now_ns = now_ns
         self._actions = []

@@ -64,6 +64,8 @@ class World:
     now_ns: int = 0
     wall_ns: int = 0
     """Wall time of the newest event; ``heartbeat_ns`` is of the same clock."""
+    wall_held_up_s: float = 0.0
+    """The same as ``held_up_s``, in wall time."""
     held_up_s: float = 0.0
     """By how much messages may look too old, because the controller itself was held up."""
     driver: str = "disconnected: nothing heard from the driver"
@@ -269,7 +271,10 @@ class World:
     @property
     def heartbeat_age_s(self) -> float:
         """Wall seconds since the operator's newest heartbeat, infinite without one."""
-        return math.inf if not self.heartbeat_ns else (self.wall_ns - self.heartbeat_ns) / NANO
+        if not self.heartbeat_ns:
+            return math.inf
+        age_s = (self.wall_ns - self.heartbeat_ns) / NANO
+        return age_s - min(self.wall_held_up_s, max(age_s, 0.0))
 
     def left_behind_text(self) -> str:
         """Say how far the stylus was extended."""

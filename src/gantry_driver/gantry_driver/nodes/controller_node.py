@@ -57,7 +57,7 @@ from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
 
-TICK_S, WALL_TICK_S = 0.05, 0.2
+TICK_S, WALL_TICK_S = 0.05, 0.1
 DIAGNOSTICS_S = 1.0
 LAST_WORDS = Duration(seconds=0.3)
 

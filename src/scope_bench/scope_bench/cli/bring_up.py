@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import importlib.util
 import os
 import re
 import signal
@@ -100,6 +101,8 @@ class BringUp:
         """Run until a signal comes; return the exit code."""
         for number in end_signals():
             signal.signal(number, self._stop)
+        if importlib.util.find_spec("rclpy") is None:  # for the programs: bring-up itself does without
+            raise ModuleNotFoundError("No module named 'rclpy'", name="rclpy")
         check_namespace(self.options.namespace)
         config = (self.options.config or configuration_folder()).resolve()
         state = state_folder(self.options.state, self.options.namespace)
