@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -142,12 +141,8 @@ class StepGate:
 
     def _forget_ended(self) -> None:
         for row, process in self._ledger.processes().items():
-            try:
-                os.kill(process, 0)
-            except ProcessLookupError:
+            if _has_ended(process):
                 self._ledger.forget(row)
-            except PermissionError:  # it runs, for another user
-                continue
 
     def _laggards(self, owed: Counts) -> dict[int, Laggard]:
         """Return row -> process for those that have finished fewer messages of an outstanding topic than others."""
@@ -162,6 +157,14 @@ class StepGate:
                 process = self._ledger.processes().get(int(row), 0)
                 found[int(row)] = Laggard(process=process, program=_program(process), topic=topics[column])
         return found
+
+
+def _has_ended(process: int) -> bool:
+    """Whether a process is gone, or nothing is left of it but its exit code (proc(5): state Z or X)."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text(errors="replace").rpartition(")")[2].split()[0] in "ZX"
+    except OSError:
+        return True
 
 
 def _program(process: int) -> str:

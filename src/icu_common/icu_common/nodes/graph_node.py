@@ -21,6 +21,7 @@ from rclpy.subscription import Subscription
 from rclpy.time import Time
 
 from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger
+from icu_common.nodes.qos import ARRIVES_WHOLE
 
 CLOCK_TOPIC = "/clock"
 Observer = Callable[[Node, Subscription], Callable[[], None]]
@@ -218,8 +219,10 @@ def _lossless(profile: Any, *, published: bool = False) -> QoSProfile:
         return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
     # A publisher's depth is what a late subscriber of a latched topic gets.
     latched = published and profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    # A reader of images that asks for lost parts can hang after a kill (docs/decisions/transport.md).
+    as_sent = not published and this_process.simulated and ARRIVES_WHOLE
     return QoSProfile(
         depth=profile.depth if latched else depth,
-        reliability=ReliabilityPolicy.RELIABLE,
+        reliability=profile.reliability if as_sent else ReliabilityPolicy.RELIABLE,
         durability=profile.durability,
     )

@@ -7,8 +7,9 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from icu_common.adapters.transport_profile import is_users_own, keeps_to_this_host, sockets_hold_pictures
 
-_ARRIVES_WHOLE = keeps_to_this_host() and sockets_hold_pictures() and not is_users_own()
-_AS_SENT = ReliabilityPolicy.BEST_EFFORT if _ARRIVES_WHOLE else ReliabilityPolicy.RELIABLE
+ARRIVES_WHOLE = keeps_to_this_host() and sockets_hold_pictures() and not is_users_own()
+"""Whether what a best-effort reader gets arrives complete: on this host, by sockets whose buffers hold an image."""
+_AS_SENT = ReliabilityPolicy.BEST_EFFORT if ARRIVES_WHOLE else ReliabilityPolicy.RELIABLE
 """Of readers of pictures: what arrives whole need not be asked for again, and readers that do hang after a kill
 (docs/decisions/transport.md)."""
 
