@@ -20,7 +20,8 @@ class SmallTerminal:
             if final == "A":
                 self.row -= int(arguments or 1)
                 # What has scrolled off the screen cannot be reached.
-                assert self.row >= max(len(self.lines) - self.height, 0), "the cursor left the screen"
+                highest = max(len(self.lines) - self.height, 0)
+                assert self.row >= highest, f"the cursor left the screen: {self.lines}, {text[-2000:]!r}"
             elif final == "J":
                 del self.lines[self.row + 1 :]
                 self.lines[self.row] = self.lines[self.row][: self.column]

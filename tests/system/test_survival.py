@@ -85,7 +85,7 @@ TABLE = (
         said=(
             ("driver", "disconnected: "),
             ("controller", "waiting: driver disconnected"),
-            ("camera", "the camera has gone|no simulated bench"),
+            ("ui_bridge", "simulated time has stood still for 5 s"),
         ),
         stays_homed=False,
     ),

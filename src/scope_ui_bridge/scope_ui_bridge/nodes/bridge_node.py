@@ -61,7 +61,7 @@ from icu_common.nodes.conversions import (
     transform_of_message,
     transform_of_pose,
 )
-from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.graph_node import GraphNode, this_process
 from icu_common.nodes.images import ReceivedImage
 from icu_common.nodes.newest import NewestImage
 from icu_common.nodes.parameters import LiveParameters
@@ -151,6 +151,9 @@ class BridgeNode(GraphNode):
         self._server.post(self._desk.begun)
         every(self, 1.0, self._check_server, wall=True)
         every(self, 0.5, self._check_liveness)
+        self._simulated_ns, self._simulated_since_s, self._stood_still = 0, time.monotonic(), False
+        if this_process.simulated:
+            every(self, 0.5, self._check_simulated_time, wall=True)
         every(self, 1.0, self._check_states, wall=True)
         every(self, 1.0, self._look_for_recorders, wall=True)
         self.issue_token()
@@ -362,6 +365,18 @@ class BridgeNode(GraphNode):
                 self.get_logger().error(f"{change.name} has ended")
             elif change.condition is Condition.HANGS:
                 self.get_logger().fatal(f"{change.name} hangs: it gives no sign of life")
+
+    def _check_simulated_time(self) -> None:
+        """Report that the simulation has ended or hangs: without its clock no other limit of the graph passes."""
+        ros_ns, wall_s = self.ros_ns(), time.monotonic()
+        if ros_ns != self._simulated_ns:
+            if wall_s - self._simulated_since_s > SILENT_S:
+                self.get_logger().info("simulated time goes on")
+            self._simulated_ns, self._simulated_since_s, self._stood_still = ros_ns, wall_s, False
+        elif wall_s - self._simulated_since_s > SILENT_S and not self._stood_still:
+            self._stood_still = True
+            text = f"simulated time has stood still for {SILENT_S:g} s: the bench, or a program it waits for, is late"
+            self.get_logger().error(text)
 
     def _report_late(self, text: str, load: str) -> None:
         self.get_logger().warning(f"{text}; {load}" if load else text)

@@ -273,6 +273,8 @@ export const PHRASES_DE = [
   ["none needs much", "keines braucht viel"],
   ["no report for {} s, late: {}", "seit {} s keine Meldung, verspätet: {}"],
   ["{} has ended", "{} ist beendet"],
+  ["simulated time has stood still for {} s: the bench, or a program it waits for, is late", "die simulierte Zeit steht seit {} s: Der Prüfstand, oder ein Programm, auf das er wartet, ist verspätet"],
+  ["simulated time goes on", "die simulierte Zeit läuft weiter"],
   ["{} hangs: it gives no sign of life", "{} hängt: kein Lebenszeichen"],
   ["{} reports again", "{} meldet sich wieder"],
   ["z = {} in {} must be 0: the surface is found from the panel", "z = {} in {} muss 0 sein: die Fläche folgt aus der Front"],
