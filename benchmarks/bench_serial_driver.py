@@ -142,7 +142,12 @@ def camera_graph() -> Iterator[None]:
     """Run the graph's cameras and what looks through them, as ``make demo`` does, without anything that moves."""
     root = Path(__file__).resolve().parents[1]
     with tempfile.TemporaryDirectory() as folder:
-        command = [str(root / "ros2_ws/install/scope_bench/lib/scope_bench/bring_up"), "--config", str(root / "config")]
+        command = [
+            str(root / "ros2_ws/install/scope_bench/lib/scope_bench/bring_up"),
+            "--config",
+            str(root / "config"),
+            "--real-time",
+        ]
         command += ["--state", f"{folder}/state", "--run-dir", f"{folder}/run", "--set", "ui_bridge.port=0"]
         for program in ("serial_driver", "gantry_controller", "hand_eye"):
             command += ["--without", program]

@@ -113,7 +113,7 @@ def watched(
     """
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     prepare_transport()
-    graph = RunningGraph(folder, domain, *extra)
+    graph = RunningGraph(folder, domain, "--real-time", *extra)  # delays and rates are of the wall clock
     started(graph.process.pid)
     rclpy.init()
     watcher = Watcher(corners)
