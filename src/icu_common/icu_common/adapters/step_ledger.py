@@ -28,7 +28,7 @@ BYTES_READ, BYTES_WRITTEN = "serial:read", "serial:written"
 
 MAX_PROCESSES, MAX_TOPICS, NAME_BYTES = 64, 512, 160
 _HEAD, _DELIVERIES, _FINISHED, _SUBSCRIPTIONS, _MATCHED = range(5)
-_PID, _BUSY, _TIME, _TOPICS = range(4)
+_PID, _BUSY, _TIME, _TOPICS, _ORIGIN = range(5)
 _NAMES_BYTES = MAX_TOPICS * NAME_BYTES
 _TABLE = (5, MAX_PROCESSES, MAX_TOPICS)
 _SIZE = _NAMES_BYTES + 8 * int(np.prod(_TABLE))
@@ -208,7 +208,14 @@ class StepLedger:
 
     @time_ns.setter
     def time_ns(self, value: int) -> None:
+        if not self._table[_HEAD, 0, _TIME]:
+            self._table[_HEAD, 0, _ORIGIN] = value
         self._table[_HEAD, 0, _TIME] = value
+
+    @property
+    def origin_ns(self) -> int:
+        """First time that was set, in ns: what a restarted bench and the board, which goes on, both count from."""
+        return int(self._table[_HEAD, 0, _ORIGIN])
 
     def totals(self) -> tuple[Counts, Counts, Counts]:
         """Return finished, expected and subscription counts of each topic, (topics,), of all processes together.

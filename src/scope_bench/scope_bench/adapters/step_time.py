@@ -37,7 +37,9 @@ class StepTime:
     def __init__(self, ledger: StepLedger, step_ns: int, publish: Callable[[int], None]) -> None:
         self._ledger, self._step_ns, self._publish = ledger, step_ns, publish
         self._gate = StepGate(ledger)
-        self.start_ns = self.now_ns = ledger.time_ns or time.time_ns()
+        if not ledger.time_ns:
+            ledger.time_ns = time.time_ns()
+        self.start_ns, self.now_ns = ledger.origin_ns, ledger.time_ns
         self._begin_s = time.monotonic()
         self._history: deque[tuple[float, int]] = deque([(self._begin_s, self.now_ns)])
         self._discarded = {BYTES_READ: 0, BYTES_WRITTEN: 0}
