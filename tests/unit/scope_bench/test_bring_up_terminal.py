@@ -12,6 +12,7 @@ import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import termios
 import time
 from collections.abc import Callable, Iterator
@@ -149,6 +150,13 @@ class Demo:
     def let(self, name: str, text: str = "") -> None:
         (self.folder / f"{name}.new").write_text(text)
         (self.folder / f"{name}.new").rename(self.folder / name)
+
+
+@pytest.fixture
+def tmp_path() -> Iterator[Path]:
+    """A folder whose path is short: with that of the log a row of the terminal would be wrapped."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
 
 
 @contextlib.contextmanager
