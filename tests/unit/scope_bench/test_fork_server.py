@@ -27,6 +27,10 @@ os.write(int(os.environ["ICU_READY_FD"]), b"1")
 print("error line", file=sys.stderr)
 if sys.argv[1] == "exit":
     sys.exit(int(sys.argv[2]))
+if sys.argv[1] == "leave":
+    import subprocess
+    child = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE)
+    print("child", child.pid, flush=True)
 if sys.argv[1] == "raise":
     raise ValueError("a traceback")
 print("waits", flush=True)
@@ -169,3 +173,13 @@ def test_only_scripts_of_this_interpreter_are_forked(tmp_path: Path) -> None:
         (tmp_path / "script").write_text(f"{first}\n")
         assert is_forkable([str(tmp_path / "script")]) is forkable
     assert not is_forkable([str(tmp_path / "missing")])
+
+
+def test_what_a_killed_program_leaves_behind_is_no_child_for_ever(group: Group) -> None:
+    """Its child ends with it; bring-up, which is the parent then, takes the exit code."""
+    group.start("parent", "leave")
+    group.until(lambda: any(line.startswith("child") for line in group.lines("parent")))
+    child = int(next(line for line in group.lines("parent") if line.startswith("child")).split()[1])
+    os.kill(group.group.running()["parent"], signal.SIGKILL)
+    group.until(lambda: not Path(f"/proc/{child}").exists())
+    group.until(lambda: ("parent", "ended with signal SIGKILL, restarted in 0.5 s") in group.events)

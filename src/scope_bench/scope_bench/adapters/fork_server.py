@@ -113,6 +113,11 @@ class ForkServer:
         self._open = True
 
     @property
+    def pid(self) -> int:
+        """Process number of the server."""
+        return self._process.pid
+
+    @property
     def runs(self) -> bool:
         """Whether it takes requests."""
         return self._open and self._process.poll() is None

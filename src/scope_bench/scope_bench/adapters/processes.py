@@ -184,6 +184,7 @@ class ProcessGroup:
         """Pass on output and restart what has ended, for at most ``timeout_s``."""
         for key, _ in self._selector.select(timeout_s):
             self._read(key)
+        self._reap_orphans()
         now = time.monotonic()
         turn_s, self._looked_at = min(now - self._looked_at, _LONGEST_TURN_S), now
         for watched in list(self._programs):  # an event may start another one
@@ -196,6 +197,18 @@ class ProcessGroup:
                 process.kill()
             if watched.restart_at is not None and now >= watched.restart_at:
                 self._launch(watched)
+
+    def _reap_orphans(self) -> None:
+        """Take the exit codes of what killed programs have left behind: bring-up is its parent then (subreaper)."""
+        known = {w.process.pid for w in self._programs if w.process is not None}
+        if self._forks is None or 0 in known:  # 0: the server has not yet reported a program's number
+            return
+        known.add(self._forks.pid)
+        with contextlib.suppress(ChildProcessError):
+            while (ended := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
+                if ended.si_pid in known:  # its own look takes this one
+                    return
+                os.waitpid(ended.si_pid, os.WNOHANG)
 
     def running(self) -> dict[str, int]:
         """Return the names and process numbers of what runs."""
