@@ -51,7 +51,7 @@ class CpuQuota:
 
 @contextlib.contextmanager
 def cpu_quota(cores: float) -> Iterator[CpuQuota]:
-    """Make a group that gets the time of so many cores, on however many it runs; remove it at the end.
+    """Make a cgroup with a quota of the time of ``cores`` cores, on any number of them; remove it at the end.
 
     Raises
     ------

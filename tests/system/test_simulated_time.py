@@ -21,7 +21,7 @@ from icu_common.nodes.conversions import stamp_ns
 pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(300)]
 BUSY_PROGRAMS = 6
 WORSE_MM = 0.06
-"""Difference of two touches of one place: a part of the noise of the images is drawn anew for each touch."""
+"""Difference of two touches of one place: each touch has images with noise of their own."""
 
 
 @pytest.fixture

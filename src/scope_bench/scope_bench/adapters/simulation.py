@@ -190,7 +190,7 @@ class Simulation:
                 exposure = now - EXPOSURE_LAG_S
                 self._expose(exposure, time.time_ns() - round((time.monotonic() - exposure) * 1e9))
                 period = 1 / self._config.camera.rate_hz
-                # Keep the beat; after a long pause begin anew instead of catching up.
+                # Keep the period; after a long pause start from now instead of catching up.
                 next_frame = next_frame + period if now - next_frame < period else now + period
             elif self._frames is not None:
                 self._frames.flush()

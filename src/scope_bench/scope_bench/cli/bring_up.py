@@ -166,8 +166,8 @@ class BringUp:
     def _hold_names(self, programs: list[Program], state: Path) -> Path:
         """Hold the graph's names; return the folder for the state.
 
-        A second graph gets a ROS domain and a state folder of its own if nobody has chosen the domain and no machine
-        is moved by it; see docs/decisions/start-up.md.
+        A second graph gets a ROS domain and a state folder of its own if the user has not chosen the domain and it moves
+        no real machine; see docs/decisions/start-up.md.
         """
         try:
             hold_names(self.options.namespace)
@@ -275,7 +275,7 @@ class BringUp:
             self._run.stopping = True
 
     def _broken(self, reason: str) -> None:
-        """End as by a signal when nobody can read the output any more."""
+        """End as by a signal when the output has no reader any more."""
         if reason:
             self.unprinted = True
             print(f"error: standard output: {reason}; ending every program", file=sys.stderr)
