@@ -166,8 +166,8 @@ class BringUp:
     def _hold_names(self, programs: list[Program], state: Path) -> Path:
         """Hold the graph's names; return the folder for the state.
 
-        A second graph gets a ROS domain and a state folder of its own if the user has not chosen the domain and it moves
-        no real machine; see docs/decisions/start-up.md.
+        A second graph gets a ROS domain and a state folder of its own if the user has not chosen the domain and it
+        moves no real machine; see docs/decisions/start-up.md.
         """
         try:
             hold_names(self.options.namespace)
