@@ -59,13 +59,14 @@ class SteppedBench:
 
 
 class SteppedBoard:
-    """Answers each step as the mock board does, with the sample of a slow motion."""
+    """Answers each step as the mock board does, with the sample of a slow motion, or of rest."""
 
     def __init__(self, path: Path) -> None:
         self._listener = socket.socket(socket.AF_UNIX)
         self._listener.bind(os.fspath(path))
         self._listener.listen(1)
         self.sent = self.received = 0
+        self.state = "Run"
         self.until: list[float] = []
         threading.Thread(target=self._serve, daemon=True).start()
 
@@ -76,7 +77,7 @@ class SteppedBoard:
                 until_s = json.loads(line)["until"]
                 self.until.append(until_s)
                 place = [-300.0 + min(until_s, 10.0), -110.0, -5.0]
-                sample = {"t": until_s, "mpos": place, "spindle": 0.0, "coolant": False, "state": "Run"}
+                sample = {"t": until_s, "mpos": place, "spindle": 0.0, "coolant": False, "state": self.state}
                 answer = {"until": until_s, "sent": self.sent, "received": self.received}
                 lines.write(f"{json.dumps(sample)}\n{json.dumps(answer)}\n".encode())
                 lines.flush()
@@ -166,6 +167,28 @@ def test_step_waits_for_bytes_on_the_serial_line(
     wait_for(lambda: len(stepped.published) > count + 2)
 
 
+def test_steps_are_as_long_as_the_images_period_while_the_machine_rests(
+    stepped: SteppedBench, board: SteppedBoard
+) -> None:
+    stepped.camera.close()
+    image_ns = 80_000_000
+
+    def last_steps(count: int) -> set[int]:
+        return set(np.diff(stepped.published[-count - 1 :]).tolist())
+
+    wait_for(lambda: len(stepped.published) > 10)
+    assert last_steps(8) == {STEP_NS}, "it moves"
+    board.state = "Idle"
+    wait_for(lambda: last_steps(4) == {image_ns}, "rest")
+    board.received += 1
+    count = len(stepped.published)
+    wait_for(lambda: len(stepped.published) > count + 3)
+    assert last_steps(3) == {image_ns}, "a status request is no order"
+    board.received += 12
+    wait_for(lambda: last_steps(8) == {STEP_NS}, "an order: short steps before the machine moves")
+    wait_for(lambda: last_steps(4) == {image_ns}, "nothing came of it")
+
+
 def test_bytes_that_no_end_takes_count_as_discarded(ledgers: tuple[StepLedger, StepLedger]) -> None:
     """Opening a port discards what has come before."""
     bench, driver = ledgers
@@ -192,7 +215,7 @@ def test_time_goes_on_from_where_it_was_when_the_bench_is_restarted(ledgers: tup
     bench, _ = ledgers
     first = StepTime(bench, STEP_NS, lambda _: None)
     for _ in range(5):
-        first.advance()
+        first.advance(first.now_ns + 10 * STEP_NS)
     assert bench.time_ns == first.now_ns == first.start_ns + 5 * STEP_NS
     second = StepTime(bench, STEP_NS, lambda _: None)
     assert (second.now_ns, second.now_s) == (first.now_ns, first.now_s), "the board has not been restarted"

@@ -272,3 +272,49 @@ def test_wrong_input_is_named() -> None:
         tracker().find(deep, deep)
     with pytest.raises(ConfigError, match="max_depth_m"):
         StylusConfig(min_depth_m=1.0, max_depth_m=0.5)
+
+
+def resting(tip: Any, rng: np.random.Generator, look: Look | None = None) -> list[np.ndarray[Any, Any]]:
+    """Return a pair of one scene with new noise of 2 grey levels."""
+    still = render(STEREO, np.asarray(tip), np.random.default_rng(9), replace(look or Look(), noise=0.0))
+    return [np.clip(np.rint(one + rng.normal(0.0, 2.0, one.shape)), 0, 255).astype(np.uint8) for one in still]
+
+
+def test_resting_ball_is_measured_in_one_of_four_pairs() -> None:
+    at_rest = tracker()
+    rng = np.random.default_rng(5)
+    found = [at_rest.find(*resting(TIP, rng)) for _ in range(38)]
+    tips = [None if one.tip is None else tuple(one.tip) for one in found]
+    assert None not in tips
+    assert len(set(tips[:30])) == 30, "a look after a motion averages independent measurements"
+    assert [len(set(tips[first : first + 4])) for first in (29, 33)] == [1, 1]
+    assert len(set(tips[29:])) == 3
+    assert np.linalg.norm(np.array(tips[-1]) - TIP) < 5e-4
+
+
+@pytest.mark.parametrize("shift_mm", [(0.1, 0.0, 0.0), (0.0, -0.1, 0.0), (0.0, 0.0, 2.0)])
+def test_resting_ball_that_moves_is_measured_at_once(shift_mm: tuple[float, float, float]) -> None:
+    at_rest = tracker()
+    rng = np.random.default_rng(6)
+    for _ in range(31):
+        before = at_rest.find(*resting(TIP, rng))
+    after = at_rest.find(*resting(TIP + np.array(shift_mm) * 1e-3, rng))
+    assert before.tip is not None and after.tip is not None
+    assert after.tip - before.tip == pytest.approx(np.array(shift_mm) * 1e-3, abs=6e-4)
+    assert after.tip[:2] - before.tip[:2] == pytest.approx(np.array(shift_mm[:2]) * 1e-3, abs=1e-4)
+
+
+def test_resting_ball_that_is_covered_is_not_seen_in_the_very_next_pair() -> None:
+    at_rest = tracker()
+    rng = np.random.default_rng(8)
+    for _ in range(31):
+        assert at_rest.find(*resting(TIP, rng)).tip is not None
+    covered = resting(TIP, rng, Look(hidden_from=-4.0))
+    assert at_rest.find(*covered).tip is None
+
+
+def test_each_pair_is_measured_where_that_is_asked_for() -> None:
+    always = tracker(unchanged_pairs=0)
+    rng = np.random.default_rng(7)
+    found = [always.find(*resting(TIP, rng)) for _ in range(36)]
+    assert len({id(one) for one in found}) == 36

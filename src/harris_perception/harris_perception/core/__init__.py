@@ -17,9 +17,9 @@ Panel
     (second opinions), ``panel_state`` (lamps, knobs, screens, hands) with ``tip_record`` (what the stylus hides),
     ``panel_teaching`` (a new one).
 Stylus and hand-eye
-    ``stylus`` with ``ball_view`` and ``ball_fit`` (the tip in both pictures), ``hand_eye`` (begin here: a machine that
-    only translates), ``reprojection`` (its last step, in pixels), ``backlash``, ``carriage_camera`` (cameras that ride
-    along), ``wrist_camera`` (arms whose wrist turns: AX = XB). The procedure: ``calibration_plan``,
+    ``stylus`` with ``ball_view`` and ``ball_fit`` (the tip in both pictures), ``still_ball`` (a tip at rest),
+    ``hand_eye`` (begin here: a machine that only translates), ``reprojection`` (its last step, in pixels),
+    ``backlash``, ``carriage_camera`` (cameras that ride along), ``wrist_camera`` (arms whose wrist turns: AX = XB). The procedure: ``calibration_plan``,
     ``calibration_tour``, ``calibration_look``, ``still_watch``, ``calibration_run``, ``calibration_solution``,
     ``calibrator``, ``drift``, ``calibration_file``.
 Cameras

@@ -30,14 +30,16 @@ from harris_perception.core.ball_view import (
 )
 from harris_perception.core.depth_range import DepthRange
 from harris_perception.core.medians import median
+from harris_perception.core.still_ball import StillBall, Window
 from icu_common.core.camera_model import CameraModel, StereoModel
 from icu_common.core.config import setting
 from icu_common.core.geometry import Array
 
-Window = tuple[int, int, int, int]
-"""x0, y0, x1, y1 in raw pixels, the last ones not included."""
-
 _MAX_BLOBS = 12
+_REST_PAIRS = 30
+"""Unchanged pairs after which the stylus rests: 2 s at 15 Hz, longer than any look after a motion."""
+_COMPARED_BEYOND_PX = 3.0
+"""Pixels beyond the ball's outline that are compared with the last measured pair."""
 _COLOURED = 25.0
 """Grey levels below zero that the chroma of something yellow, green or cyan has."""
 _BEYOND_PX = 1.75
@@ -76,6 +78,13 @@ class StylusConfig(DepthRange):
     )
     search_margin_px: int = setting(
         60, "The ball is looked for first this far around its last place.", minimum=10, maximum=2000, unit="px"
+    )
+    unchanged_pairs: int = setting(
+        3,
+        "Maximum number of successive pairs that take over the last tip, unmeasured, while the stylus rests and its "
+        "surroundings do not change; 0: each pair is measured.",
+        minimum=0,
+        maximum=15,
     )
     pair_tolerance_s: float = setting(
         0.004, "Left and right stamps of a pair differ by at most this.", minimum=0.0, maximum=0.1, unit="s"
@@ -144,6 +153,8 @@ class StylusTracker:
     def __init__(self, config: StylusConfig, stereo: StereoModel) -> None:
         self.config, self.stereo = config, stereo
         self._last: Array | None = None
+        self._still = StillBall(config.unchanged_pairs, _REST_PAIRS)
+        self._result = Search(tip=None, reason="not seen")
 
     def find(self, left: Picture, right: Picture) -> Search:
         """Measure the ball's centre in one pair of raw pictures, (H, W, 3) uint8 BGR.
@@ -158,22 +169,32 @@ class StylusTracker:
             if picture.shape != (model.height, model.width, 3) or picture.dtype != np.uint8:
                 calibrated = model.height, model.width, 3
                 raise ValueError(f"picture {picture.shape} {picture.dtype}: {calibrated} uint8 is calibrated")
-        result = Search(tip=None, reason="not seen")
+        if self._still.unchanged(pictures):
+            return self._result
         for windows in self._windows():
-            result = self._search(pictures, windows)
-            if result.tip is not None:
+            self._result = self._search(pictures, windows)
+            if self._result.tip is not None:
                 break
-        self._last = result.tip
-        return result
+        self._last = self._result.tip
+        if self._last is not None:
+            self._still.measured(pictures, self._around_ball(self._last, _COMPARED_BEYOND_PX))
+        else:
+            self._still.forget()
+        return self._result
+
+    def _around_ball(self, tip: Array, margin: float) -> tuple[Window, Window]:
+        """Return the windows, in either raw picture, that reach ``margin`` px beyond the ball's outline."""
+        margin += max(self._radii_px(tip))
+        left, right = self.stereo.left, self.stereo.right
+        seen = (left.project(tip)[0], self.stereo.project_right(tip)[0])
+        near = [_around(at, margin, (0, 0, model.width, model.height)) for at, model in zip(seen, (left, right))]
+        return near[0], near[1]
 
     def _windows(self) -> Iterator[tuple[Window, Window]]:
-        whole = [(0, 0, model.width, model.height) for model in (self.stereo.left, self.stereo.right)]
+        left, right = self.stereo.left, self.stereo.right
         if self._last is not None:
-            margin = self.config.search_margin_px + max(self._radii_px(self._last))
-            seen = (self.stereo.left.project(self._last)[0], self.stereo.project_right(self._last)[0])
-            near = [_around(at, margin, window) for at, window in zip(seen, whole)]
-            yield near[0], near[1]
-        yield whole[0], whole[1]
+            yield self._around_ball(self._last, self.config.search_margin_px)
+        yield (0, 0, left.width, left.height), (0, 0, right.width, right.height)
 
     def _radii_px(self, tip: Array) -> tuple[float, float]:
         """Return the ball's radius in either picture: at the ends of the travel they differ by some per cent."""
@@ -185,11 +206,13 @@ class StylusTracker:
 
     def _search(self, pictures: tuple[Picture, Picture], windows: tuple[Window, Window]) -> Search:
         models = (self.stereo.left, self.stereo.right)
-        chroma = [chroma_of(_cut(picture, window)) for picture, window in zip(pictures, windows)]
-        blobs = [list(self._blobs(*part)) for part in zip(chroma, windows, models)]
-        for side, found in zip(("left", "right"), blobs):
+        blobs: list[list[_Blob]] = []
+        for side, picture, window, model in zip(("left", "right"), pictures, windows, models):
+            part = _cut(picture, window)
+            found = list(self._blobs(chroma_of(part), window, model)) if self._has_colour(part) else []
             if not found:
                 return Search(tip=None, reason=f"not seen in the {side} picture")
+            blobs.append(found)
         good: list[Search] = []
         reason = "nothing of the ball's colour is in both pictures at a possible depth"
         for a, b in self._pairs(*blobs):
@@ -201,10 +224,22 @@ class StylusTracker:
             return Search(tip=None, reason=f"{len(good)} places look like the ball")
         return good[0] if good else Search(tip=None, reason=reason)
 
+    def _has_colour(self, part: Picture) -> bool:
+        """Tell from every second row and column whether anything has the ball's colour; a quarter of a whole look.
+
+        What has it in no such pixel is less than 2 px wide or high, and is no ball of which an arc can be measured.
+        """
+        chroma = chroma_of(part[::2, ::2])
+        return bool(chroma.size and chroma.max() > min(self._level(chroma[::4, ::4]), 254.0))
+
+    def _level(self, every_eighth: Picture) -> float:
+        """Return the chroma above which something has the ball's colour."""
+        return median(every_eighth) + self.config.min_chroma
+
     def _blobs(self, chroma: Picture, window: Window, model: CameraModel) -> Iterator[_Blob]:
         """Yield connected regions of the ball's colour and a possible size, the largest first."""
-        level = median(chroma[::8, ::8]) + self.config.min_chroma
-        mask = np.asarray(cv2.threshold(chroma, min(level, 254.0), 255, cv2.THRESH_BINARY)[1])
+        level = min(self._level(chroma[::8, ::8]), 254.0)
+        mask = np.asarray(cv2.threshold(chroma, level, 255, cv2.THRESH_BINARY)[1])
         left, top, across, down = cv2.boundingRect(mask)  # much quicker than labelling, and mostly small
         if not across:
             return

@@ -33,8 +33,15 @@ EXPOSURE_LAG_S = 0.015
 """The exposure lies so far back that the motor samples around it have come."""
 RECONNECT_S = 0.25
 SEND_S = 0.03
-STEP_LOOK_S = 0.001
-"""Interval of looks whether a step is finished."""
+STEP_LOOK_MIN_S, STEP_LOOK_MAX_S = 0.0005, 0.004
+"""Shortest and longest interval between two checks whether a step is finished."""
+_LOOK_SHARE = 0.2
+"""Interval between two checks as a share of the time waited so far."""
+BUSY_S = 0.3
+"""Simulated time after a motion or an order in which steps stay short: one order follows another."""
+_POLL_BYTES = 2
+"""Bytes of status requests in a step; an order has more, with its line end."""
+_STATES_AT_REST = ("Idle", "Alarm", "Sleep")
 CAMERA_STATES = ("ok", "frozen", "unplugged")
 
 
@@ -103,6 +110,7 @@ class Simulation:
         self._selector.register(self._wake_read, selectors.EVENT_READ, self._woken)
         self._motion = MotionClient(Path(config.motion_socket)) if config.motion_socket else None
         self._reconnect_at = 0.0
+        self._busy_until_s = 0.0
         self._listener: socket.socket | None = None
         self._log: TextIO | None = None
         try:
@@ -197,17 +205,18 @@ class Simulation:
             self._write_log()
 
     def _run_in_steps(self, steps: StepTime) -> None:
-        next_frame_ns = steps.now_ns
+        next_frame_ns = steps.now_ns + round(1e9 / self._config.camera.rate_hz)
         while not self._stopping:
             self._connect()
-            self._serve_until(lambda: not steps.wait_s())
-            steps.advance()
+            while not self._stopping and (wait_s := steps.wait_s()) > 0:
+                self._serve(wait_s)
+            steps.advance(next_frame_ns, long=not self._busy(steps.now_s))
             # Timers and goals of this step come before what the board and the cameras make of it.
             self._serve_until(steps.settled)
             self._follow_board(steps.now_s)
             self._bench.advance(steps.now_s)
             if steps.now_ns >= next_frame_ns:
-                self._expose((next_frame_ns - steps.start_ns) / 1e9, next_frame_ns)
+                self._expose(steps.now_s, steps.now_ns)
                 next_frame_ns += round(1e9 / self._config.camera.rate_hz)
             given_up_s = time.monotonic() + PATIENCE_S
             self._serve_until(
@@ -225,24 +234,34 @@ class Simulation:
 
     def _serve_until(self, condition: Callable[[], bool]) -> None:
         """Serve until the condition holds, or the bench is to stop; what it waits for has limits of its own."""
+        begin_s = time.monotonic()
         while not self._stopping and not condition():
-            self._serve(STEP_LOOK_S)
+            waited_s = time.monotonic() - begin_s
+            self._serve(min(max(_LOOK_SHARE * waited_s, STEP_LOOK_MIN_S), STEP_LOOK_MAX_S))
 
     def _follow_board(self, until_s: float) -> None:
         """Let the board run to a time, and take the motion on the way there."""
         motion = self._motion
         if motion is None or motion.socket is None:
             return
-        link = motion.socket
+        link, received = motion.socket, motion.received
         samples = motion.advance(until_s)
         if motion.socket is None:
             self._selector.unregister(link)
+        if motion.received - received > _POLL_BYTES or any(sample.state not in _STATES_AT_REST for sample in samples):
+            self._busy_until_s = until_s + BUSY_S
         for sample in samples:
             self._bench.feed(sample.mpos_mm, sample.spindle, sample.coolant, sample.time_s)
+
+    def _busy(self, now_s: float) -> bool:
+        """Whether the machine moves, or has just had an order: board and driver then need short steps."""
+        return now_s < self._busy_until_s
 
     def _board_settled(self, steps: StepTime) -> bool:
         """Whether board, driver and graph have dealt with all that was sent in this step."""
         motion = self._motion
+        if not steps.settled():
+            return False
         if motion is not None and motion.socket is not None:
             self._follow_board(steps.now_s)
             if not steps.serial_settled(motion.sent, motion.received):

@@ -29,7 +29,7 @@ class StepTime:
     ledger
         The graph's counts.
     step_ns
-        Length of a step.
+        Length of a step while the machine moves or takes orders.
     publish
         Publishes a time in ns on ``/clock``.
     """
@@ -54,11 +54,12 @@ class StepTime:
         """Return for how many wall seconds the next step must not begin yet."""
         return max(self._begin_s - time.monotonic(), 0.0)
 
-    def advance(self) -> None:
-        """Begin the next step."""
+    def advance(self, until_ns: int, *, long: bool = False) -> None:
+        """Begin the next step, which ends at ``until_ns`` or earlier; only a long one may be longer than the step."""
         now_s = time.monotonic()
-        self._begin_s = max(self._begin_s, now_s - CATCH_UP_S) + self._step_ns / 1e9
-        self.now_ns += self._step_ns
+        step_ns = until_ns - self.now_ns if long else min(self._step_ns, until_ns - self.now_ns)
+        self._begin_s = max(self._begin_s, now_s - CATCH_UP_S) + step_ns / 1e9
+        self.now_ns += step_ns
         self._ledger.time_ns = self.now_ns
         self._publish(self.now_ns)
         self._history.append((now_s, self.now_ns))

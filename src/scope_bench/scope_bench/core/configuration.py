@@ -156,7 +156,12 @@ class BenchConfig(Config):
         False, "Publish /clock, and advance only when the graph has finished the last step", read_only=True
     )
     step_rate_hz: float = setting(
-        60.0, "Steps of simulated time in each second of it", minimum=10.0, maximum=1000.0, unit="Hz", read_only=True
+        60.0,
+        "Steps of simulated time in each second while the machine moves; at rest there is one for each image",
+        minimum=10.0,
+        maximum=1000.0,
+        unit="Hz",
+        read_only=True,
     )
     seed: int = setting(1, "Seed of the hidden errors and of the noise", minimum=0, maximum=2**31 - 1, read_only=True)
     camera: CameraConfig = nested(CameraConfig)

@@ -26,6 +26,10 @@ LIGHT = np.array([-0.35, 0.45, 0.82])
 _SHADOW_DEPTH, _SHADOW_BLUR_PX = 90, 5
 _COUNT, _BALL_COUNT = 3, 6
 """Samples per pixel and direction; the ball is measured, the rest only seen."""
+_MOVING_COUNT, _MOVING_BALL_COUNT = 1, 2
+"""The same while the stylus travels."""
+_MOVING_M = 0.001
+"""Distance between two images above which the stylus travels; nothing measures it to a fraction of a pixel then."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,7 +49,9 @@ class StylusPainter:
         self._config = config
         # Rays in base_link with z = -1: the cameras look down at the bench.
         self._lean, self._eye = view.rays.lean, view.rays.eye
-        self._drawn: tuple[bytes, LightConfig] | None = None
+        self._tip: Array | None = None
+        self._counts = _COUNT, _BALL_COUNT
+        self._drawn: tuple[bytes, LightConfig, tuple[int, int]] | None = None
         self._below_arm: list[_Part] = []
         self._above_arm: list[_Part] = []
         self._shaded: bytes | None = None
@@ -53,9 +59,12 @@ class StylusPainter:
 
     def draw(self, picture: Picture, tip: Array) -> None:
         """Draw the stylus with its ball's centre at ``tip``, (3,) metres in base_link, into ``picture``."""
-        if self._drawn != (tip.tobytes(), self._view.light):
+        travels = self._tip is not None and np.abs(tip - self._tip).max() > _MOVING_M
+        self._tip, self._counts = tip, (_MOVING_COUNT, _MOVING_BALL_COUNT) if travels else (_COUNT, _BALL_COUNT)
+        as_drawn = tip.tobytes(), self._view.light, self._counts
+        if self._drawn != as_drawn:
             self._cast(tip)
-            self._drawn = tip.tobytes(), self._view.light
+            self._drawn = as_drawn
         # From far to near: the camera looks down, so what is higher hides what is lower.
         self._over(picture, self._below_arm)
         self._arm(picture, tip)
@@ -145,7 +154,7 @@ class StylusPainter:
     def _ball(self, tip: Array, radius: float) -> _Part | None:
         corners = tip + radius * 1.1 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         window = window_around(self._view.camera.project(corners), self._margin(), self._view.camera)
-        dx, dy = self._rays(window, _BALL_COUNT)
+        dx, dy = self._rays(window, self._counts[1])
         # |eye + t d - tip| = radius with d = (dx, dy, -1).
         ex, ey, ez = self._eye - tip
         a = dx**2 + dy**2 + 1
@@ -176,7 +185,7 @@ class StylusPainter:
         corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (0, 1)], dtype=np.float64)
         corners = corners * (radius, radius, high - low) + (axis[0], axis[1], low)
         window = window_around(self._view.camera.project(corners), self._margin(), self._view.camera)
-        dx, dy = (ray.astype(np.float32) for ray in self._rays(window, _COUNT))
+        dx, dy = (ray.astype(np.float32) for ray in self._rays(window, self._counts[0]))
         ex, ey, ez = (self._eye - (*axis[:2], 0.0)).tolist()
         # Upper face, then the side: |(ex, ey) + t (dx, dy)| = radius. What is under its root is written as by
         # Lagrange's identity: float32 has too few digits for the difference of two large squares.
