@@ -19,14 +19,11 @@ Panel
 Stylus and hand-eye
     ``stylus`` with ``ball_view`` and ``ball_fit`` (the tip in both pictures), ``still_ball`` (a tip at rest),
     ``hand_eye`` (begin here: a machine that only translates), ``reprojection`` (its last step, in pixels),
-    ``backlash``, ``carriage_camera`` (cameras that ride along), ``wrist_camera`` (arms whose wrist turns: AX = XB). The procedure: ``calibration_plan``,
-    ``calibration_tour``, ``calibration_look``, ``still_watch``, ``calibration_run``, ``calibration_solution``,
-    ``calibrator``, ``drift``, ``calibration_file``.
-Cameras
-    ``board`` and ``board_detection``, ``view_coverage`` and ``view_collection``, ``camera_calibration``.
-Measured against others
-    ``repeatability``, ``boundary_evaluation``, ``stereo_evaluation``.
-Used by all
-    ``gray`` (encodings), ``medians``, ``sampling`` (between pixels), ``bitmap`` and ``lanes`` (bits for the loops),
-    ``compiled`` (numba), ``pairing`` (messages of one moment), ``overlay`` (drawn for people).
+    ``backlash``, ``carriage_camera`` (cameras that ride along), ``wrist_camera`` (arms whose wrist turns: AX = XB).
+    The procedure: ``calibration_plan``, ``calibration_tour``, ``calibration_look``, ``still_watch``,
+    ``calibration_run``, ``calibration_solution``, ``calibrator``, ``drift``, ``calibration_file``. Cameras ``board``
+    and ``board_detection``, ``view_coverage`` and ``view_collection``, ``camera_calibration``. Measured against
+    others ``repeatability``, ``boundary_evaluation``, ``stereo_evaluation``. Used by all ``gray`` (encodings),
+    ``medians``, ``sampling`` (between pixels), ``bitmap`` and ``lanes`` (bits for the loops), ``compiled`` (numba),
+    ``pairing`` (messages of one moment), ``overlay`` (drawn for people).
 """
