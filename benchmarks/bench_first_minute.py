@@ -33,6 +33,8 @@ sys.path.insert(0, str(ROOT / "tests"))
 from system.operator_browser import OPTIONS, Operator, browser_program  # noqa: E402
 
 BRING_UP = ROOT / "ros2_ws" / "install" / "scope_bench" / "lib" / "scope_bench" / "bring_up"
+KEPT = OUT / "first_minute_runs.json"
+"""All runs, written after each of them: the whole measurement takes hours."""
 READY_S = 900.0
 READY_GOAL_S = 45.0
 """Of a new machine on two free cores."""
@@ -184,6 +186,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--busy", type=int, nargs="+", default=[0, 4], help="busy programs (default: 0 4)")
     parser.add_argument("--runs", type=int, default=1, help="runs for each number of them (default: 1)")
+    parser.add_argument(
+        "--add", action="store_true", help="add to the runs of an earlier measurement in benchmarks/out"
+    )
     parser.add_argument("--plot", type=Path, help="SVG file for the plot")
     parser.add_argument("bring_up", nargs="*", help="further arguments for bring_up, after --")
     given = parser.parse_args()
@@ -194,6 +199,9 @@ def main() -> int:
     from playwright.sync_api import sync_playwright
 
     runs: list[Run] = []
+    if given.add and KEPT.is_file():
+        runs = [Run(**values) for values in json.loads(KEPT.read_text())]
+    OUT.mkdir(exist_ok=True)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=OPTIONS)
         for number in range(given.runs):
@@ -208,9 +216,8 @@ def main() -> int:
                 )
                 if run.why:
                     print("\n".join(run.lines[-30:]), flush=True)
+                KEPT.write_text(json.dumps([asdict(run) for run in runs], indent=1))
         browser.close()
-    OUT.mkdir(exist_ok=True)
-    (OUT / "first_minute_runs.json").write_text(json.dumps([asdict(run) for run in runs], indent=1))
     if given.plot:
         plot(runs, given.plot)
     return 0 if write("first_minute", rows_of(runs), title="The first minute beside busy programs") else 1
