@@ -53,9 +53,13 @@ def test_clock_and_images_have_steps_of_their_own_whatever_the_wall_s(running_gr
     infos = ros.collect(node, CameraInfo, "/stereo/left/camera_info", qos.IMAGES)
     ros.spin_until(lambda: len(infos) > 20 and len(clocks) > 60, 60.0)
     times = np.array([stamp_ns(message.clock) for message in clocks])
-    assert set(np.diff(times)) == {round(1e9 / 60)}
+    assert set(np.diff(times)) == {round(1e9 / 15)}, "at rest a step lasts until the next image"
     stamps = np.array([stamp_ns(message.header.stamp) for message in infos])
     assert set(np.diff(stamps)) == {round(1e9 / 15)}
+    press(running_graph, operator, "MATH")
+    steps = np.diff([stamp_ns(message.clock) for message in clocks])
+    assert np.sum(abs(steps - 1e9 / 60) < 2) > 60, "short steps while the machine moves"
+    assert set(np.diff([stamp_ns(message.header.stamp) for message in infos])) == {round(1e9 / 15)}
 
 
 def test_touches_on_a_busy_computer_are_as_precise(

@@ -1,5 +1,7 @@
 """ros2 launch scope_bench graph.launch.py profile:=bench -- the same graph as bring_up, from the same table."""
 
+import atexit
+import contextlib
 from pathlib import Path
 from tempfile import mkdtemp
 
@@ -9,23 +11,45 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
+from icu_common.adapters.step_ledger import LEDGER_VARIABLE
 from launch import LaunchContext, LaunchDescription
 from scope_bench.adapters.configuration_folder import true_configuration
+from scope_bench.adapters.graph_ledger import is_used, new_ledger, path_of_graph
 from scope_bench.adapters.graph_names import hold_names
 from scope_bench.cli.bring_up import state_folder
-from scope_bench.core.graph_description import check_namespace, load_graph
+from scope_bench.core.graph_description import check_namespace, load_graph, simulators
+
+
+def steps_of(values: dict[str, str]) -> dict[str, str]:
+    """Return the variables of a graph that runs by simulated time, none by the wall clock.
+
+    A part follows the graph that it comes to.
+    """
+    ledger = path_of_graph(values["namespace"])
+    config = Path(values["config"]).expanduser()
+    if values["real_time"] == "true" or not simulators(config, values["profile"]):
+        return {}
+    if values["package"]:
+        return {LEDGER_VARIABLE: str(ledger)} if is_used(ledger) else {}
+    kept = contextlib.ExitStack()
+    kept.enter_context(new_ledger(ledger, simulated=True))
+    atexit.register(kept.close)
+    return {LEDGER_VARIABLE: str(ledger)}
 
 
 def start(context: LaunchContext) -> list:
     values = {
         name: LaunchConfiguration(name).perform(context)
-        for name in ("profile", "config", "state", "namespace", "scope", "package", "run")
+        for name in ("profile", "config", "state", "namespace", "scope", "package", "run", "real_time")
     }
     check_namespace(values["namespace"])
     given = Path(values["state"]).expanduser() if values["state"] else None
     state = state_folder(given, values["namespace"])
     run = Path(values["run"] or mkdtemp(prefix="icu_gantry_")).expanduser()
     run.mkdir(parents=True, exist_ok=True)
+    if not values["package"]:  # a part may come to a graph
+        hold_names(values["namespace"])
+    environment = steps_of(values)
     programs = load_graph(
         Path(values["config"]).expanduser(),
         values["profile"],
@@ -33,9 +57,8 @@ def start(context: LaunchContext) -> list:
         state=state,
         robot_namespace=values["namespace"],
         scope=values["scope"],
+        simulated_time=bool(environment),
     )
-    if not values["package"]:  # a part may come to a graph
-        hold_names(values["namespace"])
     actions = []
     for program in (p for p in programs if values["package"] in ("", p.package)):
         if program.is_node:
@@ -48,12 +71,14 @@ def start(context: LaunchContext) -> list:
                     parameters=[*map(str, program.parameter_files), dict(program.parameters)],
                     remappings=list(program.remappings),
                     arguments=list(program.arguments),
+                    additional_env=environment,
                     output="screen",
                 )
             )
         else:
             executable = ExecutableInPackage(package=program.package, executable=program.executable)
-            actions.append(ExecuteProcess(cmd=[executable, *program.arguments], name=program.name, output="screen"))
+            command = [executable, *program.arguments]
+            actions.append(ExecuteProcess(cmd=command, name=program.name, additional_env=environment, output="screen"))
     return actions
 
 
@@ -73,6 +98,9 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("package", default_value="", description="only this package's part of the graph"),
             DeclareLaunchArgument(
                 "run", default_value="", description="folder for sockets, shared by several launches"
+            ),
+            DeclareLaunchArgument(
+                "real_time", default_value="false", description="true: run a simulated machine by the wall clock"
             ),
             OpaqueFunction(function=start),
         ]

@@ -23,6 +23,8 @@ import yaml
 from catkin_pkg.package import parse_package
 from parameter_files import file_values, parameters
 
+from icu_common.adapters.step_ledger import LEDGER_VARIABLE
+from scope_bench.adapters.graph_ledger import path_of_graph
 from scope_bench.core.graph_description import GraphError, load_graph
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -235,9 +237,9 @@ def test_who_starts_the_graph_depends_on_the_packages_of_its_programs(profile: s
 
 
 @pytest.mark.parametrize("profile", ["bench", "test", "hardware", "replay"])
-@pytest.mark.parametrize("namespace", ["", "bed_1"])
+@pytest.mark.parametrize(("namespace", "real_time"), [("", "false"), ("bed_1", "false"), ("", "true")])
 def test_ros2_launch_starts_the_graph_that_bring_up_starts(
-    profile: str, namespace: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    profile: str, namespace: str, real_time: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The launch file is run against recording stand-ins; what it would start is what bring-up's table says."""
     for name, module in launch_modules(ROOT).items():
@@ -250,12 +252,23 @@ def test_ros2_launch_starts_the_graph_that_bring_up_starts(
         if type(a).__name__ == "DeclareLaunchArgument"
     }
     context = {"profile": profile, "config": str(ROOT / "config"), "state": str(tmp_path), "namespace": namespace}
-    context |= {"scope": "", "package": "", "run": str(tmp_path / "run")}
+    context |= {"scope": "", "package": "", "run": str(tmp_path / "run"), "real_time": real_time}
     assert declared == set(context)
     started = launch["start"](context)
-    programs = load_graph(ROOT / "config", profile, run=tmp_path / "run", state=tmp_path, robot_namespace=namespace)
+    stepped = real_time == "false" and profile in ("bench", "test")
+    ledger = {LEDGER_VARIABLE: str(path_of_graph(namespace))} if stepped else {}
+    programs = load_graph(
+        ROOT / "config",
+        profile,
+        run=tmp_path / "run",
+        state=tmp_path,
+        robot_namespace=namespace,
+        simulated_time=stepped,
+    )
+    assert Path(ledger[LEDGER_VARIABLE]).is_file() if stepped else not path_of_graph(namespace).exists()
     for action, program in zip(started, programs, strict=True):
         given = action.keywords
+        assert given["additional_env"] == ledger, program.name
         if not program.is_node:
             assert given["cmd"][0].keywords == {"package": program.package, "executable": program.executable}
             assert given["cmd"][1:] == list(program.arguments)
@@ -303,7 +316,7 @@ def test_ros2_launch_refuses_a_second_graph_and_a_namespace_that_is_none(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     start = runpy.run_path(str(ROOT / "src/scope_bench/launch/graph.launch.py"))["start"]
     given = {"profile": "hardware", "config": str(ROOT / "config"), "state": "", "namespace": "", "scope": ""}
-    given |= {"package": "", "run": str(tmp_path / "run")}
+    given |= {"package": "", "run": str(tmp_path / "run"), "real_time": "false"}
     with pytest.raises(GraphError, match=r"namespace \.\./bed: names of letters"):
         start(given | {"namespace": "../bed"})
     assert list(tmp_path.iterdir()) == []

@@ -80,8 +80,12 @@ def test_the_tip_is_measured_before_lamps_that_shine(name: str) -> None:
     for lamp in lamps:
         for above_mm in (0.0, 2.5, 5.0, 7.5, 10.0, 12.5):
             tip = panel_from.apply(np.array([*lamp.position_mm, lamp.height_mm + 2.0 + above_mm]) / 1000)
-            found = tracker.find(*renderer.render(Moment(tip=tuple(tip), state=state, now_s=above_mm)))
-            assert found.tip is not None, (lamp.name, above_mm, found.reason)
-            error_mm = 1000 * float(np.linalg.norm((base_from_camera.apply(found.tip) - tip)[:2]))
+            looks = [
+                tracker.find(*renderer.render(Moment(tip=tuple(tip), state=state, now_s=above_mm + n / 15)))
+                for n in range(3)
+            ]
+            seen = [look.tip for look in looks if look.tip is not None]
+            assert len(seen) >= 2, (lamp.name, above_mm, [look.reason for look in looks])
+            error_mm = 1000 * float(np.linalg.norm((base_from_camera.apply(seen[0]) - tip)[:2]))
             print(f"{name} {lamp.name} {above_mm:4.1f} mm above: {error_mm:.3f} mm")
             assert error_mm < 0.2, (lamp.name, above_mm)

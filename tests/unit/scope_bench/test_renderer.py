@@ -49,11 +49,21 @@ def test_the_seed_decides() -> None:
         assert not np.array_equal(first[side], other[side])
 
 
+def test_an_image_does_not_depend_on_those_before_it() -> None:
+    """A slow computer renders the same image of a moment, whatever it has left out."""
+    panel = base_from_panel(NOISY.panel)
+    often, once = (Renderer(LAYOUT, NOISY, panel) for _ in range(2))
+    before = [often.render(moment(now_s=n / 15))[0] for n in range(4)]
+    assert len({image.tobytes() for image in before}) == 4, "noise of its own for each"
+    for side in (0, 1):
+        assert np.array_equal(often.render(moment(now_s=1.0))[side], once.render(moment(now_s=1.0))[side])
+
+
 def test_noise_has_the_asked_strength() -> None:
     config = dataclasses.replace(NOISY, light=LightConfig(noise=3.0))
     noisy = Renderer(LAYOUT, config, base_from_panel(config.panel))
     stopped = press(InstrumentState(), "RUN_STOP", 1.0)
-    pictures = [noisy.render(moment(stopped))[0].astype(float) for _ in range(2)]
+    pictures = [noisy.render(moment(stopped, now_s))[0].astype(float) for now_s in (3.0, 3.1)]
     spread = (pictures[0] - pictures[1])[20:80, 20:200].std() / np.sqrt(2)
     # Rounding to whole grey levels adds a twelfth.
     assert spread == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.03)

@@ -12,19 +12,19 @@ import signal
 import stat
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 
 from icu_common.adapters.program_end import end_signals, ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
-from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger, ledger_path
+from icu_common.adapters.step_ledger import LEDGER_VARIABLE
 from icu_common.adapters.transport_profile import check_environment
 from icu_common.core.option_bounds import named_path
 from icu_common.core.yaml_text import values_of_pairs
 from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.adapters.environment import check_space, free_port
+from scope_bench.adapters.graph_ledger import is_used, new_ledger, path_of_graph
 from scope_bench.adapters.graph_names import hold_another_domain, hold_names
 from scope_bench.adapters.run_log import RunLog
 from scope_bench.adapters.screen import Screen, is_terminal
@@ -75,17 +75,6 @@ def state_folder(given: Path | None, namespace: str = "") -> Path:
     return folder.resolve()
 
 
-def _is_used(ledger: Path) -> bool:
-    """Whether a ledger is there and a running graph counts in it."""
-    if not ledger.is_file():
-        return False
-    try:
-        with contextlib.closing(StepLedger(ledger)) as found:
-            return any(Path(f"/proc/{process}").exists() for process in found.processes().values())
-    except OSError:
-        return False
-
-
 class BringUp:
     """Checks the command line and this computer, and runs the graph."""
 
@@ -125,22 +114,13 @@ class BringUp:
     @contextlib.contextmanager
     def _ledger(self) -> Iterator[None]:
         """Make the graph's ledger of steps, unless single programs are added to a graph that has one."""
-        path = self._ledger_path()
+        path = path_of_graph(self.options.namespace)
         self._environment[LEDGER_VARIABLE] = str(path)
         if self.options.only:
             yield
             return
-        path.unlink(missing_ok=True)  # what an earlier graph has left
-        try:
-            with contextlib.closing(StepLedger(path)) as made:
-                if self._simulated:
-                    made.time_ns = time.time_ns()
+        with new_ledger(path, simulated=self._simulated):
             yield
-        finally:
-            path.unlink(missing_ok=True)
-
-    def _ledger_path(self) -> Path:
-        return ledger_path(os.environ.get("ROS_DOMAIN_ID", ""), self.options.namespace)
 
     def _runs_by_simulated_time(self, config: Path) -> bool:
         """Whether all hardware is simulated here, or the graph that single programs are added to follows ``/clock``."""
@@ -148,7 +128,7 @@ class BringUp:
         if self.options.real_time or not needed:
             return False
         left = ({*self.options.only} or needed) - {*self.options.without}
-        return needed <= left or (bool(self.options.only) and _is_used(self._ledger_path()))
+        return needed <= left or (bool(self.options.only) and is_used(path_of_graph(self.options.namespace)))
 
     def _load(self, config: Path, run: Path, state: Path) -> list[Program]:
         programs = load_graph(

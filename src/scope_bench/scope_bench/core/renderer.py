@@ -85,7 +85,6 @@ class Renderer:
         self._panel_from = panel_from
         self._camera_xy, self._samples = (0.0, 0.0), SAMPLES
         self._sides = self._make_sides()
-        self._rng = np.random.default_rng(config.seed)
         self._still_of: InstrumentState | None = None
         self._still: Picture = np.zeros((1, 1, 3), np.uint8)
         self._noise: tuple[Picture, Picture] | None = None
@@ -145,9 +144,11 @@ class Renderer:
             self._follow(moment.carriage, _MOVED_SAMPLES if not moment.crossing else 1)
             tip = np.asarray(moment.tip) - np.array([*self._camera_xy, 0.0])
             moment = dataclasses.replace(moment, tip=tuple(tip.tolist()))
-        light = self._emission(moment)
+        # Noise of its own for each moment: an image does not depend on those that were rendered before it.
+        rng = np.random.default_rng((self._config.seed, round(moment.now_s * 1e6)))
+        light = self._emission(moment, rng)
         states = self._control_states(moment)
-        return [self._with_noise(side.draw(states, light, moment)) for side in self._sides]
+        return [self._with_noise(side.draw(states, light, moment), rng) for side in self._sides]
 
     def _control_states(self, moment: Moment) -> dict[str, ControlState]:
         sunk = dict(moment.sunk_mm)
@@ -161,13 +162,13 @@ class Renderer:
             for control in self._lamps
         }
 
-    def _emission(self, moment: Moment) -> Picture | None:
+    def _emission(self, moment: Moment, rng: np.random.Generator) -> Picture | None:
         if not self._screens:
             return None
         size = screen.SIZE_PX
         if self._still_of != moment.state:
             self._still_of, self._still = moment.state, screen.still_part(moment.state, size)
-        noise = self._rng.standard_normal((2, 364))
+        noise = rng.standard_normal((2, 364))
         drawn = screen.with_traces(self._still, moment.state, moment.now_s, noise)
         # One pixel of the picture covers almost two of the screen; the lens adds its blur.
         sigma = float(np.hypot(0.62, 1.8 * self._light.blur_px))
@@ -177,15 +178,16 @@ class Renderer:
         self._noise = None
         if self._light.noise > 0:
             height, width = self.rig.left.height, self.rig.left.width
-            values = self._rng.standard_normal((height + _TILE, width + _TILE, 3), dtype=np.float32) * self._light.noise
+            rng = np.random.default_rng(self._config.seed)
+            values = rng.standard_normal((height + _TILE, width + _TILE, 3), dtype=np.float32) * self._light.noise
             whole = np.rint(values)
             # Saturating addition and subtraction of bytes is many times faster than signed arithmetic.
             self._noise = np.clip(whole, 0, 255).astype(np.uint8), np.clip(-whole, 0, 255).astype(np.uint8)
 
-    def _with_noise(self, picture: Picture) -> Picture:
+    def _with_noise(self, picture: Picture, rng: np.random.Generator) -> Picture:
         if self._noise is None:
             return picture
-        r, c = (int(v) for v in self._rng.integers(0, _TILE, 2))
+        r, c = (int(v) for v in rng.integers(0, _TILE, 2))
         rows, columns = slice(r, r + picture.shape[0]), slice(c, c + picture.shape[1])
         cv2.add(picture, self._noise[0][rows, columns], picture)
         cv2.subtract(picture, self._noise[1][rows, columns], picture)
