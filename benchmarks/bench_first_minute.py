@@ -114,13 +114,14 @@ def first_minute(browser: Any, busy: int, number: int, extra: list[str]) -> Run:
                 press(browser, address, run)
         except (AssertionError, Exception) as error:
             run.why = f"{type(error).__name__}: {error}"
-        begin_s = time.monotonic()
-        graph.send_signal(signal.SIGINT)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            graph.wait(60.0)
-        run.ended_s = time.monotonic() - begin_s
-        graph.kill()
-        reader.join(5.0)
+        finally:  # also after Ctrl-C
+            begin_s = time.monotonic()
+            graph.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                graph.wait(60.0)
+            run.ended_s = time.monotonic() - begin_s
+            graph.kill()
+            reader.join(5.0)
     return run
 
 
