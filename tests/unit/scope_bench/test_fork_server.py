@@ -26,6 +26,8 @@ print("mask", signal.pthread_sigmask(signal.SIG_BLOCK, []), "threads", len(os.li
 os.write(int(os.environ["ICU_READY_FD"]), b"1")
 print("error line", file=sys.stderr)
 if sys.argv[1] == "exit":
+    import atexit
+    atexit.register(os.abort)  # a thread that crashes while the interpreter is taken down
     sys.exit(int(sys.argv[2]))
 if sys.argv[1] == "leave":
     import subprocess

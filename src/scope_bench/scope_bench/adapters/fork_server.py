@@ -307,6 +307,17 @@ def _set_title(command: Sequence[str]) -> None:
 
 
 def run_script(command: list[str]) -> None:
-    """Run a Python script in this process as if the interpreter had been started with it."""
+    """Run a Python script in this process as if the interpreter had been started with it.
+
+    One that fails ends at once. Its half-made node still has threads of the middleware, which can crash while the
+    interpreter is taken down; bring-up would then see a signal in place of the exit code, and restart the program.
+    """
     sys.argv = list(command)
-    runpy.run_path(command[0], run_name="__main__")
+    try:
+        runpy.run_path(command[0], run_name="__main__")
+    except SystemExit as end:
+        if isinstance(end.code, int) and end.code:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(end.code)
+        raise
