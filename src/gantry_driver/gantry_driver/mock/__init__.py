@@ -1,10 +1,8 @@
 """A GRBL 1.1h controller board in software, behind a pseudo-terminal; shares no code with the driver.
 
-``serial_line`` carries bytes; ``processor``, ``realtime``, ``execution`` and ``board`` are the firmware, each upon the
-one before: interrupts and main loop, real-time requests, moves, ``$`` commands; ``gcode`` is its parser, ``motion`` its
-planner and step generator, ``settings`` its EEPROM, ``mechanics`` the motors and switches, ``machine`` adds faults.
-These are pure: time is an argument. ``pty_port``, ``line_socket`` and ``service`` touch the world; ``main`` is the
-program.
+``serial_line`` carries bytes, ``firmware`` is the board's program and ``settings`` its EEPROM, ``mechanics`` has the
+motors and switches, ``machine`` adds faults. These are pure: time is an argument. ``pty_port``, ``line_socket`` and
+``service`` touch the world; ``main`` is the program.
 
 Simpler than the firmware, on purpose:
 

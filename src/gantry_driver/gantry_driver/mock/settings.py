@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gantry_driver.mock.gcode import MAX_NUMBER
+from gantry_driver.mock.firmware.gcode import MAX_NUMBER
 
 N_SYSTEMS = 6
 MASKS = (2, 3, 10, 23)

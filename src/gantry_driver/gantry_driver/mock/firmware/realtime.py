@@ -5,27 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from gantry_driver.mock import reports
-from gantry_driver.mock.processor import (
-    ALARM_DELAY_S,
+from gantry_driver.mock.firmware import reports
+from gantry_driver.mock.firmware.processor import Processor
+from gantry_driver.mock.firmware.states import (
     ALARM_HARD,
     ALARM_SOFT,
     BUSY,
-    DOOR_COOLANT_S,
-    DOOR_SPINDLE_S,
-    DWELL_STEP_S,
-    OV_BUSY,
-    OV_IDLE,
-    WCO_BUSY,
-    WCO_IDLE,
     Abort,
     Firmware,
     Flag,
-    Processor,
     State,
     Suspend,
 )
 
+ALARM_DELAY_S = 0.5
+DWELL_STEP_S = 0.05  # a dwell is a whole number of these, with real-time requests served in between
+DOOR_SPINDLE_S, DOOR_COOLANT_S = 4.0, 1.0
+WCO_IDLE, WCO_BUSY, OV_IDLE, OV_BUSY = 10, 30, 10, 20
 _FEED_STEPS: dict[int, int | None] = {0x90: None, 0x91: 10, 0x92: -10, 0x93: 1, 0x94: -1}
 _RAPID_VALUES = {0x95: 100, 0x96: 50, 0x97: 25}
 _SPINDLE_STEPS: dict[int, int | None] = {0x99: None, 0x9A: 10, 0x9B: -10, 0x9C: 1, 0x9D: -1}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gantry_driver.mock.gcode import MM_PER_INCH, ParserState
+from gantry_driver.mock.firmware.gcode import MM_PER_INCH, ParserState
 from gantry_driver.mock.settings import Eeprom, shown
 
 BANNERS = {

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from gantry_driver.mock import reports
-from gantry_driver.mock.execution import Execution
-from gantry_driver.mock.gcode import GcodeError, check_line, read_number
-from gantry_driver.mock.motion import Motion
-from gantry_driver.mock.processor import (
+from gantry_driver.mock.firmware import reports
+from gantry_driver.mock.firmware.execution import Execution
+from gantry_driver.mock.firmware.gcode import GcodeError, check_line, read_number
+from gantry_driver.mock.firmware.motion import Motion
+from gantry_driver.mock.firmware.states import (
     ERROR_BAD_STATEMENT,
     ERROR_DOOR,
     ERROR_NOT_IDLE,
@@ -22,7 +22,7 @@ MAX_SETTING = 255
 
 
 class Board(Execution):
-    """One controller board with its motors; see :class:`~gantry_driver.mock.processor.Processor` for what to call."""
+    """One controller board with its motors; :class:`.interrupts.Interrupts` says what to call."""
 
     # ---- $ commands
 

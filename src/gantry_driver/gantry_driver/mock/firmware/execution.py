@@ -5,30 +5,29 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from gantry_driver.mock import reports
-from gantry_driver.mock.gcode import PLANE_AXES, CheckedBlock, GcodeError, check_line
-from gantry_driver.mock.motion import Block
-from gantry_driver.mock.processor import (
+from gantry_driver.mock.firmware import reports
+from gantry_driver.mock.firmware.gcode import PLANE_AXES, CheckedBlock, GcodeError, check_line
+from gantry_driver.mock.firmware.interrupts import EEPROM_BYTE_S
+from gantry_driver.mock.firmware.motion import Block
+from gantry_driver.mock.firmware.realtime import DWELL_STEP_S, RealTime
+from gantry_driver.mock.firmware.states import (
     ALARM_HOME_DOOR,
     ALARM_HOME_PULL_OFF,
     ALARM_HOME_SEARCH,
     ALARM_PROBE_END,
     ALARM_PROBE_START,
     ALARM_SOFT,
-    DWELL_STEP_S,
-    EEPROM_BYTE_S,
     ERROR_BAD_STATEMENT,
     ERROR_DOOR,
     ERROR_HOMING_OFF,
-    TRAVEL_TOLERANCE_MM,
     Answering,
     Firmware,
     Flag,
     Overrides,
     State,
 )
-from gantry_driver.mock.realtime import RealTime
 
+TRAVEL_TOLERANCE_MM = 1e-5
 MAX_COUNT = 0xFFFF
 """Dwells and arcs are counted with 16 bits, and what is beyond is cut off."""
 
