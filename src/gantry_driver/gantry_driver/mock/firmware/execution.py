@@ -6,9 +6,10 @@ import math
 from collections.abc import Callable
 
 from gantry_driver.mock.firmware import reports
-from gantry_driver.mock.firmware.gcode import PLANE_AXES, CheckedBlock, GcodeError, check_line
+from gantry_driver.mock.firmware.gcode import check_line
 from gantry_driver.mock.firmware.interrupts import EEPROM_BYTE_S
 from gantry_driver.mock.firmware.motion import Block
+from gantry_driver.mock.firmware.parser_state import PLANE_AXES, CheckedBlock
 from gantry_driver.mock.firmware.realtime import DWELL_STEP_S, RealTime
 from gantry_driver.mock.firmware.states import (
     ALARM_HOME_DOOR,
@@ -20,14 +21,17 @@ from gantry_driver.mock.firmware.states import (
     ERROR_BAD_STATEMENT,
     ERROR_DOOR,
     ERROR_HOMING_OFF,
+    ERROR_TRAVEL,
     Answering,
     Firmware,
     Flag,
     Overrides,
     State,
 )
+from gantry_driver.mock.firmware.words import LETTER, GcodeError
 
 TRAVEL_TOLERANCE_MM = 1e-5
+
 MAX_COUNT = 0xFFFF
 """Dwells and arcs are counted with 16 bits, and what is beyond is cut off."""
 
@@ -93,11 +97,27 @@ class Execution(RealTime):
         yield from self._checkpoint()
 
     def _gcode(self, line: str) -> Answering:
+        if line.startswith("$"):  # only a startup line's; it is read as a jog, whatever the next two characters are
+            return (yield from self._jog_words(line[3:])) if len(line) > 2 else LETTER
         try:
             block = check_line(line, self.parser, self.eeprom.systems, mist=self.options.mist)
         except GcodeError as error:
             return error.number
         yield from self._execute(block)
+        return 0
+
+    def _jog_words(self, words: str) -> Answering:
+        try:
+            block = check_line(words, self.parser, self.eeprom.systems, jog=True)
+        except GcodeError as error:
+            return error.number
+        if self.eeprom.flag(20) and self._beyond(block.target):
+            return ERROR_TRAVEL
+        yield from self._line_to(block.target, block.feed / 60.0, fixed_rate=True, checked=True)
+        self.parser.position = list(block.target)
+        if self.state is State.IDLE and self.motion.blocks:
+            self.state = State.JOG
+            self.motion.start(self.now)
         return 0
 
     def _execute(self, block: CheckedBlock) -> Firmware:
@@ -271,9 +291,11 @@ class Execution(RealTime):
             return ERROR_HOMING_OFF
         if self.mechanics.door_open:
             return ERROR_DOOR
-        if rest != "H":
+        if rest != "H" and self.options.dialect != "GRBL":
             return ERROR_BAD_STATEMENT
         self.state = State.HOME
+        if rest != "H":
+            return ERROR_BAD_STATEMENT  # GRBL stays in Home, which only a reset ends
         if self.options.dialect == "grblHAL":
             self._stop_tools()
             modes = self.parser.modes

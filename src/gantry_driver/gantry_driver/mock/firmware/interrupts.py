@@ -10,9 +10,9 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 
-from gantry_driver.mock.firmware.gcode import ParserState
 from gantry_driver.mock.firmware.motion import Block, Motion, MotionEvent, Triple
 from gantry_driver.mock.firmware.options import BoardOptions
+from gantry_driver.mock.firmware.parser_state import ParserState
 from gantry_driver.mock.firmware.states import (
     ALARM_ABORT,
     ALARM_HARD,

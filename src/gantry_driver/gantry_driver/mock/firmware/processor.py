@@ -11,9 +11,9 @@ from abc import abstractmethod
 from collections import deque
 
 from gantry_driver.mock.firmware import reports
-from gantry_driver.mock.firmware.gcode import ParserState
 from gantry_driver.mock.firmware.interrupts import Interrupts
 from gantry_driver.mock.firmware.motion import Limits, Motion, Triple, Vector
+from gantry_driver.mock.firmware.parser_state import ParserState
 from gantry_driver.mock.firmware.states import (
     ERROR_LOCKED,
     ERROR_OVERFLOW,

@@ -196,7 +196,7 @@ class RealTime(Processor):
             if self.state is State.HOLD and Suspend.HELD in self._suspend and self.parser.modes.spindle != 5:
                 self._spindle_stopped = not self._spindle_stopped
                 self._set_spindle(5 if self._spindle_stopped else self.parser.modes.spindle)
-        elif byte in (0xA0, 0xA1) and self.state in (State.IDLE, State.RUN, State.HOLD):
+        elif byte in (0xA0, 0xA1) and self.state in (State.IDLE, State.RUN, State.HOLD, State.JOG):
             modes = self.parser.modes
             if byte == 0xA0:
                 modes.flood = not modes.flood
@@ -213,10 +213,15 @@ class RealTime(Processor):
         """Turn the spindle (or the servo on its pin) with M3 or M4, or stop it with M5."""
         rpm = self.parser.speed if speed is None else speed
         rpm *= self.overrides.spindle / 100
+        least, most = self.eeprom.values[31], self.eeprom.values[30]
         self.mechanics.spindle = mode
-        self.mechanics.spindle_rpm = 0.0
-        if mode != 5 and rpm > 0:
-            self.mechanics.spindle_rpm = min(max(rpm, self.eeprom.values[31]), self.eeprom.values[30])
+        if mode == 5:
+            rpm = 0.0
+        elif least >= most or rpm >= most:
+            rpm = most
+        elif 0.0 < rpm < least:
+            rpm = least
+        self.mechanics.spindle_rpm = rpm
         self._ov_wait = 0
 
     def _set_coolant(self, flood: bool, mist: bool) -> None:
@@ -256,7 +261,7 @@ class RealTime(Processor):
         if mask & 2:
             fields.append(f"Bf:{self.motion.room},{self.options.rx_bytes - len(self._ring)}")
         feed = self.motion.speed(self.now) * 60.0 if self.state in BUSY else 0.0
-        fields.append(f"FS:{reports.rate(feed, inches)},{self.mechanics.spindle_rpm:.0f}")
+        fields.append(f"FS:{reports.rate(feed, inches)},{reports.speed(self.mechanics.spindle_rpm)}")
         pins = self.mechanics.pins()
         if pins:
             fields.append("Pn:" + pins)
@@ -273,7 +278,8 @@ class RealTime(Processor):
             self._ov_wait = (OV_BUSY if busy else OV_IDLE) - 1
             o, m = self.overrides, self.mechanics
             fields.append(f"Ov:{o.feed},{o.rapid},{o.spindle}")
-            accessories = {3: "S", 4: "C"}.get(m.spindle, "") + "F" * m.flood + "M" * m.mist
+            turning = {3: "S", 4: "C"}.get(m.spindle, "") if m.spindle_rpm else ""
+            accessories = turning + "F" * m.flood + "M" * m.mist
             if accessories:
                 fields.append("A:" + accessories)
         return f"<{'|'.join(fields)}>"
