@@ -6,14 +6,35 @@ was compared is listed in docs/decisions/mock-board.md.
 
 from __future__ import annotations
 
+import json
+import re
+from pathlib import Path
+from typing import Any
+
 import pytest
 from unit.gantry_driver.mock_rig import BANNER, FREE, UNLOCK, Rig
 
+REST_S = 3e6
+"""After each input, so that the slowest move has ended."""
 OK = b"ok\r\n"
 
 
 def e(number: int) -> bytes:
     return b"error:%d\r\n" % number
+
+
+SESSIONS = json.loads(Path(__file__).with_name("grbl_core_answers.json").read_text())
+"""What GRBL's own core answered: sessions of inputs, each from power-up; docs/decisions/mock-board.md says how."""
+PINS = re.compile(rb"\|Pn:[XYZ]+")
+"""The core had no switches; the mock's are where the axes end."""
+
+
+@pytest.mark.parametrize("session", SESSIONS, ids=[session["name"] for session in SESSIONS])
+def test_each_input_is_answered_as_by_the_core(session: dict[str, Any]) -> None:
+    rig = Rig(settings={int(number): value for number, value in session["settings"].items()})
+    for sent, expected in session["exchanges"]:
+        answer = PINS.sub(b"", rig.send(sent.encode("latin-1"), REST_S)).decode("latin-1")
+        assert answer == expected, sent
 
 
 def test_a_homing_command_with_more_behind_it_leaves_the_board_in_home() -> None:
@@ -137,6 +158,36 @@ def test_digits_beyond_the_eighth_count_as_zeros() -> None:
     assert rig.send(b"$#\n", 0.1).splitlines()[8] == b"[G92:123.457,0.000,0.000]"
     assert rig.send(b"G92X000000001.5\n", 0.1) == OK
     assert rig.send(b"$#\n", 0.1).splitlines()[8] == b"[G92:0.000,0.000,0.000]"
+
+
+def test_a_program_s_end_is_reported_by_a_line_that_a_reset_aborts() -> None:
+    rig = Rig.free()
+    assert rig.send(b"!", 0.1) == b"" and rig.send(b"M30\n", 0.1) == b""
+    assert rig.send(b"\x18", 1.0) == BANNER
+    assert rig.send(b"G0X-50\n", 0.01) == OK and rig.send(b"!", 1.0) == b""
+    rig.send(b"~", 0.01)
+    assert rig.send(b"M30\n", 0.01) == b""
+    rig.send(b"!", 2.0)
+    assert rig.send(b"\x18", 1.0) == b"[MSG:Pgm End]\r\n" + OK + BANNER
+
+
+def test_a_word_after_a_conflict_is_never_read() -> None:
+    rig = Rig.free()
+    assert rig.send(b"G0G1X\n") == e(24)
+    assert rig.send(b"F1F2#\n") == e(25)
+
+
+def test_a_closed_door_brings_the_overrides_with_the_next_report() -> None:
+    rig = Rig.free()
+    for _ in range(3):
+        rig.send(b"?")
+    assert rig.send(b"\x84", 0.1) == b"[MSG:Check Door]\r\n"
+    assert b"|Ov:100,100,100" in rig.send(b"?")
+
+
+@pytest.mark.parametrize(("line", "answer"), [(b"$J=X0.000001F100\n", e(15)), (b"$J=X-360.00001F100\n", OK)])
+def test_soft_limits_are_compared_as_numbers_of_32_bits(line: bytes, answer: bytes) -> None:
+    assert Rig.homed().send(line, 0.1) == answer
 
 
 def test_a_spindle_without_speed_is_off_and_an_empty_range_is_full_speed() -> None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 from gantry_driver.mock.firmware import reports
+from gantry_driver.mock.firmware.floats import float32
 from gantry_driver.mock.firmware.gcode import check_line
 from gantry_driver.mock.firmware.interrupts import EEPROM_BYTE_S
 from gantry_driver.mock.firmware.motion import Block
@@ -22,6 +23,7 @@ from gantry_driver.mock.firmware.states import (
     ERROR_DOOR,
     ERROR_HOMING_OFF,
     ERROR_TRAVEL,
+    Abort,
     Answering,
     Firmware,
     Flag,
@@ -29,8 +31,6 @@ from gantry_driver.mock.firmware.states import (
     State,
 )
 from gantry_driver.mock.firmware.words import LETTER, GcodeError
-
-TRAVEL_TOLERANCE_MM = 1e-5
 
 MAX_COUNT = 0xFFFF
 """Dwells and arcs are counted with 16 bits, and what is beyond is cut off."""
@@ -59,7 +59,7 @@ class Execution(RealTime):
 
     def _beyond(self, target: list[float]) -> bool:
         travel = self.eeprom.axis_values(130)
-        return any(t > TRAVEL_TOLERANCE_MM or t < -m - TRAVEL_TOLERANCE_MM for t, m in zip(target, travel))
+        return any(float32(t) > 0.0 or float32(t) < -m for t, m in zip(target, travel))
 
     def _line_to(
         self,
@@ -103,7 +103,12 @@ class Execution(RealTime):
             block = check_line(line, self.parser, self.eeprom.systems, mist=self.options.mist)
         except GcodeError as error:
             return error.number
-        yield from self._execute(block)
+        try:
+            yield from self._execute(block)
+        except Abort:
+            if block.program:  # an aborted line is gone through to its end
+                self._say(reports.PROGRAM_END)
+            raise
         return 0
 
     def _jog_words(self, words: str) -> Answering:

@@ -54,7 +54,7 @@ class Interrupts(ABC):
     _booting: bool
     _reading: bool
     _ring: deque[int]
-    _override_bytes: deque[int]
+    _override_bytes: set[int]
     _stall_until: float
     _deaf_from: float
     _deaf_until: float
@@ -305,7 +305,7 @@ class Interrupts(ABC):
         elif flag is not None:
             self._raise(flag)
         elif byte in _OVERRIDE_BYTES:
-            self._override_bytes.append(byte)
+            self._override_bytes.add(byte)
             self._woken = True
 
     def _raise(self, flag: Flag | None) -> None:

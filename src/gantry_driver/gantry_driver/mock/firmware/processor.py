@@ -89,7 +89,7 @@ class Processor(Interrupts):
         self._flags = set()
         self._alarm = None
         self._suspend = set()
-        self._override_bytes = deque()
+        self._override_bytes = set()
         self.overrides = Overrides()
         self._wco_wait = self._ov_wait = 0
         self._soft_limit = False

@@ -69,8 +69,10 @@ class RealTime(Processor):
             self._serve_start()
         if Flag.STOPPED in flags:
             self._serve_stopped()
-        while self._override_bytes:
-            self._override(self._override_bytes.popleft())
+        # Each is a flag: what comes twice before it is served counts once, and their order is that of their numbers.
+        overrides, self._override_bytes = sorted(self._override_bytes), set()
+        for byte in overrides:
+            self._override(byte)
 
     def _serve_alarm(self) -> Firmware:
         number = self._alarm
@@ -114,6 +116,7 @@ class RealTime(Processor):
             self.state = State.SLEEP
             self._say(reports.SLEEPING)
             self._stop_tools()
+            self._ov_wait = 0
 
     def _serve_start(self) -> None:
         suspend = self._suspend
@@ -158,6 +161,7 @@ class RealTime(Processor):
             if Suspend.RETRACTED not in suspend:
                 self._tools_held = (m.spindle, m.spindle_rpm, m.flood, m.mist)
                 self._stop_tools()
+                self._ov_wait = 0
                 suspend.add(Suspend.RETRACTED)
             if Suspend.AJAR in suspend and not m.door_open:
                 suspend.discard(Suspend.AJAR)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from gantry_driver.mock.firmware.floats import read_number
 
 LETTER, NUMBER = 1, 2
@@ -15,9 +17,8 @@ class GcodeError(Exception):
         self.number = number
 
 
-def split_words(text: str) -> list[tuple[str, float]]:
-    """Split a line (capitals, no blanks) into words."""
-    words = []
+def split_words(text: str) -> Iterator[tuple[str, float]]:
+    """Yield the words of a line (capitals, no blanks) as they are read: a bad one after a conflict is never seen."""
     index = 0
     while index < len(text):
         letter = text[index]
@@ -27,5 +28,4 @@ def split_words(text: str) -> list[tuple[str, float]]:
         if number is None:
             raise GcodeError(NUMBER)
         value, index = number
-        words.append((letter, value))
-    return words
+        yield letter, value
