@@ -15,8 +15,8 @@ from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, CloseRequested, Note, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.mock.firmware.options import BoardOptions
 from gantry_driver.mock.machine import Machine as MockMachine
-from gantry_driver.mock.processor import BoardOptions
 from gantry_driver.mock.settings import make_eeprom
 from icu_common.core.frames import JOINTS
 from icu_common.core.results import GoalResult

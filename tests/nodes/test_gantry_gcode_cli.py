@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import pty
 import re
 import select
 import signal
+import struct
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import serial
@@ -165,6 +169,68 @@ def test_a_dry_run_moves_nothing_and_names_what_the_board_refuses(
     code, output = run(str(program(*GOOD)), "--port", str(board.port), "--dry-run")
     assert code == 1 and "program.nc:4:1: the board answers error:20 (command not supported)" in output, output
     assert board.mpos() == start
+
+
+@pytest.mark.parametrize("how", ["whole", "interrupted"])
+def test_a_dry_run_leaves_a_locked_board_locked(tmp_path: Path, program: Callable[..., Path], how: str) -> None:
+    """Nobody has homed it: unlocked, it would take moves from a position that it does not know."""
+    board = GrblBoard(tmp_path, "--keep-running", time_scale=4.0)
+    try:
+        start = board.mpos()
+        path = program("G53 G1 X-300 Y-100 F9000", *["G4 P1"] * 60)
+        terminal = Terminal("run", str(path), "--port", str(board.port), "--dry-run")
+        terminal.until("dry run")
+        if how == "interrupted":
+            terminal.process.send_signal(signal.SIGINT)
+        terminal.until("interrupted" if how == "interrupted" else "0 refused by the board")
+        assert terminal.end() == (1 if how == "interrupted" else 0) and "Traceback" not in terminal.seen
+        assert board.ask("state")["state"] == "Alarm" and board.mpos() == start
+        assert [line["number"] for line in board.log() if line["kind"] == "alarm"] == [2]
+    finally:
+        board.close()
+
+
+def test_a_dry_run_says_when_it_cannot_lock_the_board_again(tmp_path: Path, program: Callable[..., Path]) -> None:
+    board = GrblBoard(tmp_path, "--set", "20=0", time_scale=4.0)
+    try:
+        code, output = run(str(program(*GOOD)), "--port", str(board.port), "--dry-run")
+        assert code == 1 and output.splitlines()[-1] == (
+            "error: the board was locked before and could not be locked again: it is Idle, and moves without having "
+            "been homed"
+        )
+    finally:
+        board.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "low"),
+    [((), set()), (("--no-dtr",), {"DTR"}), (("--no-rts",), {"RTS"}), (("--no-dtr", "--no-rts"), {"DTR", "RTS"})],
+)
+@pytest.mark.parametrize("dry", [True, False])
+def test_the_control_lines_have_the_levels_that_are_asked_for(
+    board: GrblBoard,
+    program: Callable[..., Path],
+    monkeypatch: pytest.MonkeyPatch,
+    options: tuple[str, ...],
+    low: set[str],
+    dry: bool,
+) -> None:
+    """A pseudo-terminal has no such lines: what the library asks the kernel for is looked at."""
+    lines = {termios.TIOCM_DTR: "DTR", termios.TIOCM_RTS: "RTS"}
+    asked: dict[str, bool] = {}
+    ioctl = fcntl.ioctl
+
+    def note(fd: int, request: int, argument: Any = 0, *more: Any) -> Any:
+        if request in (termios.TIOCMBIS, termios.TIOCMBIC):
+            asked[lines[struct.unpack("I", argument)[0]]] = request == termios.TIOCMBIS
+            return argument
+        return ioctl(fd, request, argument, *more)
+
+    monkeypatch.setattr(fcntl, "ioctl", note)
+    monkeypatch.setattr("gantry_driver.cli.gantry_gcode._on_signals", lambda what: None)  # they are the test's here
+    arguments = ["run", str(program("G53 G1 X-358 Y-218 F9000")), "--port", str(board.port), *options, *PATIENCE]
+    assert main([*arguments, "--dry-run"] if dry else arguments) == 0
+    assert asked == {line: line not in low for line in lines.values()}
 
 
 def test_a_dry_run_begins_where_the_program_does(board: GrblBoard, program: Callable[..., Path]) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
+from gantry_driver.mock.firmware.options import BoardOptions
 from gantry_driver.mock.machine import Machine
 from gantry_driver.mock.mechanics import MechanicsOptions
-from gantry_driver.mock.processor import BoardOptions
 from gantry_driver.mock.settings import make_eeprom
 
 BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"

@@ -13,7 +13,9 @@ from gantry_driver.core.gcode_check import Bounds, ProgramChecker
 from gantry_driver.core.machine_config import DriverConfig, StylusConfig
 from gantry_driver.core.session import Line
 from gantry_driver.core.trajectory_gcode import Waypoint, lift_lines, write_motion
-from gantry_driver.mock.gcode import GcodeError, ParserState, check_line
+from gantry_driver.mock.firmware.gcode import check_line
+from gantry_driver.mock.firmware.parser_state import ParserState
+from gantry_driver.mock.firmware.words import GcodeError
 from icu_common.core.frames import JOINTS
 
 PLACES = [[-100.0, -100.0, -10.0] for _ in range(8)]

@@ -9,7 +9,7 @@ import random
 import pytest
 from unit.gantry_driver.mock_rig import Rig
 
-from gantry_driver.mock.motion import Limits, Motion, MotionEvent
+from gantry_driver.mock.firmware.motion import Limits, Motion, MotionEvent
 
 OK = b"ok\r\n"
 

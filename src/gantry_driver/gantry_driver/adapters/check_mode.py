@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 import serial
+
+from gantry_driver.adapters.serial_port import open_port
 
 ANSWER_WITHIN_S = 5.0
 BANNER_WAIT_S = 2.5
@@ -15,6 +18,8 @@ UNASKED_S = 0.2
 """For the rest of a line that comes unasked."""
 RESET_HINT_S = 1.0
 """After an alarm GRBL hears no reset for half a second, until it asks for one."""
+BEYOND = "G21G90G53G0X99999"
+"""Twenty times the longest travel that a machine can be configured with."""
 _ANSWER = re.compile(r"ok|error:\d+|ALARM:\d+")
 
 
@@ -29,10 +34,12 @@ def dry_run(
     on_line: Callable[[int], None] = lambda number: None,
     *,
     before: Sequence[str] = (),
-) -> Iterator[tuple[int, int]]:
+    dtr: bool = True,
+    rts: bool = True,
+) -> Generator[tuple[int, int]]:
     """Send lines in check mode, one by one, and yield (index, error number) of each that the board refuses.
 
-    The board is unlocked for it and left as after a reset, so it must be homed anew.
+    The board is unlocked for it and left as after a reset; one that was locked before is locked again.
 
     Parameters
     ----------
@@ -40,23 +47,26 @@ def dry_run(
         Called with the number of lines done.
     before
         Lines that let the board's parser stand, with the modes that it has there, where the program begins.
+    dtr, rts
+        Levels of the port's control lines.
 
     Raises
     ------
     CheckFailed
-        When the board does not answer, does not enter the mode, or raises an alarm (a soft limit does).
+        When the board does not answer, does not enter the mode, raises an alarm (a soft limit does), or cannot be
+        locked again.
     serial.SerialException
         When the port cannot be opened, for example because another program has it.
     """
-    with serial.Serial(port_name, baud, timeout=0.1, exclusive=True) as port:
+    with open_port(port_name, baud, dtr=dtr, rts=rts, timeout_s=0.1) as port:
         _await_reset(port)
+        locked = _state(port) == "Alarm"
         try:
             for command in ("$X", "$C"):
                 if (answer := _ask(port, command)) != "ok":
                     raise CheckFailed(f"{command} was answered by {answer}")
             # Whatever has been answered: to a board in another mode the lines would be no dry run.
-            port.write(b"?")
-            report = _read_line(port, lambda text: text.startswith("<"), ANSWER_WITHIN_S)
+            report = _report(port)
             if not report.startswith("<Check"):
                 raise CheckFailed(f"after $C the board reports {report or 'nothing'}, <Check is needed")
             for number, line in enumerate((*before, *lines), -len(before)):
@@ -73,19 +83,48 @@ def dry_run(
             # Leaves check mode, whatever was answered, and empties the buffer.
             port.write(b"\x18")
             port.flush()
+            if locked:
+                _lock(port)
 
 
 def _await_reset(port: serial.Serial) -> None:
     """Wait for the banner; a board that goes on running when its port is opened is reset, unless it moves."""
     if _read_line(port, _is_banner, BANNER_WAIT_S):
         return
-    port.write(b"?")
-    report = _read_line(port, lambda text: text.startswith("<"), ANSWER_WITHIN_S)
+    report = _report(port)
     if report and not report.startswith(("<Idle", "<Alarm", "<Check")):
         raise CheckFailed(f"a board at rest is needed, this one reports {report}")
     port.write(b"\x18")
     if not _read_line(port, _is_banner, ANSWER_WITHIN_S):
         raise CheckFailed(f"no banner within {ANSWER_WITHIN_S:g} s: is it a GRBL board?")
+
+
+def _report(port: serial.Serial) -> str:
+    port.write(b"?")
+    return _read_line(port, lambda text: text.startswith("<"), ANSWER_WITHIN_S)
+
+
+def _state(port: serial.Serial) -> str:
+    return _report(port)[1:].partition("|")[0]
+
+
+def _lock(port: serial.Serial) -> None:
+    """Lock a board that has just been sent a reset, as it was before ``$X``: nobody has homed it since.
+
+    A target beyond the soft limits raises their alarm in check mode as well, and the lock stays after its reset.
+    Nothing moves, and the motors keep their power, which ``$SLP`` would take.
+    """
+    if _read_line(port, _is_banner, ANSWER_WITHIN_S) and _state(port) == "Idle":
+        with contextlib.suppress(CheckFailed):
+            if _ask(port, "$C") == "ok" and _state(port) == "Check" and _ask(port, BEYOND).startswith("ALARM"):
+                _read_line(port, lambda text: text.startswith("[MSG:Reset"), RESET_HINT_S)
+        port.write(b"\x18")
+        _read_line(port, _is_banner, ANSWER_WITHIN_S)
+    if (state := _state(port)) != "Alarm":
+        raise CheckFailed(
+            f"the board was locked before and could not be locked again: it is {state or 'silent'}, and moves without "
+            "having been homed"
+        )
 
 
 def _is_banner(text: str) -> bool:

@@ -18,6 +18,7 @@ from typing import TypeVar
 
 import serial
 
+from gantry_driver.adapters.serial_port import open_port
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_states import CloseRequested, Event, Note
 from gantry_driver.core.session import HOLD
@@ -226,7 +227,8 @@ class SerialLink:
 
     def _open(self) -> None:
         try:
-            port = serial.Serial(self._port_name, self._baud, timeout=0, exclusive=True)
+            config = self._machine.config
+            port = open_port(self._port_name, self._baud, dtr=config.dtr, rts=config.rts, timeout_s=0.0)
         except (serial.SerialException, OSError, ValueError) as error:
             self._lost(f"{self._port_name}: {_plain(error)}")
             return

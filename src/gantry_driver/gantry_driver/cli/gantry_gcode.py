@@ -7,8 +7,8 @@ of the configuration or of a file to the board and reads them back; nothing move
 ``gantry_gcode run FILE`` with the same files checks all of FILE against the machine, says how long it takes, opens the
 port for itself alone (a driver that has it makes that fail), homes, and streams. Space pauses (the stylus stays where
 it is) and resumes; Ctrl-C holds, lifts the stylus, keeps the position, and ends, and so do Ctrl-Z and a terminal that
-is closed. ``--dry-run`` lets the board's own parser check the lines in ``$C`` mode; nothing moves. ``--check``
-does not open the port at all.
+is closed. ``--dry-run`` lets the board's own parser check the lines in ``$C`` mode; nothing moves, and a board that was
+locked is locked again at the end. ``--check`` does not open the port at all.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import gc
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from itertools import accumulate
 from pathlib import Path
 from types import FrameType
@@ -53,8 +54,15 @@ class Failed(Exception):
     """The program cannot go on; the message says why."""
 
 
-def read_config(params: Sequence[Path], port: str | None) -> DriverConfig:
+def read_config(params: Sequence[Path], **options: str | bool | None) -> DriverConfig:
     """Return the driver's configuration, from ROS parameter files, the later on top, as its node reads them.
+
+    Parameters
+    ----------
+    params
+        The files.
+    options
+        Parameters that the command line gives, on top of the files; None where it gives none.
 
     Raises
     ------
@@ -62,8 +70,7 @@ def read_config(params: Sequence[Path], port: str | None) -> DriverConfig:
         Also for a file without ``ros__parameters`` of the driver.
     """
     values = {name: value for path in params for name, value in values_for("serial_driver", path).items()}
-    if port is not None:
-        values["port"] = port
+    values |= {name: value for name, value in options.items() if value is not None}
     return from_mapping(DriverConfig, {**values, "enabled_at_start": True})
 
 
@@ -284,9 +291,12 @@ def run_dry(name: str, lines: Sequence[CheckedLine], config: DriverConfig) -> in
     x, y, z = map(plain, config.machine.homed_mpos_mm())
     before = [*PROGRAM_MODES, f"X{x}Y{y}Z{z}G53G0"]
     try:
-        for index, code in dry_run(config.port, config.baud, [line.text for line in lines], show, before=before):
-            refused += 1
-            display.say(f"{name}:{lines[index].number}:1: the board answers {error_text(code)}")
+        texts = [line.text for line in lines]
+        checked = dry_run(config.port, config.baud, texts, show, before=before, dtr=config.dtr, rts=config.rts)
+        with closing(checked):  # which leaves check mode
+            for index, code in checked:
+                refused += 1
+                display.say(f"{name}:{lines[index].number}:1: the board answers {error_text(code)}")
     except (CheckFailed, serial.SerialException, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return FAILED
@@ -310,6 +320,12 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="YAML",
         help="ROS parameter file of the serial driver; again for another one on top of it",
     )
+    for line, name in (("dtr", "DTR"), ("rts", "RTS")):
+        board.add_argument(
+            f"--{line}",
+            action=argparse.BooleanOptionalAction,
+            help=f"level of the port's {name} line while it is open (from --params, else on)",
+        )
     commands = parser.add_subparsers(required=True, metavar="run | settings", dest="command")
     run = commands.add_parser("run", parents=[board], help="check and run a program")
     run.add_argument("file", type=named_path, metavar="FILE")
@@ -339,7 +355,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Check, then run; 0 done, 1 refused, stopped or failed, 2 usage."""
     given = make_parser().parse_args(arguments)
     try:
-        config = read_config(given.params, given.port)
+        config = read_config(given.params, port=given.port, dtr=given.dtr, rts=given.rts)
         if given.command == "settings" and given.write and not given.params:
             raise ConfigError("--write: the configured machine is named by --params, once for each of its files")
         name = given.file if given.command == "run" else given.write_file

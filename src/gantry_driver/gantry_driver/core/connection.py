@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 
+from gantry_driver.core.board_faults.reports import position_mask, with_quote
+from gantry_driver.core.board_faults.resets import ResetLog
 from gantry_driver.core.grbl_messages import (
     Dialect,
     Firmware,
@@ -110,6 +112,7 @@ class Connection:
         self._since = 0.0
         self._marker = 0
         self._marker_done = False
+        self._resets = ResetLog()
         self._stylus = Stylus.AS_READ
         self._released_at = math.inf
         """When a solenoid that an alarm has switched off will be up."""
@@ -286,6 +289,8 @@ class Connection:
         text = f"no answer in {self.config.connect_timeout_s:g} s while {self._waiting_for()}"
         if self.phase is not Phase.SYNCHRONISE:
             return f"{text}: {self._suspended}" if self._suspended else text
+        if unread := self.session.unread_report:
+            return with_quote(text, unread)
         if not self._heard_bytes:
             return f"{text}: has the board power, and is {self.config.port} its port?"
         return (
@@ -311,7 +316,8 @@ class Connection:
     def expected_settings(self) -> dict[int, float]:
         """Return what the board's settings must be, without those that its firmware does not tell."""
         kept = KEPT_TO_ITSELF.get(self.dialect, frozenset()) - self._settings.keys()
-        return {n: value for n, value in self.config.expected_settings().items() if n not in kept}
+        expected = {n: value for n, value in self.config.expected_settings().items() if n not in kept}
+        return expected | position_mask(self._settings, self.dialect)
 
     def accept_settings(self, now: float) -> str:
         """Accept that the board's settings differ from the configuration; holds for these differences only."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from gantry_driver.core.board_faults.reports import UNPLACED_REPORTS, no_position_text, with_quote
 from gantry_driver.core.connection import ASK_ALONE_S, READ_STARTUP, REFUSED
 from gantry_driver.core.grbl_messages import (
     Alarm,
@@ -73,6 +74,7 @@ class Machine(Streaming):
         """Let time-outs happen."""
         age = now - self._since
         phase = self.phase
+        self._events += self._resets.tick(now)
         if now >= self._released_at:
             self._was_reset()  # as far as a solenoid goes
         if phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
@@ -113,7 +115,7 @@ class Machine(Streaming):
         excused = self.phase in (Phase.CLOSED, Phase.HOMING) or self._critical or self.session.awaiting_banner
         silent = self.session.silent_for(now)
         if not excused and silent > self.config.status_timeout_s:
-            self._close(f"no status report for {silent:.1f} s", now)
+            self._close(with_quote(f"no status report for {silent:.1f} s", self.session.unread_report), now)
             self.session.realtime(HOLD)  # The last byte before the port is closed: perhaps the board still hears.
 
     # --- what people ask for -----------------------------------------------------------------------------------------
@@ -223,7 +225,7 @@ class Machine(Streaming):
     def _on_own_reset(self, reason: str, lost: int, now: float) -> None:
         self._finish(Outcome.ABORTED, reason, now)
         self._forget_position()
-        self._events.append(Note(level="error", text=f"{reason}; {lost} lines unanswered"))
+        self._events += self._resets.reset(reason, lost, now)
         # Lines that were on the wire may reach the fresh board and be executed: hold, and reset once more.
         self._synchronise(now, reason)
         self.session.realtime(HOLD)
@@ -366,8 +368,10 @@ class Machine(Streaming):
         if report.state != "Idle":
             self._to_alarm(f"after homing the board is {report.state_text}", now)
             return
-        if report.mpos_mm is None:
-            return  # A work position; its offset comes with one of the next reports.
+        if report.mpos_mm is None:  # a work position, whose offset comes with one of the next reports, or never
+            if self.session.unplaced_reports > UNPLACED_REPORTS:
+                self._halt(no_position_text(self._settings), now)
+            return
         # A stage whose stylus is no Z axis need not have one, and its Z stays where it was at power-up.
         expected = self.config.machine.homed_mpos_mm()[: 3 if self.config.stylus.kind == "z_axis" else 2]
         if elsewhere(report.mpos_mm, expected):

@@ -121,6 +121,12 @@ class DriverConfig(Config):
 
     port: str = setting("/dev/ttyUSB0", "Device of the controller board", read_only=True)
     baud: int = setting(115200, "Line rate", minimum=9600, maximum=4_000_000, unit="bit/s", read_only=True)
+    dtr: bool = setting(
+        True, "Level of the port's DTR line while it is open; many boards send nothing without it", read_only=True
+    )
+    rts: bool = setting(
+        True, "Level of the port's RTS line while it is open; some boards are reset by it without DTR", read_only=True
+    )
     autostart: bool = setting(
         True,
         "Configure and activate at start; without it the node waits for its lifecycle's transitions",

@@ -197,6 +197,10 @@ class GrblSession:
         self._unanswered_since: float | None = None
         self._roomy_reports = 0
         self.last_report_at: float | None = None
+        self.unread_report = b""
+        """The last report that could not be read, if none could be read after it."""
+        self.unplaced_reports = 0
+        """Reports in a row from which no machine position follows."""
         self.polling = False
         self.paused = False
 
@@ -212,7 +216,7 @@ class GrblSession:
         self.rx_bytes = DEFAULT_RX_BYTES
         self._planner_blocks = 0
         self._planner_room = self._rx_room = self._rx_empty = -1
-        self.last_report_at = None
+        self.last_report_at, self.unread_report, self.unplaced_reports = None, b"", 0
         self.wco_mm = None
         self._quiet_until = self._next_poll = now
 
@@ -289,6 +293,8 @@ class GrblSession:
             return self._banner(message, now)
         if isinstance(message, Garbage):
             self.counts.garbage += 1
+            if message.raw.startswith(b"<"):
+                self.unread_report = message.raw
         elif isinstance(message, Alarm):
             self.counts.alarms += 1
         elif isinstance(message, BuildOptions):
@@ -315,7 +321,7 @@ class GrblSession:
 
     def _report(self, report: Report, now: float) -> list[Message]:
         self.counts.reports += 1
-        before, self.last_report_at = self.last_report_at, now
+        before, self.last_report_at, self.unread_report = self.last_report_at, now, b""
         if before is None or now - before > self.poll_interval_s + REPORTS_APART_S:
             self._unanswered_since = None
         events: list[Message] = []
@@ -324,6 +330,7 @@ class GrblSession:
         if report.mpos_mm is None and report.wpos_mm is not None and self.wco_mm is not None:
             mpos = tuple(w + o for w, o in zip(report.wpos_mm, self.wco_mm))
             report = dataclasses.replace(report, mpos_mm=mpos)
+        self.unplaced_reports = self.unplaced_reports + 1 if report.mpos_mm is None else 0
         # The largest free sizes since the banner are the empty buffers.
         self._planner_room = max(self._planner_room, report.planner_free)
         self._rx_room = max(self._rx_room, report.rx_free)

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 
+from gantry_driver.core.board_faults.reports import MACHINE_POSITION, REPORT_MASK, WORK_OFFSET
 from gantry_driver.core.session import plain
 
 _LINE = re.compile(r"\$(\d{1,3})\s*=\s*([-+]?\d+\.?\d*)\s*(?:[;(].*)?\Z")
@@ -26,6 +27,12 @@ def differences(found: Mapping[int, str], wanted: Mapping[int, float], who: str 
         text = found.get(number)
         if text is None:
             texts.append(f"${number} is missing, {who} says {value:g}")
+        elif not _equal(text, value) and number == REPORT_MASK:
+            shown = text.partition(".")[0]
+            lacks = f"bit 0 ({MACHINE_POSITION}) or bit 5 ({WORK_OFFSET})"
+            texts.append(
+                f"${number} is {shown}: its reports tell no machine position without {lacks}, {who} says {value:g}"
+            )
         elif not _equal(text, value):
             texts.append(f"${number} is {text}, {who} says {value:g}")
     return texts

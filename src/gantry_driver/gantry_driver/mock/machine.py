@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gantry_driver.mock.board import Board
+from gantry_driver.mock.firmware.board import Board
+from gantry_driver.mock.firmware.options import BoardOptions
 from gantry_driver.mock.mechanics import Mechanics, MechanicsOptions
-from gantry_driver.mock.processor import BoardOptions
 from gantry_driver.mock.serial_line import AnswerFault, Outbound
 from gantry_driver.mock.settings import Eeprom
 

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
+from gantry_driver.mock.firmware.options import RX_BYTES, BoardOptions
 from gantry_driver.mock.machine import MAX_MM, Machine
 from gantry_driver.mock.mechanics import MechanicsOptions
-from gantry_driver.mock.processor import RX_BYTES, BoardOptions
 from gantry_driver.mock.service import Service
 from gantry_driver.mock.settings import SettingsError, make_eeprom, parse_assignment, read_settings_file
 

@@ -131,7 +131,7 @@ class Mechanics:
     def pins(self) -> str:
         """Return the letters of the pins that are active, as the report's ``Pn:`` has them."""
         letters = "".join("XYZ"[i] for i in range(3) if self.pressed(i))
-        return letters + "P" * self.probe_closed() + "D" * self.door_open + "R" * self.stop_pressed
+        return "P" * self.probe_closed() + letters + "D" * self.door_open + "R" * self.stop_pressed
 
 
 def _triple(values: list[int]) -> Triple:

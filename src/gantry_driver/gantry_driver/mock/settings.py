@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gantry_driver.mock.gcode import MAX_NUMBER
+from gantry_driver.mock.firmware.floats import MAX_NUMBER, float32, print_number
 
 N_SYSTEMS = 6
 MASKS = (2, 3, 10, 23)
@@ -93,10 +93,20 @@ class Eeprom:
             return ERROR_STEP_PULSE
         if number == 20 and value and not self.flag(22):
             return ERROR_SOFT_LIMITS
-        self.values[number] = value
+        self.values[number] = float32(value)
         if number == 22 and not value:
             self.values[20] = 0  # soft limits mean nothing without homing
         return 0
+
+    def store_startup(self, number: int, line: str) -> None:
+        """Store a startup line; the place of a third one reaches into the build information, whose sum is wrong then.
+
+        Higher numbers lie in or beyond it as well, which is left out.
+        """
+        if number < len(self.startup):
+            self.startup[number] = line
+        elif number == len(self.startup):
+            self.build_info = ""
 
     def clear_places(self) -> None:
         """Zero the work coordinate systems and the G28 and G30 positions."""
@@ -106,9 +116,9 @@ class Eeprom:
 
 def shown(number: int, value: float) -> str:
     """Return a setting's value as ``$$`` prints it."""
-    if number in INTEGERS or number in ROUNDED:
+    if number in INTEGERS:
         return str(round(value))
-    return f"{value:.3f}"
+    return print_number(value, 0 if number in ROUNDED else 3)
 
 
 _ASSIGNMENT = re.compile(r"\$?(\d+)\s*=\s*([-+0-9.eE]+)")

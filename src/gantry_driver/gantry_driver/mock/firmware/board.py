@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from gantry_driver.mock import reports
-from gantry_driver.mock.execution import Execution
-from gantry_driver.mock.gcode import GcodeError, check_line, read_number
-from gantry_driver.mock.motion import Motion
-from gantry_driver.mock.processor import (
+from gantry_driver.mock.firmware import reports
+from gantry_driver.mock.firmware.execution import Execution
+from gantry_driver.mock.firmware.floats import one_byte, read_number
+from gantry_driver.mock.firmware.motion import Motion
+from gantry_driver.mock.firmware.states import (
     ERROR_BAD_STATEMENT,
     ERROR_DOOR,
     ERROR_NOT_IDLE,
     ERROR_NUMBER,
-    ERROR_TRAVEL,
     Answering,
     Firmware,
     Flag,
@@ -19,10 +18,12 @@ from gantry_driver.mock.processor import (
 )
 
 MAX_SETTING = 255
+REPORT_INCHES = 13
+"""Also set to what it was already, it brings the work offset with the next report."""
 
 
 class Board(Execution):
-    """One controller board with its motors; see :class:`~gantry_driver.mock.processor.Processor` for what to call."""
+    """One controller board with its motors; :class:`.interrupts.Interrupts` says what to call."""
 
     # ---- $ commands
 
@@ -137,10 +138,7 @@ class Board(Execution):
             answer = yield from self._gcode(value)
             if answer:
                 return answer
-            index = int(number)
-            if not 0 <= index < len(self.eeprom.startup):
-                return ERROR_BAD_STATEMENT
-            yield from self._write_eeprom(lambda: self.eeprom.startup.__setitem__(index, value))
+            yield from self._write_eeprom(lambda: self.eeprom.store_startup(one_byte(number), value))
             return 0
         parsed = read_number(value)
         if parsed is None:
@@ -152,7 +150,9 @@ class Board(Execution):
 
         def store() -> None:
             nonlocal result
-            result = self.eeprom.store(int(number), wanted)
+            result = self.eeprom.store(one_byte(number), wanted)
+            if not result and one_byte(number) == REPORT_INCHES:
+                self._wco_wait = 0
 
         yield from self._write_eeprom(store)
         self.motion.limits = self._limits()
@@ -163,15 +163,4 @@ class Board(Execution):
             return ERROR_NOT_IDLE
         if rest[1:2] != "=":
             return ERROR_BAD_STATEMENT
-        try:
-            block = check_line(rest[2:], self.parser, self.eeprom.systems, jog=True)
-        except GcodeError as error:
-            return error.number
-        if self.eeprom.flag(20) and self._beyond(block.target):
-            return ERROR_TRAVEL
-        yield from self._line_to(block.target, block.feed / 60.0, fixed_rate=True, checked=True)
-        self.parser.position = list(block.target)
-        if self.state is State.IDLE and self.motion.blocks:
-            self.state = State.JOG
-            self.motion.start(self.now)
-        return 0
+        return (yield from self._jog_words(rest[2:]))

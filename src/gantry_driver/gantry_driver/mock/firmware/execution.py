@@ -5,29 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from gantry_driver.mock import reports
-from gantry_driver.mock.gcode import PLANE_AXES, CheckedBlock, GcodeError, check_line
-from gantry_driver.mock.motion import Block
-from gantry_driver.mock.processor import (
+from gantry_driver.mock.firmware import reports
+from gantry_driver.mock.firmware.floats import float32
+from gantry_driver.mock.firmware.gcode import check_line
+from gantry_driver.mock.firmware.interrupts import EEPROM_BYTE_S
+from gantry_driver.mock.firmware.motion import Block
+from gantry_driver.mock.firmware.parser_state import PLANE_AXES, CheckedBlock
+from gantry_driver.mock.firmware.realtime import DWELL_STEP_S, RealTime
+from gantry_driver.mock.firmware.states import (
     ALARM_HOME_DOOR,
     ALARM_HOME_PULL_OFF,
     ALARM_HOME_SEARCH,
     ALARM_PROBE_END,
     ALARM_PROBE_START,
     ALARM_SOFT,
-    DWELL_STEP_S,
-    EEPROM_BYTE_S,
     ERROR_BAD_STATEMENT,
     ERROR_DOOR,
     ERROR_HOMING_OFF,
-    TRAVEL_TOLERANCE_MM,
+    ERROR_TRAVEL,
+    Abort,
     Answering,
     Firmware,
     Flag,
     Overrides,
     State,
 )
-from gantry_driver.mock.realtime import RealTime
+from gantry_driver.mock.firmware.words import LETTER, GcodeError
 
 MAX_COUNT = 0xFFFF
 """Dwells and arcs are counted with 16 bits, and what is beyond is cut off."""
@@ -56,7 +59,7 @@ class Execution(RealTime):
 
     def _beyond(self, target: list[float]) -> bool:
         travel = self.eeprom.axis_values(130)
-        return any(t > TRAVEL_TOLERANCE_MM or t < -m - TRAVEL_TOLERANCE_MM for t, m in zip(target, travel))
+        return any(float32(t) > 0.0 or float32(t) < -m for t, m in zip(target, travel))
 
     def _line_to(
         self,
@@ -94,11 +97,32 @@ class Execution(RealTime):
         yield from self._checkpoint()
 
     def _gcode(self, line: str) -> Answering:
+        if line.startswith("$"):  # only a startup line's; it is read as a jog, whatever the next two characters are
+            return (yield from self._jog_words(line[3:])) if len(line) > 2 else LETTER
         try:
             block = check_line(line, self.parser, self.eeprom.systems, mist=self.options.mist)
         except GcodeError as error:
             return error.number
-        yield from self._execute(block)
+        try:
+            yield from self._execute(block)
+        except Abort:
+            if block.program:  # an aborted line is gone through to its end
+                self._say(reports.PROGRAM_END)
+            raise
+        return 0
+
+    def _jog_words(self, words: str) -> Answering:
+        try:
+            block = check_line(words, self.parser, self.eeprom.systems, jog=True)
+        except GcodeError as error:
+            return error.number
+        if self.eeprom.flag(20) and self._beyond(block.target):
+            return ERROR_TRAVEL
+        yield from self._line_to(block.target, block.feed / 60.0, fixed_rate=True, checked=True)
+        self.parser.position = list(block.target)
+        if self.state is State.IDLE and self.motion.blocks:
+            self.state = State.JOG
+            self.motion.start(self.now)
         return 0
 
     def _execute(self, block: CheckedBlock) -> Firmware:
@@ -272,9 +296,11 @@ class Execution(RealTime):
             return ERROR_HOMING_OFF
         if self.mechanics.door_open:
             return ERROR_DOOR
-        if rest != "H":
+        if rest != "H" and self.options.dialect != "GRBL":
             return ERROR_BAD_STATEMENT
         self.state = State.HOME
+        if rest != "H":
+            return ERROR_BAD_STATEMENT  # GRBL stays in Home, which only a reset ends
         if self.options.dialect == "grblHAL":
             self._stop_tools()
             modes = self.parser.modes

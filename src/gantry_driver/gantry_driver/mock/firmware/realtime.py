@@ -5,27 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from gantry_driver.mock import reports
-from gantry_driver.mock.processor import (
-    ALARM_DELAY_S,
+from gantry_driver.mock.firmware import reports
+from gantry_driver.mock.firmware.processor import Processor
+from gantry_driver.mock.firmware.states import (
     ALARM_HARD,
     ALARM_SOFT,
     BUSY,
-    DOOR_COOLANT_S,
-    DOOR_SPINDLE_S,
-    DWELL_STEP_S,
-    OV_BUSY,
-    OV_IDLE,
-    WCO_BUSY,
-    WCO_IDLE,
     Abort,
     Firmware,
     Flag,
-    Processor,
     State,
     Suspend,
 )
 
+ALARM_DELAY_S = 0.5
+DWELL_STEP_S = 0.05  # a dwell is a whole number of these, with real-time requests served in between
+DOOR_SPINDLE_S, DOOR_COOLANT_S = 4.0, 1.0
+WCO_IDLE, WCO_BUSY, OV_IDLE, OV_BUSY = 10, 30, 10, 20
 _FEED_STEPS: dict[int, int | None] = {0x90: None, 0x91: 10, 0x92: -10, 0x93: 1, 0x94: -1}
 _RAPID_VALUES = {0x95: 100, 0x96: 50, 0x97: 25}
 _SPINDLE_STEPS: dict[int, int | None] = {0x99: None, 0x9A: 10, 0x9B: -10, 0x9C: 1, 0x9D: -1}
@@ -73,8 +69,10 @@ class RealTime(Processor):
             self._serve_start()
         if Flag.STOPPED in flags:
             self._serve_stopped()
-        while self._override_bytes:
-            self._override(self._override_bytes.popleft())
+        # Each is a flag: what comes twice before it is served counts once, and their order is that of their numbers.
+        overrides, self._override_bytes = sorted(self._override_bytes), set()
+        for byte in overrides:
+            self._override(byte)
 
     def _serve_alarm(self) -> Firmware:
         number = self._alarm
@@ -118,6 +116,7 @@ class RealTime(Processor):
             self.state = State.SLEEP
             self._say(reports.SLEEPING)
             self._stop_tools()
+            self._ov_wait = 0
 
     def _serve_start(self) -> None:
         suspend = self._suspend
@@ -162,6 +161,7 @@ class RealTime(Processor):
             if Suspend.RETRACTED not in suspend:
                 self._tools_held = (m.spindle, m.spindle_rpm, m.flood, m.mist)
                 self._stop_tools()
+                self._ov_wait = 0
                 suspend.add(Suspend.RETRACTED)
             if Suspend.AJAR in suspend and not m.door_open:
                 suspend.discard(Suspend.AJAR)
@@ -200,7 +200,7 @@ class RealTime(Processor):
             if self.state is State.HOLD and Suspend.HELD in self._suspend and self.parser.modes.spindle != 5:
                 self._spindle_stopped = not self._spindle_stopped
                 self._set_spindle(5 if self._spindle_stopped else self.parser.modes.spindle)
-        elif byte in (0xA0, 0xA1) and self.state in (State.IDLE, State.RUN, State.HOLD):
+        elif byte in (0xA0, 0xA1) and self.state in (State.IDLE, State.RUN, State.HOLD, State.JOG):
             modes = self.parser.modes
             if byte == 0xA0:
                 modes.flood = not modes.flood
@@ -217,10 +217,15 @@ class RealTime(Processor):
         """Turn the spindle (or the servo on its pin) with M3 or M4, or stop it with M5."""
         rpm = self.parser.speed if speed is None else speed
         rpm *= self.overrides.spindle / 100
+        least, most = self.eeprom.values[31], self.eeprom.values[30]
         self.mechanics.spindle = mode
-        self.mechanics.spindle_rpm = 0.0
-        if mode != 5 and rpm > 0:
-            self.mechanics.spindle_rpm = min(max(rpm, self.eeprom.values[31]), self.eeprom.values[30])
+        if mode == 5:
+            rpm = 0.0
+        elif least >= most or rpm >= most:
+            rpm = most
+        elif 0.0 < rpm < least:
+            rpm = least
+        self.mechanics.spindle_rpm = rpm
         self._ov_wait = 0
 
     def _set_coolant(self, flood: bool, mist: bool) -> None:
@@ -260,7 +265,7 @@ class RealTime(Processor):
         if mask & 2:
             fields.append(f"Bf:{self.motion.room},{self.options.rx_bytes - len(self._ring)}")
         feed = self.motion.speed(self.now) * 60.0 if self.state in BUSY else 0.0
-        fields.append(f"FS:{reports.rate(feed, inches)},{self.mechanics.spindle_rpm:.0f}")
+        fields.append(f"FS:{reports.rate(feed, inches)},{reports.speed(self.mechanics.spindle_rpm)}")
         pins = self.mechanics.pins()
         if pins:
             fields.append("Pn:" + pins)
@@ -277,7 +282,8 @@ class RealTime(Processor):
             self._ov_wait = (OV_BUSY if busy else OV_IDLE) - 1
             o, m = self.overrides, self.mechanics
             fields.append(f"Ov:{o.feed},{o.rapid},{o.spindle}")
-            accessories = {3: "S", 4: "C"}.get(m.spindle, "") + "F" * m.flood + "M" * m.mist
+            turning = {3: "S", 4: "C"}.get(m.spindle, "") if m.spindle_rpm else ""
+            accessories = turning + "F" * m.flood + "M" * m.mist
             if accessories:
                 fields.append("A:" + accessories)
         return f"<{'|'.join(fields)}>"

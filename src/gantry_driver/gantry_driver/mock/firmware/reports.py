@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gantry_driver.mock.gcode import MM_PER_INCH, ParserState
+from gantry_driver.mock.firmware.floats import print_number
+from gantry_driver.mock.firmware.parser_state import ParserState
 from gantry_driver.mock.settings import Eeprom, shown
 
+INCH_PER_MM = 0.0393701  # as nuts_bolts.h has it
 BANNERS = {
     "GRBL": "\r\nGrbl 1.1h ['$' for help]",
     "grblHAL": "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]",
@@ -28,18 +30,18 @@ PROGRAM_END, SLEEPING, RESTORING = "[MSG:Pgm End]", "[MSG:Sleeping]", "[MSG:Rest
 def coordinates(values_mm: Sequence[float], inches: bool) -> str:
     """Return coordinates as reports have them: three decimals in mm, four in inches."""
     if inches:
-        return ",".join(f"{_plain(v / MM_PER_INCH, 4)}" for v in values_mm)
-    return ",".join(_plain(v, 3) for v in values_mm)
-
-
-def _plain(value: float, digits: int) -> str:
-    text = f"{value:.{digits}f}"
-    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+        return ",".join(print_number(v * INCH_PER_MM, 4) for v in values_mm)
+    return ",".join(print_number(v, 3) for v in values_mm)
 
 
 def rate(mm_per_min: float, inches: bool) -> str:
     """Return a feed rate as reports have it."""
-    return f"{mm_per_min / MM_PER_INCH:.1f}" if inches else f"{mm_per_min:.0f}"
+    return print_number(mm_per_min * INCH_PER_MM, 1) if inches else print_number(mm_per_min, 0)
+
+
+def speed(rpm: float) -> str:
+    """Return a spindle's speed as reports have it."""
+    return print_number(rpm, 0)
 
 
 def settings(eeprom: Eeprom, dialect: str) -> list[str]:
@@ -71,7 +73,7 @@ def modes(state: ParserState, inches: bool) -> str:
     coolant = " ".join(name for name, on in (("M7", m.mist), ("M8", m.flood)) if on) or "M9"
     return (
         f"[GC:G{m.motion:g} G{54 + m.system} G{m.plane} G{m.units} G{m.distance} G{m.feed_mode}"
-        f" M{m.spindle} {coolant} T{state.tool} F{rate(state.feed, inches)} S{state.speed:.0f}]"
+        f" M{m.spindle} {coolant} T{state.tool} F{rate(state.feed, inches)} S{speed(state.speed)}]"
     )
 
 
@@ -82,4 +84,4 @@ def build_info(eeprom: Eeprom, mist: bool, planner: int, receive: int, dialect: 
         return [f"[VER:1.1f.20240812:{eeprom.build_info}]", options, "[NEWOPT:ENUMS,RT-]", "[FIRMWARE:grblHAL]"]
     if dialect == "FluidNC":
         return ["[VER:3.7 FluidNC v3.7.8:]", "[OPT:PHS]", "[MSG: Machine: gantry]"]
-    return [f"[VER:1.1h.20190825:{eeprom.build_info}]", f"[OPT:V{'M' * mist},{planner},{receive}]"]
+    return [f"[VER:1.1h.20190830:{eeprom.build_info}]", f"[OPT:V{'M' * mist},{planner},{receive}]"]

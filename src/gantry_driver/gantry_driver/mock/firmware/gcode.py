@@ -1,28 +1,28 @@
 """The G-code parser of the mock board: one line and the modal state in, a checked block or an error number out.
 
 Which words exist, which exclude each other and which error answers what follow GRBL 1.1's documents
-(doc/csv/error_codes_en_US.csv, doc/markdown/commands.md) and RS274/NGC (NIST, 2000), tables 4 and 5.
+(doc/csv/error_codes_en_US.csv, doc/markdown/commands.md) and RS274/NGC (NIST, 2000), tables 4 and 5; where they differ
+from what the firmware does, the firmware (gcode.c).
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from enum import Enum, auto
+
+from gantry_driver.mock.firmware.floats import one_byte
+from gantry_driver.mock.firmware.parser_state import PLANE_AXES, CheckedBlock, ParserState
+from gantry_driver.mock.firmware.words import GcodeError, split_words
 
 MM_PER_INCH = 25.4
 
-LETTER, NUMBER, NEGATIVE, BAD_JOG = 1, 2, 4, 16
+NEGATIVE, BAD_JOG = 4, 16
 UNSUPPORTED, MODAL_GROUP, NO_FEED, NOT_INTEGER, AXIS_CONFLICT, REPEATED = 20, 21, 22, 23, 24, 25
 NO_AXIS, LINE_NUMBER, MISSING, NO_SYSTEM, G53_MODE, AXIS_UNUSED, NO_PLANE_AXIS = 26, 27, 28, 29, 30, 31, 32
 BAD_TARGET, BAD_RADIUS, NO_OFFSET, UNUSED, TLO_AXIS, TOO_LARGE = 33, 34, 35, 36, 37, 38
 
 _MAX_LINE_NUMBER, _MAX_TOOL = 10_000_000, 255
-MAX_NUMBER = 3.4e38
-"""What a number of 32 bits can hold; the firmware's would be infinite beyond."""
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 _VALUE_LETTERS = "FIJKLNPRSTXYZ"
 _NOT_NEGATIVE = "FNPTS"
 _G_GROUPS = {
@@ -40,14 +40,6 @@ _GROUP_OF = {number: group for group, numbers in _G_GROUPS.items() for number in
 _JOG_GROUPS = {"action", "units", "distance"}
 
 
-class GcodeError(Exception):
-    """The line is refused with ``error:number``."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(f"error:{number}")
-        self.number = number
-
-
 class _Use(Enum):
     """Which command takes the axis words of a line."""
 
@@ -55,100 +47,6 @@ class _Use(Enum):
     ACTION = auto()
     MOTION = auto()
     LENGTH = auto()
-
-
-@dataclass(slots=True)
-class Modes:
-    """The modal groups; numbers are those of the G- and M-codes, probing is 38.2 to 38.5."""
-
-    motion: float = 0
-    system: int = 0
-    """0 is G54."""
-    plane: int = 17
-    units: int = 21
-    distance: int = 90
-    feed_mode: int = 94
-    spindle: int = 5
-    flood: bool = False
-    mist: bool = False
-
-    def copy(self) -> Modes:
-        """Return an equal object."""
-        return Modes(
-            self.motion,
-            self.system,
-            self.plane,
-            self.units,
-            self.distance,
-            self.feed_mode,
-            self.spindle,
-            self.flood,
-            self.mist,
-        )
-
-
-@dataclass(slots=True)
-class ParserState:
-    """What the parser remembers between lines; mm and mm/min."""
-
-    modes: Modes = field(default_factory=Modes)
-    position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    g92: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    tool_length: float = 0.0
-    feed: float = 0.0
-    speed: float = 0.0
-    tool: int = 0
-
-
-@dataclass(slots=True)
-class CheckedBlock:
-    """A line without errors, with its values in mm and machine coordinates."""
-
-    modes: Modes
-    feed: float
-    """mm/min, or 1/min in inverse time."""
-    speed: float
-    tool: int
-    action: float | None = None
-    """4, 10, 28, 28.1, 30, 30.1, 53, 92 or 92.1."""
-    moves: bool = False
-    target: list[float] = field(default_factory=list)
-    place: list[float] = field(default_factory=list)
-    """For G10 the new offset, for G28 and G30 the stored position, for G92 the new offset."""
-    place_index: int = 0
-    center: tuple[float, float] = (0.0, 0.0)
-    """Arc centre from the present position, along the plane's two axes."""
-    radius: float = 0.0
-    dwell_s: float = 0.0
-    tool_length: float | None = None
-    program: int | None = None
-    """0 for M0, 2 or 30 for the end."""
-
-
-PLANE_AXES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
-"""First, second and normal axis of G17, G18 and G19."""
-
-
-def read_number(text: str, index: int = 0) -> tuple[float, int] | None:
-    """Return a number of digits and a point, which is all the firmware reads, and where it ends; None without one."""
-    match = _NUMBER.match(text, index)
-    return (min(max(float(match[0]), -MAX_NUMBER), MAX_NUMBER), match.end()) if match else None
-
-
-def _words(text: str) -> list[tuple[str, float]]:
-    """Split a line (capitals, no blanks) into words."""
-    words = []
-    index = 0
-    while index < len(text):
-        letter = text[index]
-        if not "A" <= letter <= "Z":
-            raise GcodeError(LETTER)
-        number = read_number(text, index + 1)
-        if number is None:
-            raise GcodeError(NUMBER)
-        value, index = number
-        words.append((letter, value))
-    return words
 
 
 class _Reader:
@@ -170,9 +68,10 @@ class _Reader:
         self.length_command: float | None = None
 
     def read(self, text: str) -> None:
-        for letter, value in _words(text):
-            whole = int(value)
-            hundredths = round(100 * (value - whole))
+        for letter, value in split_words(text):
+            # A command's number is kept in one byte; whatever else it has counts as its decimals, in two bytes.
+            whole = one_byte(value)
+            hundredths = math.floor(100 * (value - whole) + 0.5) & 0xFFFF
             if letter == "G":
                 self._claim(self._read_g(whole, hundredths))
             elif letter == "M":
@@ -273,7 +172,7 @@ class _Reader:
         self.unused = set(values)
         if self.axes and self.use is _Use.NONE:
             self.use = _Use.MOTION
-        if values.get("N", 0) > _MAX_LINE_NUMBER:
+        if int(values.get("N", 0)) > _MAX_LINE_NUMBER:
             raise GcodeError(LINE_NUMBER)
         self.scale = MM_PER_INCH if modes.units == 20 else 1.0
         block = CheckedBlock(
@@ -303,11 +202,8 @@ class _Reader:
             self.unused -= set("XYZ")
         if self.unused:
             raise GcodeError(UNUSED)
-        if self.jog:
-            if self.groups - _JOG_GROUPS or self.action not in (None, 53):
-                raise GcodeError(BAD_JOG)
-            if not self.axes:
-                raise GcodeError(NO_AXIS)
+        if self.jog and (self.groups - _JOG_GROUPS or self.action not in (None, 53)):
+            raise GcodeError(BAD_JOG)
         block.moves = self.use is _Use.MOTION
         return block
 
@@ -342,10 +238,10 @@ class _Reader:
             raise GcodeError(NO_AXIS)
         if "P" not in self.values and "L" not in self.values:
             raise GcodeError(MISSING)
-        index = int(self.values.get("P", 0))
+        index = one_byte(self.values.get("P", 0))
         if index > len(self.places) - 2:
             raise GcodeError(NO_SYSTEM)
-        mode = int(self.values.get("L", 0))
+        mode = one_byte(self.values.get("L", 0))
         if mode not in (2, 20) or (mode == 2 and "R" in self.values):
             raise GcodeError(UNSUPPORTED)
         self.unused -= {"P", "L"}
@@ -366,7 +262,8 @@ class _Reader:
 
     def _target(self, block: CheckedBlock) -> None:
         position = self.state.position
-        block.target = list(position)
+        # Without an axis word the firmware leaves the target cleared, and a jog goes there: to machine zero.
+        block.target = [0.0, 0.0, 0.0] if self.jog and not self.axes else list(position)
         if self.use is not _Use.LENGTH:
             for axis in self.axes:
                 value = self.values["XYZ"[axis]] * self.scale

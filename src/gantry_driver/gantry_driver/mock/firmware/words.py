@@ -1,0 +1,31 @@
+"""A line of the mock board's parser cut into its words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gantry_driver.mock.firmware.floats import read_number
+
+LETTER, NUMBER = 1, 2
+
+
+class GcodeError(Exception):
+    """The line is refused with ``error:number``."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(f"error:{number}")
+        self.number = number
+
+
+def split_words(text: str) -> Iterator[tuple[str, float]]:
+    """Yield the words of a line (capitals, no blanks) as they are read: a bad one after a conflict is never seen."""
+    index = 0
+    while index < len(text):
+        letter = text[index]
+        if not "A" <= letter <= "Z":
+            raise GcodeError(LETTER)
+        number = read_number(text, index + 1)
+        if number is None:
+            raise GcodeError(NUMBER)
+        value, index = number
+        yield letter, value
