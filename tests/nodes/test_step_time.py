@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -93,19 +94,24 @@ def board(tmp_path: Path) -> Iterator[SteppedBoard]:
     board.close()
 
 
-@pytest.fixture
-def stepped(tmp_path: Path, ledgers: tuple[StepLedger, StepLedger], board: SteppedBoard) -> Iterator[SteppedBench]:
-    bench, _ = ledgers
-    values = {**SMALL, "layout": str(LAYOUT_FILE), "frame_socket": str(tmp_path / "frames")}
-    values |= {"motion_socket": str(tmp_path / "truth"), "camera.rate_hz": 12.5, "stepped": True}
+@contextlib.contextmanager
+def stepped_bench(folder: Path, ledger: StepLedger) -> Iterator[SteppedBench]:
+    values = {**SMALL, "layout": str(LAYOUT_FILE), "frame_socket": str(folder / "frames")}
+    values |= {"motion_socket": str(folder / "truth"), "camera.rate_hz": 12.5, "stepped": True}
     published: list[int] = []
-    steps = StepTime(bench, STEP_NS, published.append)
-    simulation = Simulation(load_layout(LAYOUT_FILE), from_mapping(BenchConfig, values), steps, bench)
-    camera = FrameClient(tmp_path / "frames")
+    steps = StepTime(ledger, STEP_NS, published.append)
+    simulation = Simulation(load_layout(LAYOUT_FILE), from_mapping(BenchConfig, values), steps, ledger)
+    camera = FrameClient(folder / "frames")
     simulation.start()
     yield SteppedBench(simulation, steps, published, camera)
     camera.close()
     simulation.stop()
+
+
+@pytest.fixture
+def stepped(tmp_path: Path, ledgers: tuple[StepLedger, StepLedger], board: SteppedBoard) -> Iterator[SteppedBench]:
+    with stepped_bench(tmp_path, ledgers[0]) as bench:
+        yield bench
 
 
 def test_time_stands_still_until_the_images_have_been_processed(
@@ -148,6 +154,33 @@ def test_factor_falls_while_a_process_is_slow(stepped: SteppedBench, ledgers: tu
         select.select([], [], [], 0.3)
         node.finish(FRAMES)
     assert 0.0 < stepped.simulation.health().factor < 0.6
+
+
+def test_images_of_a_moment_are_the_same_on_a_slow_computer(tmp_path: Path) -> None:
+    """Motion, screen and noise depend on the simulated time alone, not on when and whether images are read."""
+    series: list[dict[float, bytes]] = []
+    for name, pause_s in (("free", 0.0), ("busy", 0.12)):
+        (tmp_path / name).mkdir()
+        board = SteppedBoard(tmp_path / name / "truth")
+        bench, node = StepLedger(tmp_path / name / "steps"), StepLedger(tmp_path / name / "steps")
+        bench.register()
+        node.register()
+        node.subscribe(FRAMES)
+        images: dict[float, bytes] = {}
+        with stepped_bench(tmp_path / name, bench) as running:
+            while len(images) < 20:
+                pair, stamp_ns = running.camera.read(DEADLINE_S)
+                images[round((stamp_ns - running.steps.start_ns) / 1e9, 6)] = b"".join(one.tobytes() for one in pair)
+                select.select([], [], [], pause_s)
+                node.finish_all(FRAMES)
+        board.close()
+        node.close()
+        bench.close()
+        series.append(images)
+    common = sorted(set(series[0]) & set(series[1]))
+    assert len(common) >= 15
+    assert len({series[0][moment] for moment in common}) == len(common), "the stylus moves, and each has its noise"
+    assert [series[0][moment] == series[1][moment] for moment in common] == [True] * len(common)
 
 
 def test_step_waits_for_bytes_on_the_serial_line(
