@@ -358,13 +358,13 @@ def test_a_link_that_is_lost_in_a_stop_leaves_the_stylus_down_and_the_stop_says_
     rig.until(lambda: rig.machine.phase.name == "HOLDING")
     rig.machine.closed("the device has gone", rig.now)
     rig.collect()
-    assert rig.states[-1] == "disconnected: the device has gone"
+    assert rig.states[-1] == "disconnected: the device has gone" + NOT_LIFTED
     rig.connect()
     rig.run_for(1.0)
     assert rig.states[-1] == "stopped: stop requested" + NOT_LIFTED
     assert rig.machine.reset(rig.now) == ""
     rig.step()
-    assert rig.states[-1] == "unhomed"
+    assert rig.states[-1] == "unhomed: " + NOT_LIFTED.removeprefix("; ")
 
 
 def test_what_no_stop_is_to_lift_and_what_a_reset_lets_go_is_not_told() -> None:
@@ -1435,6 +1435,7 @@ def test_a_g92_that_a_board_may_have_kept_is_not_cancelled_by_a_program(
     rig.machine.stop("stop requested", rig.now)
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
     assert rig.machine.reset(rig.now) == ""
+    rig.run_for(0.5)
     assert ("G92.1 moves all targets" in run("G92.1")) is keeps, "what a reset does to it, each firmware knows"
 
 
