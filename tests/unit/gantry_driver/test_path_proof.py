@@ -93,16 +93,24 @@ def test_a_path_in_the_air_is_one_stage_and_is_written_as_it_always_was() -> Non
     assert len(made.stages) == 1 and made.origin_mm is None
 
 
-def test_a_path_stops_at_every_extreme_and_above_every_way_down() -> None:
+def test_a_path_stops_at_every_extreme_of_z() -> None:
     made = script((0.1, 0.0, 0.0), (0.1, 0.0, 0.03), (0.1, 0.0, 0.028), (0.1, 0.0, 0.03), (0.12, 0.0, 0.03))
     ends = [stage.end_mm for stage in made.stages]
     assert ends == [
         (-259.0, -219.0, -1.0),
-        (-259.0, -219.0, -22.0),
         *((-259.0, -219.0, -31.0), (-259.0, -219.0, -29.0), (-259.0, -219.0, -31.0)),
         (-239.0, -219.0, -31.0),
     ]
     assert made.origin_mm == (-460.0, -320.0, -31.0)
+
+
+def test_a_way_down_that_goes_sideways_stops_above_its_end() -> None:
+    made = script((0.1, 0.0, 0.03))
+    assert [stage.end_mm for stage in made.stages] == [
+        (-359.0, -219.0, -1.0),
+        (-289.0, -219.0, -22.0),
+        (-259.0, -219.0, -31.0),
+    ]
 
 
 def test_a_path_that_turns_back_stops_there() -> None:
@@ -166,7 +174,9 @@ def test_modes_are_compared_by_words_and_numbers() -> None:
 def test_the_clearance_must_stop_a_damaged_approach() -> None:
     needed = stopping_way_mm(3000.0, 400.0, 60.0, 50.0)
     assert needed == pytest.approx(0.15 + 50.0 * (0.02 + 0.02 + 0.05) + 50.0**2 / 800.0)
-    with pytest.raises(ConfigError, match=r"clearance_m = 0\.005: 0\.0088 m are needed .* raise clearance_m .* hover_m"):
+    with pytest.raises(
+        ConfigError, match=r"clearance_m = 0\.005: 0\.0088 m are needed .* raise clearance_m .* hover_m"
+    ):
         DriverConfig(clearance_m=0.005)
     with pytest.raises(ConfigError, match="touch_status_rate_hz"):
         DriverConfig(touch_status_rate_hz=25.0)
