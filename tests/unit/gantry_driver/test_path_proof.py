@@ -128,6 +128,13 @@ def test_a_board_that_keeps_offsets_over_a_reset_gets_no_frame_but_the_same_stop
     assert lines == ["F1800G21G90G94", "$G", "Z-12G53G1", "Z-21G53G1", "G4P0"]
 
 
+def test_the_time_of_a_path_counts_with_the_rate_of_a_slow_axis() -> None:
+    slow = DriverConfig(machine=MachineConfig(max_rate_mm_min=(12000.0, 12000.0, 300.0)))
+    motion = write_motion(JOINTS, [Waypoint(positions_m=(0.0, 0.0, 0.05))], (0.0, 0.0, 0.0), slow)
+    limit_s = make_script(motion, slow, framed=True, frame_mm=None).limit_s
+    assert 2.0 * 10.0 < limit_s < 2.0 * 10.0 + 4.0, "50 mm at 5 mm/s, though the feed is 30 mm/s"
+
+
 def flips(line: str) -> set[str]:
     """Return what the board's parser may get of a line with one damaged byte: flipped, lost, doubled or swapped."""
     data = line.encode()
