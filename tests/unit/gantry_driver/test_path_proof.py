@@ -65,6 +65,12 @@ def test_a_late_report_may_be_farther_along() -> None:
     assert tube.check((99.0, 0.0, 0.0), 6000.0, 0.05) is not None
 
 
+def test_a_report_that_a_busy_computer_read_late_is_older_than_its_arrival() -> None:
+    tube = watch((0.0, 0.0, 0.0), (200.0, 0.0, 0.0))
+    assert tube.check((4.0, 0.0, 0.0), 6000.0, 0.84, asked_at=0.04) is None, "read 0.8 s late"
+    assert tube.check((86.0, 0.0, 0.0), 6000.0, 0.86, asked_at=0.85) is None
+
+
 def test_a_feed_above_the_highest_of_the_path_has_left_it() -> None:
     tube = watch((0.0, 0.0, 0.0), (100.0, 0.0, 0.0), feed=600.0)
     assert tube.check((0.5, 0.0, 0.0), 600.0, 0.04) is None
