@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from operator import attrgetter
 
-from gantry_driver.core.board_faults.reports import position_mask, with_quote
+from gantry_driver.core.board_faults.reports import with_quote
 from gantry_driver.core.board_faults.resets import ResetLog
 from gantry_driver.core.grbl_messages import (
     Dialect,
@@ -21,7 +19,6 @@ from gantry_driver.core.machine_states import (
     Answered,
     CloseRequested,
     Event,
-    Note,
     Phase,
     StateChanged,
 )
@@ -30,8 +27,8 @@ from gantry_driver.core.session import (
     Counts,
     GrblSession,
 )
-from gantry_driver.core.settings_profile import differences, lines_to_write
 from gantry_driver.core.stylus_state import CLAUSE, IS_RELEASED, MAY_PRESS, MAY_SINK, Stylus
+from gantry_driver.core.wire.goal import Goal, Reading
 from icu_common.core.results import GoalResult, Outcome
 
 HOLD_REPEAT_S = 0.2
@@ -39,48 +36,17 @@ HOLD_REPEAT_S = 0.2
 ASK_ALONE_S = 0.2
 """No `?` gets into the line of a question to a firmware that knows no real-time bytes."""
 TICK_S = 0.05
-READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
-"""Directions, homing corner, pull-off, steps and travel: with others a calibration of the readings is void."""
-
-IDLE_DELAY, STAYS_ON = 1, "255"
-"""Milliseconds after a motion at which the motors let go, and what stands for never."""
-READ_SETTINGS = "$$"
-_MACROS = ("$/macros/startup_line0", "$/macros/startup_line1", "$/macros/after_reset")
-READ_STARTUP = {"$N": ("$N0", "$N1"), **{name: (name,) for name in _MACROS}}
-"""What asks for the lines that a board runs by itself, and the names in the answer; FluidNC calls them macros."""
-STARTUP_TRIES = 5
 REFUSED = {
     Dialect.MARLIN: "the firmware is Marlin, which has no feed hold; GRBL is needed",
     Dialect.GRBL_0: "the firmware is a GRBL before 1.1, whose reports have another form; 1.1 is needed",
 }
 """The firmwares that are not driven, and why."""
-KEPT_TO_ITSELF = {Dialect.FLUIDNC: frozenset({13, 23, 27})}
-"""Units, corner and pull-off, which not every version of a firmware tells: where the machine has homed tells them."""
-
-Reading = tuple[float, float, float]
-
-
-@dataclass(slots=True, kw_only=True)
-class Goal:
-    """What is being done, its lines that are not queued yet with their dwells, and the line whose answer ends it.
-
-    ``left`` is how many lines ``rest`` still has; a long program is walked through while it runs, not before.
-    """
-
-    goal_id: str
-    text: str
-    end_m: tuple[float, float, float]
-    started: float
-    rest: Iterator[tuple[str, float]]
-    left: int
-    marker: int = 0
-    acknowledged: bool = False
 
 
 class Connection:
     """One board on one port, told apart, its settings compared; a Machine moves it."""
 
-    def __init__(self, config: DriverConfig, *, active: bool = True) -> None:
+    def __init__(self, config: DriverConfig, *, active: bool = True, left_down: bool = False) -> None:
         self.config = config
         self.active = active
         self.counts = Counts()
@@ -101,6 +67,8 @@ class Connection:
         self._settings: dict[int, str] = {}
         self._startup: dict[str, str] = {}
         self._startup_tries = 0
+        self._kept: dict[int, str] = {}
+        """Settings that a write of others must leave as they are."""
         self._profile: dict[int, float] = {}
         self._latched = ""
         self._mismatch = ""
@@ -113,7 +81,7 @@ class Connection:
         self._marker = 0
         self._marker_done = False
         self._resets = ResetLog()
-        self._stylus = Stylus.AS_READ
+        self._stylus = Stylus.LEFT_UNSEEN if left_down else Stylus.AS_READ
         self._released_at = math.inf
         """When a solenoid that an alarm has switched off will be up."""
         self._raised = False
@@ -124,6 +92,12 @@ class Connection:
         self._probed = 0.0
         self._probe_from = 0.0
         self._pausing = self._resuming = False
+        self._acked = 0
+        """Number of the last line that the board has acknowledged."""
+        self._frame_mm: Reading | None = None
+        """The work offset of a frame that is in force, as the board has reported it."""
+        self._distrusted = False
+        """Whether the position counts as lost once the stop that is under way has lifted the stylus."""
         self._say_if_changed()
 
     def configure(self, config: DriverConfig, now: float) -> None:
@@ -163,6 +137,11 @@ class Connection:
         return self.phase.state not in ("disconnected", "connecting")
 
     @property
+    def may_be_down(self) -> bool:
+        """Whether the stylus may be down, or may go down by what is under way; homing ends it."""
+        return self._stylus is Stylus.UNDER_WAY or self._stylus_is_down()
+
+    @property
     def needs_way_out(self) -> bool:
         """Whether leaving now would leave something moving or pressing."""
         return not self.at_rest or self._rests_extended()
@@ -196,13 +175,6 @@ class Connection:
             "active": self.active,
         }
         return [(name, str(value)) for name, value in values.items()]
-
-    def settings_text(self) -> str:
-        """Return the board's settings that readings depend on, ``$100=80 ...``; empty until they are known."""
-        if READING_SETTINGS[-1] not in self._settings:
-            return ""  # boards list them in rising order: the rest is still to come
-        known = [number for number in READING_SETTINGS if self._settings.get(number)]
-        return " ".join(f"${number}={self._settings[number].split()[0]}" for number in known)
 
     # --- the port and the board behind it ------------------------------------------------------------------------
 
@@ -306,105 +278,6 @@ class Connection:
             Phase.WRITING: "writing the settings",
         }.get(self.phase, self.phase.state)
 
-    # --- settings ------------------------------------------------------------------------------------------------
-
-    @property
-    def settings(self) -> dict[int, str]:
-        """The board's settings as it printed them."""
-        return dict(self._settings)
-
-    def expected_settings(self) -> dict[int, float]:
-        """Return what the board's settings must be, without those that its firmware does not tell."""
-        kept = KEPT_TO_ITSELF.get(self.dialect, frozenset()) - self._settings.keys()
-        expected = {n: value for n, value in self.config.expected_settings().items() if n not in kept}
-        return expected | position_mask(self._settings, self.dialect)
-
-    def accept_settings(self, now: float) -> str:
-        """Accept that the board's settings differ from the configuration; holds for these differences only."""
-        if self.phase is not Phase.MISMATCH or not self._settings or self._misplaced:
-            return f"nothing to accept: the driver is {self.state_text}"
-        self._accepted_mismatch = self._mismatch
-        self._enter(Phase.UNHOMED, now)
-        return ""
-
-    def write_settings(self, now: float, profile: Mapping[int, float] | None = None) -> str:
-        """Write the configured machine's settings to the board, or those of a profile, and read all of them back.
-
-        Only those that differ are written. The machine is unhomed after it: steps or travel may be others.
-        """
-        if self.phase not in (Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE) or self._rests_extended():
-            return f"settings are written to a board at rest with the stylus up, the driver is {self.state_text}"
-        wanted = dict(profile if profile is not None else self.expected_settings())
-        lines = lines_to_write(self._settings, wanted) if self._settings else []
-        if not lines:
-            known = "it has these settings" if self._settings else "the board has no settings"
-            return "; ".join([f"nothing to write: {known}", *self._startup_lines()])
-        self._forget_position()
-        self._profile = wanted
-        self._enter(Phase.WRITING, now, f"writing {', '.join(text.partition('=')[0] for text in lines)}")
-        for text in lines:
-            self._marker = self.session.queue(text).number
-        return ""
-
-    def _read_settings(self, now: float, reason: str) -> None:
-        self._settings, self._startup, self._startup_tries = {}, {}, 0
-        self._enter(Phase.SETTINGS, now, reason)
-        self._marker = self.session.queue(READ_SETTINGS).number
-
-    def _startup_missing(self) -> list[str]:
-        names = _MACROS if self.dialect is Dialect.FLUIDNC else READ_STARTUP["$N"]
-        return [name for name in names if name not in self._startup]
-
-    def _read_startup(self, now: float) -> None:
-        """Ask for what is still missing of the lines that the board runs by itself; noise may have spoilt an answer."""
-        missing = self._startup_missing()
-        if not missing or self._startup_tries == STARTUP_TRIES:
-            self._check_settings(now)
-            return
-        self._startup_tries += 1
-        for question, names in READ_STARTUP.items():
-            if not set(names).isdisjoint(missing):
-                self._marker = self.session.queue(question).number
-
-    def _startup_lines(self) -> list[str]:
-        """Return a sentence for what the board runs by itself after a reset, with which a stop ends."""
-        found = []
-        for name, text in sorted(self._startup.items()):
-            if text and name in _MACROS:
-                found.append(
-                    f"{name} runs {text!r} after a reset, it must be empty: take it out of the board's config file"
-                )
-            elif text:
-                found.append(
-                    f"{name} runs {text!r} after each reset, it must be empty: unlock by $X, then send {name}="
-                )
-        if missing := ", ".join(self._startup_missing()):
-            found.append(
-                f"{missing} could not be read, is there noise on the line? "
-                "What the board runs after each reset is not known: connect it anew"
-            )
-        return found
-
-    def _check_settings(self, now: float) -> None:
-        if not self._settings:
-            self._close("the board told no settings", now)
-            return
-        wrong = differences(self._settings, self.expected_settings())
-        self._mismatch = "; ".join([*wrong, *self._startup_lines()])
-        if (idle := self._settings.get(IDLE_DELAY)) is not None and idle.partition(".")[0] != STAYS_ON:
-            text = f"${IDLE_DELAY} is {idle}: motors that let go can be pushed unnoticed, {STAYS_ON} keeps them on"
-            self._events.append(Note(level="warn", text=text))
-        profile, self._profile = self._profile, {}
-        for text in differences(self._settings, profile, "what was written"):
-            self._events.append(Note(level="error", text=f"the board did not keep a setting: {text}"))
-        if self._latched:
-            # Neither a lost link nor a reset of the board lifts a stop.
-            self._enter(Phase.STOPPED, now, self._latched)
-        elif self._blocked():
-            self._enter(Phase.MISMATCH, now, self._mismatch)
-        else:
-            self._enter(Phase.UNHOMED, now, self.reason)
-
     # --- transitions ---------------------------------------------------------------------------------------------
 
     def _enter(self, phase: Phase, now: float, reason: str = "", not_lifted: str | None = None) -> None:
@@ -415,12 +288,19 @@ class Connection:
         self._not_lifted, self._suspended = not_lifted, ""
         if phase is not Phase.MOVING:
             self._pausing = self._resuming = False
+        if phase is Phase.STOPPED and self._distrusted:
+            self._distrusted = False
+            self._forget_position()
         self._poll_at_rate()
         self._say_if_changed()
 
     def _poll_at_rate(self) -> None:
         moving = self.phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
         rate = self.config.moving_status_rate_hz if moving else self.config.status_rate_hz
+        touching = self.phase is Phase.MOVING and self._goal is not None and self._goal.touching
+        if touching:
+            rate = max(rate, self.config.touch_status_rate_hz)
+        self.session.polls_spared = not touching
         self.session.poll_interval_s = 1.0 / rate
         self.session.poll_now()
 
@@ -435,10 +315,20 @@ class Connection:
 
     def _forget_position(self) -> None:
         self._stylus = self._stylus.lost(self._extension_m)
+        self._distrusted = False
         self.homed = False
         self.reading_m = None
 
-    def _finish(self, outcome: Outcome, reason: str, now: float, error_m: float = math.nan) -> None:
+    def _finish(
+        self,
+        outcome: Outcome,
+        reason: str,
+        now: float,
+        error_m: float = math.nan,
+        *,
+        code: str = "",
+        details: tuple[tuple[str, str], ...] = (),
+    ) -> None:
         if self._goal is None:
             return
         goal, self._goal = self._goal, None
@@ -450,6 +340,8 @@ class Connection:
                 reason=reason,
                 error_m=error_m,
                 duration_s=now - goal.started,
+                code=code,
+                details=details,
             )
         )
 
@@ -484,7 +376,8 @@ class Connection:
         rests = phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED, Phase.MISMATCH)
         # After an alarm nothing was decided about the stylus, and nobody lifts it.
         tells = self.config.lift_on_stop if phase is Phase.STOPPED else phase in (Phase.ALARM, Phase.ALARM_RESET)
-        tells = tells or (self._stylus is Stylus.LEFT_UNSEEN and (rests or phase is Phase.CLOSED))
+        left = self._stylus in (Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN)
+        tells = tells or (left and (rests or phase is Phase.CLOSED))
         if tells and self._stylus is not Stylus.LIMP and self._stylus_is_down():
             return MAY_PRESS
         if rests and self._stylus.may_be_limp(self.config.stylus.kind):

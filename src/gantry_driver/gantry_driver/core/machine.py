@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from gantry_driver.core.board_faults.reports import UNPLACED_REPORTS, no_position_text, with_quote
-from gantry_driver.core.connection import ASK_ALONE_S, READ_STARTUP, REFUSED
+from gantry_driver.core.connection import ASK_ALONE_S, REFUSED
 from gantry_driver.core.grbl_messages import (
     Alarm,
     Dialect,
@@ -26,27 +26,29 @@ from gantry_driver.core.grbl_messages import (
 )
 from gantry_driver.core.machine_states import Note, Phase, Position
 from gantry_driver.core.session import (
-    FULL_FEED,
-    FULL_SPINDLE,
     HOLD,
     Acknowledged,
     CountBroken,
     Refused,
     WasReset,
 )
-from gantry_driver.core.stopping import LOCKED, SAME_PLACE_MM, elsewhere
+from gantry_driver.core.stopping import elsewhere
 from gantry_driver.core.streaming import Streaming
 from gantry_driver.core.stylus_state import Stylus
 from gantry_driver.core.trajectory_gcode import lift_lines, reading_m, stylus_dwell
+from gantry_driver.core.wire.board_settings import READ_STARTUP
+from gantry_driver.core.wire.faults import MotionFault
+from gantry_driver.core.wire.proof import OWN_RESET
 from icu_common.core.results import Outcome
 
-OWN_RESET = "the board was reset by itself, its position is lost"
-ELSEWHERE = "the board stands elsewhere without a command from here, its position is lost"
 BANNER_TIMEOUT_S = 5.0
 CRITICAL_ALARM_PAUSE_S = 0.6
 """After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
-REPORT_LATE_S = 0.2
-"""Between two reports an axis may have gone for so much longer than between their arrivals."""
+OFFSET_WITHIN_S = 1.0
+"""Time after homing for two reports with a work offset; a board that tells none can be moved, but runs no program."""
+HOME = "$H"
+HOMING_LEAST_S = 0.2
+"""A homing cycle takes longer than this, with three pull-offs of an axis; any other line is answered earlier."""
 EEPROM_READ_FAILED = 7
 """Of a startup line; GRBL and grblHAL empty it then, go on with the other one, and answer ``ok`` besides."""
 HOMING_FIRST = 22, 4
@@ -112,6 +114,7 @@ class Machine(Streaming):
         busy = self.phase in (Phase.MOVING, Phase.HOMING)
         if (busy or self._rests_extended()) and (refusal := self._heartbeat_refusal(now)):
             self._halt(refusal, now)
+        self._check_time(now)
         excused = self.phase in (Phase.CLOSED, Phase.HOMING) or self._critical or self.session.awaiting_banner
         silent = self.session.silent_for(now)
         if not excused and silent > self.config.status_timeout_s:
@@ -146,6 +149,7 @@ class Machine(Streaming):
         if refusal := self._permission(now) or self._unlock_refusal():
             return refusal
         self._forget_position()
+        self._homed_mm = None
         self._enter(Phase.HOMING, now)
         self._marker_done = False
         if self.config.stylus.kind != "z_axis":
@@ -157,7 +161,7 @@ class Machine(Streaming):
         ends: tuple[str, ...] = () if self.dialect is Dialect.GRBL else ("G49", "G54")
         if ends and self._is_servo():
             ends = (*ends, *lift_lines(self.config))  # grblHAL switches the spindle off before it homes
-        for text in ("$H", *ends):
+        for text in (HOME, *ends):
             self._marker = self.session.queue(text, answer_within_s=self._answer_time()).number
         return ""
 
@@ -194,6 +198,9 @@ class Machine(Streaming):
             self._startup[message.name] = message.text
         elif isinstance(message, Firmware):
             self._on_firmware(message, now)
+        elif isinstance(message, Feedback) and message.key == "GC":
+            if self._goal is not None:
+                self._goal.modes_text = message.text
         elif isinstance(message, Feedback) and message.key == "MSG" and "reset to continue" in message.text.lower():
             self._reset_not_before = now
 
@@ -204,7 +211,7 @@ class Machine(Streaming):
         if banner.dialect in REFUSED and self.phase is Phase.SYNCHRONISE:
             self._refuse(banner.dialect, now)
             return
-        self._critical, self._has_g92 = False, None
+        self._critical, self._has_g92, self._frame_mm = False, None, None
         if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):
             # Also after an alarm: it may have come before the settings were known, or the board is another one.
             self.dialect, self.firmware = banner.dialect, banner.version
@@ -240,9 +247,17 @@ class Machine(Streaming):
         z_axis = self.config.stylus.kind == "z_axis"
         if not z_axis and number > self._stylus_line and event.line.text == stylus_dwell(self.config):
             self._stylus = self._stylus.settled()
-        if self._goal is not None and number == self._goal.marker:
-            self._goal.acknowledged = True
-            self.session.poll_now()
+        self._acked = number
+        if (goal := self._goal) is not None:
+            if goal.confirming is not None and number == goal.confirm_line:
+                self._modes_answered(goal, now)
+            if self._stage_sent(goal):
+                self.session.poll_now()
+        if event.line.text == HOME and self.phase is Phase.HOMING and self.session.latency_s < HOMING_LEAST_S:
+            # A damaged $H is a question that is answered at once, or a comment.
+            text = f"homing was answered after {self.session.latency_s:.2f} s: the board has not homed"
+            self._halt(text, now)
+            return
         if number != self._marker:
             return
         if self.phase is Phase.IDENTIFY:
@@ -294,42 +309,43 @@ class Machine(Streaming):
         self._events.append(Note(level="error", text=event.reason))
         if self.phase in (Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING, Phase.MISMATCH, Phase.UNHOMED):
             self._synchronise(now, event.reason)
-        elif self.phase in (Phase.MOVING, Phase.IDLE, Phase.HOMING, Phase.LIFTING):
+        elif self.phase is Phase.MOVING:
+            self._fault(MotionFault.LOST_ANSWER, event.reason, now)
+        elif self.phase in (Phase.IDLE, Phase.HOMING, Phase.LIFTING):
             self._halt(event.reason, now)
 
-    def _strayed(self, report: Report, now: float) -> str:
-        """Return why the place that a report tells is none where the board can have gone; empty if it can."""
-        place, before = report.mpos_mm, self._stood_mm
-        if not self.homed or place is None or before is None or self.phase is Phase.RESETTING:
-            return ""
-        if self.phase in (Phase.IDLE, Phase.STOPPED):
-            there = report.state != "Idle" or not elsewhere(place, before)
-        else:
-            way_s = now - self._stood_at + REPORT_LATE_S
-            rates = self.config.machine.max_rate_mm_min
-            near = all(abs(was) <= SAME_PLACE_MM + rate * way_s / 60.0 for was, rate in zip(before, rates))
-            there = near or any(place)
-        if there:
-            return ""
-        return ELSEWHERE if any(place) else OWN_RESET
-
     def _on_report(self, report: Report, now: float) -> None:
+        if report.state == "Alarm" and self.homed and self.phase not in (Phase.RESETTING, Phase.ALARM_RESET):
+            self._handle_report(report, now)  # its place is none any more
+            return
         if strayed := self._strayed(report, now):
             # Counting from zero: its banner was spoilt, and not every board locks itself. Otherwise its steps were
             # changed, or a pendant has moved it. Noise may do the same to a report, but to no two alike.
-            if self._moved_mm == report.mpos_mm:
+            last, place = self._moved_mm, report.mpos_mm
+            alike = last is not None and place is not None and self._can_be_at(place, last, now - self._moved_at)
+            if self._moved_mm == place or (alike and self.phase not in (Phase.IDLE, Phase.STOPPED)):
                 self._on_own_reset(strayed, self.session.pending, now)
-            self._moved_mm = report.mpos_mm
+            self._moved_mm, self._moved_at = place, self.session.report_asked_at
+            self.counts.disbelieved += 1
             self.session.poll_now()
             return
+        if report.overrides_percent is not None:
+            self._set_overrides_back(*report.overrides_percent)
+        if self._leaves_path(report, now):
+            self.counts.disbelieved += 1
+            return
         if self.phase is not Phase.RESETTING:
-            self._stood_mm, self._stood_at, self._moved_mm = report.mpos_mm, now, None
-        if self.homed and report.mpos_mm is not None:
+            asked_at = self.session.report_asked_at
+            self._stood_mm, self._stood_at, self._moved_mm = report.mpos_mm, asked_at, None
+        stood = self._stood_mm
+        moved = self.phase is Phase.RESETTING and stood and report.mpos_mm and elsewhere(report.mpos_mm, stood)
+        if self.homed and report.mpos_mm is not None and not moved:
             # On its way up it counts as down: should an alarm end that way, this is the last that anybody hears of it.
             self.reading_m = reading_m(report.mpos_mm, self._stylus_is_down(), self.config)
             self._events.append(Position(reading_m=self.reading_m))
-        if report.overrides_percent is not None:
-            self._set_overrides_back(*report.overrides_percent)
+        self._handle_report(report, now)
+
+    def _handle_report(self, report: Report, now: float) -> None:
         handler = {
             Phase.SYNCHRONISE: self._report_synchronise,
             Phase.IDENTIFY: self._report_connecting,
@@ -348,20 +364,6 @@ class Machine(Streaming):
         if handler is not None:
             handler(report, now)
 
-    def _set_overrides_back(self, feed: float, _rapid: float, spindle: float) -> None:
-        """End what a pendant has raised: no touch is faster, and no servo elsewhere, than it is configured.
-
-        Somebody who slows the machine down does so with care, and is let.
-        """
-        raised = feed > 100.0 or (spindle != 100.0 and self._is_servo())
-        if raised:
-            self.session.realtime(FULL_FEED)
-            self.session.realtime(FULL_SPINDLE)
-            if not self._raised:
-                told = f"the board's overrides were {feed:g} % (feed) and {spindle:g} % (spindle): set back to 100 %"
-                self._events.append(Note(level="warn", text=told))
-        self._raised = raised
-
     def _report_homing(self, report: Report, now: float) -> None:
         if not self._marker_done or report.state == "Home":
             return
@@ -371,6 +373,13 @@ class Machine(Streaming):
         if report.mpos_mm is None:  # a work position, whose offset comes with one of the next reports, or never
             if self.session.unplaced_reports > UNPLACED_REPORTS:
                 self._halt(no_position_text(self._settings), now)
+            return
+        if self._homed_mm != report.mpos_mm:
+            self._homed_mm, self._homed_at = report.mpos_mm, now
+            self.session.poll_now()
+            return  # The position of everything that follows is believed when two reports agree.
+        if not self.session.wco_is_sure and now - self._homed_at < OFFSET_WITHIN_S:
+            self.session.poll_now()  # So is the work offset of programs, which comes with every tenth report.
             return
         # A stage whose stylus is no Z axis need not have one, and its Z stays where it was at power-up.
         expected = self.config.machine.homed_mpos_mm()[: 3 if self.config.stylus.kind == "z_axis" else 2]
@@ -385,18 +394,3 @@ class Machine(Streaming):
         self.reading_m = reading_m(report.mpos_mm, False, self.config)
         self._events.append(Position(reading_m=self.reading_m))
         self._enter(Phase.IDLE, now)
-
-    def _report_resting(self, report: Report, now: float) -> None:
-        if report.state == "Idle" or (report.state == "Alarm" and not self.homed):
-            return
-        if report.state == "Alarm":
-            self._to_alarm(LOCKED, now)
-        elif self.phase is Phase.STOPPED and report.state == "Door" and report.substate != 0:
-            limp = self._stylus.powerless(self.config.stylus.kind)  # an open door ends a servo's pulses
-            if limp is not self._stylus:
-                self._stylus = limp
-                self._enter(Phase.STOPPED, now, self.reason)
-        elif self.phase is Phase.STOPPED and report.state in ("Hold", "Door"):
-            self._halt(self.reason, now)
-        else:
-            self._halt(f"the board is in {report.state_text} without a command from here", now)

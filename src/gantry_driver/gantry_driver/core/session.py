@@ -8,10 +8,8 @@ acknowledged, refused or lost, and a reset that nobody asked for is an event of 
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from gantry_driver.core.grbl_messages import (
     Alarm,
@@ -25,6 +23,31 @@ from gantry_driver.core.grbl_messages import (
     Report,
     parse_line,
 )
+from gantry_driver.core.wire.lines import (
+    MAX_LINE_BYTES,
+    Acknowledged,
+    CountBroken,
+    Counts,
+    Line,
+    Refused,
+    StrayAnswer,
+    WasReset,
+    answers_missing,
+    plain,
+)
+
+__all__ = [
+    "MAX_LINE_BYTES",
+    "Acknowledged",
+    "CountBroken",
+    "Counts",
+    "GrblSession",
+    "Line",
+    "Refused",
+    "StrayAnswer",
+    "WasReset",
+    "plain",
+]
 
 HOLD = b"!"
 RESUME = b"~"
@@ -34,8 +57,6 @@ FULL_FEED, FULL_SPINDLE = b"\x90", b"\x99"
 """Set the overrides back to 100 %."""
 
 DEFAULT_RX_BYTES = 128
-MAX_LINE_BYTES = 80
-"""Newline included; GRBL answers error:11 to longer ones."""
 EEPROM_PAUSE_S = 0.05
 """After the ``ok`` of an EEPROM write; without it bytes were lost in trials."""
 WIRE_BOUND_REPORTS = 3
@@ -52,116 +73,10 @@ again; a board that was only held up answers both, see docs/decisions/stopping.m
 REPORTS_APART_S = 1.0
 """A pause between two reports that is longer by so much is no time in which the board was idle: it may be homing."""
 
-_ACTS = re.compile(r"[$F]|M0*[3478](?!\d)|G0*(?:28|30)(?!\d)|[XYZ](?!.*G0*(?:[123]|92)\Z)", re.IGNORECASE)
-"""What a board that has just been reset would obey: see docs/decisions/lines-after-a-reset.md."""
-_EEPROM = re.compile(r"\$(?!J=)[^=]*=|\$RST|G0*10(?!\d).*L0*20?(?!\d)|G0*28\.10*(?!\d)|G0*30\.10*(?!\d)", re.IGNORECASE)
-
-
-def plain(value: float, digits: int = 3) -> str:
-    """Return a number in as few bytes as it has with so many digits behind the point."""
-    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
-    return "0" if text in ("-0", "") else text
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
-    """A line for the board: ``number`` counts from 1 within the session, ``text`` has no newline.
-
-    Parameters
-    ----------
-    eeprom
-        Whether it blocks the board's reception while it is executed.
-    alone
-        Whether nothing else may be under way with it: ``$`` commands, EEPROM writes, and whatever a board that has been
-        reset meanwhile would still obey, be it to move, to lower a stylus, or to take a feed for the moves behind it.
-    """
-
-    number: int
-    text: str
-    answer_within_s: float
-    eeprom: bool = False
-    alone: bool = False
-
-    @classmethod
-    def of(cls, number: int, text: str, answer_within_s: float) -> Line:
-        """Return the line with what its text says about it; asked once, not at every turn of the link."""
-        eeprom = _EEPROM.search(text) is not None
-        alone = eeprom or _ACTS.search(text) is not None
-        return cls(number=number, text=text, answer_within_s=answer_within_s, eeprom=eeprom, alone=alone)
-
-    @property
-    def size(self) -> int:
-        """Bytes in the receive buffer, newline included."""
-        return len(self.text) + 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Acknowledged(Message):
-    """The board has taken the line (planned, not executed)."""
-
-    line: Line
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Refused(Message):
-    """The board has answered ``error:N`` to the line."""
-
-    line: Line
-    code: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WasReset(Message):
-    """A banner came; what was under way is lost.
-
-    Parameters
-    ----------
-    banner
-        As received.
-    expected
-        Whether this side had asked for the reset, be it by a retry that a board which was held up answers, too.
-    lost
-        Lines sent and not answered: the board may have executed none, some or all of them.
-    unsent
-        Lines that were still queued here.
-    """
-
-    banner: Banner
-    expected: bool
-    lost: tuple[Line, ...]
-    unsent: tuple[Line, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StrayAnswer(Message):
-    """An answer to nothing that is under way."""
-
-    answer: Message
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CountBroken(Message):
-    """The counting no longer fits what the board says; the lines under way must be thrown away."""
-
-    reason: str
-
-
-@dataclass(slots=True, kw_only=True)
-class Counts:
-    """Running totals since the start of the process."""
-
-    sent: int = 0
-    acknowledged: int = 0
-    executed: int = 0
-    refused: int = 0
-    lost: int = 0
-    resets: int = 0
-    alarms: int = 0
-    stray: int = 0
-    garbage: int = 0
-    reports: int = 0
-    bytes_sent: int = 0
-    bytes_received: int = 0
+QUESTIONS = 3
+"""Questions for a report that may be on their way; an older one was lost, or its report."""
+MISSING_REPORTS = 2
+LOST_LINE = "the board has taken lines that it has not answered: a line or its answer was lost on the wire"
 
 
 class GrblSession:
@@ -192,17 +107,29 @@ class GrblSession:
         self._reset_at = 0.0
         self._resets_unanswered = 0
         """Resets written whose banners may still come: all but one of them was a retry."""
+        self.wco_is_sure = False
+        """Whether the last two reports with a work offset agree."""
         self.wco_mm: tuple[float, ...] | None = None
         """The work offset that the board has reported since its reset: its memory's G54 and what was added."""
         self._unanswered_since: float | None = None
         self._roomy_reports = 0
+        self._asked: deque[float] = deque()
+        """When the reports were asked for that have not come."""
+        self.report_asked_at = 0.0
+        """When the last report was asked for: it was made after that, however late it came."""
         self.last_report_at: float | None = None
         self.unread_report = b""
         """The last report that could not be read, if none could be read after it."""
         self.unplaced_reports = 0
         """Reports in a row from which no machine position follows."""
         self.polling = False
+        self.tells_mpos = False
+        """Whether the last report had a machine position of its own."""
+        self.polls_spared = True
+        """Whether reports may be rarer while the wire is the limit."""
         self.paused = False
+        self._short_reports = 0
+        """Reports in a row of a board that has taken lines which it has not answered."""
 
     def start(self, now: float) -> None:
         """Begin anew on a freshly opened port; queued lines are dropped and counted as lost where they were sent."""
@@ -217,7 +144,8 @@ class GrblSession:
         self._planner_blocks = 0
         self._planner_room = self._rx_room = self._rx_empty = -1
         self.last_report_at, self.unread_report, self.unplaced_reports = None, b"", 0
-        self.wco_mm = None
+        self._asked.clear()
+        self.wco_mm, self.wco_is_sure = None, False
         self._quiet_until = self._next_poll = now
 
     @property
@@ -322,11 +250,14 @@ class GrblSession:
     def _report(self, report: Report, now: float) -> list[Message]:
         self.counts.reports += 1
         before, self.last_report_at, self.unread_report = self.last_report_at, now, b""
+        self.report_asked_at = self._asked.popleft() if self._asked else now
         if before is None or now - before > self.poll_interval_s + REPORTS_APART_S:
             self._unanswered_since = None
         events: list[Message] = []
         if report.wco_mm is not None:
+            self.wco_is_sure = self.wco_mm == report.wco_mm
             self.wco_mm = report.wco_mm
+        self.tells_mpos = report.mpos_mm is not None
         if report.mpos_mm is None and report.wpos_mm is not None and self.wco_mm is not None:
             mpos = tuple(w + o for w, o in zip(report.wpos_mm, self.wco_mm))
             report = dataclasses.replace(report, mpos_mm=mpos)
@@ -360,6 +291,10 @@ class GrblSession:
                 f"the board holds {self._rx_room - report.rx_free} bytes, {self._in_flight_bytes} are under way: "
                 "an answer came that belongs to no line"
             )
+        self._short_reports = self._short_reports + 1 if self._lacks_answers(report, now) else 0
+        if self._short_reports == MISSING_REPORTS:
+            self._short_reports = 0
+            return LOST_LINE
         if report.state not in ("Idle", "Check", "Alarm") or not self._in_flight:
             self._unanswered_since = None
             return ""
@@ -372,6 +307,12 @@ class GrblSession:
             return f"no answer to {line.text!r} within {line.answer_within_s:g} s although the board is at rest"
         return ""
 
+    def _lacks_answers(self, report: Report, now: float) -> bool:
+        if report.rx_free < 0 or report.planner_free < 0 or report.state not in ("Idle", "Run"):
+            return False
+        held = self._rx_room - report.rx_free
+        return answers_missing(self._in_flight, held, now, idle=report.state == "Idle", full=report.planner_free <= 1)
+
     def _banner(self, banner: Banner, now: float) -> list[Message]:
         # A board that was held up answers the reset and its retry, one after the other.
         expected = self.awaiting_banner or self._resets_unanswered > 0
@@ -382,9 +323,10 @@ class GrblSession:
         self.withdraw(SOFT_RESET)
         self.awaiting_banner = False
         self.paused = False
-        self.wco_mm = None
+        self.wco_mm, self.wco_is_sure = None, False
         self._planner_room = self._rx_room = self._rx_empty = -1
         self.last_report_at = now
+        self._asked.clear()
         return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]
 
     def _drop_queue(self) -> tuple[Line, ...]:
@@ -421,7 +363,10 @@ class GrblSession:
         self._resets_unanswered += out.count(SOFT_RESET)
         if self._may_poll() and now >= self._next_poll and now >= self._quiet_until:
             out += STATUS
-            rare = bool(self._queue) and self._wire_bound and not self.paused
+            while len(self._asked) >= QUESTIONS:
+                self._asked.popleft()
+            self._asked.append(now)
+            rare = self.polls_spared and bool(self._queue) and self._wire_bound and not self.paused
             self._next_poll = now + (max(self.poll_interval_s, WIRE_BOUND_POLL_S) if rare else self.poll_interval_s)
         while self._may_send(now):
             line = self._queue.popleft()

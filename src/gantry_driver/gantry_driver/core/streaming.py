@@ -3,49 +3,46 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import chain
 
-from gantry_driver.core.connection import HOLD_REPEAT_S, Goal, Reading
+from gantry_driver.core.connection import HOLD_REPEAT_S
 from gantry_driver.core.gcode_check import Bounds, CheckedLine, GcodeError, ProgramChecker
 from gantry_driver.core.grbl_messages import Dialect, Report
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Phase
-from gantry_driver.core.session import HOLD, RESUME, Line
-from gantry_driver.core.stopping import LOCKED, Stopping
-from gantry_driver.core.stylus_state import Stylus
+from gantry_driver.core.session import HOLD, RESUME
+from gantry_driver.core.stopping import LOCKED
 from gantry_driver.core.trajectory_gcode import (
     SYNCHRONISE,
     TrajectoryError,
     Waypoint,
-    may_be_down_after,
     mpos_mm,
     reading_m,
     stylus_lines,
     write_motion,
 )
+from gantry_driver.core.wire.goal import Goal
+from gantry_driver.core.wire.proof import Proving, three
+from gantry_driver.core.wire.stages import LINE_S, SURPLUS_S, Send, make_script
 from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.results import GoalResult, Outcome
 
-QUEUED_LINES = 600
-"""Of a goal, ahead of the board: more than the shortest lines that any receive buffer holds."""
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """What a program may rely on at its first line."""
 
 
-class Streaming(Stopping):
+class Streaming(Proving):
     """One board that follows a goal at a time."""
 
-    def __init__(self, config: DriverConfig, *, active: bool = True) -> None:
-        super().__init__(config, active=active)
+    def __init__(self, config: DriverConfig, *, active: bool = True, left_down: bool = False) -> None:
+        super().__init__(config, active=active, left_down=left_down)
         self._heartbeat_at = -math.inf
         self.wall_s: float | None = None
         """Wall time, by which the heartbeat is judged where ``now`` is simulated; None: ``now`` is wall time."""
-        self._stylus_line = 0
-        """The last line queued that moves a stylus without a Z axis."""
-        self._has_g92: bool | None = None
-        """Whether a program has left a G92; None after a reset, which only some firmwares keep it over."""
+        self._paused_at = 0.0
 
     def heartbeat(self, at: float) -> None:
         """Note that the operator was there at ``at``, in wall time."""
@@ -57,7 +54,7 @@ class Streaming(Stopping):
             return f"nothing to pause: the driver is {self.state_text}"
         self.session.paused = self._pausing = True
         self._resuming = False
-        self._hold_sent = now
+        self._hold_sent = self._paused_at = now
         self.session.realtime(HOLD)
         self._enter(Phase.MOVING, now, "paused")
         return ""
@@ -70,6 +67,8 @@ class Streaming(Stopping):
             return refusal
         self._pausing, self._resuming = False, True
         self.session.paused = False
+        if self._goal is not None:
+            self._goal.paused_s += now - self._paused_at
         self._enter(Phase.MOVING, now)
         return ""
 
@@ -105,8 +104,23 @@ class Streaming(Stopping):
             motion = write_motion(names, points, start, self.config)
         except TrajectoryError as error:
             return self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=str(error)))
-        timed = ((line, 0.0) for line in motion.lines)
-        return self._start(goal_id, text, timed, len(motion.lines), motion.end_m, now)
+        # A frame that outlasts a reset, as on others than GRBL, would outlast a stop as well.
+        framed = self.dialect is Dialect.GRBL and self.session.tells_mpos
+        script = make_script(motion, self.config, framed=framed, frame_mm=self._frame_mm)
+        goal = Goal(
+            goal_id=goal_id,
+            text=text,
+            end_m=motion.end_m,
+            started=now,
+            items=iter(()),
+            stages=deque(script.stages),
+            origin_mm=script.origin_mm,
+            limit_s=script.limit_s,
+            touching=any(stage.touching or stage.frame for stage in script.stages),
+        )
+        goal.stages[0].head[:0] = [Send(text=line) for line in self._limp_lift()]
+        self._next_stage(goal, now)
+        return self._start(goal, now)
 
     def run_program(self, goal_id: str, source: Iterable[str], now: float) -> GoalResult:
         """Check a whole G-code program and start it; or refuse it, with line and column, before a byte is sent."""
@@ -125,17 +139,19 @@ class Streaming(Stopping):
         Raises
         ------
         TrajectoryError
-            While the board's work offset is not known.
+            While the board's work offset is not known, or only one report has told it.
         """
         if self.session.wco_mm is None:
             raise TrajectoryError("the board has not told its work offset (WCO) yet")
+        if not self.session.wco_is_sure:
+            raise TrajectoryError("the board has not told its work offset (WCO) twice alike yet")
         bounds, start = self.bounds(), mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config)
         inside = [min(max(place, low), high) for place, low, high in zip(start, bounds.low_mm, bounds.high_mm)]
         steps_mm = (1.0 / scale for scale in self.config.machine.steps_per_mm)
         # At its end an axis reports the motor step that is nearest, which may lie beyond it.
-        start = _three([i if abs(i - place) < step else place for i, place, step in zip(inside, start, steps_mm)])
+        start = three([i if abs(i - place) < step else place for i, place, step in zip(inside, start, steps_mm)])
         kept_g92 = self.dialect is not Dialect.GRBL if self._has_g92 is None else self._has_g92
-        return ProgramChecker(bounds, start, {"G54": _three(self.session.wco_mm[:3])}, kept_g92=kept_g92)
+        return ProgramChecker(bounds, start, {"G54": three(self.session.wco_mm[:3])}, kept_g92=kept_g92)
 
     def run_checked(
         self, goal_id: str, checker: ProgramChecker, checked: Sequence[CheckedLine], now: float
@@ -151,16 +167,17 @@ class Streaming(Stopping):
         text = f"program of {len(checked)} lines, about {checker.seconds:.1f} s"
         end = reading_m(checker.position_mm, False, self.config)
         # The checker begins with these modes; the board may have been left with others.
-        modes = ((mode, 0.0) for mode in PROGRAM_MODES)
-        lines = ((line.text, line.seconds) for line in checked)
-        count = len(PROGRAM_MODES) + len(checked) + 1
-        return self._start(goal_id, text, chain(modes, lines, [(SYNCHRONISE, 0.0)]), count, end, now)
+        modes = (Send(text=mode) for mode in (*self._limp_lift(), *PROGRAM_MODES))
+        lines = (Send(text=line.text, dwell_s=line.seconds) for line in checked)
+        items = chain(modes, lines, [Send(text=SYNCHRONISE)])
+        limit_s = 2.0 * (checker.seconds + LINE_S * len(checked)) + SURPLUS_S
+        return self._start(Goal(goal_id=goal_id, text=text, end_m=end, started=now, items=items, limit_s=limit_s), now)
 
     def bounds(self) -> Bounds:
         """Return the travel in machine coordinates and the rates of rapid moves."""
         ends = mpos_mm((0.0, 0.0, 0.0), self.config), mpos_mm(self.config.limits_m(), self.config)
-        low, high = (_three([pick(pair) for pair in zip(*ends)]) for pick in (min, max))
-        return Bounds(low_mm=low, high_mm=high, rapid_mm_min=_three(self.config.machine.max_rate_mm_min))
+        low, high = (three([pick(pair) for pair in zip(*ends)]) for pick in (min, max))
+        return Bounds(low_mm=low, high_mm=high, rapid_mm_min=three(self.config.machine.max_rate_mm_min))
 
     # --- what may start ----------------------------------------------------------------------------------------------
 
@@ -185,58 +202,26 @@ class Streaming(Stopping):
     def _refuse_program(self, goal_id: str, error: Exception) -> GoalResult:
         return self._answer(GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error)))
 
-    # --- lines, one after the other ----------------------------------------------------------------------------------
+    def _limp_lift(self) -> tuple[str, ...]:
+        """Return what lifts a servo that may have no pulses: it is neither surely up nor surely down."""
+        return stylus_lines(False, self.config) if self._stylus.limp() else ()
 
-    def _start(
-        self, goal_id: str, text: str, lines: Iterator[tuple[str, float]], count: int, end_m: Reading, now: float
-    ) -> GoalResult:
-        """Send ``count`` lines, each with the seconds that its dwell may take, and wait for the last one.
-
-        A servo that may have no pulses is lifted before them: it is neither surely up nor surely down.
-        """
-        lift = stylus_lines(False, self.config) if self._stylus.limp() else ()
-        rest = chain(((line, 0.0) for line in lift), lines)
-        self._goal = Goal(goal_id=goal_id, text=text, end_m=end_m, started=now, rest=rest, left=len(lift) + count)
-        accepted = self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.ACCEPTED))
+    def _start(self, goal: Goal, now: float) -> GoalResult:
+        self._goal = goal
+        accepted = self._answer(GoalResult(goal_id=goal.goal_id, goal=goal.text, outcome=Outcome.ACCEPTED))
         self._enter(Phase.MOVING, now)
         return accepted
 
-    def output(self, now: float) -> bytes:
-        """Return the bytes to write."""
-        if self.phase is Phase.MOVING and self._goal is not None:
-            self._queue_more(self._goal)
-        return super().output(now)
-
-    def _queue_more(self, goal: Goal) -> None:
-        """Queue lines while they are few, so that the start of a long program keeps nobody waiting."""
-        while goal.left and self.session.unsent < QUEUED_LINES:
-            text, seconds = next(goal.rest)
-            goal.left -= 1
-            if "G92" in text:
-                self._has_g92 = "G92.1" not in text
-            line = self.session.queue(text, answer_within_s=self._answer_time() + seconds)
-            self._order_stylus(line)
-            goal.marker = 0 if goal.left else line.number
-
-    def _order_stylus(self, line: Line) -> None:
-        """Note what a line that was queued may do with the stylus."""
-        if self.config.stylus.kind == "z_axis":
-            if "Z" in line.text:
-                self._stylus = Stylus.UNDER_WAY
-        elif (down := may_be_down_after(line.text, self.config)) is not None:
-            self._stylus, self._stylus_line = self._stylus.ordered(down), line.number
-
-    # --- what the board says meanwhile -------------------------------------------------------------------------------
-
     def _report_moving(self, report: Report, now: float) -> None:
+        goal = self._goal
         if report.state == "Alarm":
             self._to_alarm(LOCKED, now)
         elif (self._pausing or self._resuming) and report.state in ("Idle", "Run", "Hold"):
             self._report_paused(report, now)
         elif report.state in ("Hold", "Door", "Check", "Sleep", "Tool", "Home", "Jog"):
             self._halt(f"the board went to {report.state_text}", now)
-        elif report.state == "Idle" and self._goal is not None and self._goal.acknowledged:
-            self._arrive(now)
+        elif report.state == "Idle" and goal is not None and self._stage_sent(goal):
+            self._at_rest(goal, report, now)
 
     def _report_paused(self, report: Report, now: float) -> None:
         """Hold until it shows; resume only from a complete hold, for before that GRBL swallows ``~``."""
@@ -249,26 +234,3 @@ class Streaming(Stopping):
             self._resuming = now - self._hold_sent <= 1.5 * HOLD_REPEAT_S
         elif report.substate == 0:
             self.session.realtime(RESUME)
-
-    def _arrive(self, now: float) -> None:
-        goal, here = self._goal, self.reading_m
-        if goal is None or here is None:
-            return
-        self.session.executed_all()
-        self._stylus = self._stylus.settled()
-        axes = 3 if self.config.stylus.kind == "z_axis" else 2  # where another stylus is no board tells
-        error = math.dist(goal.end_m[:axes], here[:axes])
-        if error > max(self.config.arrival_tolerance_m, self.config.rounding_m()):
-            self._halt(f"the board stands at {_metres(here)} instead of {_metres(goal.end_m)}", now)
-            return
-        self._enter(Phase.IDLE, now)
-        self._finish(Outcome.REACHED, "", now, error)
-
-
-def _three(values: Sequence[float]) -> Reading:
-    x, y, z = values
-    return x, y, z
-
-
-def _metres(reading: tuple[float, float, float]) -> str:
-    return "(" + ", ".join(f"{v:.4f}" for v in reading) + ") m"
