@@ -69,22 +69,23 @@ class Judge:
     def _check_goals(self) -> None:
         for number, goal in enumerate(self.story.goals, 1):
             vertices = self._between(goal.sent, goal.answered)
-            off, where = max(((_off_plan(v, goal.plan), v) for v in vertices[1:]), default=(0.0, None))
-            if off > TUBE_MM:
-                assert where is not None
-                self.deviated.append(f"goal {number}: {off:.2f} mm off its path at {_text(where)}")
+            off = _off_plan(vertices[1:], goal.plan)
+            if off:
+                far, where = max(off)
+                self.deviated.append(f"goal {number}: {far:.2f} mm off its path at {_text(where)}")
             if goal.reached:
-                self._check_reached(number, goal, vertices)
+                self._check_reached(number, goal, vertices, off)
 
-    def _check_reached(self, number: int, goal: Goal, vertices: Sequence[Vertex]) -> None:
+    def _check_reached(
+        self, number: int, goal: Goal, vertices: Sequence[Vertex], off_plan: Sequence[tuple[float, Vertex]]
+    ) -> None:
         end, last = goal.plan.points[-1], vertices[-1]
         if (off := math.dist(end, last[1:4])) > END_MM:
             self.wrong.append(f"goal {number} reached, but {off:.2f} mm from its end, at {_text(last)}")
         if missed := _missed(goal.plan, vertices, self.story.panel_mm):
             self.wrong.append(f"goal {number} reached, but never at {missed}")
-        for vertex in vertices[1:]:
+        for off, vertex in off_plan:
             pressing = vertex.e > self.story.panel_mm + GRAZE_MM
-            off = _off_plan(vertex, goal.plan)
             if off > (IN_CONTACT_MM if pressing else IN_THE_AIR_MM):
                 self.wrong.append(f"goal {number} reached, but {off:.2f} mm off its path at {_text(vertex)}")
                 break
@@ -134,11 +135,13 @@ class Judge:
         """Add up the time above the plan's feed without a break; return it."""
         if goal is None or before[1:4] == after[1:4]:
             return 0.0
+        low, high = sorted((before.speed, after.speed))
+        if high <= min(goal.plan.feeds[1:], default=0.0):
+            return 0.0
         limit = max(_feed_at(before, goal.plan), _feed_at(after, goal.plan))
         if after.e < before.e and math.dist(before[1:3], after[1:3]) < 0.01:
             limit = max(limit, RETREAT_MM_S)
         limit = limit * FEED_FACTOR + FEED_EXTRA_MM_S
-        low, high = sorted((before.speed, after.speed))
         if high <= limit:
             return 0.0
         share = 1.0 if low >= limit else (high - limit) / (high - low)
@@ -204,11 +207,21 @@ def _to_segment(place: Sequence[float], a: Point, b: Point) -> float:
     return math.sqrt((px - share * ux) ** 2 + (py - share * uy) ** 2 + (pz - share * uz) ** 2)
 
 
-def _off_plan(vertex: Vertex, plan: Plan) -> float:
-    place, points = vertex[1:4], plan.points
-    if len(points) == 1:
-        return math.dist(place, points[0])
-    return min(_to_segment(place, a, b) for a, b in pairwise(points))
+def _off_plan(vertices: Sequence[Vertex], plan: Plan) -> list[tuple[float, Vertex]]:
+    """Return the vertices outside the tube around the plan, with their distances to it."""
+    legs = list(pairwise(plan.points)) or [(plan.points[0], plan.points[0])]
+    found, at = [], 0
+    for vertex in vertices:
+        place, nearest = vertex[1:4], math.inf
+        for number in range(len(legs)):  # beginning with the leg of the vertex before
+            index = (at + number) % len(legs)
+            nearest = min(nearest, _to_segment(place, *legs[index]))
+            if nearest <= TUBE_MM:
+                at = index
+                break
+        else:
+            found.append((nearest, vertex))
+    return found
 
 
 def _from_contact(vertex: Vertex, plan: Plan, panel_mm: float) -> float:
