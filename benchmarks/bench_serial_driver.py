@@ -38,6 +38,7 @@ from rows import Row, bound, row, write
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.session import HOLD
 from gantry_driver.core.trajectory_gcode import Waypoint, write_motion
+from gantry_driver.core.wire.stages import make_script
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time
 from icu_common.core.frames import JOINTS
 
@@ -59,7 +60,9 @@ def path(count: int) -> list[tuple[float, float, float]]:
 
 def lines(count: int) -> list[str]:
     points = [Waypoint(positions_m=point) for point in path(count)]
-    return list(write_motion(JOINTS, points, (0.0, 0.0, 0.0), DriverConfig()).lines)
+    config = DriverConfig()
+    motion = write_motion(JOINTS, points, (0.0, 0.0, 0.0), config)
+    return make_script(motion, config, framed=True, frame_mm=None).lines(config)
 
 
 @contextmanager

@@ -71,6 +71,9 @@ class Board:
         self.critical_until = -1.0
         self.homing_until = -1.0
         self.feed = 1000.0
+        self.offset = [0.0, 0.0, 0.0]
+        """Work offset, of a ``G92`` alone."""
+        self.modes = {"motion": "G0", "spindle": "M5", "coolant": "M9", "speed": "0", "feed": "0"}
         self.refuse: dict[str, int] = {}
         self.drop_answers = 0
         self.stubborn: set[int] = set()
@@ -114,9 +117,10 @@ class Board:
 
     def report(self) -> str:
         x, y, z = self.mpos
+        offset = ",".join(f"{value:.3f}" for value in self.offset)
         room = f"Bf:{15 - len(self.blocks)},{128 - len(self.rx)}"
         overrides = "" if self.overrides == [100, 100, 100] else "|Ov:{},{},{}".format(*self.overrides)
-        return f"<{self.state}|MPos:{x:.3f},{y:.3f},{z:.3f}|{room}|FS:0,0|WCO:0,0,0{overrides}>"
+        return f"<{self.state}|MPos:{x:.3f},{y:.3f},{z:.3f}|{room}|FS:0,0|WCO:{offset}{overrides}>"
 
     def say(self, text: str) -> None:
         """Send a line, or noise in its place as often as ``spoilt`` says."""
@@ -135,6 +139,8 @@ class Board:
             self.say("ALARM:3")
         self.rx.clear()
         self.blocks.clear()
+        self.offset = [0.0, 0.0, 0.0]
+        self.modes = {"motion": "G0", "spindle": "M5", "coolant": "M9", "speed": "0", "feed": "0"}
         self.homing_until = self.critical_until = -1.0
         self.state = "Alarm" if moving or self.state == "Alarm" else "Idle"
         if not self.mute:
@@ -192,9 +198,9 @@ class Board:
         if end < 0 or self.state == "Hold:1" or (self.state == "Hold:0" and len(self.blocks) >= 15):
             return False
         text = bytes(self.rx[:end]).decode()
-        if text.startswith("G4") and (self.blocks or self.state != "Idle"):
+        if (text.startswith("G4") or "G92" in text) and (self.blocks or self.state != "Idle"):
             return False
-        if text.endswith("G53G1") and len(self.blocks) >= 15:
+        if text.endswith("G1") and len(self.blocks) >= 15:
             return False
         del self.rx[: end + 1]
         self.received.append(text)
@@ -227,20 +233,47 @@ class Board:
         elif self.state == "Alarm" and text != "$X":
             self.say("error:9")
             return
-        elif re.search("[XYZ]", text) and text.endswith("G53G1"):
+        elif text == "$G":
+            modes = self.modes
+            self.say(
+                f"[GC:{modes['motion']} G54 G17 G21 G90 G94 {modes['spindle']} {modes['coolant']} T0 "
+                f"F{float(modes['feed']):.0f} S{modes['speed']}]"
+            )
+        elif re.search("[XYZ]", text) and text.endswith("G1"):
             words = dict(re.findall(r"([XYZF])(-?[\d.]+)", text))
             target = list(self.blocks[-1][1] if self.blocks else self.mpos)
+            offset = [0.0, 0.0, 0.0] if "G53" in text else self.offset
             for axis, letter in enumerate("XYZ"):
-                target[axis] = float(words.get(letter, target[axis]))
-            self.feed = float(words.get("F", self.feed))
+                if letter in words:
+                    target[axis] = float(words[letter]) + offset[axis]
+            self._set_modes(text)
             self.blocks.append((text, target, self.feed))
             if self.state == "Idle":
                 self.state = "Run"
         elif text == "$X":
             self.state = "Idle"
         else:
+            self._set_modes(text)
+            if "G92" in text:
+                place = self.blocks[-1][1] if self.blocks else self.mpos
+                words = {} if "G92.1" in text else dict(re.findall(r"([XYZ])(-?[\d.]+)", text))
+                self.offset = [at - float(words[a]) if a in words else 0.0 for a, at in zip("XYZ", place)]
             self.executed.append(text)
         self._answer(text)
+
+    def _set_modes(self, text: str) -> None:
+        """Note what ``$G`` tells."""
+        for name, pattern in (
+            ("motion", r"G(?:80|1)(?!\d)"),
+            ("spindle", r"M[35]"),
+            ("coolant", r"M[89]"),
+        ):
+            if match := re.search(pattern, text):
+                self.modes[name] = match[0]
+        for name, letter in (("feed", "F"), ("speed", "S")):
+            if match := re.search(rf"{letter}([\d.]+)", text):
+                self.modes[name] = match[1]
+        self.feed = float(self.modes["feed"]) or self.feed
 
     def _answer(self, text: str) -> None:
         if self.drop_answers:

@@ -13,6 +13,7 @@ from gantry_driver.core.gcode_check import Bounds, ProgramChecker
 from gantry_driver.core.machine_config import DriverConfig, StylusConfig
 from gantry_driver.core.session import Line
 from gantry_driver.core.trajectory_gcode import Waypoint, lift_lines, write_motion
+from gantry_driver.core.wire.stages import make_script
 from gantry_driver.mock.gcode import GcodeError, ParserState, check_line
 from icu_common.core.frames import JOINTS
 
@@ -58,6 +59,11 @@ def check(lines: Sequence[str]) -> None:
             assert not obeyed(text[cut:]), f"{text[cut:]!r}, the rest of {text!r}"
 
 
+def lines_of(names: Sequence[str], way: Sequence[Waypoint], config: DriverConfig) -> list[str]:
+    motion = write_motion(names, way, (0.0, 0.0, 0.0), config)
+    return make_script(motion, config, framed=True, frame_mm=None).lines(config)
+
+
 def test_what_used_to_be_sent_would_be_obeyed() -> None:
     assert obeyed("G53G1X-123Y-43F9000") and obeyed("X-123Y-43F9000") and obeyed("Y-68") and obeyed("M3S800")
 
@@ -71,7 +77,7 @@ def test_paths(kind: str, points: list[tuple[float, float, float, float]]) -> No
     if kind != "z_axis":  # only up and down
         points = [(x, y, 0.02 * round(z / 0.02), speed) for x, y, z, speed in points]
     way = [Waypoint(positions_m=point[:3], velocities_m_s=(point[3],)) for point in points]
-    check([*write_motion(JOINTS, way, (0.0, 0.0, 0.0), config).lines, *lift_lines(config)])
+    check([*lines_of(JOINTS, way, config), *lift_lines(config)])
 
 
 def test_programs() -> None:
@@ -87,6 +93,6 @@ def test_programs() -> None:
 @pytest.mark.parametrize("speeds", [(0.1, 0.1, 0.1), (0.1, 0.1003, 0.0998), (0.1, 0.05, 0.1)])
 def test_a_feed_is_sent_where_it_changes(speeds: tuple[float, ...]) -> None:
     way = [Waypoint(positions_m=(0.01 * (k + 1),), velocities_m_s=(speed,)) for k, speed in enumerate(speeds)]
-    lines = write_motion(JOINTS[:1], way, (0.0, 0.0, 0.0), DriverConfig()).lines
+    lines = lines_of(JOINTS[:1], way, DriverConfig())
     fed = [line.startswith("F") for line in lines[1:-1]]
     assert fed == [True, *(abs(b - a) > 0.001 for a, b in itertools.pairwise(speeds))]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from operator import attrgetter
 
 from gantry_driver.core.grbl_messages import (
@@ -30,6 +31,8 @@ from gantry_driver.core.session import (
 )
 from gantry_driver.core.settings_profile import differences, lines_to_write
 from gantry_driver.core.stylus_state import CLAUSE, IS_RELEASED, MAY_PRESS, MAY_SINK, Stylus
+from gantry_driver.core.wire.stages import Confirm, Item, Stage
+from gantry_driver.core.wire.watch import Deviation, PathWatch
 from icu_common.core.results import GoalResult, Outcome
 
 HOLD_REPEAT_S = 0.2
@@ -60,19 +63,54 @@ Reading = tuple[float, float, float]
 
 @dataclass(slots=True, kw_only=True)
 class Goal:
-    """What is being done, its lines that are not queued yet with their dwells, and the line whose answer ends it.
+    """The goal under way: its stages, and what is proved of the present one.
 
-    ``left`` is how many lines ``rest`` still has; a long program is walked through while it runs, not before.
+    Parameters
+    ----------
+    goal_id, text, started
+        For the answer.
+    end_m
+        Readings at the end, m.
+    stages
+        Those that have not begun; a program has none, for its path is not known here.
+    items
+        What is still to be sent of the present stage; a long program is walked through while it runs.
+    origin_mm
+        The frame of the path, None outside a frame.
+    limit_s
+        Largest duration without pauses, s.
+    touching
+        Whether the stylus is extended anywhere on the path.
     """
 
     goal_id: str
     text: str
-    end_m: tuple[float, float, float]
+    end_m: Reading
     started: float
-    rest: Iterator[tuple[str, float]]
-    left: int
-    marker: int = 0
-    acknowledged: bool = False
+    items: Iterator[Item]
+    stages: deque[Stage] = field(default_factory=deque)
+    stage: Stage = field(default_factory=Stage)
+    origin_mm: Reading | None = None
+    limit_s: float = math.inf
+    touching: bool = False
+    watch: PathWatch | None = None
+    sent_all: bool = False
+    """Whether every line of the present stage is queued."""
+    last_line: int = 0
+    feed: str = ""
+    confirming: Confirm | None = None
+    confirm_line: int = 0
+    modes_text: str = ""
+    """What the last ``[GC:..]`` said since the question."""
+    tries: int = 0
+    frame: Confirm | None = None
+    """The order that sets the frame of the path."""
+    doubt: Deviation | None = None
+    """The deviation of the last report, after which the board was held; the next report decides."""
+    elsewhere_at: float = math.inf
+    """When the board was first seen at rest elsewhere than at the end of the stage."""
+    paused_s: float = 0.0
+    slowest_percent: float = 100.0
 
 
 class Connection:
@@ -121,6 +159,12 @@ class Connection:
         self._probed = 0.0
         self._probe_from = 0.0
         self._pausing = self._resuming = False
+        self._acked = 0
+        """Number of the last line that the board has acknowledged."""
+        self._frame_mm: Reading | None = None
+        """The work offset of a frame that is in force, as the board has reported it."""
+        self._distrusted = False
+        """Whether the position counts as lost once the stop that is under way has lifted the stylus."""
         self._say_if_changed()
 
     def configure(self, config: DriverConfig, now: float) -> None:
@@ -409,12 +453,19 @@ class Connection:
         self._not_lifted, self._suspended = not_lifted, ""
         if phase is not Phase.MOVING:
             self._pausing = self._resuming = False
+        if phase is Phase.STOPPED and self._distrusted:
+            self._distrusted = False
+            self._forget_position()
         self._poll_at_rate()
         self._say_if_changed()
 
     def _poll_at_rate(self) -> None:
         moving = self.phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
         rate = self.config.moving_status_rate_hz if moving else self.config.status_rate_hz
+        touching = self.phase is Phase.MOVING and self._goal is not None and self._goal.touching
+        if touching:
+            rate = max(rate, self.config.touch_status_rate_hz)
+        self.session.polls_spared = not touching
         self.session.poll_interval_s = 1.0 / rate
         self.session.poll_now()
 
@@ -429,10 +480,20 @@ class Connection:
 
     def _forget_position(self) -> None:
         self._stylus = self._stylus.lost(self._extension_m)
+        self._distrusted = False
         self.homed = False
         self.reading_m = None
 
-    def _finish(self, outcome: Outcome, reason: str, now: float, error_m: float = math.nan) -> None:
+    def _finish(
+        self,
+        outcome: Outcome,
+        reason: str,
+        now: float,
+        error_m: float = math.nan,
+        *,
+        code: str = "",
+        details: tuple[tuple[str, str], ...] = (),
+    ) -> None:
         if self._goal is None:
             return
         goal, self._goal = self._goal, None
@@ -444,6 +505,8 @@ class Connection:
                 reason=reason,
                 error_m=error_m,
                 duration_s=now - goal.started,
+                code=code,
+                details=details,
             )
         )
 

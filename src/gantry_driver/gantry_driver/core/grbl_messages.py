@@ -5,7 +5,6 @@ Source: GRBL 1.1 interface documents; grblHAL, FluidNC and Marlin where they dif
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from enum import Enum
@@ -71,6 +70,8 @@ class Report(Message):
         From ``Bf``; -1 where the report has none.
     overrides_percent
         Feed, rapid and spindle, from ``Ov``; None where the report has none.
+    feed_mm_min, spindle
+        From ``FS`` or ``F``; None where the report has none.
     """
 
     state: str
@@ -81,6 +82,8 @@ class Report(Message):
     planner_free: int = -1
     rx_free: int = -1
     overrides_percent: tuple[float, ...] | None = None
+    feed_mm_min: float | None = None
+    spindle: float | None = None
 
     @property
     def state_text(self) -> str:
@@ -167,6 +170,7 @@ _MARLIN = re.compile(r"(?:echo:)?\s*Marlin\s+([\w.-]+)")
 _SETTING = re.compile(r"\$(\d{1,4})=([^\s()]*)")
 _STARTUP = re.compile(r"(\$(?:N\d|/macros/\w+))=(.*)\Z")
 _FEEDBACK = re.compile(r"\[([A-Za-z][A-Za-z0-9]*):(.*)\]\Z")
+_NUMBER = re.compile(r"-?\d{1,7}(\.\d{1,4})?\Z")
 _STATES = {"Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool"}
 
 
@@ -230,11 +234,11 @@ def _feedback(key: str, value: str) -> Message:
 
 
 def _numbers(text: str, least: int) -> tuple[float, ...] | None:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
+    """Return the numbers of a field, None if one is not written as boards write it: no exponent, no plus, no blank."""
+    parts = text.split(",")
+    if len(parts) < least or not all(_NUMBER.match(part) for part in parts):
         return None
-    return values if len(values) >= least and all(math.isfinite(v) for v in values) else None
+    return tuple(float(part) for part in parts)
 
 
 def _report(text: str) -> Report | None:
@@ -262,7 +266,8 @@ def _report(text: str) -> Report | None:
     overrides = _numbers(found["Ov"], 3) if "Ov" in found else None
     if ("Ov" in found) != (overrides is not None):
         return None
-    if buffers is None or _numbers(found.get("FS", found.get("F", "0")), 1) is None:
+    speeds = _numbers(found.get("FS", found.get("F", "0")), 1)
+    if buffers is None or speeds is None:
         return None
     return Report(
         state=state,
@@ -273,6 +278,8 @@ def _report(text: str) -> Report | None:
         planner_free=int(buffers[0]),
         rx_free=int(buffers[1]),
         overrides_percent=overrides,
+        feed_mm_min=speeds[0] if "FS" in found or "F" in found else None,
+        spindle=speeds[1] if "FS" in found and len(speeds) > 1 else None,
     )
 
 

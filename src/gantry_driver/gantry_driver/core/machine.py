@@ -9,6 +9,7 @@ each upon the one before: ``connection`` (port, firmware, settings), ``stopping`
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from gantry_driver.core.connection import ASK_ALONE_S, READ_STARTUP, REFUSED
 from gantry_driver.core.grbl_messages import (
@@ -37,6 +38,7 @@ from gantry_driver.core.stopping import LOCKED, SAME_PLACE_MM, elsewhere
 from gantry_driver.core.streaming import Streaming
 from gantry_driver.core.stylus_state import Stylus
 from gantry_driver.core.trajectory_gcode import lift_lines, reading_m, stylus_dwell
+from gantry_driver.core.wire.faults import MotionFault
 from icu_common.core.results import Outcome
 
 OWN_RESET = "the board was reset by itself, its position is lost"
@@ -46,6 +48,8 @@ CRITICAL_ALARM_PAUSE_S = 0.6
 """After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
 REPORT_LATE_S = 0.2
 """Between two reports an axis may have gone for so much longer than between their arrivals."""
+BEYOND_MM = 0.5
+"""Distance beyond the travel that a report may show: a switch that was set by hand, and rounding."""
 EEPROM_READ_FAILED = 7
 """Of a startup line; GRBL and grblHAL empty it then, go on with the other one, and answer ``ok`` besides."""
 HOMING_FIRST = 22, 4
@@ -97,6 +101,8 @@ class Machine(Streaming):
                 self._close(f"no banner within {BANNER_TIMEOUT_S:g} s of a reset", now)
         elif phase is Phase.HOMING and age > self.config.homing_timeout_s:
             self._halt(f"homing took longer than {self.config.homing_timeout_s:g} s", now)
+        elif phase is Phase.MOVING:
+            self._check_time(now)
         elif phase is Phase.LIFTING and age > self._lift_timeout_s:
             self._enter(Phase.STOPPED, now, self.reason, not_lifted="the stylus was not lifted in time")
         self._watch(now)
@@ -192,6 +198,9 @@ class Machine(Streaming):
             self._startup[message.name] = message.text
         elif isinstance(message, Firmware):
             self._on_firmware(message, now)
+        elif isinstance(message, Feedback) and message.key == "GC":
+            if self._goal is not None:
+                self._goal.modes_text = message.text
         elif isinstance(message, Feedback) and message.key == "MSG" and "reset to continue" in message.text.lower():
             self._reset_not_before = now
 
@@ -202,7 +211,7 @@ class Machine(Streaming):
         if banner.dialect in REFUSED and self.phase is Phase.SYNCHRONISE:
             self._refuse(banner.dialect, now)
             return
-        self._critical, self._has_g92 = False, None
+        self._critical, self._has_g92, self._frame_mm = False, None, None
         if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):
             # Also after an alarm: it may have come before the settings were known, or the board is another one.
             self.dialect, self.firmware = banner.dialect, banner.version
@@ -238,9 +247,12 @@ class Machine(Streaming):
         z_axis = self.config.stylus.kind == "z_axis"
         if not z_axis and number > self._stylus_line and event.line.text == stylus_dwell(self.config):
             self._stylus = self._stylus.settled()
-        if self._goal is not None and number == self._goal.marker:
-            self._goal.acknowledged = True
-            self.session.poll_now()
+        self._acked = number
+        if (goal := self._goal) is not None:
+            if goal.confirming is not None and number == goal.confirm_line:
+                self._modes_answered(goal, now)
+            if self._stage_sent(goal):
+                self.session.poll_now()
         if number != self._marker:
             return
         if self.phase is Phase.IDENTIFY:
@@ -292,7 +304,9 @@ class Machine(Streaming):
         self._events.append(Note(level="error", text=event.reason))
         if self.phase in (Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING, Phase.MISMATCH, Phase.UNHOMED):
             self._synchronise(now, event.reason)
-        elif self.phase in (Phase.MOVING, Phase.IDLE, Phase.HOMING, Phase.LIFTING):
+        elif self.phase is Phase.MOVING:
+            self._fault(MotionFault.LOST_ANSWER, event.reason, now)
+        elif self.phase in (Phase.IDLE, Phase.HOMING, Phase.LIFTING):
             self._halt(event.reason, now)
 
     def _strayed(self, report: Report, now: float) -> str:
@@ -300,34 +314,56 @@ class Machine(Streaming):
         place, before = report.mpos_mm, self._stood_mm
         if not self.homed or place is None or before is None or self.phase is Phase.RESETTING:
             return ""
-        if self.phase in (Phase.IDLE, Phase.STOPPED):
-            there = report.state != "Idle" or not elsewhere(place, before)
+        if self.phase in (Phase.IDLE, Phase.STOPPED) and report.state == "Idle":
+            there = len(place) == len(before) and not elsewhere(place, before)
         else:
-            way_s = now - self._stood_at + REPORT_LATE_S
-            rates = self.config.machine.max_rate_mm_min
-            near = all(abs(was) <= SAME_PLACE_MM + rate * way_s / 60.0 for was, rate in zip(before, rates))
-            there = near or any(place)
+            there = self._can_be_at(place, before, now - self._stood_at)
         if there:
             return ""
         return ELSEWHERE if any(place) else OWN_RESET
 
+    def _can_be_at(self, place: Sequence[float], before: Sequence[float], after_s: float) -> bool:
+        """Whether the axes can have gone from one place to the other, and neither lies outside the travel."""
+        machine, way_s = self.config.machine, after_s + REPORT_LATE_S
+        near = all(
+            abs(now_mm - was_mm) <= SAME_PLACE_MM + rate * way_s / 60.0
+            for now_mm, was_mm, rate in zip(place, before, machine.max_rate_mm_min)
+        )
+        axes = 3 if self.config.stylus.kind == "z_axis" else 2
+        inside = all(-t - BEYOND_MM <= p <= BEYOND_MM for p, t in zip(place[:axes], machine.travel_mm))
+        return near and inside and len(place) == len(before)
+
     def _on_report(self, report: Report, now: float) -> None:
+        if report.state == "Alarm" and self.homed and self.phase not in (Phase.RESETTING, Phase.ALARM_RESET):
+            self._handle_report(report, now)  # its place is none any more
+            return
         if strayed := self._strayed(report, now):
             # Counting from zero: its banner was spoilt, and not every board locks itself. Otherwise its steps were
             # changed, or a pendant has moved it. Noise may do the same to a report, but to no two alike.
-            if self._moved_mm == report.mpos_mm:
+            last, place = self._moved_mm, report.mpos_mm
+            alike = last is not None and place is not None and self._can_be_at(place, last, now - self._moved_at)
+            if self._moved_mm == place or (alike and self.phase not in (Phase.IDLE, Phase.STOPPED)):
                 self._on_own_reset(strayed, self.session.pending, now)
-            self._moved_mm = report.mpos_mm
+            self._moved_mm, self._moved_at = place, now
+            self.counts.disbelieved += 1
             self.session.poll_now()
+            return
+        if report.overrides_percent is not None:
+            self._set_overrides_back(*report.overrides_percent)
+        if self._leaves_path(report, now):
+            self.counts.disbelieved += 1
             return
         if self.phase is not Phase.RESETTING:
             self._stood_mm, self._stood_at, self._moved_mm = report.mpos_mm, now, None
-        if self.homed and report.mpos_mm is not None:
+        stood = self._stood_mm
+        moved = self.phase is Phase.RESETTING and stood and report.mpos_mm and elsewhere(report.mpos_mm, stood)
+        if self.homed and report.mpos_mm is not None and not moved:
             # On its way up it counts as down: should an alarm end that way, this is the last that anybody hears of it.
             self.reading_m = reading_m(report.mpos_mm, self._stylus_is_down(), self.config)
             self._events.append(Position(reading_m=self.reading_m))
-        if report.overrides_percent is not None:
-            self._set_overrides_back(*report.overrides_percent)
+        self._handle_report(report, now)
+
+    def _handle_report(self, report: Report, now: float) -> None:
         handler = {
             Phase.SYNCHRONISE: self._report_synchronise,
             Phase.IDENTIFY: self._report_connecting,
@@ -351,6 +387,9 @@ class Machine(Streaming):
 
         Somebody who slows the machine down does so with care, and is let.
         """
+        self._feed_percent = feed
+        if self._goal is not None:
+            self._goal.slowest_percent = min(self._goal.slowest_percent, feed)
         raised = feed > 100.0 or (spindle != 100.0 and self._is_servo())
         if raised:
             self.session.realtime(FULL_FEED)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from gantry_driver.core.wire.clearance import stopping_way_mm
 from icu_common.core.config import WALL_TIME, Config, ConfigError, nested, setting
 
 REPORTS_MISSED = 1.5
@@ -132,6 +133,18 @@ class DriverConfig(Config):
     )
     status_rate_hz: float = setting(10.0, "Status reports while nothing moves", minimum=1.0, maximum=50.0, unit="Hz")
     moving_status_rate_hz: float = setting(25.0, "Status reports while moving", minimum=5.0, maximum=100.0, unit="Hz")
+    touch_status_rate_hz: float = setting(
+        50.0, "Status reports while a path with the stylus extended is followed", minimum=10.0, maximum=100.0, unit="Hz"
+    )
+    clearance_m: float = setting(
+        0.008,
+        "Height above the deepest point of a way down at which the board must report that it is at rest before the "
+        "rest of the path is sent; at most the controller's hover_m",
+        minimum=0.0005,
+        maximum=0.2,
+        unit="m",
+        read_only=True,
+    )
     status_timeout_s: float = setting(
         1.5, "Silence after which the link counts as lost", minimum=0.2, maximum=10.0, unit="s"
     )
@@ -181,6 +194,25 @@ class DriverConfig(Config):
             raise ConfigError(
                 f"status_timeout_s = {self.status_timeout_s:g}: a link would be lost between two reports, at least "
                 f"{REPORTS_MISSED / slowest:g} s at {slowest:g} Hz are needed"
+            )
+        self._check_clearance()
+
+    def _check_clearance(self) -> None:
+        """Refuse a height from which a damaged approach would reach the panel before a hold stops it."""
+        if self.stylus.kind != "z_axis":
+            return
+        machine = self.machine
+        needed_m = 0.001 * stopping_way_mm(
+            machine.max_rate_mm_min[2],
+            machine.acceleration_mm_s2[2],
+            machine.travel_mm[2],
+            self.touch_status_rate_hz,
+        )
+        if self.clearance_m < needed_m:
+            raise ConfigError(
+                f"clearance_m = {self.clearance_m:g}: a damaged line above the panel is stopped after up to "
+                f"{needed_m:.4f} m; raise clearance_m and the controller's hover_m to {needed_m:.4f}, or lower "
+                "max_rate_mm_min of z, or raise acceleration_mm_s2 of z or touch_status_rate_hz"
             )
 
     def expected_settings(self) -> dict[int, float]:

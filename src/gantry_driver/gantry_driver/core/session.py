@@ -52,6 +52,13 @@ again; a board that was only held up answers both, see docs/decisions/stopping.m
 REPORTS_APART_S = 1.0
 """A pause between two reports that is longer by so much is no time in which the board was idle: it may be homing."""
 
+ARRIVED_S = 0.3
+"""Age from which a line must be in the board's buffer, on a busy computer and behind a slow adapter as well."""
+MISSING_REPORTS = 2
+LOST_LINE = "the board has taken lines that it has not answered: a line or its answer was lost on the wire"
+
+_WAITS = re.compile(r"[$M]|G0*(?:4|10|43|49|5[4-9]|92)(?!\d)", re.IGNORECASE)
+"""Lines that are answered later: dwells, spindle, ``$`` commands, and new offsets, which wait for all motion."""
 _ACTS = re.compile(r"[$F]|M0*[3478](?!\d)|G0*(?:28|30)(?!\d)|[XYZ](?!.*G0*(?:[123]|92)\Z)", re.IGNORECASE)
 """What a board that has just been reset would obey: see docs/decisions/lines-after-a-reset.md."""
 _EEPROM = re.compile(r"\$(?!J=)[^=]*=|\$RST|G0*10(?!\d).*L0*20?(?!\d)|G0*28\.10*(?!\d)|G0*30\.10*(?!\d)", re.IGNORECASE)
@@ -160,6 +167,7 @@ class Counts:
     stray: int = 0
     garbage: int = 0
     reports: int = 0
+    disbelieved: int = 0
     bytes_sent: int = 0
     bytes_received: int = 0
 
@@ -198,7 +206,13 @@ class GrblSession:
         self._roomy_reports = 0
         self.last_report_at: float | None = None
         self.polling = False
+        self.tells_mpos = False
+        """Whether the last report had a machine position of its own."""
+        self.polls_spared = True
+        """Whether reports may be rarer while the wire is the limit."""
         self.paused = False
+        self._short_reports = 0
+        """Reports in a row of a board that has taken lines which it has not answered."""
 
     def start(self, now: float) -> None:
         """Begin anew on a freshly opened port; queued lines are dropped and counted as lost where they were sent."""
@@ -321,6 +335,7 @@ class GrblSession:
         events: list[Message] = []
         if report.wco_mm is not None:
             self.wco_mm = report.wco_mm
+        self.tells_mpos = report.mpos_mm is not None
         if report.mpos_mm is None and report.wpos_mm is not None and self.wco_mm is not None:
             mpos = tuple(w + o for w, o in zip(report.wpos_mm, self.wco_mm))
             report = dataclasses.replace(report, mpos_mm=mpos)
@@ -353,6 +368,10 @@ class GrblSession:
                 f"the board holds {self._rx_room - report.rx_free} bytes, {self._in_flight_bytes} are under way: "
                 "an answer came that belongs to no line"
             )
+        self._short_reports = self._short_reports + 1 if self._answers_missing(report, now) else 0
+        if self._short_reports == MISSING_REPORTS:
+            self._short_reports = 0
+            return LOST_LINE
         if report.state not in ("Idle", "Check", "Alarm") or not self._in_flight:
             self._unanswered_since = None
             return ""
@@ -364,6 +383,26 @@ class GrblSession:
         if now - self._unanswered_since > line.answer_within_s:
             return f"no answer to {line.text!r} within {line.answer_within_s:g} s although the board is at rest"
         return ""
+
+    def _answers_missing(self, report: Report, now: float) -> bool:
+        """Whether the board has taken lines out of its buffer that it should have answered before this report.
+
+        Answers and reports come in one order. Of what was sent long enough ago the board holds all but the line that it
+        is working on: with a full planner, or a dwell, that is one; otherwise none.
+        """
+        if report.rx_free < 0 or report.planner_free < 0 or report.state not in ("Idle", "Run"):
+            return False
+        arrived = [line for line, sent_at in self._in_flight if now - sent_at > ARRIVED_S]
+        missing = sum(line.size for line in arrived) - (self._rx_room - report.rx_free)
+        if missing <= 0:
+            return False
+        first = arrived[0]
+        waits = first.eeprom or _WAITS.search(first.text) is not None
+        if first.text == "G4P0" and report.state == "Idle":
+            waits = False
+        if waits or report.planner_free <= 1:
+            return missing > max(line.size for line in arrived)
+        return True
 
     def _banner(self, banner: Banner, now: float) -> list[Message]:
         # A board that was held up answers the reset and its retry, one after the other.
@@ -414,7 +453,7 @@ class GrblSession:
         self._resets_unanswered += out.count(SOFT_RESET)
         if self._may_poll() and now >= self._next_poll and now >= self._quiet_until:
             out += STATUS
-            rare = bool(self._queue) and self._wire_bound and not self.paused
+            rare = self.polls_spared and bool(self._queue) and self._wire_bound and not self.paused
             self._next_poll = now + (max(self.poll_interval_s, WIRE_BOUND_POLL_S) if rare else self.poll_interval_s)
         while self._may_send(now):
             line = self._queue.popleft()

@@ -36,6 +36,7 @@ class Stopping(Connection):
         self._stood_mm: tuple[float, ...] | None = None
         """Where the board stood in the last report before a reset of a stop, None where it did not say."""
         self._stood_at = 0.0
+        self._moved_at = 0.0
         self._moved_mm: tuple[float, ...] | None = None
         """The other place that the last report told, where it cannot have gone."""
 

@@ -51,12 +51,45 @@ class Waypoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
-    """What a trajectory has become: the lines, where they end (readings, m) and about how long they take."""
+class Move:
+    """A straight move in machine coordinates, mm, at a feed: the number of its F word, mm/min.
 
-    lines: tuple[str, ...]
+    ``axes`` is 2 where the stylus is no axis of the board.
+    """
+
+    start_mm: tuple[float, float, float]
+    end_mm: tuple[float, float, float]
+    feed: str
+    axes: int = 3
+
+    def part(self, start_mm: tuple[float, float, float], end_mm: tuple[float, float, float]) -> Move:
+        """Return a part of it."""
+        return Move(start_mm=start_mm, end_mm=end_mm, feed=self.feed, axes=self.axes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """Lower or lift a stylus without a Z axis, and give it the time for its way."""
+
+    down: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """What a trajectory has become: its parts, where they end (readings, m) and about how long they take.
+
+    ``start_mm`` and ``end_mm`` are machine positions.
+    """
+
+    parts: tuple[Move | Order, ...]
+    start_mm: tuple[float, float, float]
+    end_mm: tuple[float, float, float]
     end_m: tuple[float, float, float]
     seconds: float
+
+    @property
+    def moves(self) -> list[Move]:
+        return [part for part in self.parts if isinstance(part, Move)]
 
 
 def joint_order(names: Sequence[str]) -> tuple[int, ...]:
@@ -76,7 +109,7 @@ def joint_order(names: Sequence[str]) -> tuple[int, ...]:
 def write_motion(
     names: Sequence[str], points: Sequence[Waypoint], start_m: tuple[float, float, float], config: DriverConfig
 ) -> Motion:
-    """Return the G-code of a trajectory that starts at the readings ``start_m``.
+    """Return the motion of a trajectory that starts at the readings ``start_m``.
 
     The speed of a segment is the point's speed, else what its time asks for, else the configured feeds. A speed that
     an axis cannot reach is refused rather than silently slowed down, unless it comes from the configured feeds.
@@ -89,21 +122,17 @@ def write_motion(
     order = joint_order(names)
     if not 0 < len(points) <= config.max_points:
         raise TrajectoryError(f"the trajectory has {len(points)} points, 1 to {config.max_points} are needed")
-    lines = [MODES]
-    here, clock, total, feed = start_m, 0.0, 0.0, ""
+    parts: list[Move | Order] = []
+    here, clock, total = start_m, 0.0, 0.0
     for number, point in enumerate(points, 1):
         target = _target(number, point, order, here, config)
         seconds = _seconds(number, point, here, target, clock, config)
         clock = point.time_s if point.time_s > 0 else clock + seconds
-        new = _segment(here, target, seconds, config)
+        parts += _segment(here, target, seconds, config)
         total += seconds + (config.stylus.dwell_s if config.stylus.kind != "z_axis" and target[2] != here[2] else 0.0)
-        for speed, line in new:
-            # F stays in force, and a line without it is refused by a board that was reset: lines-after-a-reset.md.
-            if speed and (not feed or abs(float(speed[1:]) - float(feed[1:])) > SAME_FEED * float(feed[1:])):
-                feed, line = speed, speed + line
-            lines.append(line)
         here = target
-    return Motion(lines=(*lines, SYNCHRONISE), end_m=here, seconds=total)
+    start_mm, end_mm = (_rounded(mpos_mm(place, config)) for place in (start_m, here))
+    return Motion(parts=tuple(parts), start_mm=start_mm, end_mm=end_mm, end_m=here, seconds=total)
 
 
 def stylus_dwell(config: DriverConfig) -> str:
@@ -227,20 +256,25 @@ def _seconds(
 
 def _segment(
     here: tuple[float, float, float], target: tuple[float, float, float], seconds: float, config: DriverConfig
-) -> list[tuple[str, str]]:
-    """Return lines, each with the F word that it needs; the words stand so that no rest of a line is a move."""
-    start, end = mpos_mm(here, config), mpos_mm(target, config)
+) -> list[Move | Order]:
+    start, end = _rounded(mpos_mm(here, config)), _rounded(mpos_mm(target, config))
     axes = 3 if config.stylus.kind == "z_axis" else 2
-    words = "".join(f"{'XYZ'[a]}{plain(end[a])}" for a in range(axes) if plain(end[a]) != plain(start[a]))
-    move = []
-    if words:
+    if axes == 2:
+        end = (*end[:2], start[2])
+    move: list[Move | Order] = []
+    if any(plain(end[a]) != plain(start[a]) for a in range(axes)):
         distance = math.hypot(*(end[a] - start[a] for a in range(axes)))
         # Below 1 mm/min GRBL's planner takes minutes for a step; such a segment is rounding.
         feed = max(distance / seconds * 60.0, 1.0) if seconds else config.feed_m_s * 6e4
-        move = [(f"F{plain(feed, 1)}", f"{words}G53G1")]
+        move = [Move(start_mm=start, end_mm=end, feed=plain(feed, 1), axes=axes)]
     if config.stylus.kind == "z_axis" or target[2] == here[2]:
         return move
     # Without a Z axis the stylus is up during every move that it starts or ends in the air.
     down = target[2] > 0
-    order = [("", line) for line in stylus_lines(down, config)]
-    return [*move, *order] if down else [*order, *move]
+    return [*move, Order(down=True)] if down else [Order(down=False), *move]
+
+
+def _rounded(place: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return a machine position as lines name it."""
+    x, y, z = (round(value, 3) for value in place)
+    return x, y, z

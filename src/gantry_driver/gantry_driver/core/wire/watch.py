@@ -1,0 +1,180 @@
+"""Comparison of each report with the path that the board was sent: a tube, the deepest point, the highest feed.
+
+GRBL follows a G1 exactly and cuts no corner, so the tube is narrow: whole motor steps, the rounding of line and report,
+and the steps that the board makes while it writes a report. The time between two reports limits how far the board can
+have come along the path, so a report that is on the path, but too far ahead, is outside as well: a detour was left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+Vector = tuple[float, float, float]
+
+TUBE_MM = 0.15
+"""Radius of the tube: at most two motor steps of each axis at 80 steps/mm, and a report that is read in mid-step."""
+REPORT_LATE_S = 0.2
+"""Duration by which the time between two reports may exceed that between their arrivals."""
+FEED_SHARE, FEED_MM_MIN = 1.05, 30.0
+"""Factor and surplus of the feed that a report may show beyond the path's: rounding of F words and of reports."""
+_STRAIGHT = 1.0 - 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Segment:
+    """A straight move in machine coordinates (mm) at a feed (mm/min)."""
+
+    start_mm: Vector
+    end_mm: Vector
+    feed_mm_min: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Deviation:
+    """How a report differs from the path.
+
+    Parameters
+    ----------
+    at_mm
+        The reported machine position.
+    off_mm
+        Distance from the part of the path where the board can be, 0 when only the feed is wrong.
+    feed_mm_min, feed_limit_mm_min
+        The reported feed and the largest that the path allows.
+    """
+
+    at_mm: tuple[float, ...]
+    off_mm: float
+    feed_mm_min: float
+    feed_limit_mm_min: float
+
+    def text(self) -> str:
+        """Return the deviation for people."""
+        place = ", ".join(f"{value:.3f}" for value in self.at_mm)
+        if self.off_mm > 0.0:
+            return f"it reports MPos {place} mm, {self.off_mm:.2f} mm off (limit {TUBE_MM:g} mm)"
+        return f"it reports a feed of {self.feed_mm_min:.0f} mm/min (limit {self.feed_limit_mm_min:.0f} mm/min)"
+
+    def details(self) -> tuple[tuple[str, str], ...]:
+        """Return the values as pairs for ``GoalResult.details``."""
+        return (
+            ("off_path_mm", f"{self.off_mm:.3f}"),
+            ("feed_mm_min", f"{self.feed_mm_min:.0f}"),
+            ("feed_limit_mm_min", f"{self.feed_limit_mm_min:.0f}"),
+        )
+
+
+class PathWatch:
+    """Follows the reports along a path that begins at rest.
+
+    Parameters
+    ----------
+    start_mm
+        Machine position at the start, mm.
+    segments
+        The moves; empty for a path that stands still.
+    axes
+        Number of axes that reports show, 2 where the stylus is no axis of the board.
+    now
+        Time of the start, s.
+    """
+
+    def __init__(self, start_mm: Vector, segments: Sequence[Segment], axes: int, now: float) -> None:
+        self._axes = axes
+        self._points: list[tuple[float, ...]] = [start_mm[:axes]]
+        self._ends_mm = [0.0]
+        self._feed = max((segment.feed_mm_min for segment in segments), default=0.0)
+        self._low_mm = self._high_mm = 0.0
+        self._at = now
+        for segment in segments:
+            self._append(segment)
+        self._end_mm = segments[-1].end_mm if segments else start_mm
+
+    @property
+    def feed_limit_mm_min(self) -> float:
+        """The largest feed that a report may show."""
+        return self._feed * FEED_SHARE + FEED_MM_MIN
+
+    def off_end_mm(self, mpos_mm: Sequence[float]) -> float:
+        """Return the distance of a position from the path's end, in mm."""
+        return math.dist(mpos_mm[: self._axes], self._end_mm[: self._axes])
+
+    def check(self, mpos_mm: tuple[float, ...], feed_mm_min: float, now: float) -> Deviation | None:
+        """Return how a report deviates; None, and the watch has followed it, if it does not."""
+        place = mpos_mm[: self._axes]
+        reach_mm = self._high_mm + self._feed / 60.0 * (now - self._at + REPORT_LATE_S) + TUBE_MM
+        low, high = self._matched(place, reach_mm)
+        too_fast = feed_mm_min > self.feed_limit_mm_min
+        if low <= high and not too_fast:
+            self._low_mm, self._high_mm, self._at = low, high, now
+            return None
+        return Deviation(
+            at_mm=mpos_mm,
+            off_mm=0.0 if low <= high else max(self._off_mm(place, reach_mm), TUBE_MM),
+            feed_mm_min=feed_mm_min,
+            feed_limit_mm_min=self.feed_limit_mm_min,
+        )
+
+    def _append(self, segment: Segment) -> None:
+        """Add a move; one that goes straight on lengthens the last, so that a dense path is quickly searched."""
+        start, end = self._points[-1], segment.end_mm[: self._axes]
+        length = math.dist(start, end)
+        if length <= 0.0:
+            return
+        if len(self._points) > 1:
+            before = self._points[-2]
+            old = self._ends_mm[-1] - self._ends_mm[-2]
+            cosine = sum((b - a) * (d - b) for a, b, d in zip(before, start, end)) / (old * length)
+            if cosine > _STRAIGHT:
+                self._points.pop()
+                self._ends_mm.pop()
+                length += old
+        self._points.append(end)
+        self._ends_mm.append(self._ends_mm[-1] + length)
+
+    def _pieces(self, reach_mm: float) -> range:
+        """Return the numbers of the pieces where the board can be."""
+        ends = self._ends_mm
+        first = next((n for n in range(1, len(ends)) if ends[n] >= self._low_mm - TUBE_MM), len(ends) - 1)
+        last = next((n for n in range(max(first, 1), len(ends)) if ends[n] >= reach_mm), len(ends) - 1)
+        return range(max(first, 1), last + 1)
+
+    def _matched(self, place: Sequence[float], reach_mm: float) -> tuple[float, float]:
+        """Return the lowest and highest distance along the path at which the tube contains ``place``."""
+        low, high = math.inf, -math.inf
+        if len(self._points) == 1:
+            inside = math.dist(place, self._points[0]) <= TUBE_MM
+            return (0.0, 0.0) if inside else (low, high)
+        for number in self._pieces(reach_mm):
+            begin_mm, end_mm = self._ends_mm[number - 1 : number + 1]
+            length = end_mm - begin_mm
+            start, end = self._points[number - 1 : number + 1]
+            unit = [(b - a) / length for a, b in zip(start, end)]
+            along = sum((p - a) * u for p, a, u in zip(place, start, unit))
+            across_sqr = sum((p - a) ** 2 for p, a in zip(place, start)) - along * along
+            half_sqr = TUBE_MM * TUBE_MM - across_sqr
+            if half_sqr < 0.0:
+                continue
+            half = math.sqrt(half_sqr)
+            nearest, farthest = max(along - half, 0.0), min(along + half, length)
+            if nearest > farthest:
+                continue
+            nearest, farthest = max(begin_mm + nearest, self._low_mm - TUBE_MM), min(begin_mm + farthest, reach_mm)
+            if nearest <= farthest:
+                low, high = min(low, nearest), max(high, farthest)
+        return low, high
+
+    def _off_mm(self, place: Sequence[float], reach_mm: float) -> float:
+        """Return the distance from the part of the path where the board can be."""
+        best = math.dist(place, self._points[0]) if len(self._points) == 1 else math.inf
+        for number in self._pieces(reach_mm) if len(self._points) > 1 else ():
+            begin_mm, end_mm = self._ends_mm[number - 1 : number + 1]
+            length = end_mm - begin_mm
+            start, end = self._points[number - 1 : number + 1]
+            along = sum((p - a) * (b - a) for p, a, b in zip(place, start, end)) / length
+            along = min(max(along, self._low_mm - begin_mm, 0.0), length, max(reach_mm - begin_mm, 0.0))
+            near = [a + (b - a) * along / length for a, b in zip(start, end)]
+            best = min(best, math.dist(place, near))
+        return best
