@@ -31,6 +31,8 @@ RETREAT_MM_S = 30.0
 SEEN_WITHIN_S = 0.3
 """Maximum age of a published position: a report interval, the wire, and a second report that confirms the first."""
 
+BRAKING_S = 1.0
+"""After the answer of a stop; what moves later, other than the stylus upwards, is wrong."""
 STILL_MM, MOVING_MM, STRAYED_MM = 0.1, 0.5, 0.05
 KIND_CHARACTERS = 10
 """Characters that findings of one kind have in common; each kind is noted once."""
@@ -122,13 +124,15 @@ class Judge:
 
     def _check_unasked(self, before: Vertex, after: Vertex, goal: Goal | None) -> None:
         """Between goals nothing moves but what a stop does: braking, and the stylus upwards."""
-        if goal is not None and not goal.reached:
+        if goal is not None and not goal.reached and before.t < goal.answered + BRAKING_S:
             return
         moved = math.dist(before[1:4], after[1:4])
         lifted = math.dist(before[1:3], after[1:3]) < 0.01 and after.e < before.e
         if moved > STRAYED_MM and not (lifted and self.story.told):
             self.deviated.append(f"{moved:.2f} mm unasked, to {_text(after)}")
-            if not self.story.told:
+            if goal is not None and not goal.reached:
+                self._once(f"moved after the answer: {_text(before)} to {_text(after)}")
+            elif not self.story.told:
                 self._once(f"moved without a goal, and nothing was said: {_text(before)} to {_text(after)}")
 
     def _check_feed(self, before: Vertex, after: Vertex, goal: Goal | None, over_s: float) -> float:

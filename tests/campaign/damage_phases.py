@@ -149,11 +149,13 @@ def _jog(rig: DamageRig, scene: Scene, rng: random.Random) -> bool:
 
 def _settings(rig: DamageRig, scene: Scene, rng: random.Random) -> bool:
     """Write what someone has changed on the board; the driver reads it back."""
+    rig.expected_states |= {"connecting", "mismatch"}
     values = rig.board.eeprom.values
     number = rng.choice([100, 101, 102, 110, 111, 112, 120, 121, 122, 130, 27])
     values[number] = round(values[number] * rng.choice([0.5, 0.9, 1.25]), 3)
     rig.fault("brown_out")
     rig.until(lambda: rig.machine.phase.state == "mismatch", 30.0)
+    rig.expected_states -= {"mismatch"}
     with rig.damaging():
         refusal = rig.machine.write_settings(rig.now)
         assert not refusal, refusal
@@ -171,6 +173,7 @@ def _rest(rig: DamageRig, scene: Scene, rng: random.Random) -> bool:
 def _start_up(rig: DamageRig, scene: Scene, rng: random.Random) -> bool:
     """Reset the board at rest, by power or by its own firmware; the driver has to find out."""
     with rig.damaging():
+        rig.expected_states |= {"connecting"}
         rig.fault(rng.choice(["brown_out", "soft_reset"]))
         rig.run_for(1.0)
         if not rig.connected():
@@ -219,6 +222,7 @@ def carry_out(rig: DamageRig, phase: str, scene: Scene, rng: random.Random) -> N
             fine = rig.connected()
     else:
         fine = rig.connected()
+    rig.expected_states.clear()
     if phase != "homing" or rng.random() < 0.5:
         fine = fine and rig.homing()
     if phase == "rest" and rng.random() < 0.5:
@@ -230,5 +234,5 @@ def carry_out(rig: DamageRig, phase: str, scene: Scene, rng: random.Random) -> N
         if rig.damage is None:
             break
     rig.settle()
-    if rig.machine.phase.state == "idle" and touch(rig, scene):
+    if rig.machine.phase.state == "idle" and not touch(rig, scene):
         rig.settle()

@@ -11,7 +11,7 @@ from campaign.truth import TracedMachine, Vertex
 from campaign.virtual_link import VirtualRig
 
 from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Position
+from gantry_driver.core.machine_states import Position, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
 from gantry_driver.mock.serial_line import Damage
 from icu_common.core.frames import JOINTS
@@ -21,11 +21,13 @@ Point = tuple[float, float, float]
 
 TO_BOARD, FROM_BOARD = "to_board", "from_board"
 DIRECTIONS = (TO_BOARD, FROM_BOARD)
+WELL = frozenset({"unhomed", "homing", "idle", "moving"})
+"""States without trouble."""
 ANSWER_FACTOR, ANSWER_EXTRA_S = 3.0, 25.0
 """An answer that takes longer than the planned time so often, and this in addition, counts as none."""
 SETTLE_S = 90.0
-WATCH_S = 2.0
-"""After the answer, for motion that nobody asked for."""
+WATCH_S = 1.5
+"""Duration of the watch, at rest, for motion without a goal."""
 
 
 @dataclass(slots=True)
@@ -69,7 +71,7 @@ class Story:
     positions: list[tuple[float, Point]] = field(default_factory=list)
     """Published readings in mm, by the time of their publication."""
     told: list[str] = field(default_factory=list)
-    """What the driver has said that is not the expected course of the phase."""
+    """Answers and states other than those that the phase expects."""
     panel_mm: float = 0.0
     """Extension at which the stylus meets the panel."""
 
@@ -83,6 +85,8 @@ class DamageRig(VirtualRig):
         super().__init__(config, seed, make_mock=TracedMachine)
         self.damage = damage
         self.story = Story()
+        self.expected_states = {"disconnected", "connecting"}
+        """States, besides those without trouble, that the phase itself brings about."""
         self._line = self.board.inbound if direction == TO_BOARD else self.board.outbound
 
     @contextlib.contextmanager
@@ -153,18 +157,12 @@ class DamageRig(VirtualRig):
             return False
         self.until(lambda: self.machine.phase.state != "homing", 100.0)
         window.end = self.now
-        if self.machine.phase.state != "idle":
-            self.story.told.append(self.machine.state_text)
-            return False
-        return True
+        return self.machine.phase.state == "idle"
 
     def connected(self) -> bool:
         """Wait until the board is told apart; return whether it only waits for homing."""
         self.until(lambda: self.machine.connected and self.machine.at_rest, SETTLE_S)
-        if self.machine.phase.state != "unhomed":
-            self.story.told.append(self.machine.state_text)
-            return False
-        return True
+        return self.machine.phase.state == "unhomed"
 
     def settle(self) -> None:
         """Wait until nothing is under way, and then for what nobody has asked for."""
@@ -174,7 +172,10 @@ class DamageRig(VirtualRig):
 
     def _collect(self) -> None:
         for event in self.machine._events:
-            if isinstance(event, Position):
+            if isinstance(event, StateChanged) and (state := event.text.partition(":")[0]) not in WELL:
+                if state not in self.expected_states and event.text not in self.story.told:
+                    self.story.told.append(event.text)
+            elif isinstance(event, Position):
                 x, y, e = event.reading_m
                 self.story.positions.append((self.now, (1000.0 * x, 1000.0 * y, 1000.0 * e)))
         super()._collect()

@@ -36,7 +36,8 @@ class TracedBoard(Board):
 
     def _motion_events(self) -> None:
         super()._motion_events()
-        self._catch_up()
+        if self.motion.running:
+            self._catch_up()
 
     def _catch_up(self) -> None:
         super()._catch_up()
