@@ -13,7 +13,7 @@ from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from icu_common.core.results import GoalResult
 
-SCALE = 8.0
+SCALE = 3.0
 """Board seconds per second; the driver's own times stay as they are."""
 
 

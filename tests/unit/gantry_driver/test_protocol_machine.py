@@ -17,8 +17,8 @@ from gantry_driver.core.gcode_check import CheckedLine
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
 from gantry_driver.core.machine_states import Note
-from gantry_driver.core.streaming import QUEUED_LINES
 from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.core.wire.proof import QUEUED_LINES
 from icu_common.core.config import ConfigError, settings_of
 from icu_common.core.frames import JOINTS
 

@@ -18,6 +18,7 @@ from typing import TypeVar
 
 import serial
 
+from gantry_driver.adapters.stylus_record import StylusRecord
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_states import CloseRequested, Event, Note
 from gantry_driver.core.session import HOLD
@@ -49,6 +50,8 @@ class SerialLink:
     on_turn
         Called in the link's thread at the end of each turn with the number of the newest :meth:`wake` that the turn has
         seen, and the bytes that it has read and written.
+    record
+        Keeps that the stylus may be down; written before the bytes that may lower it.
     """
 
     def __init__(
@@ -60,7 +63,10 @@ class SerialLink:
         *,
         clock: Callable[[], float] = steady_s,
         on_turn: Callable[[int, int, int], None] | None = None,
+        record: StylusRecord | None = None,
     ) -> None:
+        self._record = record if record is not None else StylusRecord(None)
+        self._recorded: bool | None = None
         self._clock, self._on_turn = clock, on_turn
         self._wakes = self._wakes_seen = self._read_bytes = self._written_bytes = 0
         self._machine = machine
@@ -263,7 +269,9 @@ class SerialLink:
                 self._machine.receive(data, now)
             self._machine.tick(now)
             self._pending += self._machine.output(now)
+            may_be_down = self._machine.may_be_down
             self._changed.notify_all()
+        self._keep(may_be_down)
         try:
             self._write()
         except OSError as error:
@@ -298,6 +306,17 @@ class SerialLink:
                 count = os.write(self._fd, self._pending)
                 self._written_bytes += count
                 del self._pending[:count]
+
+    def _keep(self, may_be_down: bool) -> None:
+        """Write down whether the stylus may be down, before any byte goes out that could lower it."""
+        if may_be_down is self._recorded:
+            return
+        self._recorded = may_be_down
+        try:
+            self._record.write(may_be_down)
+        except OSError as error:
+            text = f"the file that keeps how the stylus was left cannot be written: {_plain(error)}"
+            self._on_events([Note(level="error", text=text)])
 
     def _lost(self, reason: str) -> None:
         self._close_port()

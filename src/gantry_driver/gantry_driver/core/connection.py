@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from operator import attrgetter
 
 from gantry_driver.core.grbl_messages import (
@@ -31,8 +29,7 @@ from gantry_driver.core.session import (
 )
 from gantry_driver.core.settings_profile import differences, lines_to_write
 from gantry_driver.core.stylus_state import CLAUSE, IS_RELEASED, MAY_PRESS, MAY_SINK, Stylus
-from gantry_driver.core.wire.stages import Confirm, Item, Stage
-from gantry_driver.core.wire.watch import Deviation, PathWatch
+from gantry_driver.core.wire.goal import Goal, Reading
 from icu_common.core.results import GoalResult, Outcome
 
 HOLD_REPEAT_S = 0.2
@@ -58,65 +55,11 @@ REFUSED = {
 KEPT_TO_ITSELF = {Dialect.FLUIDNC: frozenset({13, 23, 27})}
 """Units, corner and pull-off, which not every version of a firmware tells: where the machine has homed tells them."""
 
-Reading = tuple[float, float, float]
-
-
-@dataclass(slots=True, kw_only=True)
-class Goal:
-    """The goal under way: its stages, and what is proved of the present one.
-
-    Parameters
-    ----------
-    goal_id, text, started
-        For the answer.
-    end_m
-        Readings at the end, m.
-    stages
-        Those that have not begun; a program has none, for its path is not known here.
-    items
-        What is still to be sent of the present stage; a long program is walked through while it runs.
-    origin_mm
-        The frame of the path, None outside a frame.
-    limit_s
-        Largest duration without pauses, s.
-    touching
-        Whether the stylus is extended anywhere on the path.
-    """
-
-    goal_id: str
-    text: str
-    end_m: Reading
-    started: float
-    items: Iterator[Item]
-    stages: deque[Stage] = field(default_factory=deque)
-    stage: Stage = field(default_factory=Stage)
-    origin_mm: Reading | None = None
-    limit_s: float = math.inf
-    touching: bool = False
-    watch: PathWatch | None = None
-    sent_all: bool = False
-    """Whether every line of the present stage is queued."""
-    last_line: int = 0
-    feed: str = ""
-    confirming: Confirm | None = None
-    confirm_line: int = 0
-    modes_text: str = ""
-    """What the last ``[GC:..]`` said since the question."""
-    tries: int = 0
-    frame: Confirm | None = None
-    """The order that sets the frame of the path."""
-    doubt: Deviation | None = None
-    """The deviation of the last report, after which the board was held; the next report decides."""
-    elsewhere_at: float = math.inf
-    """When the board was first seen at rest elsewhere than at the end of the stage."""
-    paused_s: float = 0.0
-    slowest_percent: float = 100.0
-
 
 class Connection:
     """One board on one port, told apart, its settings compared; a Machine moves it."""
 
-    def __init__(self, config: DriverConfig, *, active: bool = True) -> None:
+    def __init__(self, config: DriverConfig, *, active: bool = True, left_down: bool = False) -> None:
         self.config = config
         self.active = active
         self.counts = Counts()
@@ -137,6 +80,8 @@ class Connection:
         self._settings: dict[int, str] = {}
         self._startup: dict[str, str] = {}
         self._startup_tries = 0
+        self._kept: dict[int, str] = {}
+        """Settings that a write of others must leave as they are."""
         self._profile: dict[int, float] = {}
         self._latched = ""
         self._mismatch = ""
@@ -148,7 +93,7 @@ class Connection:
         self._since = 0.0
         self._marker = 0
         self._marker_done = False
-        self._stylus = Stylus.AS_READ
+        self._stylus = Stylus.LEFT_UNSEEN if left_down else Stylus.AS_READ
         self._released_at = math.inf
         """When a solenoid that an alarm has switched off will be up."""
         self._raised = False
@@ -202,6 +147,11 @@ class Connection:
     def connected(self) -> bool:
         """Whether a board has been identified on the port."""
         return self.phase.state not in ("disconnected", "connecting")
+
+    @property
+    def may_be_down(self) -> bool:
+        """Whether the stylus may be down, or may go down by what is under way; homing ends it."""
+        return self._stylus is Stylus.UNDER_WAY or self._stylus_is_down()
 
     @property
     def needs_way_out(self) -> bool:
@@ -379,6 +329,7 @@ class Connection:
             return "; ".join([f"nothing to write: {known}", *self._startup_lines()])
         self._forget_position()
         self._profile = wanted
+        self._kept = {number: text for number, text in self._settings.items() if number not in wanted}
         self._enter(Phase.WRITING, now, f"writing {', '.join(text.partition('=')[0] for text in lines)}")
         for text in lines:
             self._marker = self.session.queue(text).number
@@ -428,6 +379,10 @@ class Connection:
             self._close("the board told no settings", now)
             return
         wrong = differences(self._settings, self.expected_settings())
+        kept, self._kept = self._kept, {}
+        changed = (n for n in kept if n in self._settings and self._settings[n] != kept[n])
+        # A damaged line has written another setting than the one that was meant.
+        wrong += [f"${n} became {self._settings[n]}, it was {kept[n]}: write it back" for n in changed]
         self._mismatch = "; ".join([*wrong, *self._startup_lines()])
         if (idle := self._settings.get(IDLE_DELAY)) is not None and idle.partition(".")[0] != STAYS_ON:
             text = f"${IDLE_DELAY} is {idle}: motors that let go can be pushed unnoticed, {STAYS_ON} keeps them on"
@@ -541,7 +496,8 @@ class Connection:
         rests = phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED, Phase.MISMATCH)
         # After an alarm nothing was decided about the stylus, and nobody lifts it.
         tells = self.config.lift_on_stop if phase is Phase.STOPPED else phase in (Phase.ALARM, Phase.ALARM_RESET)
-        tells = tells or (self._stylus is Stylus.LEFT_UNSEEN and (rests or phase is Phase.CLOSED))
+        left = self._stylus in (Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN)
+        tells = tells or (left and (rests or phase is Phase.CLOSED))
         if tells and self._stylus is not Stylus.LIMP and self._stylus_is_down():
             return MAY_PRESS
         if rests and self._stylus.may_be_limp(self.config.stylus.kind):

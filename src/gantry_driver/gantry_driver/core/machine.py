@@ -39,6 +39,7 @@ from gantry_driver.core.streaming import Streaming
 from gantry_driver.core.stylus_state import Stylus
 from gantry_driver.core.trajectory_gcode import lift_lines, reading_m, stylus_dwell
 from gantry_driver.core.wire.faults import MotionFault
+from gantry_driver.core.wire.watch import REPORT_LATE_S
 from icu_common.core.results import Outcome
 
 OWN_RESET = "the board was reset by itself, its position is lost"
@@ -46,10 +47,13 @@ ELSEWHERE = "the board stands elsewhere without a command from here, its positio
 BANNER_TIMEOUT_S = 5.0
 CRITICAL_ALARM_PAUSE_S = 0.6
 """After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
-REPORT_LATE_S = 0.2
-"""Between two reports an axis may have gone for so much longer than between their arrivals."""
 BEYOND_MM = 0.5
 """Distance beyond the travel that a report may show: a switch that was set by hand, and rounding."""
+OFFSET_WITHIN_S = 1.0
+"""Time after homing for two reports with a work offset; a board that tells none can be moved, but runs no program."""
+HOME = "$H"
+HOMING_LEAST_S = 0.2
+"""A homing cycle takes longer than this, with three pull-offs of an axis; any other line is answered earlier."""
 EEPROM_READ_FAILED = 7
 """Of a startup line; GRBL and grblHAL empty it then, go on with the other one, and answer ``ok`` besides."""
 HOMING_FIRST = 22, 4
@@ -101,8 +105,6 @@ class Machine(Streaming):
                 self._close(f"no banner within {BANNER_TIMEOUT_S:g} s of a reset", now)
         elif phase is Phase.HOMING and age > self.config.homing_timeout_s:
             self._halt(f"homing took longer than {self.config.homing_timeout_s:g} s", now)
-        elif phase is Phase.MOVING:
-            self._check_time(now)
         elif phase is Phase.LIFTING and age > self._lift_timeout_s:
             self._enter(Phase.STOPPED, now, self.reason, not_lifted="the stylus was not lifted in time")
         self._watch(now)
@@ -116,6 +118,7 @@ class Machine(Streaming):
         busy = self.phase in (Phase.MOVING, Phase.HOMING)
         if (busy or self._rests_extended()) and (refusal := self._heartbeat_refusal(now)):
             self._halt(refusal, now)
+        self._check_time(now)
         excused = self.phase in (Phase.CLOSED, Phase.HOMING) or self._critical or self.session.awaiting_banner
         silent = self.session.silent_for(now)
         if not excused and silent > self.config.status_timeout_s:
@@ -150,6 +153,7 @@ class Machine(Streaming):
         if refusal := self._permission(now) or self._unlock_refusal():
             return refusal
         self._forget_position()
+        self._homed_mm = None
         self._enter(Phase.HOMING, now)
         self._marker_done = False
         if self.config.stylus.kind != "z_axis":
@@ -161,7 +165,7 @@ class Machine(Streaming):
         ends: tuple[str, ...] = () if self.dialect is Dialect.GRBL else ("G49", "G54")
         if ends and self._is_servo():
             ends = (*ends, *lift_lines(self.config))  # grblHAL switches the spindle off before it homes
-        for text in ("$H", *ends):
+        for text in (HOME, *ends):
             self._marker = self.session.queue(text, answer_within_s=self._answer_time()).number
         return ""
 
@@ -253,6 +257,11 @@ class Machine(Streaming):
                 self._modes_answered(goal, now)
             if self._stage_sent(goal):
                 self.session.poll_now()
+        if event.line.text == HOME and self.phase is Phase.HOMING and self.session.latency_s < HOMING_LEAST_S:
+            # A damaged $H is a question that is answered at once, or a comment.
+            text = f"homing was answered after {self.session.latency_s:.2f} s: the board has not homed"
+            self._halt(text, now)
+            return
         if number != self._marker:
             return
         if self.phase is Phase.IDENTIFY:
@@ -407,6 +416,13 @@ class Machine(Streaming):
             return
         if report.mpos_mm is None:
             return  # A work position; its offset comes with one of the next reports.
+        if self._homed_mm != report.mpos_mm:
+            self._homed_mm, self._homed_at = report.mpos_mm, now
+            self.session.poll_now()
+            return  # The position of everything that follows is believed when two reports agree.
+        if not self.session.wco_is_sure and now - self._homed_at < OFFSET_WITHIN_S:
+            self.session.poll_now()  # So is the work offset of programs, which comes with every tenth report.
+            return
         # A stage whose stylus is no Z axis need not have one, and its Z stays where it was at power-up.
         expected = self.config.machine.homed_mpos_mm()[: 3 if self.config.stylus.kind == "z_axis" else 2]
         if elsewhere(report.mpos_mm, expected):

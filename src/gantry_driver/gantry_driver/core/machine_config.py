@@ -122,6 +122,9 @@ class DriverConfig(Config):
 
     port: str = setting("/dev/ttyUSB0", "Device of the controller board", read_only=True)
     baud: int = setting(115200, "Line rate", minimum=9600, maximum=4_000_000, unit="bit/s", read_only=True)
+    stylus_file: str = setting(
+        "", "File that keeps over restarts that the stylus may be down; empty: none", read_only=True
+    )
     autostart: bool = setting(
         True,
         "Configure and activate at start; without it the node waits for its lifecycle's transitions",

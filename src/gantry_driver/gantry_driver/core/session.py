@@ -200,6 +200,8 @@ class GrblSession:
         self._reset_at = 0.0
         self._resets_unanswered = 0
         """Resets written whose banners may still come: all but one of them was a retry."""
+        self.wco_is_sure = False
+        """Whether the last two reports with a work offset agree."""
         self.wco_mm: tuple[float, ...] | None = None
         """The work offset that the board has reported since its reset: its memory's G54 and what was added."""
         self._unanswered_since: float | None = None
@@ -227,7 +229,7 @@ class GrblSession:
         self._planner_blocks = 0
         self._planner_room = self._rx_room = self._rx_empty = -1
         self.last_report_at = None
-        self.wco_mm = None
+        self.wco_mm, self.wco_is_sure = None, False
         self._quiet_until = self._next_poll = now
 
     @property
@@ -334,6 +336,7 @@ class GrblSession:
             self._unanswered_since = None
         events: list[Message] = []
         if report.wco_mm is not None:
+            self.wco_is_sure = self.wco_mm == report.wco_mm
             self.wco_mm = report.wco_mm
         self.tells_mpos = report.mpos_mm is not None
         if report.mpos_mm is None and report.wpos_mm is not None and self.wco_mm is not None:
@@ -414,7 +417,7 @@ class GrblSession:
         self.withdraw(SOFT_RESET)
         self.awaiting_banner = False
         self.paused = False
-        self.wco_mm = None
+        self.wco_mm, self.wco_is_sure = None, False
         self._planner_room = self._rx_room = self._rx_empty = -1
         self.last_report_at = now
         return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]

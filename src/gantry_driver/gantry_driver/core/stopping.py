@@ -12,10 +12,13 @@ from gantry_driver.core.grbl_messages import Dialect, Report
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Note, Phase
 from gantry_driver.core.session import HOLD, RESUME
-from gantry_driver.core.stylus_state import Stylus
+from gantry_driver.core.stylus_state import STYLUS_DOWN_M, Stylus
 from gantry_driver.core.trajectory_gcode import lift_lines
+from gantry_driver.core.wire.watch import TUBE_MM
 from icu_common.core.results import Outcome
 
+LIFTS = 2
+"""Retreats that are tried again because they went elsewhere than up."""
 OLD_HOLDS = 2
 """Reports of a hold that may still come after a resume: one on its way, one asked for."""
 SAME_PLACE_MM = 0.05
@@ -27,8 +30,8 @@ LOCKED = "the board is locked by an alarm whose number was not received"
 class Stopping(Connection):
     """One board that can be brought to rest."""
 
-    def __init__(self, config: DriverConfig, *, active: bool = True) -> None:
-        super().__init__(config, active=active)
+    def __init__(self, config: DriverConfig, *, active: bool = True, left_down: bool = False) -> None:
+        super().__init__(config, active=active, left_down=left_down)
         self._lift = True
         self._lift_barred = False
         self._lift_timeout_s = 0.0
@@ -37,6 +40,12 @@ class Stopping(Connection):
         """Where the board stood in the last report before a reset of a stop, None where it did not say."""
         self._stood_at = 0.0
         self._moved_at = 0.0
+        self._homed_mm: tuple[float, ...] | None = None
+        """Where the last report after a homing cycle has the board."""
+        self._homed_at = 0.0
+        self._lift_from_mm: tuple[float, ...] | None = None
+        """Where the retreat of a stylus that is a Z axis has begun."""
+        self._lifts_left = LIFTS
         self._moved_mm: tuple[float, ...] | None = None
         """The other place that the last report told, where it cannot have gone."""
 
@@ -92,6 +101,7 @@ class Stopping(Connection):
             reason, self._lift = self.reason, self._lift and (lift_again or self.phase is not Phase.LIFTING)
         else:
             self._lift, self._lift_barred = self.config.lift_on_stop, False
+            self._lifts_left = LIFTS
         self._latched = reason
         if self.phase in (Phase.HOLDING, Phase.RESETTING):
             return
@@ -146,6 +156,7 @@ class Stopping(Connection):
             return
         self._enter(Phase.LIFTING, now, self.reason)
         self._marker_done = False
+        self._lift_from_mm = report.mpos_mm
         config = self.config
         # The board moves no axis faster than its own limit, and what is under way does not know of later parameters.
         speed_m_s = min(config.stylus_feed_m_s, config.machine.max_rate_mm_min[2] / 60_000.0)
@@ -198,6 +209,13 @@ class Stopping(Connection):
     def _report_lifting(self, report: Report, now: float) -> None:
         if report.state == "Alarm":
             self._to_alarm(LOCKED, now)
+        elif self._lifts_wrongly(report) and self._lifts_left:
+            self._lifts_left -= 1
+            self._events.append(Note(level="error", text="the stylus does not rise, its line was damaged: held again"))
+            self._halt(self.reason, now, lift_again=True)
+        elif report.state == "Idle" and self._marker_done and self._extended_by_axis():
+            text = f"the stylus was not lifted: it is still extended by {1000.0 * (self._extension_m or 0.0):.1f} mm"
+            self._enter(Phase.STOPPED, now, self.reason, not_lifted=text)
         elif report.state == "Idle" and self._marker_done:
             self.session.executed_all()
             self._stylus = Stylus.lifted(self.config.stylus.kind)
@@ -206,6 +224,17 @@ class Stopping(Connection):
             # The hold of a stop that was written just before the retreat began must not leave the stylus down.
             self._lift_barred = report.state == "Door"
             self._halt(self.reason, now, lift_again=report.state == "Hold")
+
+    def _lifts_wrongly(self, report: Report) -> bool:
+        """Whether an axis moves that must not, or the stylus goes down."""
+        start, place = self._lift_from_mm, report.mpos_mm
+        if start is None or place is None or self.config.stylus.kind != "z_axis":
+            return False
+        deeper = (place[2] - start[2]) * self.config.machine.sign(2)
+        return elsewhere(place[:2], start[:2]) or deeper > TUBE_MM
+
+    def _extended_by_axis(self) -> bool:
+        return self.config.stylus.kind == "z_axis" and (self._extension_m or 0.0) > STYLUS_DOWN_M
 
 
 def elsewhere(mpos_mm: Sequence[float], place_mm: Sequence[float]) -> bool:

@@ -14,6 +14,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
@@ -25,6 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from gantry_driver.adapters.serial_link import SerialLink
+from gantry_driver.adapters.stylus_record import StylusRecord
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, Position, StateChanged
@@ -139,13 +141,15 @@ class SerialDriverNode(GraphLifecycleNode):
     def _make_link(self) -> SerialLink:
         config = self._live.config
         self._steps_finished = 0
+        record = StylusRecord(Path(config.stylus_file).expanduser() if config.stylus_file else None)
         link = SerialLink(
-            Machine(config, active=False),
+            Machine(config, active=False, left_down=record.may_be_down()),
             config.port,
             config.baud,
             self._on_events,
             clock=self._link_clock(),
             on_turn=None if this_process.ledger is None else self._count_turn,
+            record=record,
         )
         link.call(lambda machine, now: None)  # says that there is no port
         return link
