@@ -9,6 +9,7 @@ import pytest
 from unit.gantry_driver import protocol_board
 from unit.gantry_driver.protocol_board import HOMED, Rig
 
+from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import STYLUS_KINDS, DriverConfig, StylusConfig
 from gantry_driver.core.stylus_state import STYLUS_DOWN_M, Stylus, tells_of_stylus
 
@@ -392,3 +393,25 @@ def test_a_solenoid_is_told_to_be_up_after_a_hold_that_did_not_complete() -> Non
     rig.machine.stop("stop requested", rig.now)
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
     assert rig.states[-1] == f"stopped: stop requested; {RELEASED}" and not rig.machine.homed
+
+
+def test_a_stylus_that_an_earlier_driver_left_down_is_told_until_the_machine_is_homed() -> None:
+    rig = Rig()
+    rig.machine = Machine(DriverConfig(enabled_at_start=True), left_down=True)
+    assert rig.machine.may_be_down
+    rig.connect()
+    assert rig.states[-1] == f"unhomed: {NOT_LIFTED}"
+    rig.step()
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle")
+    assert rig.states[-1] == "idle" and not rig.machine.may_be_down
+
+
+def test_a_cable_that_is_pulled_in_contact_is_told_after_the_reconnect() -> None:
+    rig = Rig().homed()
+    rig.go((0.1, 0.1, 0.02))
+    rig.until(lambda: "reached" in rig.outcomes())
+    rig.machine.closed("the device has gone", rig.now)
+    assert rig.machine.may_be_down
+    rig.connect()
+    assert rig.states[-1] == f"unhomed: {NOT_LIFTED}"

@@ -315,8 +315,8 @@ class SerialLink:
         try:
             self._record.write(may_be_down)
         except OSError as error:
-            text = f"the file that keeps how the stylus was left cannot be written: {_plain(error)}"
-            self._on_events([Note(level="error", text=text)])
+            note = Note(level="error", text=f"the file of the stylus's state cannot be written: {_plain(error)}")
+            self._on_events([note])
 
     def _lost(self, reason: str) -> None:
         self._close_port()
