@@ -210,7 +210,7 @@ def _run(cases: Sequence[Case], jobs: int) -> Iterable[list[Finding]]:
 
 def _progress(findings: Sequence[Finding], total: int, began: float) -> None:
     done, elapsed = len(findings), time.monotonic() - began
-    if not (sys.stdout.isatty() or done == total or done % (50 * CHUNK) < CHUNK):
+    if not (sys.stdout.isatty() or done == total or done % (20 * CHUNK) < CHUNK):
         return
     counts = collections.Counter(found.verdict for found in findings)
     told = ", ".join(f"{counts[verdict]} {verdict}" for verdict in (HARMLESS, REPORTED, STOPPED, WRONG))
