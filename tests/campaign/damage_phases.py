@@ -181,13 +181,24 @@ def _start_up(rig: DamageRig, scene: Scene, rng: random.Random) -> bool:
     return rig.homing()
 
 
+def _other_path(scene: Scene, rng: random.Random) -> list[Point]:
+    """Return what another program may send: upright touches, a slanted one, dabs without a rise, or a line drawn."""
+    x, y, deep = scene.x, scene.y, scene.pressed
+    far = x + rng.uniform(-40.0, 40.0), y + rng.uniform(-40.0, 40.0)
+    kind = rng.choice(["touches", "touches", "slanted", "dabs", "line"])
+    if kind == "touches":
+        return [(x, y, 0.0), (x, y, deep), (x, y, 0.0), (*far, 0.0), (*far, deep), (*far, 0.0)]
+    if kind == "slanted":
+        return [(x - 2.0, y, scene.hover), (x, y, deep), (x + 2.0, y, scene.hover), (*far, 0.0)]
+    if kind == "dabs":
+        between = deep - rng.uniform(1.5, 5.0)
+        return [(x, y, 0.0), *[(x, y, deep), (x, y, between)] * 3, (x, y, deep), (x, y, 0.0)]
+    return [(x, y, scene.hover), (x, y, deep), (*far, deep), (x, y, deep), (x, y, 0.0)]
+
+
 def _path(rig: DamageRig, scene: Scene, rng: random.Random) -> bool:
-    """Follow what another program sends: two touches in one trajectory, with its own speeds or the driver's."""
-    second = scene.x + rng.uniform(-40.0, 40.0), scene.y + rng.uniform(-40.0, 40.0)
-    way: list[Point] = []
-    for x, y in ((scene.x, scene.y), second):
-        way += [(x, y, 0.0), (x, y, scene.pressed), (x, y, 0.0)]
-    times: list[float] = []
+    """Follow what another program sends, with its own speeds or the driver's."""
+    way, times = _other_path(scene, rng), list[float]()
     if rng.random() < 0.5:
         speed, last, clock = rng.uniform(20.0, 50.0), rig.here, 0.0
         for point in way:

@@ -54,7 +54,7 @@ def test_a_path_is_executed_line_by_line_and_ends_where_it_should(start: Start) 
     texts = [line["text"] for line in board.lines(before)]
     assert texts == [
         *("G21G90G94", "F9000X-259Y-169G53G1", "F1800G21G90G94X201Y151Z10G92", "$G"),
-        *("Z8G1", "Z0G1", "Z10G1", "G92.1", "G4P0"),
+        *("Z9G1", "Z0G1", "Z10G1", "G92.1", "G4P0"),
     ]
     assert board.mpos() == pytest.approx((HOMED[0] + 100, HOMED[1] + 50, HOMED[2]), abs=0.02)
     assert rig.machine.counts.sent == rig.machine.counts.acknowledged == rig.machine.counts.executed

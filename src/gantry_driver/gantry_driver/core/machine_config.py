@@ -140,11 +140,19 @@ class DriverConfig(Config):
         50.0, "Status reports while a path with the stylus extended is followed", minimum=10.0, maximum=100.0, unit="Hz"
     )
     clearance_m: float = setting(
-        0.008,
+        0.009,
         "Height above the deepest point of a way down at which the board must report that it is at rest before the "
-        "rest of the path is sent; at most the controller's hover_m",
+        "rest of the path is sent: the controller's hover_m and overtravel_m together",
         minimum=0.0005,
         maximum=0.2,
+        unit="m",
+        read_only=True,
+    )
+    overtravel_m: float = setting(
+        0.001,
+        "Largest way that a path presses into the panel, as the controller's overtravel_m",
+        minimum=0.0,
+        maximum=0.01,
         unit="m",
         read_only=True,
     )
@@ -205,7 +213,7 @@ class DriverConfig(Config):
         if self.stylus.kind != "z_axis":
             return
         machine = self.machine
-        needed_m = 0.001 * stopping_way_mm(
+        needed_m = self.overtravel_m + 0.001 * stopping_way_mm(
             machine.max_rate_mm_min[2],
             machine.acceleration_mm_s2[2],
             machine.travel_mm[2],
@@ -213,9 +221,9 @@ class DriverConfig(Config):
         )
         if self.clearance_m < needed_m:
             raise ConfigError(
-                f"clearance_m = {self.clearance_m:g}: a damaged line above the panel is stopped after up to "
-                f"{needed_m:.4f} m; raise clearance_m and the controller's hover_m to {needed_m:.4f}, or lower "
-                "max_rate_mm_min of z, or raise acceleration_mm_s2 of z or touch_status_rate_hz"
+                f"clearance_m = {self.clearance_m:g}: {needed_m:.4f} m are needed to stop a damaged line above the panel; "
+                "raise clearance_m and the controller's hover_m, or lower max_rate_mm_min of z, or raise "
+                "acceleration_mm_s2 of z or touch_status_rate_hz"
             )
 
     def expected_settings(self) -> dict[int, float]:

@@ -213,7 +213,7 @@ class Stopping(Connection):
             self._lifts_left -= 1
             self._events.append(Note(level="error", text="the stylus does not rise, its line was damaged: held again"))
             self._halt(self.reason, now, lift_again=True)
-        elif report.state == "Idle" and self._marker_done and self._extended_by_axis():
+        elif report.state == "Idle" and self._marker_done and report.mpos_mm and self._extended_by_axis():
             text = f"the stylus was not lifted: it is still extended by {1000.0 * (self._extension_m or 0.0):.1f} mm"
             self._enter(Phase.STOPPED, now, self.reason, not_lifted=text)
         elif report.state == "Idle" and self._marker_done:

@@ -39,7 +39,8 @@ class GoalResult:
     details
         Further key and value pairs, for people and logs.
     code
-        Machine-readable cause, a value of :class:`icu_common.core.delays.ResultCode`; empty for every other cause.
+        Machine-readable cause: a value of :class:`icu_common.core.delays.ResultCode`, or the driver's code of a motion
+        that its board's reports contradict; empty for every other cause.
     """
 
     goal_id: str
