@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import random
 from pathlib import Path
 
 import pytest
-from campaign.damage import NAMES, Case, main, run_case, text_of
-from campaign.damage_judge import VERDICTS, WRONG
-from campaign.damage_rig import DIRECTIONS, FROM_BOARD, TO_BOARD
+from campaign.damage import CONFIG, NAMES, Case, main, run_case, text_of
+from campaign.damage_judge import HARMLESS, VERDICTS, WRONG, Judge
+from campaign.damage_phases import carry_out, scene_of
+from campaign.damage_rig import DIRECTIONS, FROM_BOARD, TO_BOARD, DamageRig
 
 from gantry_driver.mock.serial_line import Damage
 
@@ -33,6 +35,17 @@ def test_each_phase_is_damaged_where_it_was_to_be(direction: str) -> None:
     for seed in range(len(NAMES)):
         found = run_case(Case(direction, seed))
         assert found.was and found.was != found.became, text_of(found)
+
+
+@pytest.mark.parametrize("phase", NAMES)
+def test_a_phase_without_damage_is_harmless(phase: str) -> None:
+    for seed in range(5 if phase == "path" else 2):
+        rng = random.Random(f"{phase} {seed}")
+        rig = DamageRig(CONFIG, seed, None, TO_BOARD)
+        carry_out(rig, phase, scene_of(rng), rng)
+        judge = Judge(rig.story, rig.track)
+        judge.check_end(rig)
+        assert (judge.verdict(), judge.wrong, judge.deviated) == (HARMLESS, [], []), rig.story.told
 
 
 def test_one_seed_is_one_run() -> None:
