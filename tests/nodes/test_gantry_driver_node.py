@@ -107,7 +107,7 @@ class Operator:
 def operator(ros: Any, tmp_path: Path) -> Iterator[Callable[..., Operator]]:
     boards: list[GrblBoard] = []
 
-    def make(*arguments: str, time_scale: float = 4.0, **parameters: Any) -> Operator:
+    def make(*arguments: str, time_scale: float = 2.0, **parameters: Any) -> Operator:
         board = GrblBoard(tmp_path, *arguments, time_scale=time_scale)
         boards.append(board)
         ros.node(SerialDriverNode, {"port": str(board.port), **PATIENCE, **parameters})

@@ -28,7 +28,7 @@ PATIENCE = ("--params", str(Path(__file__).with_name("patient_driver.yaml")))
 
 @pytest.fixture
 def board(tmp_path: Path) -> Iterator[GrblBoard]:
-    board = GrblBoard(tmp_path, "--start=-350,-210,-2", time_scale=4.0)
+    board = GrblBoard(tmp_path, "--start=-350,-210,-2", time_scale=2.0)
     yield board
     board.close()
 
@@ -177,7 +177,7 @@ def test_a_dry_run_begins_where_the_program_does(board: GrblBoard, program: Call
 def test_a_dry_run_resets_a_board_that_opening_its_port_does_not_reset(
     tmp_path: Path, program: Callable[..., Path]
 ) -> None:
-    board = GrblBoard(tmp_path, "--keep-running", "--dialect", "grblHAL", time_scale=4.0)
+    board = GrblBoard(tmp_path, "--keep-running", "--dialect", "grblHAL", time_scale=2.0)
     try:
         path = program("G53 G1 X-300 Y-100 F9000", *["G4 P1"] * 60)
         terminal = Terminal("run", str(path), "--port", str(board.port), "--dry-run")

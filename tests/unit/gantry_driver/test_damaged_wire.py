@@ -84,12 +84,12 @@ def test_a_crossing_that_leaves_its_path_is_held_lifted_and_homed_again() -> Non
 
 
 def test_an_approach_that_goes_on_stops_above_the_panel() -> None:
-    """A path of another program from far above: its last nine millimetres wait for a report of what is above them."""
+    """A slanting path of another program: its last nine millimetres wait for a report of what is above them."""
     rig = DamagedRig()
     rig.home()
     deep = 0.04
     rig.once(b"Z9G1\n", b"Z0G1\n")
-    answer = rig.finish([(0.1, 0.05, 0.0), (0.1, 0.05, deep)])
+    answer = rig.finish([(0.1, 0.05, 0.0), (0.14, 0.05, deep)])
     assert answer.code == "left_path"
     assert rig.deepest_mm() < 1000.0 * deep - 0.3
 

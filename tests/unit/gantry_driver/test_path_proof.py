@@ -93,16 +93,24 @@ def test_a_path_in_the_air_is_one_stage_and_is_written_as_it_always_was() -> Non
     assert len(made.stages) == 1 and made.origin_mm is None
 
 
-def test_a_path_stops_at_every_extreme_and_above_every_way_down() -> None:
+def test_a_path_stops_at_every_extreme_of_z() -> None:
     made = script((0.1, 0.0, 0.0), (0.1, 0.0, 0.03), (0.1, 0.0, 0.028), (0.1, 0.0, 0.03), (0.12, 0.0, 0.03))
     ends = [stage.end_mm for stage in made.stages]
     assert ends == [
         (-259.0, -219.0, -1.0),
-        (-259.0, -219.0, -22.0),
         *((-259.0, -219.0, -31.0), (-259.0, -219.0, -29.0), (-259.0, -219.0, -31.0)),
         (-239.0, -219.0, -31.0),
     ]
     assert made.origin_mm == (-460.0, -320.0, -31.0)
+
+
+def test_a_way_down_that_goes_sideways_stops_above_its_end() -> None:
+    made = script((0.1, 0.0, 0.03))
+    assert [stage.end_mm for stage in made.stages] == [
+        (-359.0, -219.0, -1.0),
+        (-289.0, -219.0, -22.0),
+        (-259.0, -219.0, -31.0),
+    ]
 
 
 def test_a_path_that_turns_back_stops_there() -> None:

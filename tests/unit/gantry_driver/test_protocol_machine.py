@@ -75,9 +75,9 @@ def test_home_then_a_trajectory_is_executed_in_machine_coordinates() -> None:
     rig.until(lambda: "reached" in rig.outcomes())
     assert rig.outcomes() == ["accepted", "reached"]
     assert rig.board.mpos == pytest.approx([HOMED[0] + 100.0, HOMED[1] + 50.0, HOMED[2] - 20.0])
-    # X and Y from -460 and -320, Z from the deepest point; a stop 9 mm above it.
+    # X and Y from -460 and -320, Z from the deepest point.
     frame = "F1800G21G90G94X201Y151Z20G92"
-    assert rig.board.executed == ["G21G90G94", "F9000X-259Y-169G53G1", frame, "Z9G1", "Z0G1", "G4P0"]
+    assert rig.board.executed == ["G21G90G94", "F9000X-259Y-169G53G1", frame, "Z0G1", "G4P0"]
     assert rig.machine.reading_m == pytest.approx((0.1, 0.05, 0.02))
     assert rig.results[-1].error_m < 1e-6 and rig.results[-1].duration_s > 0.5
     counts = rig.machine.counts
@@ -1740,7 +1740,7 @@ def test_a_link_that_is_lost_tells_of_a_servo_that_the_opened_port_leaves_limp()
 def test_a_link_that_is_lost_on_the_way_down_tells_of_a_stylus_that_no_report_has_shown_there(kind: str) -> None:
     """What the board has in its buffer goes on: the last that was heard of it was that it is up."""
     rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1))).homed()
-    order = "M3S800" if kind == "servo_m3" else "Z9G1"
+    order = "M3S800" if kind == "servo_m3" else "Z0G1"
     rig.go((0.3, 0.1, 0.0), (0.3, 0.1, 0.02))
     rig.until(lambda: order in rig.sent())
     assert rig.positions[-1][2] == 0.0

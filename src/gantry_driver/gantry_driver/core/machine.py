@@ -9,9 +9,8 @@ each upon the one before: ``connection`` (port, firmware, settings), ``stopping`
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
-from gantry_driver.core.connection import ASK_ALONE_S, READ_STARTUP, REFUSED
+from gantry_driver.core.connection import ASK_ALONE_S, REFUSED
 from gantry_driver.core.grbl_messages import (
     Alarm,
     Dialect,
@@ -26,29 +25,24 @@ from gantry_driver.core.grbl_messages import (
 )
 from gantry_driver.core.machine_states import Note, Phase, Position
 from gantry_driver.core.session import (
-    FULL_FEED,
-    FULL_SPINDLE,
     HOLD,
     Acknowledged,
     CountBroken,
     Refused,
     WasReset,
 )
-from gantry_driver.core.stopping import LOCKED, SAME_PLACE_MM, elsewhere
+from gantry_driver.core.stopping import elsewhere
 from gantry_driver.core.streaming import Streaming
 from gantry_driver.core.stylus_state import Stylus
 from gantry_driver.core.trajectory_gcode import lift_lines, reading_m, stylus_dwell
+from gantry_driver.core.wire.board_settings import READ_STARTUP
 from gantry_driver.core.wire.faults import MotionFault
-from gantry_driver.core.wire.watch import REPORT_LATE_S
+from gantry_driver.core.wire.proof import OWN_RESET
 from icu_common.core.results import Outcome
 
-OWN_RESET = "the board was reset by itself, its position is lost"
-ELSEWHERE = "the board stands elsewhere without a command from here, its position is lost"
 BANNER_TIMEOUT_S = 5.0
 CRITICAL_ALARM_PAUSE_S = 0.6
 """After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
-BEYOND_MM = 0.5
-"""Distance beyond the travel that a report may show: a switch that was set by hand, and rounding."""
 OFFSET_WITHIN_S = 1.0
 """Time after homing for two reports with a work offset; a board that tells none can be moved, but runs no program."""
 HOME = "$H"
@@ -318,30 +312,6 @@ class Machine(Streaming):
         elif self.phase in (Phase.IDLE, Phase.HOMING, Phase.LIFTING):
             self._halt(event.reason, now)
 
-    def _strayed(self, report: Report, now: float) -> str:
-        """Return why the place that a report tells is none where the board can have gone; empty if it can."""
-        place, before = report.mpos_mm, self._stood_mm
-        if not self.homed or place is None or before is None or self.phase is Phase.RESETTING:
-            return ""
-        if self.phase in (Phase.IDLE, Phase.STOPPED) and report.state == "Idle":
-            there = len(place) == len(before) and not elsewhere(place, before)
-        else:
-            there = self._can_be_at(place, before, now - self._stood_at)
-        if there:
-            return ""
-        return ELSEWHERE if any(place) else OWN_RESET
-
-    def _can_be_at(self, place: Sequence[float], before: Sequence[float], after_s: float) -> bool:
-        """Whether the axes can have gone from one place to the other, and neither lies outside the travel."""
-        machine, way_s = self.config.machine, after_s + REPORT_LATE_S
-        near = all(
-            abs(now_mm - was_mm) <= SAME_PLACE_MM + rate * way_s / 60.0
-            for now_mm, was_mm, rate in zip(place, before, machine.max_rate_mm_min)
-        )
-        axes = 3 if self.config.stylus.kind == "z_axis" else 2
-        inside = all(-t - BEYOND_MM <= p <= BEYOND_MM for p, t in zip(place[:axes], machine.travel_mm))
-        return near and inside and len(place) == len(before)
-
     def _on_report(self, report: Report, now: float) -> None:
         if report.state == "Alarm" and self.homed and self.phase not in (Phase.RESETTING, Phase.ALARM_RESET):
             self._handle_report(report, now)  # its place is none any more
@@ -391,23 +361,6 @@ class Machine(Streaming):
         if handler is not None:
             handler(report, now)
 
-    def _set_overrides_back(self, feed: float, _rapid: float, spindle: float) -> None:
-        """End what a pendant has raised: no touch is faster, and no servo elsewhere, than it is configured.
-
-        Somebody who slows the machine down does so with care, and is let.
-        """
-        self._feed_percent = feed
-        if self._goal is not None:
-            self._goal.slowest_percent = min(self._goal.slowest_percent, feed)
-        raised = feed > 100.0 or (spindle != 100.0 and self._is_servo())
-        if raised:
-            self.session.realtime(FULL_FEED)
-            self.session.realtime(FULL_SPINDLE)
-            if not self._raised:
-                told = f"the board's overrides were {feed:g} % (feed) and {spindle:g} % (spindle): set back to 100 %"
-                self._events.append(Note(level="warn", text=told))
-        self._raised = raised
-
     def _report_homing(self, report: Report, now: float) -> None:
         if not self._marker_done or report.state == "Home":
             return
@@ -436,18 +389,3 @@ class Machine(Streaming):
         self.reading_m = reading_m(report.mpos_mm, False, self.config)
         self._events.append(Position(reading_m=self.reading_m))
         self._enter(Phase.IDLE, now)
-
-    def _report_resting(self, report: Report, now: float) -> None:
-        if report.state == "Idle" or (report.state == "Alarm" and not self.homed):
-            return
-        if report.state == "Alarm":
-            self._to_alarm(LOCKED, now)
-        elif self.phase is Phase.STOPPED and report.state == "Door" and report.substate != 0:
-            limp = self._stylus.powerless(self.config.stylus.kind)  # an open door ends a servo's pulses
-            if limp is not self._stylus:
-                self._stylus = limp
-                self._enter(Phase.STOPPED, now, self.reason)
-        elif self.phase is Phase.STOPPED and report.state in ("Hold", "Door"):
-            self._halt(self.reason, now)
-        else:
-            self._halt(f"the board is in {report.state_text} without a command from here", now)

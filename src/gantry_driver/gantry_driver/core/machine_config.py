@@ -221,8 +221,8 @@ class DriverConfig(Config):
         )
         if self.clearance_m < needed_m:
             raise ConfigError(
-                f"clearance_m = {self.clearance_m:g}: {needed_m:.4f} m are needed to stop a damaged line above the panel; "
-                "raise clearance_m and the controller's hover_m, or lower max_rate_mm_min of z, or raise "
+                f"clearance_m = {self.clearance_m:g}: {needed_m:.4f} m are needed to stop a damaged line above the "
+                "panel; raise clearance_m and the controller's hover_m, or lower max_rate_mm_min of z, or raise "
                 "acceleration_mm_s2 of z or touch_status_rate_hz"
             )
 

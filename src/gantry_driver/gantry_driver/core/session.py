@@ -8,10 +8,8 @@ acknowledged, refused or lost, and a reset that nobody asked for is an event of 
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from gantry_driver.core.grbl_messages import (
     Alarm,
@@ -25,6 +23,31 @@ from gantry_driver.core.grbl_messages import (
     Report,
     parse_line,
 )
+from gantry_driver.core.wire.lines import (
+    MAX_LINE_BYTES,
+    Acknowledged,
+    CountBroken,
+    Counts,
+    Line,
+    Refused,
+    StrayAnswer,
+    WasReset,
+    answers_missing,
+    plain,
+)
+
+__all__ = [
+    "MAX_LINE_BYTES",
+    "Acknowledged",
+    "CountBroken",
+    "Counts",
+    "GrblSession",
+    "Line",
+    "Refused",
+    "StrayAnswer",
+    "WasReset",
+    "plain",
+]
 
 HOLD = b"!"
 RESUME = b"~"
@@ -34,8 +57,6 @@ FULL_FEED, FULL_SPINDLE = b"\x90", b"\x99"
 """Set the overrides back to 100 %."""
 
 DEFAULT_RX_BYTES = 128
-MAX_LINE_BYTES = 80
-"""Newline included; GRBL answers error:11 to longer ones."""
 EEPROM_PAUSE_S = 0.05
 """After the ``ok`` of an EEPROM write; without it bytes were lost in trials."""
 WIRE_BOUND_REPORTS = 3
@@ -52,124 +73,8 @@ again; a board that was only held up answers both, see docs/decisions/stopping.m
 REPORTS_APART_S = 1.0
 """A pause between two reports that is longer by so much is no time in which the board was idle: it may be homing."""
 
-ARRIVED_S = 0.3
-"""Age from which a line must be in the board's buffer, on a busy computer and behind a slow adapter as well."""
 MISSING_REPORTS = 2
 LOST_LINE = "the board has taken lines that it has not answered: a line or its answer was lost on the wire"
-
-_WAITS = re.compile(r"[$M]|G0*(?:4|10|43|49|5[4-9]|92)(?!\d)", re.IGNORECASE)
-"""Lines that are answered later: dwells, spindle, ``$`` commands, and new offsets, which wait for all motion."""
-_ACTS = re.compile(r"[$F]|M0*[3478](?!\d)|G0*(?:28|30)(?!\d)|[XYZ](?!.*G0*(?:[123]|92)\Z)", re.IGNORECASE)
-"""What a board that has just been reset would obey: see docs/decisions/lines-after-a-reset.md."""
-_EEPROM = re.compile(r"\$(?!J=)[^=]*=|\$RST|G0*10(?!\d).*L0*20?(?!\d)|G0*28\.10*(?!\d)|G0*30\.10*(?!\d)", re.IGNORECASE)
-
-
-def plain(value: float, digits: int = 3) -> str:
-    """Return a number in as few bytes as it has with so many digits behind the point."""
-    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
-    return "0" if text in ("-0", "") else text
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
-    """A line for the board: ``number`` counts from 1 within the session, ``text`` has no newline.
-
-    Parameters
-    ----------
-    eeprom
-        Whether it blocks the board's reception while it is executed.
-    alone
-        Whether nothing else may be under way with it: ``$`` commands, EEPROM writes, and whatever a board that has been
-        reset meanwhile would still obey, be it to move, to lower a stylus, or to take a feed for the moves behind it.
-    """
-
-    number: int
-    text: str
-    answer_within_s: float
-    eeprom: bool = False
-    alone: bool = False
-
-    @classmethod
-    def of(cls, number: int, text: str, answer_within_s: float) -> Line:
-        """Return the line with what its text says about it; asked once, not at every turn of the link."""
-        eeprom = _EEPROM.search(text) is not None
-        alone = eeprom or _ACTS.search(text) is not None
-        return cls(number=number, text=text, answer_within_s=answer_within_s, eeprom=eeprom, alone=alone)
-
-    @property
-    def size(self) -> int:
-        """Bytes in the receive buffer, newline included."""
-        return len(self.text) + 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Acknowledged(Message):
-    """The board has taken the line (planned, not executed)."""
-
-    line: Line
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Refused(Message):
-    """The board has answered ``error:N`` to the line."""
-
-    line: Line
-    code: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WasReset(Message):
-    """A banner came; what was under way is lost.
-
-    Parameters
-    ----------
-    banner
-        As received.
-    expected
-        Whether this side had asked for the reset, be it by a retry that a board which was held up answers, too.
-    lost
-        Lines sent and not answered: the board may have executed none, some or all of them.
-    unsent
-        Lines that were still queued here.
-    """
-
-    banner: Banner
-    expected: bool
-    lost: tuple[Line, ...]
-    unsent: tuple[Line, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StrayAnswer(Message):
-    """An answer to nothing that is under way."""
-
-    answer: Message
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CountBroken(Message):
-    """The counting no longer fits what the board says; the lines under way must be thrown away."""
-
-    reason: str
-
-
-@dataclass(slots=True, kw_only=True)
-class Counts:
-    """Running totals since the start of the process."""
-
-    sent: int = 0
-    acknowledged: int = 0
-    executed: int = 0
-    refused: int = 0
-    lost: int = 0
-    resets: int = 0
-    alarms: int = 0
-    stray: int = 0
-    garbage: int = 0
-    reports: int = 0
-    disbelieved: int = 0
-    bytes_sent: int = 0
-    bytes_received: int = 0
 
 
 class GrblSession:
@@ -371,7 +276,7 @@ class GrblSession:
                 f"the board holds {self._rx_room - report.rx_free} bytes, {self._in_flight_bytes} are under way: "
                 "an answer came that belongs to no line"
             )
-        self._short_reports = self._short_reports + 1 if self._answers_missing(report, now) else 0
+        self._short_reports = self._short_reports + 1 if self._lacks_answers(report, now) else 0
         if self._short_reports == MISSING_REPORTS:
             self._short_reports = 0
             return LOST_LINE
@@ -387,25 +292,11 @@ class GrblSession:
             return f"no answer to {line.text!r} within {line.answer_within_s:g} s although the board is at rest"
         return ""
 
-    def _answers_missing(self, report: Report, now: float) -> bool:
-        """Whether the board has taken lines out of its buffer that it should have answered before this report.
-
-        Answers and reports come in one order. Of what was sent long enough ago the board holds all but the line that it
-        is working on: with a full planner, or a dwell, that is one; otherwise none.
-        """
+    def _lacks_answers(self, report: Report, now: float) -> bool:
         if report.rx_free < 0 or report.planner_free < 0 or report.state not in ("Idle", "Run"):
             return False
-        arrived = [line for line, sent_at in self._in_flight if now - sent_at > ARRIVED_S]
-        missing = sum(line.size for line in arrived) - (self._rx_room - report.rx_free)
-        if missing <= 0:
-            return False
-        first = arrived[0]
-        waits = first.eeprom or _WAITS.search(first.text) is not None
-        if first.text == "G4P0" and report.state == "Idle":
-            waits = False
-        if waits or report.planner_free <= 1:
-            return missing > max(line.size for line in arrived)
-        return True
+        held = self._rx_room - report.rx_free
+        return answers_missing(self._in_flight, held, now, idle=report.state == "Idle", full=report.planner_free <= 1)
 
     def _banner(self, banner: Banner, now: float) -> list[Message]:
         # A board that was held up answers the reset and its retry, one after the other.

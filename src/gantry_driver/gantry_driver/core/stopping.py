@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gantry_driver.core.connection import HOLD_REPEAT_S, REFUSED, Connection
+from gantry_driver.core.connection import HOLD_REPEAT_S, REFUSED
 from gantry_driver.core.grbl_messages import Dialect, Report
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Note, Phase
 from gantry_driver.core.session import HOLD, RESUME
 from gantry_driver.core.stylus_state import STYLUS_DOWN_M, Stylus
 from gantry_driver.core.trajectory_gcode import lift_lines
+from gantry_driver.core.wire.board_settings import BoardSettings
 from gantry_driver.core.wire.watch import TUBE_MM
 from icu_common.core.results import Outcome
 
@@ -27,7 +28,7 @@ SWITCHED_OFF_BY = dict.fromkeys((Dialect.GRBL, Dialect.GRBLHAL), frozenset((1, 2
 LOCKED = "the board is locked by an alarm whose number was not received"
 
 
-class Stopping(Connection):
+class Stopping(BoardSettings):
     """One board that can be brought to rest."""
 
     def __init__(self, config: DriverConfig, *, active: bool = True, left_down: bool = False) -> None:
@@ -205,6 +206,21 @@ class Stopping(Connection):
             self.session.poll_now()
         elif report.state in ("Idle", "Alarm"):
             self._after_reset(report, now)
+
+    def _report_resting(self, report: Report, now: float) -> None:
+        if report.state == "Idle" or (report.state == "Alarm" and not self.homed):
+            return
+        if report.state == "Alarm":
+            self._to_alarm(LOCKED, now)
+        elif self.phase is Phase.STOPPED and report.state == "Door" and report.substate != 0:
+            limp = self._stylus.powerless(self.config.stylus.kind)  # an open door ends a servo's pulses
+            if limp is not self._stylus:
+                self._stylus = limp
+                self._enter(Phase.STOPPED, now, self.reason)
+        elif self.phase is Phase.STOPPED and report.state in ("Hold", "Door"):
+            self._halt(self.reason, now)
+        else:
+            self._halt(f"the board is in {report.state_text} without a command from here", now)
 
     def _report_lifting(self, report: Report, now: float) -> None:
         if report.state == "Alarm":

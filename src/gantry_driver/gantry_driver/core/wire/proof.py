@@ -7,22 +7,26 @@ from collections.abc import Sequence
 
 from gantry_driver.core.grbl_messages import Report
 from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Phase
-from gantry_driver.core.session import HOLD, RESUME, Line
-from gantry_driver.core.stopping import Stopping
+from gantry_driver.core.machine_states import Note, Phase
+from gantry_driver.core.session import FULL_FEED, FULL_SPINDLE, HOLD, RESUME, Line
+from gantry_driver.core.stopping import SAME_PLACE_MM, Stopping, elsewhere
 from gantry_driver.core.stylus_state import Stylus
 from gantry_driver.core.trajectory_gcode import may_be_down_after, reading_m
 from gantry_driver.core.wire.faults import MotionFault
 from gantry_driver.core.wire.goal import Goal, Reading
 from gantry_driver.core.wire.modes import ASK_MODES
 from gantry_driver.core.wire.stages import CLEAR_FRAME, FEED_WORD, Confirm
-from gantry_driver.core.wire.watch import PathWatch
+from gantry_driver.core.wire.watch import REPORT_LATE_S, PathWatch
 from icu_common.core.results import Outcome
 
 CONFIRM_TRIES = 4
 """Number of times that modes, feed and frame are sent and asked for."""
 ELSEWHERE_S = 0.1
 """Seconds for which a board must be at rest elsewhere: it starts a move a moment after it has acknowledged the line."""
+OWN_RESET = "the board was reset by itself, its position is lost"
+ELSEWHERE = "the board stands elsewhere without a command from here, its position is lost"
+BEYOND_MM = 0.5
+"""Distance beyond the travel that a report may show: a switch that was set by hand, and rounding."""
 FRAME_MM = 0.02
 """Largest difference between the frame and the reported one: a motor step, for lines end between two of them."""
 QUEUED_LINES = 600
@@ -209,6 +213,47 @@ class Proving(Stopping):
         self._stylus = self._stylus.settled()
         self._enter(Phase.IDLE, now)
         self._finish(Outcome.REACHED, "", now, error_m)
+
+    def _strayed(self, report: Report, now: float) -> str:
+        """Return why the place that a report tells is none where the board can have gone; empty if it can."""
+        place, before = report.mpos_mm, self._stood_mm
+        if not self.homed or place is None or before is None or self.phase is Phase.RESETTING:
+            return ""
+        if self.phase in (Phase.IDLE, Phase.STOPPED) and report.state == "Idle":
+            there = len(place) == len(before) and not elsewhere(place, before)
+        else:
+            there = self._can_be_at(place, before, now - self._stood_at)
+        if there:
+            return ""
+        return ELSEWHERE if any(place) else OWN_RESET
+
+    def _can_be_at(self, place: Sequence[float], before: Sequence[float], after_s: float) -> bool:
+        """Whether the axes can have gone from one place to the other, and neither lies outside the travel."""
+        machine, way_s = self.config.machine, after_s + REPORT_LATE_S
+        near = all(
+            abs(now_mm - was_mm) <= SAME_PLACE_MM + rate * way_s / 60.0
+            for now_mm, was_mm, rate in zip(place, before, machine.max_rate_mm_min)
+        )
+        axes = 3 if self.config.stylus.kind == "z_axis" else 2
+        inside = all(-t - BEYOND_MM <= p <= BEYOND_MM for p, t in zip(place[:axes], machine.travel_mm))
+        return near and inside and len(place) == len(before)
+
+    def _set_overrides_back(self, feed: float, _rapid: float, spindle: float) -> None:
+        """End what a pendant has raised: no touch is faster, and no servo elsewhere, than it is configured.
+
+        Somebody who slows the machine down does so with care, and is let.
+        """
+        self._feed_percent = feed
+        if self._goal is not None:
+            self._goal.slowest_percent = min(self._goal.slowest_percent, feed)
+        raised = feed > 100.0 or (spindle != 100.0 and self._is_servo())
+        if raised:
+            self.session.realtime(FULL_FEED)
+            self.session.realtime(FULL_SPINDLE)
+            if not self._raised:
+                told = f"the board's overrides were {feed:g} % (feed) and {spindle:g} % (spindle): set back to 100 %"
+                self._events.append(Note(level="warn", text=told))
+        self._raised = raised
 
 
 def three(values: Sequence[float]) -> Reading:

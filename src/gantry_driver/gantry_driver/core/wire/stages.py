@@ -1,8 +1,9 @@
 """A path cut into stages: each ends at rest, where reports must prove that the board has come to the end of it.
 
-A stage ends at every extreme of z, where the path turns back, and above every way down, ``clearance_m`` before its
-deepest point. The lines of the next stage go out only after that proof, so that whatever happens to a line on the way
-down, the stylus is above the panel until the board has reported that it is where it should be.
+A stage ends at every extreme of z, where the path turns back, and ``clearance_m`` above the deepest point of a way
+down that also goes sideways, or is not written in the frame below. The lines of the next stage go out only after that
+proof: whatever happens to a line on the way down, the stylus is above the panel until the board has reported that it
+is where it should be.
 
 Where the stylus is extended, lines are written in a frame of their own (``G92``) in which the deepest point of the
 path is Z0 and X and Y are 100 to 999. The board reports frame and modes before the first of these lines is sent. A line
@@ -196,14 +197,14 @@ def make_script(
         The work offset of a frame that is in force.
     """
     z_axis = config.stylus.kind == "z_axis"
-    stages = _z_stages(motion, config) if z_axis else _order_stages(motion)
+    framed = framed and config.machine.sign(2) < 0.0
+    stages = _z_stages(motion, config, framed) if z_axis else _order_stages(motion)
     stages = stages or [Stage(start_mm=motion.start_mm, end_mm=motion.start_mm)]
     first = next((n for n, stage in enumerate(stages) if stage.touching), None)
     origin = None
     if z_axis and first is not None:
         places = [motion.start_mm, *(move.end_mm for move in motion.moves)]
         deepest = max(places, key=lambda place: _depth_mm(place, config))[2]
-        framed = framed and config.machine.sign(2) < 0.0
         origin = frame_origin(deepest, config) if framed else None
         first = _prepare(stages, first, origin, frame_mm, config)
     if first != 0 and not stages[0].head:
@@ -264,14 +265,18 @@ def _turns_back(one: Move, other: Move) -> bool:
     return product > 0.0 and sum(a * b for a, b in zip(first, second)) < _TURNED_BACK * product
 
 
-def _z_stages(motion: Motion, config: DriverConfig) -> list[Stage]:
+def _z_stages(motion: Motion, config: DriverConfig, framed: bool) -> list[Stage]:
     moves: list[Move] = []
     ends: set[int] = set()
     """Numbers of moves at whose ends a stage ends."""
     run: list[Move] = []
     for move in [*motion.moves, None]:
         if run and (move is None or _direction(move, config) != 1):
-            _go_down(run, moves, ends, 1000.0 * config.clearance_m, config)
+            if framed and all(m.start_mm[:2] == m.end_mm[:2] for m in run):
+                # It begins at rest above its place, and no damaged line of the frame goes deeper than its end.
+                moves += run
+            else:
+                _go_down(run, moves, ends, config)
             run = []
         if move is None:
             break
@@ -292,9 +297,9 @@ def _z_stages(motion: Motion, config: DriverConfig) -> list[Stage]:
     return stages
 
 
-def _go_down(run: Sequence[Move], moves: list[Move], ends: set[int], clearance_mm: float, config: DriverConfig) -> None:
-    """Append the moves of one way down, cut where it is ``clearance_mm`` above its end."""
-    stop = _depth_mm(run[-1].end_mm, config) - clearance_mm
+def _go_down(run: Sequence[Move], moves: list[Move], ends: set[int], config: DriverConfig) -> None:
+    """Append the moves of one way down, cut where it is ``clearance_m`` above its end."""
+    stop = _depth_mm(run[-1].end_mm, config) - 1000.0 * config.clearance_m
     if stop - _depth_mm(run[0].start_mm, config) < DOWN_MM:
         stop = -math.inf  # it begins there
     for move in run:
