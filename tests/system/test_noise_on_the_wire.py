@@ -86,9 +86,6 @@ def falsehoods(name: str, answer: GoalResult, events: list[dict[str, Any]]) -> l
     return found
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the driver believes a single report, and does not compare the board with the path"
-)
 def test_every_answer_is_true_while_bytes_are_damaged(
     noisy_graph: tuple[RunningGraph, DamagingProxy], operator: Operator
 ) -> None:
