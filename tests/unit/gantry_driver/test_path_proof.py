@@ -65,6 +65,12 @@ def test_a_late_report_may_be_farther_along() -> None:
     assert tube.check((99.0, 0.0, 0.0), 6000.0, 0.05) is not None
 
 
+def test_a_report_that_a_busy_computer_read_late_is_older_than_its_arrival() -> None:
+    tube = watch((0.0, 0.0, 0.0), (200.0, 0.0, 0.0))
+    assert tube.check((4.0, 0.0, 0.0), 6000.0, 0.84, asked_at=0.04) is None, "read 0.8 s late"
+    assert tube.check((86.0, 0.0, 0.0), 6000.0, 0.86, asked_at=0.85) is None
+
+
 def test_a_feed_above_the_highest_of_the_path_has_left_it() -> None:
     tube = watch((0.0, 0.0, 0.0), (100.0, 0.0, 0.0), feed=600.0)
     assert tube.check((0.5, 0.0, 0.0), 600.0, 0.04) is None
@@ -126,6 +132,13 @@ def test_a_retreat_in_the_frame_of_its_touch_is_not_asked_for_its_modes() -> Non
 def test_a_board_that_keeps_offsets_over_a_reset_gets_no_frame_but_the_same_stops() -> None:
     lines = script((0.1, 0.05, 0.02), start=(0.1, 0.05, 0.0), framed=False).lines(CONFIG)
     assert lines == ["F1800G21G90G94", "$G", "Z-12G53G1", "Z-21G53G1", "G4P0"]
+
+
+def test_the_time_of_a_path_counts_with_the_rate_of_a_slow_axis() -> None:
+    slow = DriverConfig(machine=MachineConfig(max_rate_mm_min=(12000.0, 12000.0, 300.0)))
+    motion = write_motion(JOINTS, [Waypoint(positions_m=(0.0, 0.0, 0.05))], (0.0, 0.0, 0.0), slow)
+    limit_s = make_script(motion, slow, framed=True, frame_mm=None).limit_s
+    assert 2.0 * 10.0 < limit_s < 2.0 * 10.0 + 4.0, "50 mm at 5 mm/s, though the feed is 30 mm/s"
 
 
 def flips(line: str) -> set[str]:

@@ -323,7 +323,7 @@ class Machine(Streaming):
             alike = last is not None and place is not None and self._can_be_at(place, last, now - self._moved_at)
             if self._moved_mm == place or (alike and self.phase not in (Phase.IDLE, Phase.STOPPED)):
                 self._on_own_reset(strayed, self.session.pending, now)
-            self._moved_mm, self._moved_at = place, now
+            self._moved_mm, self._moved_at = place, self.session.report_asked_at
             self.counts.disbelieved += 1
             self.session.poll_now()
             return
@@ -333,7 +333,8 @@ class Machine(Streaming):
             self.counts.disbelieved += 1
             return
         if self.phase is not Phase.RESETTING:
-            self._stood_mm, self._stood_at, self._moved_mm = report.mpos_mm, now, None
+            asked_at = self.session.report_asked_at
+            self._stood_mm, self._stood_at, self._moved_mm = report.mpos_mm, asked_at, None
         stood = self._stood_mm
         moved = self.phase is Phase.RESETTING and stood and report.mpos_mm and elsewhere(report.mpos_mm, stood)
         if self.homed and report.mpos_mm is not None and not moved:

@@ -73,6 +73,8 @@ again; a board that was only held up answers both, see docs/decisions/stopping.m
 REPORTS_APART_S = 1.0
 """A pause between two reports that is longer by so much is no time in which the board was idle: it may be homing."""
 
+QUESTIONS = 3
+"""Questions for a report that may be on their way; an older one was lost, or its report."""
 MISSING_REPORTS = 2
 LOST_LINE = "the board has taken lines that it has not answered: a line or its answer was lost on the wire"
 
@@ -111,6 +113,10 @@ class GrblSession:
         """The work offset that the board has reported since its reset: its memory's G54 and what was added."""
         self._unanswered_since: float | None = None
         self._roomy_reports = 0
+        self._asked: deque[float] = deque()
+        """When the reports were asked for that have not come."""
+        self.report_asked_at = 0.0
+        """When the last report was asked for: it was made after that, however late it came."""
         self.last_report_at: float | None = None
         self.polling = False
         self.tells_mpos = False
@@ -134,6 +140,7 @@ class GrblSession:
         self._planner_blocks = 0
         self._planner_room = self._rx_room = self._rx_empty = -1
         self.last_report_at = None
+        self._asked.clear()
         self.wco_mm, self.wco_is_sure = None, False
         self._quiet_until = self._next_poll = now
 
@@ -237,6 +244,7 @@ class GrblSession:
     def _report(self, report: Report, now: float) -> list[Message]:
         self.counts.reports += 1
         before, self.last_report_at = self.last_report_at, now
+        self.report_asked_at = self._asked.popleft() if self._asked else now
         if before is None or now - before > self.poll_interval_s + REPORTS_APART_S:
             self._unanswered_since = None
         events: list[Message] = []
@@ -311,6 +319,7 @@ class GrblSession:
         self.wco_mm, self.wco_is_sure = None, False
         self._planner_room = self._rx_room = self._rx_empty = -1
         self.last_report_at = now
+        self._asked.clear()
         return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]
 
     def _drop_queue(self) -> tuple[Line, ...]:
@@ -347,6 +356,9 @@ class GrblSession:
         self._resets_unanswered += out.count(SOFT_RESET)
         if self._may_poll() and now >= self._next_poll and now >= self._quiet_until:
             out += STATUS
+            while len(self._asked) >= QUESTIONS:
+                self._asked.popleft()
+            self._asked.append(now)
             rare = self.polls_spared and bool(self._queue) and self._wire_bound and not self.paused
             self._next_poll = now + (max(self.poll_interval_s, WIRE_BOUND_POLL_S) if rare else self.poll_interval_s)
         while self._may_send(now):

@@ -131,7 +131,9 @@ class Proving(Stopping):
         if goal is None or goal.watch is None or report.mpos_mm is None or self.phase is not Phase.MOVING:
             return False
         raised = max(self._feed_percent, 100.0) / 100.0
-        deviation = goal.watch.check(report.mpos_mm, (report.feed_mm_min or 0.0) / raised, now)
+        deviation = goal.watch.check(
+            report.mpos_mm, (report.feed_mm_min or 0.0) / raised, now, self.session.report_asked_at
+        )
         if deviation is None:
             if goal.doubt is not None:
                 goal.doubt = None

@@ -350,16 +350,19 @@ def _stylus_items(order: Order, config: DriverConfig) -> Iterator[Item]:
 def _limit_s(motion: Motion, stages: Sequence[Stage], config: DriverConfig) -> float:
     """Return twice the expected duration and a surplus.
 
-    The expected duration has the moves at their feeds, what the axes need to speed up and to slow down again wherever
-    the path has a corner, the lines, and the proofs.
+    The expected duration has the moves at their feeds or at the slower rate of an axis, what the axes need to speed up
+    and to slow down again wherever the path has a corner, the dwells, the lines, and the proofs.
     """
-    seconds = motion.seconds + STAGE_S * len(stages) + LINE_S * len(motion.parts)
+    orders = len(motion.parts) - len(motion.moves)
+    seconds = STAGE_S * len(stages) + LINE_S * len(motion.parts) + config.stylus.dwell_s * orders
     slowest = min(config.machine.acceleration_mm_s2)
     before: Move | None = None
     for move in motion.moves:
+        change = [abs(b - a) for a, b in zip(move.start_mm, move.end_mm)]
+        length = math.hypot(*change)
+        rates = zip(change, config.machine.max_rate_mm_min)
+        seconds += 60.0 * max(length / float(move.feed), *(c / rate for c, rate in rates))
         if before is None or _corner(before, move):
-            change = [abs(b - a) for a, b in zip(move.start_mm, move.end_mm)]
-            length = math.hypot(*change)
             limits = [a * length / c for a, c in zip(config.machine.acceleration_mm_s2, change) if c > 0.0]
             speed, acceleration = float(move.feed) / 60.0, min(limits, default=slowest)
             seconds += min(speed / acceleration, 2.0 * math.sqrt(length / acceleration))

@@ -15,8 +15,9 @@ Vector = tuple[float, float, float]
 
 TUBE_MM = 0.15
 """Radius of the tube: at most two motor steps of each axis at 80 steps/mm, and a report that is read in mid-step."""
-REPORT_LATE_S = 0.2
-"""Duration by which the time between two reports may exceed that between their arrivals."""
+REPORT_LATE_S = 0.1
+"""Duration by which the time between two positions may exceed that from the first one's question to the second one's
+report: a question that was lost, and clocks that differ."""
 FEED_SHARE, FEED_MM_MIN = 1.05, 30.0
 """Factor and surplus of the feed that a report may show beyond the path's: rounding of F words and of reports."""
 _STRAIGHT = 1.0 - 1e-9
@@ -101,14 +102,19 @@ class PathWatch:
         """Return the distance of a position from the path's end, in mm."""
         return math.dist(mpos_mm[: self._axes], self._end_mm[: self._axes])
 
-    def check(self, mpos_mm: tuple[float, ...], feed_mm_min: float, now: float) -> Deviation | None:
-        """Return how a report deviates; None, and the watch has followed it, if it does not."""
+    def check(
+        self, mpos_mm: tuple[float, ...], feed_mm_min: float, now: float, asked_at: float | None = None
+    ) -> Deviation | None:
+        """Return how a report deviates; None, and the watch has followed it, if it does not.
+
+        The board made it between ``asked_at`` and ``now``; a busy computer may read it late.
+        """
         place = mpos_mm[: self._axes]
         reach_mm = self._high_mm + self._feed / 60.0 * (now - self._at + REPORT_LATE_S) + TUBE_MM
         low, high = self._matched(place, reach_mm)
         too_fast = feed_mm_min > self.feed_limit_mm_min
         if low <= high and not too_fast:
-            self._low_mm, self._high_mm, self._at = low, high, now
+            self._low_mm, self._high_mm, self._at = low, high, now if asked_at is None else asked_at
             return None
         return Deviation(
             at_mm=mpos_mm,
