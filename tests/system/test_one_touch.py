@@ -43,8 +43,12 @@ def screen_pixels(operator: Operator) -> np.ndarray:
     return picture
 
 
+MOTION = re.compile("G1|G92$")
+"""A move, or the frame that the moves behind it are written in."""
+
+
 def motion_lines(graph: Any, since: int) -> list[str]:
-    return [e["text"] for e in graph.board_log()[since:] if e["kind"] == "line" and "G1" in e["text"]]
+    return [e["text"] for e in graph.board_log()[since:] if e["kind"] == "line" and MOTION.search(e["text"])]
 
 
 def test_press_of_a_named_control_stops_the_scope(running_graph: Any, operator: Operator) -> None:
@@ -63,11 +67,12 @@ def test_press_of_a_named_control_stops_the_scope(running_graph: Any, operator: 
     assert [e["control"] for e in events if e["event"] == "press"] == ["RUN_STOP"]
     assert bench.ask(do="truth")["instrument"]["running"] is (not before)
     lines = motion_lines(running_graph, log_start)
-    assert all(line.endswith("G53G1") for line in lines), lines
-    deepest = min(float(line.split("Z")[1].split("G")[0]) for line in lines if "Z" in line)
+    assert all(line.endswith(("G1", "G92")) for line in lines), lines
+    # Each frame begins where the stylus stands: so much above its deepest place, from the top on.
+    deepest = -1.0 - sum(float(line.split("Z")[1].split("G")[0]) for line in lines if line.endswith("G92"))
     assert -40.0 < deepest < -25.0, "the stylus went down to the button, 3 mm above the panel's face at z = -35 mm"
     place = np.array(next(e["tip_base_m"] for e in events if e["event"] == "press")[:2]) * 1000
-    sent = [re.fullmatch(r".*X(-?[\d.]+)Y(-?[\d.]+).*", line) for line in lines]
+    sent = [re.fullmatch(r".*X(-?[\d.]+)Y(-?[\d.]+)G53.*", line) for line in lines]
     over = np.array([(float(m[1]) + 359, float(m[2]) + 219) for m in sent if m])  # readings: 0 at the homed corner
     assert np.hypot(*(over[-1] - place)) < 2.0, "the last place that the board was told is where the tip was"
 
