@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test check bench campaign golden soak story docs setup clean picture
+.PHONY: help demo test check bench campaign damage noise golden soak story docs setup clean picture
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -40,6 +40,18 @@ CAMPAIGN_SEEDS ?= 1000
 campaign: ## seeded faults against the mock board; CAMPAIGN_SEEDS=5000, or FIRST:LAST to repeat some
 	@scripts/setup.sh dev
 	@PYTHONPATH=tests:$$PYTHONPATH $(VENV)/python -m campaign.run --seeds $(CAMPAIGN_SEEDS)
+
+DAMAGE_SEEDS ?= 20000
+DAMAGE_DIRECTION ?= both
+damage: ## damaged bytes between driver and mock board; DAMAGE_SEEDS=FIRST:LAST and DAMAGE_DIRECTION=to_board repeat some
+	@scripts/setup.sh dev
+	@PYTHONPATH=tests:$$PYTHONPATH $(VENV)/python -m campaign.damage --seeds $(DAMAGE_SEEDS) \
+		--direction $(DAMAGE_DIRECTION) --out artifacts/damage
+
+NOISE_MINUTES ?= 10
+noise: ## presses on the whole graph for NOISE_MINUTES=10 while one byte in 500 is damaged on the wire
+	@scripts/setup.sh dev
+	@NOISE_MINUTES=$(NOISE_MINUTES) $(VENV)/python -m pytest -s tests/system/test_noise_on_the_wire.py
 
 SOAK_MINUTES ?= 30
 soak: ## the whole graph at full rate for SOAK_MINUTES=30: memory, files, threads and delay must stay flat

@@ -29,8 +29,10 @@ KERNEL_BYTES = 4096
 class VirtualRig:
     """One run; ``now`` is the only clock, in seconds for both sides."""
 
-    def __init__(self, config: DriverConfig, seed: int, dialect: str = "GRBL") -> None:
-        self.mock = MockMachine(make_eeprom({}), board=BoardOptions(dialect=dialect), seed=seed)
+    def __init__(
+        self, config: DriverConfig, seed: int, dialect: str = "GRBL", make_mock: type[MockMachine] = MockMachine
+    ) -> None:
+        self.mock = make_mock(make_eeprom({}), board=BoardOptions(dialect=dialect), seed=seed)
         self.board = self.mock.board
         self.machine = Machine(config)
         self.machine.heartbeat(math.inf)

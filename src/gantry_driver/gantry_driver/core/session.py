@@ -75,7 +75,8 @@ REPORTS_APART_S = 1.0
 
 QUESTIONS = 3
 """Questions for a report that may be on their way; an older one was lost, or its report."""
-MISSING_REPORTS = 2
+MISSING_REPORTS = SURPLUS_REPORTS = 2
+"""Reports in a row that must show an answer too few, or too many: one report may be damaged."""
 LOST_LINE = "the board has taken lines that it has not answered: a line or its answer was lost on the wire"
 
 
@@ -102,6 +103,10 @@ class GrblSession:
         self._planner_room = -1
         self._rx_room = -1
         self._rx_empty = -1
+        self._free_before = -1, -1
+        """Free planner blocks and bytes of the report before."""
+        self._surplus_reports = 0
+        """Reports in a row by which the board holds more bytes than are under way."""
         self._quiet_until = 0.0
         self._next_poll = 0.0
         self._reset_at = 0.0
@@ -143,6 +148,8 @@ class GrblSession:
         self.rx_bytes = DEFAULT_RX_BYTES
         self._planner_blocks = 0
         self._planner_room = self._rx_room = self._rx_empty = -1
+        self._free_before = -1, -1
+        self._surplus_reports = 0
         self.last_report_at, self.unread_report, self.unplaced_reports = None, b"", 0
         self._asked.clear()
         self.wco_mm, self.wco_is_sure = None, False
@@ -262,9 +269,11 @@ class GrblSession:
             mpos = tuple(w + o for w, o in zip(report.wpos_mm, self.wco_mm))
             report = dataclasses.replace(report, mpos_mm=mpos)
         self.unplaced_reports = self.unplaced_reports + 1 if report.mpos_mm is None else 0
-        # The largest free sizes since the banner are the empty buffers.
-        self._planner_room = max(self._planner_room, report.planner_free)
-        self._rx_room = max(self._rx_room, report.rx_free)
+        planner_before, rx_before = self._free_before
+        empty = report.state == "Idle" and not self._in_flight
+        self._planner_room = _room(self._planner_room, report.planner_free, planner_before, empty=empty)
+        self._rx_room = _room(self._rx_room, report.rx_free, rx_before, empty=empty)
+        self._free_before = report.planner_free, report.rx_free
         if report.rx_free >= 0 and not self._in_flight:
             self._rx_empty = report.rx_free
         if report.planner_free <= 1:
@@ -274,7 +283,7 @@ class GrblSession:
         # A line makes at least no block and each block in the planner waits, so this never counts too many; where a
         # board does not report its planner ($10=1), it may be full.
         if report.planner_free >= 0:
-            self._executed(self.counts.acknowledged - (self._planner_room - report.planner_free))
+            self._executed(self.counts.acknowledged - max(self._planner_room - report.planner_free, 0))
         elif self._planner_blocks:
             self._executed(self.counts.acknowledged - self._planner_blocks)
         broken = self._contradiction(report, now)
@@ -286,7 +295,10 @@ class GrblSession:
     def _contradiction(self, report: Report, now: float) -> str:
         if self.awaiting_banner:
             return ""
-        if report.rx_free >= 0 and self._rx_room - report.rx_free > self._in_flight_bytes:
+        surplus = report.rx_free >= 0 and self._rx_room - report.rx_free > self._in_flight_bytes
+        self._surplus_reports = self._surplus_reports + 1 if surplus else 0
+        if self._surplus_reports == SURPLUS_REPORTS:
+            self._surplus_reports = 0
             return (
                 f"the board holds {self._rx_room - report.rx_free} bytes, {self._in_flight_bytes} are under way: "
                 "an answer came that belongs to no line"
@@ -308,7 +320,8 @@ class GrblSession:
         return ""
 
     def _lacks_answers(self, report: Report, now: float) -> bool:
-        if report.rx_free < 0 or report.planner_free < 0 or report.state not in ("Idle", "Run"):
+        known = min(self._rx_room, report.rx_free, report.planner_free) >= 0
+        if not known or report.rx_free > self._rx_room or report.state not in ("Idle", "Run"):
             return False
         held = self._rx_room - report.rx_free
         return answers_missing(self._in_flight, held, now, idle=report.state == "Idle", full=report.planner_free <= 1)
@@ -325,6 +338,8 @@ class GrblSession:
         self.paused = False
         self.wco_mm, self.wco_is_sure = None, False
         self._planner_room = self._rx_room = self._rx_empty = -1
+        self._free_before = -1, -1
+        self._surplus_reports = 0
         self.last_report_at = now
         self._asked.clear()
         return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]
@@ -415,3 +430,16 @@ class GrblSession:
     def silent_for(self, now: float) -> float:
         """Return the seconds since the last report or banner; 0 before polling has begun."""
         return 0.0 if self.last_report_at is None or not self.polling else now - self.last_report_at
+
+
+def _room(size: int, free: int, before: int, *, empty: bool) -> int:
+    """Return the size of a buffer by what two reports in a row say is free; -1 for an unknown one.
+
+    The largest free size since the banner is the size. One larger report may be damaged, so the second one counts, and
+    two equal ones of an empty buffer count whatever was believed before.
+    """
+    if free < 0:
+        return size
+    if size < 0 or (empty and free == before):
+        return free
+    return max(size, min(free, before))

@@ -13,7 +13,7 @@ from typing import Any
 from gantry_driver.mock.firmware.board import Board
 from gantry_driver.mock.firmware.options import BoardOptions
 from gantry_driver.mock.mechanics import Mechanics, MechanicsOptions
-from gantry_driver.mock.serial_line import AnswerFault, Outbound
+from gantry_driver.mock.serial_line import AnswerFault, Damage, Inbound, Outbound
 from gantry_driver.mock.settings import Eeprom
 
 MAX_SECONDS, MAX_COUNT, MAX_MM = 3600.0, 100_000, 10_000.0
@@ -139,6 +139,15 @@ class Machine:
         fault = AnswerFault(kind=how, count=_count(arguments), seconds=_seconds(arguments, default=0.1))
         self.board.outbound.faults.append(fault)
 
+    def _damage(self, arguments: Mapping[str, Any]) -> None:
+        lines: dict[Any, Inbound | Outbound] = {"to_board": self.board.inbound, "from_board": self.board.outbound}
+        direction, how = arguments.get("direction"), arguments.get("how")
+        if direction not in lines:
+            raise FaultError(f"direction = {direction!r} is none of {', '.join(lines)}")
+        if how not in Damage.kinds:
+            raise FaultError(f"how = {how!r} is none of {', '.join(Damage.kinds)}")
+        lines[direction].damage = Damage(how, _count(arguments, "after", default=0, least=0), self.rng)
+
     def _alarm(self, arguments: Mapping[str, Any]) -> None:
         self.board.raise_alarm(_count(arguments, "number", default=None))
 
@@ -177,6 +186,7 @@ FAULTS: dict[str, Callable[[Machine, Mapping[str, Any]], PortFault | None]] = {
     "garbage": Machine._garbage,
     "stray_ok": Machine._stray_ok,
     "answers": Machine._answers,
+    "damage": Machine._damage,
     "alarm": Machine._alarm,
     "eeprom_pause": Machine._eeprom_pause,
     "limit": Machine._limit,
@@ -189,6 +199,7 @@ FAULTS: dict[str, Callable[[Machine, Mapping[str, Any]], PortFault | None]] = {
 
 unplug(seconds), stop_reading(seconds), brown_out(), soft_reset(), hang(seconds: the main loop stands still),
 error(number, after: lines to let pass), garbage(count: bytes), stray_ok(count),
-answers(how: lost, delayed, split or merged; count, seconds), alarm(number), eeprom_pause(seconds, tail_s: deaf after
+answers(how: lost, delayed, split or merged; count, seconds), damage(direction: to_board or from_board; how: flip, lost,
+doubled, swapped, replaced or burst; after: bytes to let pass), alarm(number), eeprom_pause(seconds, tail_s: deaf after
 the answer), limit(axis, on), broken_switch(axis, on), stop_button(on), door(on), probe_surface(z_mm).
 """

@@ -1,4 +1,4 @@
-"""The mock board's serial line: both directions take time by the baud rate, and answers can be spoilt on their way."""
+"""The mock board's serial line: both directions take time by the baud rate, and bytes can be damaged on their way."""
 
 from __future__ import annotations
 
@@ -11,16 +11,98 @@ BITS_PER_BYTE = 10
 _SIGNIFICANT = re.compile(rb"[\n\r?!~\x18\x80-\xff]")
 
 
+CONTEXT_BYTES = 24
+"""Bytes before and after the damaged ones that :attr:`Damage.was` and :attr:`Damage.became` keep, at most."""
+
+
+class Damage:
+    """One damage to the bytes of one direction.
+
+    Parameters
+    ----------
+    kind
+        One of :attr:`kinds`.
+    after
+        Bytes that pass undamaged before it.
+    rng
+        Source of the damaged values.
+
+    Attributes
+    ----------
+    was, became
+        The bytes around the damage as they were sent and as they arrived; empty until it has happened.
+    """
+
+    kinds = ("flip", "lost", "doubled", "swapped", "replaced", "burst")
+    """One bit flipped, a byte lost, a byte doubled, two neighbours swapped, a byte replaced, 2 to 8 bytes replaced."""
+
+    def __init__(self, kind: str, after: int, rng: random.Random) -> None:
+        if kind not in self.kinds:
+            raise ValueError(f"kind = {kind!r}: expected one of {', '.join(self.kinds)}")
+        self.kind = kind
+        self.was = self.became = b""
+        self._after = after
+        self._rng = rng
+        self._left = {"swapped": 2, "burst": rng.randint(2, 8)}.get(kind, 1)
+        self._held = b""
+
+    @property
+    def done(self) -> bool:
+        """Whether it has happened, all of it."""
+        return self._left == 0
+
+    @property
+    def begun(self) -> bool:
+        """Whether a damaged byte has passed, or is held back."""
+        return bool(self.was)
+
+    def apply(self, data: bytes) -> bytes:
+        """Return what arrives of ``data``."""
+        if self._left == 0:
+            return data
+        if self._after >= len(data):
+            self._after -= len(data)
+            return data
+        first, out = self._after, bytearray(data[: self._after])
+        self._after, at = 0, first
+        while self._left and at < len(data):
+            self._left -= 1
+            out += self._damaged(data[at : at + 1])
+            at += 1
+        end = len(out)
+        out += data[at:]
+        begin = max(first - CONTEXT_BYTES, 0)
+        self.was += data[begin : at + CONTEXT_BYTES]
+        self.became += out[begin : end + CONTEXT_BYTES]
+        return bytes(out)
+
+    def _damaged(self, byte: bytes) -> bytes:
+        if self.kind == "lost":
+            return b""
+        if self.kind == "doubled":
+            return byte * 2
+        if self.kind == "flip":
+            return bytes([byte[0] ^ 1 << self._rng.randrange(8)])
+        if self.kind == "swapped":
+            # The first waits for its neighbour, however late that one is sent.
+            held, self._held = self._held, byte
+            return byte + held if self._left == 0 else b""
+        return bytes([byte[0] ^ self._rng.randrange(1, 256)])
+
+
 class Inbound:
     """Bytes on their way from the host to the board."""
 
     def __init__(self, byte_s: float) -> None:
         self.byte_s = byte_s
+        self.damage: Damage | None = None
         self._data = bytearray()
         self._start_s = 0.0
 
     def push(self, data: bytes, now: float) -> None:
         """Send ``data`` at ``now``; it queues behind what is still on the line."""
+        if self.damage is not None:
+            data = self.damage.apply(data)
         if not self._data:
             self._start_s = now
         elif self.byte_s == 0:
@@ -70,6 +152,7 @@ class Outbound:
         self.byte_s = byte_s
         self.latency_s = latency_s
         self.rng = rng
+        self.damage: Damage | None = None
         self.faults: deque[AnswerFault] = deque()
         self._queue: deque[tuple[float, bytes]] = deque()
         self._free_s = 0.0
@@ -81,6 +164,8 @@ class Outbound:
 
         The delay is on the host's side: the board's transmit buffer empties all the same.
         """
+        if self.damage is not None:
+            data = self.damage.apply(data)
         self._free_s = max(self._free_s, now) + len(data) * self.byte_s
         self._arrived_s = max(self._arrived_s, self._free_s + self.latency_s + after_s)
         self._queue.append((self._arrived_s, data))
