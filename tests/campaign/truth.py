@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from gantry_driver.mock.board import Board
+from gantry_driver.mock.firmware.board import Board
 from gantry_driver.mock.machine import Machine
 
 HOME_MM, SIGN = (-359.0, -219.0, -1.0), (1.0, 1.0, -1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import weakref
 from dataclasses import replace
@@ -274,9 +275,14 @@ def test_wrong_input_is_named() -> None:
         StylusConfig(min_depth_m=1.0, max_depth_m=0.5)
 
 
+@functools.cache
+def without_noise(tip: tuple[float, float, float], look: Look) -> list[np.ndarray[Any, Any]]:
+    return render(STEREO, np.array(tip), np.random.default_rng(9), replace(look, noise=0.0))
+
+
 def resting(tip: Any, rng: np.random.Generator, look: Look | None = None) -> list[np.ndarray[Any, Any]]:
     """Return a pair of one scene with new noise of 2 grey levels."""
-    still = render(STEREO, np.asarray(tip), np.random.default_rng(9), replace(look or Look(), noise=0.0))
+    still = without_noise(tuple(np.asarray(tip).tolist()), look or Look())
     return [np.clip(np.rint(one + rng.normal(0.0, 2.0, one.shape)), 0, 255).astype(np.uint8) for one in still]
 
 
