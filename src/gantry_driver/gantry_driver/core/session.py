@@ -23,6 +23,7 @@ from gantry_driver.core.grbl_messages import (
     Report,
     parse_line,
 )
+from gantry_driver.core.wire.buffers import BoardBuffers
 from gantry_driver.core.wire.lines import (
     MAX_LINE_BYTES,
     Acknowledged,
@@ -100,11 +101,8 @@ class GrblSession:
         self._in_flight_bytes = 0
         self._realtime = bytearray()
         self._number = 0
-        self._planner_room = -1
-        self._rx_room = -1
+        self._buffers = BoardBuffers()
         self._rx_empty = -1
-        self._free_before = -1, -1
-        """Free planner blocks and bytes of the report before."""
         self._surplus_reports = 0
         """Reports in a row by which the board holds more bytes than are under way."""
         self._quiet_until = 0.0
@@ -147,8 +145,7 @@ class GrblSession:
         self.polling = False
         self.rx_bytes = DEFAULT_RX_BYTES
         self._planner_blocks = 0
-        self._planner_room = self._rx_room = self._rx_empty = -1
-        self._free_before = -1, -1
+        self._buffers, self._rx_empty = BoardBuffers(), -1
         self._surplus_reports = 0
         self.last_report_at, self.unread_report, self.unplaced_reports = None, b"", 0
         self._asked.clear()
@@ -269,11 +266,7 @@ class GrblSession:
             mpos = tuple(w + o for w, o in zip(report.wpos_mm, self.wco_mm))
             report = dataclasses.replace(report, mpos_mm=mpos)
         self.unplaced_reports = self.unplaced_reports + 1 if report.mpos_mm is None else 0
-        planner_before, rx_before = self._free_before
-        empty = report.state == "Idle" and not self._in_flight
-        self._planner_room = _room(self._planner_room, report.planner_free, planner_before, empty=empty)
-        self._rx_room = _room(self._rx_room, report.rx_free, rx_before, empty=empty)
-        self._free_before = report.planner_free, report.rx_free
+        self._buffers.note(report, in_flight=bool(self._in_flight))
         if report.rx_free >= 0 and not self._in_flight:
             self._rx_empty = report.rx_free
         if report.planner_free <= 1:
@@ -283,7 +276,7 @@ class GrblSession:
         # A line makes at least no block and each block in the planner waits, so this never counts too many; where a
         # board does not report its planner ($10=1), it may be full.
         if report.planner_free >= 0:
-            self._executed(self.counts.acknowledged - max(self._planner_room - report.planner_free, 0))
+            self._executed(self.counts.acknowledged - self._buffers.planner.held(report.planner_free))
         elif self._planner_blocks:
             self._executed(self.counts.acknowledged - self._planner_blocks)
         broken = self._contradiction(report, now)
@@ -295,12 +288,13 @@ class GrblSession:
     def _contradiction(self, report: Report, now: float) -> str:
         if self.awaiting_banner:
             return ""
-        surplus = report.rx_free >= 0 and self._rx_room - report.rx_free > self._in_flight_bytes
+        held = self._buffers.rx.held(report.rx_free)
+        surplus = report.rx_free >= 0 and held > self._in_flight_bytes
         self._surplus_reports = self._surplus_reports + 1 if surplus else 0
         if self._surplus_reports == SURPLUS_REPORTS:
             self._surplus_reports = 0
             return (
-                f"the board holds {self._rx_room - report.rx_free} bytes, {self._in_flight_bytes} are under way: "
+                f"the board holds {held} bytes, {self._in_flight_bytes} are under way: "
                 "an answer came that belongs to no line"
             )
         self._short_reports = self._short_reports + 1 if self._lacks_answers(report, now) else 0
@@ -320,10 +314,10 @@ class GrblSession:
         return ""
 
     def _lacks_answers(self, report: Report, now: float) -> bool:
-        known = min(self._rx_room, report.rx_free, report.planner_free) >= 0
-        if not known or report.rx_free > self._rx_room or report.state not in ("Idle", "Run"):
+        known = min(report.rx_free, report.planner_free) >= 0 and report.rx_free <= self._buffers.rx.size
+        if not known or report.state not in ("Idle", "Run"):
             return False
-        held = self._rx_room - report.rx_free
+        held = self._buffers.rx.held(report.rx_free)
         return answers_missing(self._in_flight, held, now, idle=report.state == "Idle", full=report.planner_free <= 1)
 
     def _banner(self, banner: Banner, now: float) -> list[Message]:
@@ -337,8 +331,7 @@ class GrblSession:
         self.awaiting_banner = False
         self.paused = False
         self.wco_mm, self.wco_is_sure = None, False
-        self._planner_room = self._rx_room = self._rx_empty = -1
-        self._free_before = -1, -1
+        self._buffers, self._rx_empty = BoardBuffers(), -1
         self._surplus_reports = 0
         self.last_report_at = now
         self._asked.clear()
@@ -430,16 +423,3 @@ class GrblSession:
     def silent_for(self, now: float) -> float:
         """Return the seconds since the last report or banner; 0 before polling has begun."""
         return 0.0 if self.last_report_at is None or not self.polling else now - self.last_report_at
-
-
-def _room(size: int, free: int, before: int, *, empty: bool) -> int:
-    """Return the size of a buffer by what two reports in a row say is free; -1 for an unknown one.
-
-    The largest free size since the banner is the size. One larger report may be damaged, so the second one counts, and
-    two equal ones of an empty buffer count whatever was believed before.
-    """
-    if free < 0:
-        return size
-    if size < 0 or (empty and free == before):
-        return free
-    return max(size, min(free, before))
