@@ -12,7 +12,7 @@ from campaign.truth import TracedMachine, Vertex
 from campaign.virtual_link import VirtualRig
 
 from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Position, StateChanged
+from gantry_driver.core.machine_states import Note, Position, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
 from gantry_driver.mock.serial_line import Damage
 from icu_common.core.frames import JOINTS
@@ -191,6 +191,8 @@ class DamageRig(VirtualRig):
             if isinstance(event, StateChanged) and (state := event.text.partition(":")[0]) not in WELL:
                 if state not in self.expected_states and event.text not in self.story.told:
                     self.story.told.append(event.text)
+            elif isinstance(event, Note) and "may be homing" in event.text:
+                self.story.told.append(event.text)
             elif isinstance(event, Position):
                 x, y, e = event.reading_m
                 self.story.positions.append((self.now, (1000.0 * x, 1000.0 * y, 1000.0 * e)))

@@ -25,6 +25,21 @@ def test_a_damaged_byte_never_ends_wrong(direction: str) -> None:
     assert not wrong, "\n".join(text_of(found) for found in wrong)
 
 
+@pytest.mark.parametrize("seed", [6917, 7335])
+def test_a_question_that_became_an_order_to_home_is_reported_and_reset(seed: int) -> None:
+    """One flipped bit makes ``$H`` of ``$I``."""
+    found = run_case(Case(TO_BOARD, seed))
+    assert "$H" in found.became
+    assert found.verdict != WRONG, text_of(found)
+    assert any("may be homing: it is reset" in text for text in found.told)
+
+
+def test_a_report_from_ahead_of_the_board_is_not_published() -> None:
+    """One flipped bit shows the stylus a millimetre deeper, where its feed cannot have brought it yet."""
+    found = run_case(Case(FROM_BOARD, 7789))
+    assert found.verdict != WRONG, text_of(found)
+
+
 def test_the_seeds_cover_each_kind_of_damage_in_each_phase() -> None:
     cases = [Case(TO_BOARD, seed) for seed in range(CELLS)]
     assert {(case.phase, case.kind) for case in cases} == {(phase, kind) for phase in NAMES for kind in Damage.kinds}

@@ -91,6 +91,8 @@ class Connection:
         self._hold_sent = 0.0
         self._probed = 0.0
         self._probe_from = 0.0
+        self._asked_again = False
+        """Whether a board that did not answer ``$I`` was reset since the port was opened."""
         self._pausing = self._resuming = False
         self._acked = 0
         """Number of the last line that the board has acknowledged."""
@@ -181,6 +183,7 @@ class Connection:
     def opened(self, now: float) -> None:
         """The port is open; wait for a banner or ask a board that is already running."""
         self.connects += 1
+        self._asked_again = False
         # An attempt takes far longer than the pause after it, in which alone the reason would be seen.
         self._synchronise(now, self._unanswered)
         self._heard_bytes = 0

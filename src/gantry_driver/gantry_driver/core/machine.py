@@ -42,6 +42,8 @@ from gantry_driver.core.wire.proof import OWN_RESET
 from icu_common.core.results import Outcome
 
 BANNER_TIMEOUT_S = 5.0
+BUILD_WITHIN_S = 0.5
+"""Seconds within which a board answers ``$I``; a board that homes answers nothing until it has homed."""
 CRITICAL_ALARM_PAUSE_S = 0.6
 """After ALARM:1 and 2 GRBL swallows a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
 OFFSET_WITHIN_S = 1.0
@@ -84,6 +86,9 @@ class Machine(Streaming):
                 text = self._no_answer_text()
                 self._close(text, now)
                 self._unanswered = text if phase is Phase.SYNCHRONISE else ""
+                return
+            if phase is Phase.IDENTIFY and age > BUILD_WITHIN_S and not self._asked_again:
+                self._ask_again(now)
                 return
             if phase is Phase.SYNCHRONISE and now >= self._probe_from:
                 self._rouse(age, now)
@@ -228,6 +233,14 @@ class Machine(Streaming):
         else:
             self._on_own_reset(OWN_RESET, len(event.lost), now)
         self._was_reset()
+
+    def _ask_again(self, now: float) -> None:
+        """Reset a board that does not answer ``$I``: one flipped bit makes it ``$H``, which homes."""
+        self._asked_again = True
+        reason = f"the board has not answered $I within {BUILD_WITHIN_S:g} s and may be homing: it is reset"
+        self._events.append(Note(level="error", text=reason))
+        self._synchronise(now, reason)
+        self.session.soft_reset(now)
 
     def _on_own_reset(self, reason: str, lost: int, now: float) -> None:
         self._finish(Outcome.ABORTED, reason, now)

@@ -134,6 +134,9 @@ class Proving(Stopping):
         deviation = goal.watch.check(
             report.mpos_mm, (report.feed_mm_min or 0.0) / raised, now, self.session.report_asked_at
         )
+        if deviation is None and goal.watch.early:
+            self.session.poll_now()
+            return True
         if deviation is None:
             if goal.doubt is not None:
                 goal.doubt = None

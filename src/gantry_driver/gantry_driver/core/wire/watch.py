@@ -18,6 +18,8 @@ TUBE_MM = 0.15
 REPORT_LATE_S = 0.1
 """Duration by which the time between two positions may exceed that from the first one's question to the second one's
 report: a question that was lost, and clocks that differ."""
+EARLY_MM = 0.1
+"""Distance by which a report may be ahead of what feed and time allow: rounding, and the tube's ends."""
 FEED_SHARE, FEED_MM_MIN = 1.05, 30.0
 """Factor and surplus of the feed that a report may show beyond the path's: rounding of F words and of reports."""
 _STRAIGHT = 1.0 - 1e-9
@@ -86,9 +88,13 @@ class PathWatch:
         self._axes = axes
         self._points: list[tuple[float, ...]] = [start_mm[:axes]]
         self._ends_mm = [0.0]
+        self._feeds = [0.0]
+        """Of the pieces that end there, mm/min."""
         self._feed = max((segment.feed_mm_min for segment in segments), default=0.0)
         self._low_mm = self._high_mm = 0.0
         self._at = now
+        self.early = False
+        """Whether the last report on the path came from farther ahead than the board can be: a second one decides."""
         for segment in segments:
             self._append(segment)
         self._end_mm = segments[-1].end_mm if segments else start_mm
@@ -105,7 +111,7 @@ class PathWatch:
     def check(
         self, mpos_mm: tuple[float, ...], feed_mm_min: float, now: float, asked_at: float | None = None
     ) -> Deviation | None:
-        """Return how a report deviates; None, and the watch has followed it, if it does not.
+        """Return how a report deviates; None, and the watch has followed it unless it is early, if it does not.
 
         The board made it between ``asked_at`` and ``now``; a busy computer may read it late.
         """
@@ -113,6 +119,10 @@ class PathWatch:
         reach_mm = self._high_mm + self._feed / 60.0 * (now - self._at + REPORT_LATE_S) + TUBE_MM
         low, high = self._matched(place, reach_mm)
         too_fast = feed_mm_min > self.feed_limit_mm_min
+        way_mm = self._feed_to(high) / 60.0 * (now - self._at) + EARLY_MM
+        self.early = low <= high and not self.early and low + high > self._low_mm + self._high_mm + 2.0 * way_mm
+        if self.early and not too_fast:
+            return None
         if low <= high and not too_fast:
             self._low_mm, self._high_mm, self._at = low, high, now if asked_at is None else asked_at
             return None
@@ -133,12 +143,18 @@ class PathWatch:
             before = self._points[-2]
             old = self._ends_mm[-1] - self._ends_mm[-2]
             cosine = sum((b - a) * (d - b) for a, b, d in zip(before, start, end)) / (old * length)
-            if cosine > _STRAIGHT:
+            if cosine > _STRAIGHT and self._feeds[-1] == segment.feed_mm_min:
                 self._points.pop()
                 self._ends_mm.pop()
+                self._feeds.pop()
                 length += old
         self._points.append(end)
         self._ends_mm.append(self._ends_mm[-1] + length)
+        self._feeds.append(segment.feed_mm_min)
+
+    def _feed_to(self, along_mm: float) -> float:
+        """Return the highest feed between where the board was and a place farther along the path."""
+        return max((self._feeds[number] for number in self._pieces(along_mm) if len(self._points) > 1), default=0.0)
 
     def _pieces(self, reach_mm: float) -> range:
         """Return the numbers of the pieces where the board can be."""
