@@ -109,7 +109,7 @@ def _state(port: serial.Serial) -> str:
 
 
 def _lock(port: serial.Serial) -> None:
-    """Lock a board that has just been sent a reset, as it was before ``$X``: nobody has homed it since.
+    """Lock a board again after its reset, as it was before ``$X``, since it has not been homed.
 
     A target beyond the soft limits raises their alarm in check mode as well, and the lock stays after its reset.
     Nothing moves, and the motors keep their power, which ``$SLP`` would take.

@@ -1,1 +1,1 @@
-"""Reports that cannot be used and resets that nobody asked for: what is wrong with the board, and what to do."""
+"""Unusable reports and unrequested resets: the fault of the board, and the remedy."""

@@ -20,7 +20,7 @@ _EEPROM = re.compile(r"\$(?!J=)[^=]*=|\$RST|G0*10(?!\d).*L0*20?(?!\d)|G0*28\.10*
 
 
 def plain(value: float, digits: int = 3) -> str:
-    """Return a number in as few bytes as it has with so many digits behind the point."""
+    """Return a number without needless zeros, rounded to the given number of decimals."""
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text
 
@@ -34,8 +34,8 @@ class Line:
     eeprom
         Whether it blocks the board's reception while it is executed.
     alone
-        Whether nothing else may be under way with it: ``$`` commands, EEPROM writes, and whatever a board that has been
-        reset meanwhile would still obey, be it to move, to lower a stylus, or to take a feed for the moves behind it.
+        Whether nothing else may be under way with it: ``$`` commands, EEPROM writes, and every line that a board would
+        still obey after a reset, such as a move, an order to the stylus, or a feed.
     """
 
     number: int
@@ -86,7 +86,7 @@ class WasReset(Message):
     banner
         As received.
     expected
-        Whether this side had asked for the reset, be it by a retry that a board which was held up answers, too.
+        Whether the driver requested the reset, or a retry of it that a late board answers as well.
     lost
         Lines sent and not answered: the board may have executed none, some or all of them.
     unsent

@@ -52,7 +52,7 @@ class Proving(Stopping):
         return super().output(now)
 
     def _queue_more(self, goal: Goal) -> None:
-        """Queue lines while they are few, so that the start of a long program keeps nobody waiting."""
+        """Queue lines up to a limit, so that a long program starts at once."""
         while not (goal.sent_all or goal.confirming) and self.session.unsent < QUEUED_LINES:
             item = next(goal.items, None)
             if item is None:
@@ -246,7 +246,7 @@ class Proving(Stopping):
     def _set_overrides_back(self, feed: float, _rapid: float, spindle: float) -> None:
         """End what a pendant has raised: no touch is faster, and no servo elsewhere, than it is configured.
 
-        Somebody who slows the machine down does so with care, and is let.
+        An operator may slow the machine down: a lower override stays.
         """
         self._feed_percent = feed
         if self._goal is not None:

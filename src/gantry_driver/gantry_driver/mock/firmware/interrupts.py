@@ -140,7 +140,7 @@ class Interrupts(ABC):
             self.raise_alarm(ALARM_HARD)
 
     def soft_reset(self) -> None:
-        """Do what the reset interrupt does: stop the motors at once and ask the main loop to start anew."""
+        """Do what the reset interrupt does: stop the motors at once and make the main loop restart."""
         self._catch_up()
         if Flag.RESET in self._flags:
             return

@@ -17,7 +17,7 @@ class BoardOptions:
     latency_s: float = 0.0
     """What the host receives is this much later than the line alone makes it, as behind a USB adapter's timer."""
     line_s: float = 0.0005
-    """Time the firmware takes for a line."""
+    """Seconds that the firmware needs for a line."""
     boot_s: float = 0.1
     """From power-up to the banner; bytes that arrive meanwhile are lost."""
     mist: bool = False

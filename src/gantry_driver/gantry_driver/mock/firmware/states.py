@@ -58,7 +58,7 @@ class Suspend(Enum):
 
 
 class Abort(Exception):
-    """A reset has been asked for; the main loop starts anew."""
+    """A reset was requested; the main loop restarts."""
 
 
 @dataclass(slots=True)
