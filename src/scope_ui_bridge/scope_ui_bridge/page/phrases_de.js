@@ -89,6 +89,7 @@ export const PHRASES_DE = [
   ["{} runs {} after a reset, it must be empty: take it out of the board's config file", "{0} führt nach einem Reset {1} aus, muss aber leer sein: aus der Konfigurationsdatei der Platine nehmen"],
   ["{} could not be read, is there noise on the line? What the board runs after each reset is not known: connect it anew", "{} war nicht zu lesen, ist die Leitung gestört? Was die Platine nach jedem Reset ausführt, ist nicht bekannt: neu verbinden"],
   ["the board holds {} bytes, {} are under way: an answer came that belongs to no line", "die Platine hält {} Byte, {} sind unterwegs: eine Antwort gehört zu keiner Zeile"],
+  ["the board has not answered $I within {} s and may be homing: it is reset", "die Platine hat $I nicht innerhalb von {} s beantwortet und macht vielleicht eine Referenzfahrt: sie wird zurückgesetzt"],
   ["no answer to {} within {} s although the board is at rest", "keine Antwort auf {} innerhalb von {} s, obwohl die Platine ruht"],
   ["line {} has {} bytes with its newline, 2 to {} can be sent", "Zeile {} hat mit dem Zeilenende {} Byte, 2 bis {} können gesendet werden"],
   ["line {}, column {}: {} cannot be part of a line", "Zeile {}, Spalte {}: {} kann nicht Teil einer Zeile sein"],
