@@ -85,7 +85,7 @@ class StepGate:
             return True
         if now_s - self._looked_s > _LOOK_FOR_ENDED_S:
             self._looked_s = now_s
-            self._forget_ended()
+            self._ledger.forget_ended()
         stuck = np.where((owed > 0) & (now_s - since_s > self._patience_s), owed, 0)
         if not stuck.any():
             return False
@@ -123,7 +123,7 @@ class StepGate:
 
     def processes(self) -> int:
         """Return how many processes are registered and running."""
-        self._forget_ended()
+        self._ledger.forget_ended()
         return len(self._ledger.processes())
 
     def restart(self) -> None:
@@ -139,11 +139,6 @@ class StepGate:
                 self._ledger.resume(row, subscriptions)
                 del self._suspended[row]
 
-    def _forget_ended(self) -> None:
-        for row, process in self._ledger.processes().items():
-            if _has_ended(process):
-                self._ledger.forget(row)
-
     def _laggards(self, owed: Counts) -> dict[int, Laggard]:
         """Return row -> process for those that have finished fewer messages of an outstanding topic than others."""
         finished, subscriptions, _ = self._ledger.by_process()
@@ -157,14 +152,6 @@ class StepGate:
                 process = self._ledger.processes().get(int(row), 0)
                 found[int(row)] = Laggard(process=process, program=_program(process), topic=topics[column])
         return found
-
-
-def _has_ended(process: int) -> bool:
-    """Whether a process is gone, or nothing is left of it but its exit code (proc(5): state Z or X)."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text(errors="replace").rpartition(")")[2].split()[0] in "ZX"
-    except OSError:
-        return True
 
 
 def _program(process: int) -> str:

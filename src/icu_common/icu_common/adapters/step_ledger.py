@@ -20,6 +20,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from icu_common.adapters.process_identity import is_alive
+
 LEDGER_VARIABLE = "ICU_STEP_LEDGER"
 """Environment variable with the path of the ledger; without it a process runs by its own clock and counts nothing."""
 
@@ -200,6 +202,17 @@ class StepLedger:
         """Free the row of a process that has ended."""
         self._table[1:, row] = 0
         self._table[_HEAD, row, [_PID, _BUSY]] = 0
+
+    def forget_ended(self) -> None:
+        """Free the rows of all processes that have ended."""
+        for row, process in self.processes().items():
+            if not is_alive(process):
+                self.forget(row)
+
+    def restart(self, time_ns: int = 0) -> None:
+        """Begin another run: forget ended processes and the time of the run before; ``time_ns`` is 0 for none yet."""
+        self.forget_ended()
+        self._table[_HEAD, 0, [_TIME, _ORIGIN]] = time_ns
 
     @property
     def time_ns(self) -> int:

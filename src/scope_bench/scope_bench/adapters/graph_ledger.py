@@ -22,19 +22,30 @@ def is_used(path: Path) -> bool:
         return False
     try:
         with contextlib.closing(StepLedger(path)) as found:
-            return any(Path(f"/proc/{process}").exists() for process in found.processes().values())
+            found.forget_ended()
+            return bool(found.processes())
     except OSError:
         return False
 
 
 @contextlib.contextmanager
 def new_ledger(path: Path, *, simulated: bool) -> Iterator[None]:
-    """Make an empty ledger and remove it at the end; simulated time begins at the system's time."""
-    path.unlink(missing_ok=True)  # what an earlier graph has left
+    """Make a ledger and remove it at the end; simulated time begins at the system's time.
+
+    A file that is there stays: a recorder or a player that was started before the graph counts in it.
+    """
+    time_ns = time.time_ns() if simulated else 0
     try:
-        with contextlib.closing(StepLedger(path)) as made:
-            if simulated:
-                made.time_ns = time.time_ns()
+        _restart(path, time_ns)
+    except OSError:  # another version has made it
+        path.unlink()
+        _restart(path, time_ns)
+    try:
         yield
     finally:
         path.unlink(missing_ok=True)
+
+
+def _restart(path: Path, time_ns: int) -> None:
+    with contextlib.closing(StepLedger(path)) as made:
+        made.restart(time_ns)

@@ -1,0 +1,45 @@
+"""The ledger that bring-up makes, and programs that were started before it."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from pathlib import Path
+
+from icu_common.adapters.step_ledger import StepLedger
+from scope_bench.adapters.graph_ledger import is_used, new_ledger
+
+ENDED = (
+    "import os, sys\nfrom pathlib import Path\nfrom icu_common.adapters.step_ledger import StepLedger\n"
+    "ledger = StepLedger(Path(sys.argv[1]))\nledger.register()\nledger.time_ns = 7\nos._exit(1)\n"
+)
+
+
+def test_recorder_that_was_started_before_the_graph_counts_with_it(tmp_path: Path) -> None:
+    path = tmp_path / "steps"
+    with contextlib.closing(StepLedger(path)) as recorder:
+        recorder.register()
+        with new_ledger(path, simulated=False), contextlib.closing(StepLedger(path)) as node:
+            node.register()
+            assert len(node.processes()) == 2
+            recorder.subscribe("/panel/pose")
+            assert node.subscriptions("/panel/pose") == 1
+
+
+def test_what_a_killed_graph_has_left_is_forgotten(tmp_path: Path) -> None:
+    path = tmp_path / "steps"
+    subprocess.run([sys.executable, "-c", ENDED, str(path)], check=False)
+    with contextlib.closing(StepLedger(path)) as left:
+        assert (len(left.processes()), left.time_ns, left.origin_ns) == (1, 7, 7)
+    assert not is_used(path)
+    with new_ledger(path, simulated=False), contextlib.closing(StepLedger(path)) as found:
+        assert (found.processes(), found.time_ns, found.origin_ns) == ({}, 0, 0)
+    assert not path.exists()
+
+
+def test_file_of_another_version_is_made_anew(tmp_path: Path) -> None:
+    path = tmp_path / "steps"
+    path.write_text("another version")
+    with new_ledger(path, simulated=True), contextlib.closing(StepLedger(path)) as found:
+        assert found.time_ns == found.origin_ns > 0
