@@ -19,8 +19,7 @@ from pathlib import Path
 
 from cpu_quota import NoQuota, cpu_quota
 from rows import Row, bound, row, write
-from system.conftest import RunningGraph
-from watched_graph import Watcher, median, press, programs, usage, watched
+from watched_graph import RunningGraph, Watcher, median, press, programs, usage, watched
 
 CONTROL = "RUN_STOP"
 BEFORE = {"at rest": 110.3, "pressing": 128.0}

@@ -33,6 +33,7 @@ class Operator:
         self.heartbeat = self.node.create_publisher(Header, "/operator/heartbeat", qos.COMMAND)
         self.command = self.node.create_publisher(String, "/gantry/command", qos.COMMAND)
         self.goal = self.node.create_publisher(PointStamped, "/gantry/goal", qos.COMMAND)
+        self._stamp_ns = 0
         self.results: list[GoalResult] = []
         self.node.create_subscription(
             DiagnosticArray,
@@ -105,12 +106,17 @@ class Operator:
         self.ros.spin_until(lambda: [r for r in self.results if r.goal_id == goal_id], 10.0)
 
     def touch_panel(self, x_m: float, y_m: float) -> GoalResult:
-        stamp = self.node.get_clock().now().nanoseconds
+        stamp = self._new_stamp_ns()
         self.goal.publish(point_message((x_m, y_m, 0.0), header(stamp, "panel_link")))
         return self.answer(str(stamp))
 
+    def _new_stamp_ns(self) -> int:
+        """Return a goal's stamp, which is its name: simulated time may stand still between two goals."""
+        self._stamp_ns = max(self._stamp_ns + 1, int(self.node.get_clock().now().nanoseconds))
+        return self._stamp_ns
+
     def move(self, x_m: float, y_m: float) -> str:
-        stamp = self.node.get_clock().now().nanoseconds
+        stamp = self._new_stamp_ns()
         self.goal.publish(point_message((x_m, y_m, 0.0), header(stamp, "base_link")))
         return str(stamp)
 

@@ -134,13 +134,14 @@ def carry_out(session: OperatorSession, request: Request) -> int:
     points = node.create_publisher(PointStamped, "gantry/goal", qos.COMMAND)
     commands = node.create_publisher(String, "gantry/command", qos.COMMAND)
     publisher = points if request.gesture is None else commands
-    goal_id = ""
+    goal_id, stamp = "", 0
     try:
         session.wait_until_taken(publisher, "gantry/result", until)
         for count in range(1, STALE_TRIES + 1):
             if request.gesture is None:
                 assert request.xyz is not None
-                stamp = session.now_ns()
+                # The stamp is the goal's name, and simulated time may stand still between two tries.
+                stamp = max(stamp + 1, session.now_ns())
                 goal_id = str(stamp)
                 points.publish(point_message(request.xyz, header(stamp, BASE)))
             else:

@@ -1,0 +1,1 @@
+"""What images prove where the driver's reports prove nothing."""
