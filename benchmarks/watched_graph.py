@@ -20,7 +20,7 @@ from rclpy.node import Node
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import PointCloud2
-from system.conftest import RunningGraph
+from system.conftest import RunningGraph as RunningGraph
 
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import stamp_ns

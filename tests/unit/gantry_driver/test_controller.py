@@ -1001,6 +1001,39 @@ def test_what_the_driver_has_told_of_a_stylus_left_down_is_not_told_twice(told: 
     assert bench.controller.state == f"alarm: ALARM:1; {told}"
 
 
+def test_a_stylus_whose_position_was_lost_is_reported_clear_when_images_show_it_off_the_panel() -> None:
+    bench = Bench().start()
+    bench.readings = np.array([0.1, 0.1, 0.02])
+    bench.run(1.5)  # images of before the loss show it at 10 mm
+    bench.talking -= {"joints"}
+    bench._say_driver("unhomed: link lost")
+    bench.run(2.0)
+    assert clear_heights(bench) == []
+    assert bench.controller.state.endswith("extended by 20.0 mm and may still press: homing lifts it")
+    bench.readings = np.zeros(3)  # somebody has lifted it by hand
+    bench.run(1.0)
+    assert clear_heights(bench) == [], "images of before still count"
+    bench.run(4.0)
+    heights = clear_heights(bench)
+    assert 1 <= len(heights) <= 4 and all(abs(height_m - height(bench)) < 0.001 for height_m in heights)
+    assert bench.controller.state == "waiting: not homed: link lost"
+
+
+def test_nothing_is_reported_clear_while_the_driver_knows_the_position() -> None:
+    bench = Bench().start()
+    bench.run(4.0)
+    assert clear_heights(bench) == []
+
+
+def clear_heights(bench: Bench) -> list[float]:
+    return [action.height_m for action in bench.actions if isinstance(action, msg.ReportClear)]
+
+
+def height(bench: Bench) -> float:
+    """Return the tip's height above the panel, by the bench's own geometry."""
+    return float(BASE_FROM_PANEL.inverse().apply(bench.tip_in_base())[2])
+
+
 @pytest.mark.parametrize("reason", ["a cable that may press on the plug", "it may still press"])
 def test_words_of_the_drivers_reason_do_not_hide_how_far_the_stylus_was_extended(reason: str) -> None:
     bench = Bench().start()

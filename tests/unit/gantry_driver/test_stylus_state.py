@@ -63,6 +63,8 @@ TABLE: list[tuple[str, Callable[[Stylus], Stylus], str]] = [
         lambda s: s.was_reset("servo_m3"),
         ". AS_READ LIMP LIMP_DOWN LIMP_DOWN LIMP_DOWN . . . . .",
     ),
+    ("seen clear, Z axis", lambda s: s.seen_clear("z_axis"), ". . . . . . . . . AS_READ AS_READ"),
+    ("seen clear, servo", lambda s: s.seen_clear("servo_m3"), ". " * 11),
     ("reset with a solenoid", lambda s: s.was_reset("solenoid_m8"), "UP UP UP" + " RELEASED" * 8),
 ]
 
@@ -415,3 +417,20 @@ def test_a_cable_that_is_pulled_in_contact_is_told_after_the_reconnect() -> None
     assert rig.machine.may_be_down
     rig.connect()
     assert rig.states[-1] == f"unhomed: {NOT_LIFTED}"
+
+
+def test_a_stylus_that_was_left_down_is_believed_up_when_images_show_it_off_the_panel() -> None:
+    rig = Rig()
+    rig.machine = Machine(DriverConfig(enabled_at_start=True), left_down=True)
+    rig.connect()
+    rig.machine.seen_clear(0.031, age_s=1.5)
+    assert rig.machine.may_be_down, "an image of 1.5 s ago"
+    rig.machine.seen_clear(0.031, age_s=0.1)
+    rig.step()
+    assert rig.states[-1] == "unhomed" and not rig.machine.may_be_down
+    assert rig.machine.home(rig.now) == ""
+    rig.until(lambda: rig.state == "idle")
+    rig.go((0.1, 0.1, 0.02))
+    rig.until(lambda: "reached" in rig.outcomes())
+    rig.machine.seen_clear(0.031, age_s=0.1)
+    assert rig.machine.may_be_down, "its own reports tell, and no image"

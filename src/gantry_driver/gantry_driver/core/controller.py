@@ -29,6 +29,7 @@ from icu_common.core.gesture import GestureError, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
 
 ASK_AGAIN_S = 0.5
+CLEAR_AGAIN_S = 1.0
 CLOCK_JUMP_S = 0.5
 """Time that runs back farther than this between two events ends the goal: no deadline would hold any more."""
 
@@ -152,7 +153,8 @@ class Controller(GoalPhases):
                 # Pictures come late: those of the contact still count when the stylus is on its way up.
                 self._tip_look = self._tip_look.with_tip(event.in_camera, event.stamp_ns)
                 self._rest_look = self._rest_look.with_tip(event.in_camera, event.stamp_ns)
-                world.tracked_ns = max(world.tracked_ns, event.stamp_ns)
+                world.take_tip(event.in_camera, event.stamp_ns, self.config)
+                self._report_clear()
             case msg.TipUnseen():
                 world.tracked_ns = max(world.tracked_ns, event.stamp_ns)
             case msg.CameraSeen():
@@ -161,6 +163,13 @@ class Controller(GoalPhases):
                 world.heartbeat_ns = world.wall_ns
             case msg.Tick():
                 pass
+
+    def _report_clear(self) -> None:
+        """Tell the driver, at most once in a second, that a stylus whose position was lost is seen off the panel."""
+        height_m = self._world.seen_clear_m(self.config)
+        if height_m is not None and self._world.age_s(self._world.clear_ns) > CLEAR_AGAIN_S:
+            self._world.clear_ns = self._now_ns
+            self._actions.append(msg.ReportClear(height_m=height_m))
 
     def _take_driver(self, text: str) -> None:
         self._world.driver = text

@@ -127,6 +127,14 @@ class ControllerConfig(Config):
     )
     min_confidence: float = setting(0.3, "Recognition needed for a touch", minimum=0.0, maximum=1.0)
     panel_max_age_s: float = setting(2.0, "Age of the panel's pose for a touch", minimum=0.1, maximum=60.0, unit="s")
+    seen_clear_m: float = setting(
+        0.025,
+        "Seen height of the tip above the panel that proves, without a position, that it presses nothing; "
+        "more than the highest control",
+        minimum=0.005,
+        maximum=0.2,
+        unit="m",
+    )
     camera_on_carriage: bool = setting(
         False, "The cameras ride on the carriage: the panel is seen anew at each place, and errors are seen in it"
     )

@@ -210,4 +210,11 @@ class ReportDelay:
     then: str
 
 
-Action = SendTrajectory | PublishResult | SetState | ShowTarget | CallStop | ReportDelay
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportClear:
+    """Tell the driver, which has no position, that images show the tip at least ``height_m`` above the panel."""
+
+    height_m: float
+
+
+Action = SendTrajectory | PublishResult | SetState | ShowTarget | CallStop | ReportDelay | ReportClear

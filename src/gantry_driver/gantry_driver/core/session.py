@@ -62,8 +62,9 @@ EEPROM_PAUSE_S = 0.05
 """After the ``ok`` of an EEPROM write; without it bytes were lost in trials."""
 WIRE_BOUND_REPORTS = 3
 """Reports in a row with room in the planner, after which the wire counts as the limit and not the motion."""
-WIRE_BOUND_POLL_S = 0.1
-"""Between status reports then: each takes as much of the line back as fifteen answers."""
+WIRE_BOUND_POLL_S = 0.05
+"""Between status reports then: each takes as much of the line back as fifteen answers. A feed override that nobody
+ordered shows in the next report, and must end within 0.1 s."""
 SPARE_LINES = 2
 """Room left in the board's buffer while motion is the limit: there it fills up, and an answer too many would make a
 line overflow it. Streaming is not slower for it."""

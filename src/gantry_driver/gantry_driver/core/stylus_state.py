@@ -68,6 +68,10 @@ class Stylus(Enum):
         """Homing, or the retreat after a stop, is complete."""
         return Stylus.AS_READ if kind == "z_axis" else Stylus.UP
 
+    def seen_clear(self, kind: str) -> Stylus:
+        """Images show a stylus, whose position is not known, off the panel; only a Z axis stays where it is."""
+        return Stylus.AS_READ if kind == "z_axis" and self in (Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN) else self
+
     def lost(self, extension_m: float | None) -> Stylus:
         """The position is not known any more; what was under way may have lowered it since the last reading."""
         if self in (Stylus.LIMP, Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN):

@@ -13,6 +13,7 @@ from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import NANO, Fault
 from gantry_driver.core.patience import patient_limit_s
 from gantry_driver.core.scene import PanelMap, Scene
+from gantry_driver.core.sight.stylus_height import StylusHeight
 from gantry_driver.core.stylus_state import tells_of_stylus
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.delays import Delay, ResultCode
@@ -95,6 +96,9 @@ class World:
     base_from_reading: Array | None = None
     unchecked: bool = True
     left_behind: str = ""
+    height: StylusHeight = field(default_factory=StylusHeight)
+    clear_ns: int = 0
+    """When images proved last that the stylus presses nothing."""
 
     @property
     def here(self) -> Array:
@@ -170,6 +174,20 @@ class World:
         if self.readings is None or np.abs(readings - self.readings)[:2].max() > CROSSED_M:
             self.crossed_ns = self.now_ns
         self.readings, self.readings_ns = readings, self.now_ns
+
+    def take_tip(self, in_camera: Array, stamp_ns: int, config: ControllerConfig) -> None:
+        """Take where an image shows the tip (3,), in metres of the left camera."""
+        self.tracked_ns = max(self.tracked_ns, stamp_ns)
+        young = self.age_s(self.panel_stamp_ns) <= config.panel_max_age_s
+        if young and self.camera_from_panel is not None and self.confidence >= config.min_confidence:
+            self.height.take(stamp_ns, float(self.camera_from_panel.inverse().apply(in_camera)[2]))
+
+    def seen_clear_m(self, config: ControllerConfig) -> float | None:
+        """Return the tip's height where images must tell whether it presses, and prove that it does not."""
+        if self.driver.partition(":")[0] not in _LIFTS_NOTHING:
+            return None
+        height_m = self.height.at_least_m(self.now_ns)
+        return height_m if height_m is not None and height_m >= config.seen_clear_m else None
 
     def panel_is_still(self, config: ControllerConfig) -> bool:
         """Whether the panel's pose was seen from where the cameras are now."""
@@ -282,7 +300,7 @@ class World:
 
     def _left_down_text(self) -> str:
         """Say that nobody has lifted the stylus, if so, as the end of a state."""
-        if self.readings is None or self.readings[2] <= EXTENDED_M:
+        if self.readings is None or self.readings[2] <= EXTENDED_M or self.clear_ns > self.readings_ns:
             return ""
         last_mm = 1000 * self.readings[2]
         text = f"the stylus was last extended by {last_mm:.1f} mm and may still press: homing lifts it"

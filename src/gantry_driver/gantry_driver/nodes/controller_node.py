@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from rclpy.duration import Duration
@@ -78,6 +79,7 @@ class ControllerNode(GraphNode):
         self._state = self.create_publisher(String, "state", qos.LATCHED)
         self._target = self.create_publisher(PointStamped, "target", qos.LATCHED)
         self._stop = self.create_publisher(Empty, "stop_request", qos.RESULTS)
+        self._clear = self.create_publisher(PointStamped, "stylus_seen_clear", qos.RESULTS)
         self._diagnostics = Diagnostics(self, "gantry controller")
         self._hear(String, "driver_state", qos.EACH_LATCHED, lambda m: msg.DriverState(text=m.data))
         self._hear(JointState, "joint_states", qos.SENSOR, lambda m: msg.Joints(readings=joint_positions(m, JOINTS)))
@@ -178,6 +180,9 @@ class ControllerNode(GraphNode):
                     self._state.publish(String(data=action.text))
                 case msg.ShowTarget():
                     self._target.publish(point_message(action.in_base, header(self._now_ns(), BASE)))
+                case msg.ReportClear():
+                    place = np.array([0.0, 0.0, action.height_m])
+                    self._clear.publish(point_message(place, header(self._now_ns(), PANEL)))
                 case msg.CallStop():
                     self.get_logger().error(f"stop: {action.reason}")
                     self._stop.publish(Empty())

@@ -19,6 +19,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Header, String
@@ -81,6 +82,7 @@ class SerialDriverNode(GraphLifecycleNode):
         self.create_subscription(JointTrajectory, "trajectory", self._on_trajectory, COMMAND)
         self.create_subscription(Empty, "stop_request", lambda _: self._link.stop("stop requested"), RESULTS)
         self.create_subscription(Header, "heartbeat", self._on_heartbeat, SENSOR)
+        self.create_subscription(PointStamped, "stylus_seen_clear", self._on_seen_clear, RESULTS)
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "stop", self._on_stop)
         self.create_service(Trigger, "reset", self._on_reset)
@@ -175,6 +177,10 @@ class SerialDriverNode(GraphLifecycleNode):
         # One that was long under way must not count as fresh; one from the future counts as now.
         age_s = max(0.0, (self._now_ns() - stamp) / 1e9) if stamp else 0.0
         self._link.call(lambda machine, now: machine.heartbeat((machine.wall_s or now) - age_s))
+
+    def _on_seen_clear(self, message: PointStamped) -> None:
+        age_s, height_m = (self._now_ns() - stamp_ns(message.header.stamp)) / 1e9, float(message.point.z)
+        self._link.call(lambda machine, now: machine.seen_clear(height_m, age_s))
 
     def _on_home(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return _fill(response, self._link.call(lambda machine, now: machine.home(now)), "accepted: homing")

@@ -29,6 +29,8 @@ BEYOND_MM = 0.5
 """Distance beyond the travel that a report may show: a switch that was set by hand, and rounding."""
 FRAME_MM = 0.02
 """Largest difference between the frame and the reported one: a motor step, for lines end between two of them."""
+SEEN_S = 1.0
+"""Age at which a message that the stylus was seen off the panel counts no more."""
 QUEUED_LINES = 600
 """Of a goal, ahead of the board: more than the shortest lines that any receive buffer holds."""
 
@@ -50,6 +52,16 @@ class Proving(Stopping):
         if self.phase is Phase.MOVING and self._goal is not None:
             self._queue_more(self._goal)
         return super().output(now)
+
+    def seen_clear(self, height_m: float, age_s: float) -> None:
+        """Take that images show the stylus off the panel; it counts where it rests and its position was lost."""
+        seen = self._stylus.seen_clear(self.config.stylus.kind)
+        if seen is self._stylus or age_s > SEEN_S or self.homed or not self.at_rest:
+            return
+        self._stylus, self._not_lifted = seen, None
+        told = f"the cameras show the stylus {1000.0 * height_m:.1f} mm above the panel: it presses nothing"
+        self._events.append(Note(level="warn", text=told))
+        self._say_if_changed()
 
     def _queue_more(self, goal: Goal) -> None:
         """Queue lines up to a limit, so that a long program starts at once."""
