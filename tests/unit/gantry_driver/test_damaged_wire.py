@@ -123,6 +123,53 @@ def test_modes_that_the_board_does_not_have_are_sent_again(received: bytes) -> N
     assert rig.deepest_mm() <= DEPTH_MM + 0.05
 
 
+@pytest.mark.parametrize(("sent", "received"), [(b"$G\n", b"6v$G\n"), (b"F1800", b"F18%0"), (b"Z8G92", b"Z8F92")])
+def test_an_order_of_modes_that_the_board_refuses_is_sent_again(sent: bytes, received: bytes) -> None:
+    rig = hovering()
+    rig.once(sent, received)
+    assert rig.finish(TOUCH).outcome is Outcome.REACHED
+    assert rig.deepest_mm() == pytest.approx(DEPTH_MM, abs=0.02)
+
+
+def test_a_line_that_moves_is_not_sent_again() -> None:
+    rig = hovering()
+    rig.once(b"Z0G1\n", b"%0G1\n")
+    answer = rig.finish(TOUCH)
+    assert answer.outcome is Outcome.ABORTED and "error:" in answer.reason
+    assert rig.deepest_mm() < DEPTH_MM - 2.9
+
+
+def test_orders_of_modes_that_are_refused_each_time_end_the_goal() -> None:
+    rig = hovering()
+    rig.to_board = lambda data: data.replace(b"$G\n", b"%G\n")
+    answer = rig.finish(TOUCH)
+    assert answer.outcome is Outcome.ABORTED and "error:" in answer.reason
+    assert rig.deepest_mm() < DEPTH_MM - 2.9
+
+
+def test_a_request_for_a_report_that_raises_the_feed_is_set_back_while_the_next_ones_are_lost() -> None:
+    """A burst of noise over 0.2 s: one request becomes 0x91 (feed + 10 %), and those after it are not answered."""
+    rig = DamagedRig()
+    rig.home()
+    rig.go([(0.3, 0.05, 0.0)], "long")
+    rig.run_for(1.0)
+    since, raised = rig.now, []
+
+    def damage(data: bytes) -> bytes:
+        if not raised and b"?" in data:
+            raised.append(rig.now)
+            return data.replace(b"?", b"\x91", 1)
+        # the noise goes on for four more bytes
+        left = 5 - len(raised)
+        raised.extend([rig.now] * min(left, len(data)))
+        return b"\xd5" * min(left, len(data)) + data[left:] if left > 0 else data
+
+    rig.to_board = damage
+    rig.until(lambda: rig.results and rig.results[-1].outcome.final, 30.0)
+    assert len(raised) >= 5
+    assert too_fast_s(rig, 9000.0, since) <= LATE_S
+
+
 def test_a_frame_that_the_board_does_not_have_is_sent_again() -> None:
     rig = hovering()
     rig.once(b"Z8G92", b"Z6G92")

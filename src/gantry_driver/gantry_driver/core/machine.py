@@ -286,6 +286,8 @@ class Machine(Streaming):
     def _on_refused(self, event: Refused, now: float) -> None:
         text = f"{error_text(event.code)} at line {event.line.number} {event.line.text!r}"
         self._events.append(Note(level="error", text=text))
+        if self._confirms_again(event.line, now):
+            return
         if self.phase in (Phase.MOVING, Phase.IDLE):
             self._halt(text, now)
         elif self.phase is Phase.HOMING:

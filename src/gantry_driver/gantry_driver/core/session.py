@@ -94,6 +94,8 @@ class GrblSession:
         self.rx_bytes = DEFAULT_RX_BYTES
         self._planner_blocks = 0
         self.poll_interval_s = 0.1
+        self.sets_feed_back = False
+        """Whether an unanswered ``?`` is repeated, with the feed override set back: it may have become an override."""
         self.awaiting_banner = False
         self.latency_s = 0.0
         self._reader = LineReader()
@@ -371,10 +373,12 @@ class GrblSession:
             self._reset_at = now
         self._resets_unanswered += out.count(SOFT_RESET)
         if self._may_poll() and now >= self._next_poll and now >= self._quiet_until:
-            out += STATUS
-            while len(self._asked) >= QUESTIONS:
+            doubted = self.sets_feed_back and bool(self._asked)
+            for _ in range(2 if doubted else 1):
+                out += FULL_FEED + STATUS if doubted else STATUS
+                self._asked.append(now)
+            while len(self._asked) > QUESTIONS:
                 self._asked.popleft()
-            self._asked.append(now)
             rare = self.polls_spared and bool(self._queue) and self._wire_bound and not self.paused
             self._next_poll = now + (max(self.poll_interval_s, WIRE_BOUND_POLL_S) if rare else self.poll_interval_s)
         while self._may_send(now):

@@ -40,7 +40,7 @@ class Proving(Stopping):
 
     def __init__(self, config: DriverConfig, *, active: bool = True, left_down: bool = False) -> None:
         super().__init__(config, active=active, left_down=left_down)
-        self._feed_percent = 100.0
+        self._feed_percent = math.nan
         """The board's feed override in the last report that had it."""
         self._stylus_line = 0
         """The last line queued that moves a stylus without a Z axis."""
@@ -51,6 +51,8 @@ class Proving(Stopping):
         """Return the bytes to write."""
         if self.phase is Phase.MOVING and self._goal is not None:
             self._queue_more(self._goal)
+        # Without an Ov: the board may know no overrides, and one that an operator has lowered stays.
+        self.session.sets_feed_back = self.phase is Phase.MOVING and self._feed_percent == 100.0
         return super().output(now)
 
     def seen_clear(self, height_m: float, age_s: float) -> None:
@@ -128,6 +130,18 @@ class Proving(Stopping):
             text = f"$G shows no {missing} after {' '.join(item.lines)!r}: {goal.modes_text or 'nothing'}"
             self._fault(MotionFault.MODES_DIFFER, text, now)
 
+    def _confirms_again(self, line: Line, now: float) -> bool:
+        """Whether a refused line only orders modes or asks for them: the board has done nothing; it is sent again."""
+        goal = self._goal
+        if goal is None or goal.confirming is None or self.phase is not Phase.MOVING or goal.tries >= CONFIRM_TRIES - 1:
+            return False
+        first = goal.confirm_line - len(goal.confirming.lines)
+        if not first <= line.number <= goal.confirm_line:
+            return False
+        if line.number == goal.confirm_line:
+            self._modes_answered(goal, now)
+        return True
+
     def _fault(self, code: MotionFault, reason: str, now: float, details: tuple[tuple[str, str], ...] = ()) -> None:
         """Answer the goal with a code, and begin the way down."""
         self._finish(Outcome.ABORTED, reason, now, code=code.value, details=details)
@@ -142,7 +156,7 @@ class Proving(Stopping):
         goal = self._goal
         if goal is None or goal.watch is None or report.mpos_mm is None or self.phase is not Phase.MOVING:
             return False
-        raised = max(self._feed_percent, 100.0) / 100.0
+        raised = max(100.0, self._feed_percent) / 100.0  # max() keeps the first where the other is not a number
         deviation = goal.watch.check(
             report.mpos_mm, (report.feed_mm_min or 0.0) / raised, now, self.session.report_asked_at
         )
