@@ -142,6 +142,30 @@ def test_messages_on_another_topic_do_not_prolong_the_wait(
     assert settled and [late.topic for late in gate.left_behind] == ["/image"]
 
 
+def test_message_that_was_counted_for_a_process_that_was_ending_costs_half_a_second(
+    ledgers: list[StepLedger], gate: StepGate, clock: Clock
+) -> None:
+    camera, detector = ledgers[:2]
+    camera.subscribe("/image")
+    detector.subscribe("/image")
+    assert gate.settled()
+    detector.leave()
+    assert gate.settled()
+    camera.expect("/image", 2)  # it has read the number of subscriptions before
+    camera.finish("/image")
+    gate.settled()
+    clock.now_s += 0.4
+    assert not gate.settled()
+    clock.now_s += 0.2
+    assert gate.settled()
+    clock.now_s += 10.0
+    assert gate.settled()
+    camera.expect("/image")
+    assert not gate.settled()
+    clock.now_s += 4.9
+    assert not gate.settled(), "long after, the patience is the usual one"
+
+
 def test_process_that_has_ended_is_not_waited_for(tmp_path: Path, ledgers: list[StepLedger], clock: Clock) -> None:
     camera, watcher = ledgers[0], ledgers[2]
     gate = StepGate(watcher, patience_s=5.0, clock=clock)

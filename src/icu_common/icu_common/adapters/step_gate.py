@@ -18,6 +18,8 @@ PATIENCE_S = 5.0
 """Longest wait for a process that is in no callback: it is suspended, or a message was lost."""
 CALLBACK_PATIENCE_S = 120.0
 """Longest wait for a callback; bring-up ends a process that stays in one for longer."""
+GONE_S = 0.5
+"""The same on a topic that has just lost a subscription: a publisher may have counted it while it ended."""
 _LOOK_FOR_ENDED_S = 0.5
 
 
@@ -63,6 +65,9 @@ class StepGate:
         self._outstanding = Outstanding()
         self._finished: Counts = np.zeros(0, np.int64)
         self._since_s: npt.NDArray[np.float64] = np.zeros(0)
+        self._subscriptions: Counts = np.zeros(0, np.int64)
+        self._lost_s: npt.NDArray[np.float64] = np.zeros(0)
+        """When each topic lost a subscription last."""
         self._looked_s = clock()
         self._processes: dict[int, int] = {}
         self._suspended: dict[int, tuple[Counts, int]] = {}
@@ -75,6 +80,7 @@ class StepGate:
         self._resume_suspended()
         finished, expected, subscriptions = self._ledger.totals()
         owed = self._outstanding.update(finished, expected, subscriptions)
+        patience_s = self._patience_of_topics(subscriptions, now_s)
         if (processes := self._ledger.processes()) != self._processes:
             # The counts of a process that has ended are gone from the sums.
             self._processes = processes
@@ -86,7 +92,7 @@ class StepGate:
         if now_s - self._looked_s > _LOOK_FOR_ENDED_S:
             self._looked_s = now_s
             self._ledger.forget_ended()
-        stuck = np.where((owed > 0) & (now_s - since_s > self._patience_s), owed, 0)
+        stuck = np.where((owed > 0) & (now_s - since_s > patience_s), owed, 0)
         if not stuck.any():
             return False
         late = self._laggards(stuck)
@@ -98,6 +104,15 @@ class StepGate:
             self._suspended[row] = self._ledger.suspend(row), self._ledger.progress(row)
         self._outstanding.forgive(stuck)
         return not (owed - stuck).any()
+
+    def _patience_of_topics(self, subscriptions: Counts, now_s: float) -> npt.NDArray[np.float64]:
+        """Return, for each topic, the longest wait without progress."""
+        if added := len(subscriptions) - len(self._subscriptions):
+            self._subscriptions = np.pad(self._subscriptions, (0, added))
+            self._lost_s = np.pad(self._lost_s, (0, added), constant_values=-np.inf)
+        self._lost_s[subscriptions < self._subscriptions] = now_s
+        self._subscriptions = subscriptions
+        return np.where(now_s - self._lost_s <= self._patience_s, min(GONE_S, self._patience_s), self._patience_s)
 
     def _note_progress(self, finished: Counts, owed: Counts, now_s: float) -> npt.NDArray[np.float64]:
         """Return, for each topic, since when it has made no progress; one with nothing outstanding needs none."""
