@@ -95,10 +95,11 @@ class StepGate:
         stuck = np.where((owed > 0) & (now_s - since_s > patience_s), owed, 0)
         if not stuck.any():
             return False
-        late = self._laggards(stuck)
-        busy = any(self._ledger.is_busy(row) for row in late)
+        busy = any(self._ledger.is_busy(row) for row in self._laggards(stuck))
         if busy and (now_s - since_s[stuck > 0]).max() <= self._callback_patience_s:
             return False
+        # What was to go to a process that has ended, nobody owes.
+        late = self._laggards(np.where(patience_s < self._patience_s, 0, stuck))
         self.left_behind = tuple(late.values())
         for row in late:
             self._suspended[row] = self._ledger.suspend(row), self._ledger.progress(row)
