@@ -670,6 +670,7 @@ export const PHRASES_DE = [
   ["{} is too large", "{} ist zu groß"],
   ["an integer of {} digits is too large", "eine ganze Zahl mit {} Ziffern ist zu groß"],
   ["file's name {} of {} characters: {} that are all seen are allowed", "Dateiname {} mit {} Zeichen: erlaubt sind {}, die man alle sieht"],
+  ["more than {} open brackets", "mehr als {} offene Klammern"],
   ["a key stands twice", "ein Schlüssel steht zweimal da"],
   ["an object is needed, not {}", "nötig ist ein Objekt, nicht {}"],
   ["{} = {}: {} is needed", "{} = {}: nötig ist {}"],
