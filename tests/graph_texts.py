@@ -31,6 +31,8 @@ ONLY_ELSEWHERE = {
         *(
             "turned_away",
             "front_door",
+            "listener",
+            "websockets",
             "executables",
             "compiling",
             "transport_profile",

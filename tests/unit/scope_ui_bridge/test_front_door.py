@@ -21,7 +21,7 @@ import pytest
 from unit.scope_ui_bridge.web_rig import WITHIN_S, Page, Rig, page, until, with_rig
 from yarl import URL
 
-from scope_ui_bridge.adapters import front_door, video_hub
+from scope_ui_bridge.adapters import front_door, listener, video_hub
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users, write_secret
 from scope_ui_bridge.cli import page_admin
 from scope_ui_bridge.core import sign_in
@@ -108,7 +108,7 @@ def test_slow_and_silent_connections_are_ended_and_stop_is_served_meanwhile(
 
 
 def test_a_crowd_of_silent_connections_leaves_room_for_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(front_door, "_MAX_CONNECTIONS", 20)
+    monkeypatch.setattr(listener, "MAX_CONNECTIONS", 20)
 
     async def scenario(rig: Rig) -> None:
         async with page(rig) as client:

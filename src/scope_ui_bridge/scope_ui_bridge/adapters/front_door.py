@@ -14,8 +14,10 @@ from urllib.parse import parse_qsl, unquote
 from aiohttp import web
 
 from icu_common.core.text_bounds import plain
+from scope_ui_bridge.adapters.listener import NOBODY, Listener, Turnstile
 from scope_ui_bridge.adapters.secret_files import read_users
 from scope_ui_bridge.adapters.turned_away import TurnedAway
+from scope_ui_bridge.core.admission.rates import REQUESTS_BURST, REQUESTS_PER_S, Bucket, OfUsers
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.passwords import MAX_NAME, PasswordError, User, composed, hash_password, matches
 from scope_ui_bridge.core.refusal import Refusal
@@ -29,7 +31,6 @@ _MAX_FIELDS = 8
 _LOOK_S = 1.0
 """So often the file of passwords is read for those who have come in by it."""
 _SPEAK_WITHIN_S = 5.0
-_MAX_CONNECTIONS = 256
 _MAX_PATH = 200  # characters; far below what a file system takes for a name
 _MAX_GUESSES = 8  # passwords that wait to be checked: each takes a tenth of a second of a processor
 _MAX_OF_ONE = 3  # of them at one account from one address, as that of all tunnels: others find a place
@@ -84,6 +85,9 @@ class FrontDoor:
         self._nobody = ""
         self._users: dict[str, User] | None = None
         self._look_s = 0.0
+        self._turnstile = Turnstile()
+        self._requests = OfUsers(lambda: Bucket(REQUESTS_PER_S, REQUESTS_BURST))
+        self._listener: Listener | None = None
         self._seen_s: dict[Any, float] = {}
         self._spoke: set[Any] = set()
 
@@ -92,8 +96,9 @@ class FrontDoor:
         """For how long a connection may ask for nothing, and for how long it may take to become encrypted."""
         return _SPEAK_WITHIN_S
 
-    def opened(self, port: int) -> None:
-        """Take the port in use, which the exact origins and hosts name."""
+    def opened(self, port: int, listener: Listener) -> None:
+        """Take the port in use, which the exact origins and hosts name, and who knows whose connections there are."""
+        self._listener = listener
         self._origins = self._config.origins(port)
         self._hosts = frozenset(origin.partition("://")[2] for origin in self._origins)
 
@@ -116,6 +121,7 @@ class FrontDoor:
         """Refuse foreign hosts (DNS rebinding) and origins, and put the security headers on every answer."""
         response: web.StreamResponse
         self._spoke.add(request.protocol)
+        await self._in_turn(request)
         named = request.method == "POST" or request.path in ("/control", "/video")
         if request.host not in self._hosts:
             self.turned_away.note(request.remote or "", "request", f"host {request.host[:80]!r}")
@@ -143,6 +149,24 @@ class FrontDoor:
             response.headers.update(HEADERS)
         return response
 
+    async def _in_turn(self, request: web.Request) -> None:
+        """Wait until a request may be handled; that of a signed-in user to stop waits for nothing."""
+        session = self.session(request)
+        if self._listener is not None and request.transport is not None:
+            user = session.name if session is not None else NOBODY
+            self._listener.know(request.transport.get_protocol(), user)
+        if session is None:
+            await self._turnstile.wait()
+        elif request.path != "/stop":
+            while not (rate := self._requests[session.name]).take(time.monotonic()):
+                await asyncio.sleep(rate.wait_s())
+            await asyncio.sleep(0)  # requests in a row on one connection would be handled in one go
+
+    def user_of(self, cookie: str) -> str:
+        """Return whose session a cookie is, NOBODY for none."""
+        session = self._sign_in.session(cookie, time.monotonic())
+        return session.name if session is not None else NOBODY
+
     def _note(self, request: web.Request, why: str) -> None:
         # What is served here is a kind of its own. Each path that somebody makes up would be one, too, with its record.
         served = request.match_info.route.resource
@@ -162,9 +186,8 @@ class FrontDoor:
         self._spoke.intersection_update(connections)
         self._seen_s = {c: self._seen_s.get(c, now_s) for c in connections}
         silent = [c for c in connections if c not in self._spoke]
-        crowded = len(connections) > _MAX_CONNECTIONS
         for connection in silent:
-            if crowded or now_s - self._seen_s[connection] > _SPEAK_WITHIN_S:
+            if now_s - self._seen_s[connection] > _SPEAK_WITHIN_S:
                 self.turned_away.note("somebody", "connection", "nothing was asked in time")
                 if connection.transport is not None:
                     connection.transport.abort()

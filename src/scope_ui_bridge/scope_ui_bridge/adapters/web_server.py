@@ -12,7 +12,7 @@ import logging
 import ssl
 import threading
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -23,14 +23,16 @@ from icu_common.core.config import ConfigError
 from scope_ui_bridge.adapters.front_door import FrontDoor
 from scope_ui_bridge.adapters.graph_port import GraphError, GraphPort
 from scope_ui_bridge.adapters.jpeg_encoder import JpegEncoder
+from scope_ui_bridge.adapters.listener import MAX_CONNECTIONS, Listener
 from scope_ui_bridge.adapters.mailbox import Mailbox
 from scope_ui_bridge.adapters.recorder import Recorder
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.adapters.stop_path import StopPath
 from scope_ui_bridge.adapters.turned_away import SUSPECT
 from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
+from scope_ui_bridge.adapters.websockets import close, receive, send_all, throw_out, until_gone
 from scope_ui_bridge.core.admission.places import OWN_PLACES, Places
-from scope_ui_bridge.core.admission.rates import OPENED_BURST, OPENED_PER_S, Bucket, OfUsers
+from scope_ui_bridge.core.admission.rates import OPENED_BURST, OPENED_PER_S, PINGS_BURST, PINGS_PER_S, Bucket, OfUsers
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import (
@@ -65,12 +67,8 @@ _MAX_FORM = 4096  # bytes of a plain request
 _HARD_LIMIT = 64 * 1024  # above this the WebSocket library itself closes the connection
 _START_TIMEOUT_S = 10.0
 _IDLE_CONNECTION_S = 15.0
-_BACKLOG = 128
-_LOOK_S = 1.0
-"""So often, at least, it is looked whether who has opened a connection is still signed in, and may listen."""
 _GOES_ON = (WSMsgType.TEXT, WSMsgType.BINARY, WSMsgType.PING, WSMsgType.PONG)
 _HELD_QUALITY = 95
-_FAREWELL_S = 0.2
 _MAX_WISH = 512  # characters of what a page sends on the connection of the pictures
 
 
@@ -191,25 +189,19 @@ class WebServer:
             handle_signals=False,
             shutdown_timeout=1.0,
             keepalive_timeout=_IDLE_CONNECTION_S,
+            auto_decompress=False,
         )
         await runner.setup()
         assert runner.server is not None
-        listener: asyncio.Server | None = None
+        listener: Listener | None = None
         try:
             context: ssl.SSLContext | None = None
             if self._config.tls:
                 context = self._certified()
-            listener = await self._loop.create_server(
-                runner.server,
-                self._config.host,
-                self._config.port,
-                ssl=context,
-                backlog=_BACKLOG,
-                # The sweep sees no connection before it is encrypted, and asyncio would wait for a minute.
-                ssl_handshake_timeout=self.door.speak_within_s if context else None,
-            )
-            self.port = listener.sockets[0].getsockname()[1]
-            self.door.opened(self.port)
+            listener = Listener(runner.server, self.door.user_of, self._desk.had_control, self._made_room)
+            # The sweep sees no connection before it is encrypted, and asyncio would wait for a minute.
+            self.port = await listener.open(self._config.host, self._config.port, context, self.door.speak_within_s)
+            self.door.opened(self.port, listener)
             self._started.set()
             while not self._closing.is_set():
                 self._desk.recordings.own = self.recorder.recording
@@ -219,7 +211,7 @@ class WebServer:
                     await asyncio.wait_for(self._closing.wait(), _TICK_S)
             for socket in self._places.owners():
                 with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
-                    await asyncio.wait_for(_close(socket), 0.5)
+                    await asyncio.wait_for(close(socket), 0.5)
         finally:
             for task in self._tasks:
                 task.cancel()
@@ -227,6 +219,9 @@ class WebServer:
             if listener is not None:
                 listener.close()
             await runner.cleanup()
+
+    def _made_room(self, whose: str) -> None:
+        self.door.turned_away.note(whose, "connection", f"more than {MAX_CONNECTIONS} are open")
 
     def _application(self) -> web.Application:
         application = web.Application(middlewares=[self.door.guard], client_max_size=_MAX_FORM)
@@ -294,7 +289,7 @@ class WebServer:
             raise web.HTTPServiceUnavailable(reason="too many viewers") from refusal
         if gone is not None:
             self.door.turned_away.note(session.name, request.path, f"more than {OWN_PLACES}: the oldest ends")
-            self._spawn(_close(gone, WSCloseCode.POLICY_VIOLATION, b"newer ones of the same user"))
+            self._spawn(close(gone, WSCloseCode.POLICY_VIOLATION, b"newer ones of the same user"))
         try:
             await socket.prepare(request)
         except BaseException:
@@ -307,6 +302,7 @@ class WebServer:
         viewer = ""
         sender: asyncio.Task[None] | None = None
         gone, flooding = "stopped_link_lost", False  # without a word, as when a tunnel ends
+        pings = Bucket(PINGS_PER_S, PINGS_BURST)
         try:
             try:
                 viewer, hello = self._desk.join(session.name, session.role, session.user is not None)
@@ -318,9 +314,9 @@ class WebServer:
             self._outboxes[viewer], self._controls[viewer] = outbox, socket
             if request.transport is not None:
                 self._transports[viewer] = request.transport
-            sender = asyncio.create_task(_send_all(socket, outbox))
+            sender = asyncio.create_task(send_all(socket, outbox))
             while True:
-                message = await _receive(socket)
+                message = await receive(socket, pings)
                 if message is not None and message.type not in _GOES_ON:
                     if message.type is WSMsgType.CLOSE:
                         gone = "stopped_page_gone"
@@ -352,7 +348,7 @@ class WebServer:
                 self._carry_out(self._desk.leave(viewer, self._now(), gone))
             if sender is not None:
                 sender.cancel()
-        return await (_throw_out(request, socket) if flooding else self._ended(socket))
+        return await (throw_out(request, socket) if flooding else self._ended(socket))
 
     def _note_suspects(self, name: str, effects: list[Effect]) -> None:
         for effect in effects:
@@ -365,12 +361,12 @@ class WebServer:
 
     async def _video(self, request: web.Request) -> web.StreamResponse:
         socket, session = await self._open(request)
-        viewer, flooding = VideoViewer(socket=socket), False
+        viewer, flooding, pings = VideoViewer(socket=socket), False, Bucket(PINGS_PER_S, PINGS_BURST)
         self.video.add(viewer)
-        sender = asyncio.create_task(_until_gone(self.video.serve(viewer)))
+        sender = asyncio.create_task(until_gone(self.video.serve(viewer)))
         try:
             while self.door.session(request) is not None:
-                message = await _receive(socket)
+                message = await receive(socket, pings)
                 if message is None or message.type in (WSMsgType.PING, WSMsgType.PONG):
                     continue
                 if message.type is not WSMsgType.TEXT or self.door.session(request) is None:
@@ -389,12 +385,12 @@ class WebServer:
             self._places.leave(socket)
             self.video.remove(viewer)
             sender.cancel()
-        return await (_throw_out(request, socket) if flooding else self._ended(socket))
+        return await (throw_out(request, socket) if flooding else self._ended(socket))
 
     async def _ended(self, socket: web.WebSocketResponse) -> web.WebSocketResponse:
         """Close with the server's reason: aiohttp 3.9 takes the end of a handler for a normal closure."""
         if self._closing.is_set():
-            await _close(socket)
+            await close(socket)
         return socket
 
     def _video_message(self, viewer: VideoViewer, text: str) -> None:
@@ -421,7 +417,7 @@ class WebServer:
                 self._graph.heartbeat()
             elif isinstance(effect, Ping):
                 if effect.viewer in self._controls:
-                    self._spawn(_until_gone(self._controls[effect.viewer].ping()))
+                    self._spawn(until_gone(self._controls[effect.viewer].ping()))
             elif isinstance(effect, Send):
                 self._put(effect.viewer, encode(effect.message))
             elif isinstance(effect, Broadcast):
@@ -513,40 +509,3 @@ class WebServer:
 def _tell_failure(written: Future[None]) -> None:
     if (error := written.exception()) is not None:
         _LOG.error("the record could not be written: %s", error)
-
-
-async def _close(
-    socket: web.WebSocketResponse, code: int = WSCloseCode.GOING_AWAY, why: bytes = b"server ends"
-) -> None:
-    await socket.close(code=code, message=why)
-
-
-async def _throw_out(request: web.Request, socket: web.WebSocketResponse) -> web.WebSocketResponse:
-    """End a connection whose other side sends too much, whether or not it reads the reason."""
-    with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
-        await asyncio.wait_for(_close(socket, WSCloseCode.POLICY_VIOLATION, b"too many messages"), _FAREWELL_S)
-    if request.transport is not None:
-        request.transport.abort()
-    return socket
-
-
-async def _receive(socket: web.WebSocketResponse) -> WSMessage | None:
-    """Return what comes next, or None when nothing has come for a second; what comes then is not lost."""
-    try:
-        message = await socket.receive(timeout=_LOOK_S)
-    except asyncio.TimeoutError:
-        return None
-    if message.type is WSMsgType.PING:
-        await socket.pong(message.data)
-    return message
-
-
-async def _send_all(socket: web.WebSocketResponse, outbox: asyncio.Queue[str]) -> None:
-    with contextlib.suppress(ConnectionError):
-        while True:
-            await socket.send_str(await outbox.get())
-
-
-async def _until_gone(work: Awaitable[None]) -> None:
-    with contextlib.suppress(ConnectionError):
-        await work

@@ -17,6 +17,10 @@ DROPPED_PER_S, DROPPED_BURST = 10.0, 80.0
 """What a page may send beyond its rate: it is dropped unread, and more than this ends the connection."""
 OPENED_PER_S, OPENED_BURST = 4.0, 40.0
 """Connections that one user may open: eight pages that come back at once open sixteen."""
+REQUESTS_PER_S, REQUESTS_BURST = 40.0, 400.0
+"""Plain requests of one user: a page needs forty files; what comes faster waits."""
+PINGS_PER_S, PINGS_BURST = 4.0, 40.0
+"""Pings and pongs on one connection, each of which is looked at or answered."""
 PICTURES_PER_S, PICTURES_BURST = 120.0, 240.0
 """Messages on the connection of the pictures: one for each that was drawn."""
 MAX_USERS = 256
