@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import time
 from collections.abc import Awaitable, Callable
@@ -23,6 +24,7 @@ from scope_ui_bridge.core.passwords import MAX_NAME, PasswordError, User, compos
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.sign_in import AGAIN, Session, SignIn
 
+_LOG = logging.getLogger(__name__)
 COOKIE = "icu_session"
 """The cookie's name, before the port: browsers send it to every port of a host, where other robots may be served."""
 PAGE = Path(__file__).resolve().parent.parent / "page"
@@ -88,6 +90,7 @@ class FrontDoor:
         self._turnstile = Turnstile()
         self._requests = OfUsers(lambda: Bucket(REQUESTS_PER_S, REQUESTS_BURST))
         self._listener: Listener | None = None
+        self._failures = Bucket(1.0, 1.0)  # tracebacks in the log
         self._seen_s: dict[Any, float] = {}
         self._spoke: set[Any] = set()
 
@@ -133,7 +136,7 @@ class FrontDoor:
             found = request.headers.get("Origin")
             self._note(request, f"origin {str(found)[:80]!r}")
             response = web.Response(status=403, text="This origin may not do that.\n")
-        elif request.headers.get("Content-Encoding", "identity") != "identity":
+        elif set(request.headers.getall("Content-Encoding", [])) - {"identity"}:
             self._note(request, "an encoded body")
             response = web.Response(status=415, text="A body is taken as it is only.\n")
         else:
@@ -145,6 +148,11 @@ class FrontDoor:
                 response = web.Response(status=error.status, text=f"{error.status}: {error.reason}\n")
                 if "Allow" in error.headers:
                     response.headers["Allow"] = error.headers["Allow"]
+            except Exception as error:  # a mistake of ours, which a stranger may repeat as often as they like
+                if self._failures.take(time.monotonic()):
+                    _LOG.exception("a request failed")
+                self._note(request, f"500 {type(error).__name__}")
+                response = web.Response(status=500, text="500: this request failed.\n")
         if not response.prepared:
             response.headers.update(HEADERS)
         return response

@@ -190,6 +190,7 @@ class WebServer:
             shutdown_timeout=1.0,
             keepalive_timeout=_IDLE_CONNECTION_S,
             auto_decompress=False,
+            logger=self.door.turned_away.logger(),
         )
         await runner.setup()
         assert runner.server is not None
