@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import json
 import os
+import resource
 import socket
 import subprocess
 import sys
@@ -200,7 +201,20 @@ async def _again(one: Callable[[], Awaitable[None]]) -> None:
 
 
 async def connections(flood: Flood) -> None:
-    """Open connections as fast as possible and say nothing; keep the last two thousand."""
+    """Open connections as fast as possible and say nothing."""
+    await _open_and_keep(flood, b"")
+
+
+async def kept_connections(flood: Flood) -> None:
+    """Open connections, ask for something on each, and keep them."""
+    host, port = flood.raw()
+    await _open_and_keep(flood, f"GET /session HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
+
+
+async def _open_and_keep(flood: Flood, said: bytes) -> None:
+    """Keep two thousand at most."""
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     host, port = flood.raw()
     kept: list[socket.socket] = []
     loop = asyncio.get_running_loop()
@@ -210,18 +224,19 @@ async def connections(flood: Flood) -> None:
         try:
             await asyncio.wait_for(loop.sock_connect(made, (host, port)), 1.0)
             flood.counts["opened"] += 1
+            await loop.sock_sendall(made, said)
         except (OSError, asyncio.TimeoutError) as error:
             flood.counts[type(error).__name__] += 1
             await asyncio.sleep(0.01)
         kept.append(made)
-        if len(kept) > 800:
+        if len(kept) > min(2000, hard - 100):
             kept.pop(0).close()
 
 
 FLOODS: dict[str, Callable[[Flood], Awaitable[None]]] = {
     flood.__name__: flood
     for flood in (messages, small_messages, stops, pings, videos, sign_ins, passwords)
-    + (tokens, bodies, requests, pipelined, connections)
+    + (tokens, bodies, requests, pipelined, connections, kept_connections)
 }
 
 

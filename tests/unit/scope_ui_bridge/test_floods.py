@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import resource
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +57,16 @@ async def stop_by_message(client: Page, number: int) -> float:
     return time.monotonic() - begin_s
 
 
+@pytest.fixture
+def few_descriptors() -> Iterator[None]:
+    """`ulimit -n 1024`, which is what a login shell has."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (1024, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.usefixtures("few_descriptors")
 @pytest.mark.parametrize("name", page_floods.FLOODS)
 def test_a_flood_does_not_delay_the_operators_stop_nor_a_new_page(
     name: str, passwords: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

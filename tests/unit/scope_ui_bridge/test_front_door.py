@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import math
 import shutil
+import socket
 import ssl
 import threading
 import time
@@ -107,7 +109,17 @@ def test_slow_and_silent_connections_are_ended_and_stop_is_served_meanwhile(
     assert any(entry["command"] == "connection" for entry in records(path))
 
 
-def test_a_crowd_of_silent_connections_leaves_room_for_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("tls", [False, True])
+def test_a_crowd_of_silent_connections_leaves_room_for_a_stop(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tls: bool
+) -> None:
+    options: dict[str, Any] = {"max_viewers": 5}
+    if tls:
+        if shutil.which("openssl") is None:
+            pytest.skip("openssl is not installed")
+        page_admin.make_certificate(["127.0.0.1"], tmp_path / "tls")
+        files = {"tls_key": "tls/key.pem", "tls_certificate": "tls/certificate.pem"}
+        options |= {name: str(tmp_path / file) for name, file in files.items()}
     monkeypatch.setattr(listener, "MAX_CONNECTIONS", 20)
 
     async def scenario(rig: Rig) -> None:
@@ -118,7 +130,55 @@ def test_a_crowd_of_silent_connections_leaves_room_for_a_stop(monkeypatch: pytes
                 writer.close()
             async with client.session.post("/stop", headers=client.origin) as answer:
                 assert answer.status == 200
+            async with page(rig) as another:
+                assert (await another.ask(type="stop"))["ok"]
         assert rig.graph.named("stop")
+
+    with_rig(scenario, **options)
+
+
+def test_a_server_without_descriptors_makes_room_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    failed: list[int] = []
+
+    def accept(listening: socket.socket, real: Any = socket.socket.accept) -> Any:
+        if crowd and len(failed) < 3:
+            failed.append(len(failed))
+            raise OSError(errno.EMFILE, "Too many open files")
+        return real(listening)
+
+    crowd: list[Any] = []
+    monkeypatch.setattr(socket.socket, "accept", accept)
+
+    async def scenario(rig: Rig) -> None:
+        async with page(rig, take=True) as client:
+            silent = [await asyncio.open_connection("127.0.0.1", rig.server.port) for _ in range(5)]
+            await until(lambda: len(rig.server.door._seen_s) >= 6, "all are accepted")
+            crowd.extend(silent)
+            async with page(rig) as another:
+                assert (await another.ask(type="stop"))["ok"]
+            await asyncio.gather(*(ended(reader) for reader, _ in silent[:3]))
+            assert (await client.ask(type="stop"))["ok"], "who has control does not make room"
+            for _, writer in silent:
+                writer.close()
+
+    with_rig(scenario)
+    assert failed == [0, 1, 2]
+
+
+@pytest.mark.parametrize("order", ["own last", "own first"])
+def test_the_cookie_of_another_robot_on_the_host_hides_nobodys(order: str) -> None:
+    async def scenario(rig: Rig) -> None:
+        async with page(rig) as client:
+            (cookie,) = client.session.cookie_jar
+            own, other = f"{cookie.key}={cookie.value}", f"icu_session_{rig.server.port + 1}={'x' * 43}"
+            _, writer = await asyncio.open_connection("127.0.0.1", rig.server.port)
+            both = f"{other}; {own}" if order == "own last" else f"{own}; {other}"
+            writer.write(f"GET /page/x HTTP/1.1\r\nCookie: {both}\r\n".encode())  # the rest does not come
+            port = writer.get_extra_info("sockname")[1]
+            gates = lambda: rig.server.door._listener._gates  # noqa: E731
+            users = lambda: [g.user for g in gates() if g.transport.get_extra_info("peername")[1] == port]  # noqa: E731
+            await until(lambda: users() == ["Operator 1"], "it is known before its request is whole")
+            writer.close()
 
     with_rig(scenario)
 

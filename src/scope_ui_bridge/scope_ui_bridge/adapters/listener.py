@@ -22,7 +22,10 @@ from scope_ui_bridge.core.admission.rates import Bucket, OfUsers
 
 _LOG = logging.getLogger(__name__)
 MAX_CONNECTIONS = 256
-"""Maximum number of open connections; the process needs other descriptors besides, and 1024 is a usual limit."""
+"""Maximum number of open connections of a server for few pages; for many it is four for each page.
+
+The process needs other descriptors besides, and 1024 is a usual limit.
+"""
 MAX_OF_USER = 32
 """Connections of one user: its sockets, and those that its browsers keep open."""
 _BACKLOG = 128
@@ -82,8 +85,9 @@ class Gate(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         """Pass on what comes, now or in its turn."""
         self._waiting += data
-        if self.user == NOBODY and (found := _COOKIE.search(self._waiting, 0, _HEAD)):
-            self._listener.know(self, self._listener.whose(found[1].decode()))
+        if self.user == NOBODY:  # a browser sends the cookies of all robots on this host
+            cookies = (found[1].decode() for found in _COOKIE.finditer(bytes(self._waiting[:_HEAD])))
+            self._listener.know(self, next(filter(None, map(self._listener.whose, cookies)), NOBODY))
         if self.user != NOBODY:
             self.pass_on(len(self._waiting))
         if self._waiting:
@@ -142,6 +146,8 @@ class Listener:
         Returns the user of a session's cookie, NOBODY for none.
     spares
         Tells of a user whether that one has or had control: such connections go last.
+    limit
+        Maximum number of open connections.
     told
         Is called with the address of a connection that had to make room.
     """
@@ -151,11 +157,13 @@ class Listener:
         make_handler: Callable[[], Any],
         whose: Callable[[str], str],
         spares: Callable[[str], bool],
+        limit: int,
         told: Callable[[str], None],
     ) -> None:
         self.make_handler = make_handler
         self.whose = whose
         self._spares = spares
+        self._limit = limit
         self._told = told
         self.rates = OfUsers(lambda: Bucket(_USER_BYTES_PER_S, _USER_BURST))
         self._loop = asyncio.get_running_loop()
@@ -190,7 +198,7 @@ class Listener:
                 gate.end()
 
     def _accept(self, listening: socket.socket) -> None:
-        if len(self._gates) >= MAX_CONNECTIONS:
+        if len(self._gates) >= self._limit:
             self._make_room(self._least())
         try:
             accepted, address = listening.accept()

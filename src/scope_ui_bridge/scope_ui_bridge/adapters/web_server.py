@@ -20,10 +20,11 @@ import numpy.typing as npt
 from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
 from icu_common.core.config import ConfigError
+from scope_ui_bridge.adapters import listener as listening
 from scope_ui_bridge.adapters.front_door import FrontDoor
 from scope_ui_bridge.adapters.graph_port import GraphError, GraphPort
 from scope_ui_bridge.adapters.jpeg_encoder import JpegEncoder
-from scope_ui_bridge.adapters.listener import MAX_CONNECTIONS, Listener
+from scope_ui_bridge.adapters.listener import Listener
 from scope_ui_bridge.adapters.mailbox import Mailbox
 from scope_ui_bridge.adapters.recorder import Recorder
 from scope_ui_bridge.adapters.secret_files import AuditFile
@@ -110,6 +111,7 @@ class WebServer:
         self._controls: dict[str, web.WebSocketResponse] = {}
         self._transports: dict[str, asyncio.Transport] = {}
         self._places: Places[web.WebSocketResponse] = Places(2 * config.max_viewers)
+        self._most = max(listening.MAX_CONNECTIONS, 4 * config.max_viewers)
         self._opened = OfUsers(lambda: Bucket(OPENED_PER_S, OPENED_BURST))
         self._tasks: set[asyncio.Task[Any]] = set()
         self._closing = asyncio.Event()
@@ -199,7 +201,7 @@ class WebServer:
             context: ssl.SSLContext | None = None
             if self._config.tls:
                 context = self._certified()
-            listener = Listener(runner.server, self.door.user_of, self._desk.had_control, self._made_room)
+            listener = Listener(runner.server, self.door.user_of, self._desk.had_control, self._most, self._made_room)
             # The sweep sees no connection before it is encrypted, and asyncio would wait for a minute.
             self.port = await listener.open(self._config.host, self._config.port, context, self.door.speak_within_s)
             self.door.opened(self.port, listener)
@@ -222,7 +224,7 @@ class WebServer:
             await runner.cleanup()
 
     def _made_room(self, whose: str) -> None:
-        self.door.turned_away.note(whose, "connection", f"more than {MAX_CONNECTIONS} are open")
+        self.door.turned_away.note(whose, "connection", f"more than {self._most} are open")
 
     def _application(self) -> web.Application:
         application = web.Application(middlewares=[self.door.guard], client_max_size=_MAX_FORM)
