@@ -316,9 +316,9 @@ def test_a_text_that_a_parser_chokes_on_is_refused_at_once_and_shown_cut(ros: An
     rig = Rig(ros)
     for text, why in (
         (f"steps: {3000 * '['}", "more than 12 brackets are open"),
-        (f"name: {70_000 * 'x'}", "the text has 70006 bytes, at most 65536 are allowed"),
+        (f"name: {70_000 * 'x'}", "the text has 70007 bytes, at most 65536 are allowed"),
         ("steps: [poke\x1b[2J:A]", "unacceptable character"),
-        (f"steps: ['{400 * 'z'}']", "more characters)"),
+        (f"steps: [{{do: press:A, check: {{k: {900 * 'z'}}}}}]", "more characters)"),
     ):
         before, begin_s = len(rig.answers), time.process_time()
         rig.sequence.publish(String(data=f"id: a\x1b[31m\n{text}"))

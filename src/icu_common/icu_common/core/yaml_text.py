@@ -51,13 +51,10 @@ class Loader(yaml.SafeLoader):
         event, before = self.peek_event(), self._nodes
         alias = isinstance(event, yaml.AliasEvent)
         self._nodes += self._repeated.get(event.anchor, 1) if alias else 1
-        for found, limit, what in (
-            (self._depth, self.max_depth - 1, "levels"),
-            (self._nodes, self.max_nodes, "values"),
-        ):
-            if found > limit:
-                problem = f"more than {self.max_depth if what == 'levels' else limit} {what}"
-                raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
+        if self._depth >= self.max_depth:
+            raise yaml.composer.ComposerError(None, None, f"more than {self.max_depth} levels", event.start_mark)
+        if self._nodes > self.max_nodes:
+            raise yaml.composer.ComposerError(None, None, f"more than {self.max_nodes} values", event.start_mark)
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
