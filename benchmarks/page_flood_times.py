@@ -67,14 +67,15 @@ class _Operator:
     async def ready(self) -> None:
         """Make the driver idle: it sends its hold to the board whatever it does then."""
         deadline = time.monotonic() + 60.0
-        asked = ""
+        asked, asked_s = "", 0.0
         while (found := self._driver) != "idle":
             assert time.monotonic() < deadline, f"the driver is {found!r}"
             wanted = {"stopped": ["reset"], "disabled": ["enable"], "unhomed": ["enable", "home"]}
-            for service in wanted.get(found, []) if found != asked else []:
-                await self.ask(type="call", service=service)
-                await asyncio.sleep(0.2)
-            asked = found
+            if found != asked or time.monotonic() - asked_s > 3.0:
+                asked, asked_s = found, time.monotonic()
+                for service in wanted.get(found, []):
+                    await self.ask(type="call", service=service)
+                    await asyncio.sleep(0.2)
             await asyncio.sleep(0.05)
 
     async def __aexit__(self, *error: object) -> None:

@@ -130,6 +130,9 @@ def test_an_observer_who_signs_in_again_and_again_ends_only_its_own_sessions() -
             waits += 1
     assert door.session(operator, 36.0) is not None
     assert len(entered) == 17 and waits == 263 - 17, "ten at once, then one each 5 s"
+    assert code(door.check_wait, "eve", "another address", 36.0) == "wait", "before the password is looked at"
+    door.check_wait("eve", AGAIN, 36.0)
+    door.check_wait("ada", "127.0.0.1", 36.0)
     assert [door.session(cookie, 36.0) is not None for cookie in entered] == [False] * 9 + [True] * 8
     assert {(session.name, why) for session, why in door.take_ended(36.0)} == {("eve", "8 newer ones of the same user")}
 

@@ -36,6 +36,7 @@ _READ = 16 * 1024
 _USER_BYTES_PER_S, _USER_BURST = 64e3, 256e3
 _STRANGER_BYTES_PER_S, _STRANGER_BURST = 8e3, 16e3
 _LATER_S = 0.005
+_AT_ONCE = 16  # strangers that make room together: to find them takes a while
 _NO_DESCRIPTORS_S = 0.1
 _HEAD = 8 * 1024
 _COOKIE = re.compile(rb"icu_session_\d+=([\w-]{8,128})")
@@ -199,7 +200,9 @@ class Listener:
 
     def _accept(self, listening: socket.socket) -> None:
         if len(self._gates) >= self._limit:
-            self._make_room(self._least())
+            first, *more = sorted(self._gates, key=self._worth())[:_AT_ONCE]
+            for gate in [first, *(other for other in more if other.user == NOBODY)]:
+                self._make_room(gate)
         try:
             accepted, address = listening.accept()
         except (BlockingIOError, InterruptedError, ConnectionAbortedError):
@@ -216,7 +219,7 @@ class Listener:
 
     def _wait_for_descriptors(self, listening: socket.socket) -> None:
         if self._gates:
-            self._make_room(self._least())
+            self._make_room(min(self._gates, key=self._worth()))
         self._loop.remove_reader(listening)
         again = lambda: listening.fileno() >= 0 and self._loop.add_reader(listening, self._accept, listening)  # noqa: E731
         self._loop.call_later(_NO_DESCRIPTORS_S, again)
@@ -249,15 +252,18 @@ class Listener:
         """Note that a connection has ended."""
         self._gates.pop(gate, None)
 
-    def _least(self) -> Gate:
-        """Return the oldest connection of those that matter least: not signed in, of the address that has most."""
+    def _worth(self) -> Callable[[Gate], tuple[bool, bool, int]]:
+        """Return what sorts connections by how much they matter: least who is not signed in, of the address with most.
+
+        Among those that matter alike the oldest comes first, as they are in their order.
+        """
         counts = Counter((gate.user, gate.user or gate.remote) for gate in self._gates)
 
         def worth(gate: Gate) -> tuple[bool, bool, int]:
             known = gate.user != NOBODY
             return known and self._spares(gate.user), known, -counts[gate.user, gate.user or gate.remote]
 
-        return min(self._gates, key=worth)
+        return worth
 
     def _make_room(self, gate: Gate) -> None:
         self._told(gate.user or gate.remote)

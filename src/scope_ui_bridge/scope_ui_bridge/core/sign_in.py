@@ -97,7 +97,14 @@ class SignIn:
         self._token = b""
 
     def check_wait(self, account: str, remote: str, now_s: float) -> None:
-        """Refuse (``wait``) while guesses at this account from this address have to wait after failures."""
+        """Refuse (``wait``) before a password is looked at, which takes its time.
+
+        That is while guesses at this account from this address have to wait after failures, or while the account has
+        been signed in to too often.
+        """
+        rate = self._rates.get(account) if remote != AGAIN else None
+        if rate is not None and rate.take(now_s, 0.0) and rate.wait_s() > 0:
+            raise Refusal("wait", seconds=max(round(rate.wait_s(), 1), 0.1))
         failures = self._failures.get((account, remote))
         if failures is not None and now_s < failures.blocked_until_s:
             raise Refusal("wait", seconds=round(failures.blocked_until_s - now_s, 1))

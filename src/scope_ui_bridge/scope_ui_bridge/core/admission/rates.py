@@ -70,6 +70,10 @@ class OfUsers(Generic[Kept]):
             self._of.popitem(last=False)
         return kept
 
+    def get(self, name: str) -> Kept | None:
+        """Return the value of a user who has one."""
+        return self._of.get(name)
+
 
 @dataclass(slots=True)
 class UserBudget:
