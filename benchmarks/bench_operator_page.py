@@ -5,7 +5,8 @@ The camera's pictures carry the moment they were made; the browser reads it from
 link is a proxy with 3 Mbit/s and 20 ms one way in each direction. A stop is counted from the page's key to ``!`` at the
 mock board. With many viewers it is also looked how regularly the operator's heartbeat comes, how old corners are when
 they come (of a node on the same pictures), and how much of a processor the bridge takes with real-time scheduling, as
-nobody else gets that. How other ways to show a camera on a page fare is in docs/decisions/operator-page.md.
+nobody else gets that. `--parts floods` measures STOP while observers and
+strangers flood the server. How other ways to show a camera on a page fare is in docs/decisions/operator-page.md.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ import numpy as np
 from rows import Row, bound, write
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from page_flood_times import floods, write_passwords
 from system.barcode_camera import READER
 from system.conftest import executable
 from system.machine_rig import MachineRig
@@ -39,7 +41,7 @@ from icu_common.adapters.real_time import is_real_time
 
 SLOW = {"bits_per_s": 3e6, "delay_s": 0.020}
 VIEWERS = 20
-PARTS = ("delay", "stop", "crowd", "slow")
+PARTS = ("delay", "floods", "stop", "crowd", "slow")
 
 
 @contextmanager
@@ -279,12 +281,15 @@ def main() -> int:
     given = parser.parse_args()
     rows: list[Row] = []
     with chromium() as browser, tempfile.TemporaryDirectory() as folder:
+        write_passwords(Path(folder))
         rig = MachineRig(Path(folder), 90 + os.getpid() % 10, picture=render(Path(folder)), rate=30, **SLOW)
         try:
             operator = Operator(browser, rig.address())
             if "delay" in given.parts:
                 rows += glass("loopback", operator, given.seconds, 60.0)
                 rows += round_trips(operator, 100)
+            if "floods" in given.parts:
+                rows += floods(rig, given.stops // 2)
             if "stop" in given.parts:
                 makes_ready(operator)
                 rows += stops(rig, operator, given.stops)

@@ -17,7 +17,7 @@ PACKAGES = ("gantry_driver", "harris_perception", "icu_common", "scope_ui_bridge
 ONLY_ELSEWHERE = {
     "command line programs": (
         *("gcode_check", "progress", "monitor", "check_mode", "wrist_camera", "board", "board_detection"),
-        *("stereo_evaluation", "dense_stereo", "repeatability", "capture", "yaml_text"),
+        *("stereo_evaluation", "dense_stereo", "repeatability", "capture", "text_bounds"),
         *("stereo_folders", "picture_files", "stereo_calibration", "boundary_files", "boundary_evaluation"),
         *("program_end", "option_bounds", "topic_names", "preparation"),
     ),
@@ -31,6 +31,8 @@ ONLY_ELSEWHERE = {
         *(
             "turned_away",
             "front_door",
+            "listener",
+            "websockets",
             "executables",
             "compiling",
             "transport_profile",

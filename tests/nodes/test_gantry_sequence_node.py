@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -309,3 +310,23 @@ def test_a_clock_that_jumps_back_ends_a_sequence(ros: Any, monkeypatch: pytest.M
     assert ended.outcome is Outcome.ABORTED and "the clock jumped back by " in ended.reason
     ros.spin_until(lambda: rig.states[-1].data == "idle", 10.0)
     assert len(rig.commands) == 1
+
+
+def test_a_text_that_a_parser_chokes_on_is_refused_at_once_and_shown_cut(ros: Any) -> None:
+    rig = Rig(ros)
+    for text, why in (
+        (f"steps: {3000 * '['}", "more than 12 brackets are open"),
+        (f"name: {70_000 * 'x'}", "the text has 70007 bytes, at most 65536 are allowed"),
+        ("steps: [poke\x1b[2J:A]", "unacceptable character"),
+        (f"steps: [{{do: press:A, check: {{k: {900 * 'z'}}}}}]", "more characters)"),
+    ):
+        before, begin_s = len(rig.answers), time.process_time()
+        rig.sequence.publish(String(data=f"id: a\x1b[31m\n{text}"))
+        ros.spin_until(lambda n=before: len(rig.answers) > n, 10.0)
+        assert time.process_time() - begin_s < 1.0
+        raw = rig.answers[-1].status[0].values
+        assert all(len(pair.value) < 600 and pair.value.isprintable() for pair in raw), raw
+        answer = result_of_message(rig.answers[-1])
+        assert (answer.outcome, answer.goal_id) == (Outcome.REJECTED, "a\\x1b[31m")
+        assert why in answer.reason
+    assert rig.commands == []

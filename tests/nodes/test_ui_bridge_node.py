@@ -13,6 +13,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -501,6 +502,25 @@ def test_the_program_is_scheduled_before_ordinary_ones_or_says_why_not(tmp_path:
         refused = "ui_bridge: real-time scheduling is not allowed (" in said.read()
     assert found.pop((os.SCHED_RR, BRIDGE), 0) == (0 if refused else len(threads) - librarys_own)
     assert found == {(os.SCHED_OTHER, 0): len(threads) if refused else librarys_own}
+
+
+def test_texts_of_others_are_cut_and_escaped_for_audit_file_page_and_console(ros: Any, bridge: Any) -> None:
+    graph, browser, _, folder = bridge
+    shown(ros, graph, browser)
+    foul = "\x1b[2J\n" + 1_000_000 * "x"
+    result = GoalResult(goal_id="a", goal="press:\x1b[31m", outcome=Outcome.ACCEPTED)
+    for answer in (result, replace(result, outcome=Outcome.ABORTED, reason=foul)):
+        graph.publish("gantry/result", result_message(answer, graph.now()))
+    graph.publish("gantry/state", String(data=f"waiting: {foul}"))
+    aborted = lambda: (browser.latest("log") or {}).get("entry", {}).get("status") == "aborted"  # noqa: E731
+    ros.spin_until(aborted, WITHIN_S)
+    ros.spin_until(lambda: browser.state()["controller"]["state"] == "waiting", WITHIN_S)
+    texts = [browser.latest("log")["entry"]["reason"], browser.state()["controller"]["reason"]]
+    for text in texts:
+        assert text.startswith("\\x1b[2J\\x0axxx") and text.isprintable() and len(text) < 500, text[:80]
+    written = lambda: [x for x in (folder / "audit.jsonl").read_text().splitlines() if "aborted" in x]  # noqa: E731
+    (line,) = ros.spin_until(written, WITHIN_S)
+    assert len(line) < 1500 and "(999605 more characters)" in line
 
 
 def test_what_has_ended_is_in_no_state_any_more(ros: Any, bridge: Any) -> None:

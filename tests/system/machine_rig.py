@@ -57,6 +57,7 @@ class MachineRig:
             "port": self.graph.port,
             "token_file": self.folder / "token",
             "audit_file": self.folder / "audit.jsonl",
+            "passwords_file": self.folder / "passwords",  # there is one where a test has written it
         }
         values["extra_origins"] = f"http://127.0.0.1:{self.link.port}"
         given = [text for name, value in values.items() for text in ("-p", f"{name}:={value}")]

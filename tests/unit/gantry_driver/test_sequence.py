@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import pytest
@@ -62,9 +63,21 @@ def test_a_sequence_survives_its_text() -> None:
         ("within_s: 2", "do: press:MENU", r"f\.yaml:6: key 'do' stands twice"),
         ("name: capture", "name: capture\nname: other", r"f\.yaml:2: key 'name' stands twice"),
         ("name: capture", "steps: [press:MENU]", r"f\.yaml:2: key 'steps' stands twice"),
-        pytest.param("within_s: 2", "within_s: 1" + 400 * "0", r"f\.yaml:4: within_s = 1000\d*: seconds", id="huge"),
+        pytest.param(
+            "within_s: 2",
+            "within_s: 1" + 400 * "0",
+            r"f\.yaml:4: within_s = 1000\d* \(361 more characters\): seconds",
+            id="huge",
+        ),
         ("steps:\n", "steps:\n\0", r"f\.yaml:1: unacceptable character #x0000"),
-        pytest.param("name: capture", "name: " + 900 * "[", r"f\.yaml:1: ", id="deep"),
+        pytest.param("name: capture", "name: " + 900 * "[", r"f\.yaml:1: more than 12 brackets are open", id="deep"),
+        ("within_s: 2", "within_s: 0:02", r"f\.yaml:4: within_s = '0:02': seconds"),
+        ("within_s: 2", "within_s: 02", r"f\.yaml:4: within_s = '02': seconds"),
+        pytest.param("name: capture", "name: " + 65 * "x", r"f\.yaml:1: a name of 65 characters; expected up to 64"),
+        pytest.param("name: capture", 'name: "a\\eb"', r"f\.yaml:1: a name of 3 characters; expected .* printable"),
+        pytest.param("name: capture", "name: " + 70_000 * "x", r"the text has 70\d+ bytes, at most 65536", id="large"),
+        pytest.param("- press", 14 * "- " + "press", r"f\.yaml:3: more than 12 levels", id="deep without brackets"),
+        pytest.param("name: capture", "name: [" + 4001 * "a," + "a]", r"f\.yaml:1: more than 4000 values", id="many"),
     ],
 )
 def test_errors_name_the_line(old: str, new: str, message: str) -> None:
@@ -190,6 +203,21 @@ def test_a_stop_between_two_gestures_ends_it_so_that_nothing_goes_on_after_a_res
     assert end.result.reason == "step 1 of 3, press:AUTO_SET: stopped: operator"
     later = PanelSeen(stamp_ns=4 * S, controls=(ControlSeen(name="SCREEN", kind="touch_area", changed_ns=4 * S),))
     assert run.panel(later, 4 * S) == [] and run.done
+
+
+def test_a_text_of_6_kb_that_takes_a_yaml_parser_seconds_is_refused_at_once() -> None:
+    """PyYAML takes 3.1 s for 3000 open brackets; a sequencer that reads them receives no answer of the controller."""
+    begin_s = time.process_time()
+    for nested in (3000 * "[", 3000 * "- ", 1500 * "? ", 1500 * "{a: ", 32_000 * "a,", "[" + 32_000 * "a,"):
+        with pytest.raises(SequenceError):
+            parse_file(f"steps: {nested}")
+    assert time.process_time() - begin_s < 1.5
+
+
+def test_aliases_count_as_what_they_repeat() -> None:
+    laughs = ["- &a0 [press:A, press:A]", *(f"- &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 30))]
+    with pytest.raises(SequenceError, match="more than 4000 values"):
+        parse_file("steps:\n" + "\n".join(laughs))
 
 
 @pytest.mark.parametrize("checks", ["", " => lamp:RUN_STOP=red"])

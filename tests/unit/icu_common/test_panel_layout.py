@@ -107,7 +107,22 @@ def test_good_layout() -> None:
         ("kind: knob", "kind: !!timestamp knob", r"f\.yaml:11: "),
         ("kind: knob", "{a: b}: knob", r"f\.yaml:10: unhashable type"),
         ("kind: knob", "kind: \0knob", r"f\.yaml:1: unacceptable character #x0000"),
-        pytest.param("kind: knob", "kind: " + 900 * "[", r"f\.yaml:1: ", id="deep"),
+        pytest.param("kind: knob", "kind: " + 900 * "[", r"f\.yaml:11: more than 24 brackets are open", id="deep"),
+        ("position_mm: [20, 10]", "position_mm: [5:20, 10]", r"f\.yaml:4: position_mm = \['5:20', 10\]: 2 numbers"),
+        ("position_mm: [20, 10]", "position_mm: [020, 10]", r"f\.yaml:4: position_mm = \['020', 10\]: 2 numbers"),
+        ("height_mm: 3\n", "height_mm: 1:30.5\n", r"f\.yaml:4: height_mm = \['1:30\.5'\]: 1 numbers"),
+        (
+            "shape: circle\n",
+            "shape: circle\n    detent_deg: 0.0\n",
+            r"f\.yaml:10: detent_deg = 0: a knob without clicks has no such key",
+        ),
+        pytest.param(
+            "size_mm: [100, 50]\n",
+            f"size_mm: [100, 50]\ntitle: {900_000 * 'x'}\n",
+            r"f\.yaml:1: title = 'x{20}'\.\.\., 900000 characters: a text of up to 100 printable",
+            id="long title",
+        ),
+        ("size_mm: [100, 50]\n", 'size_mm: [100, 50]\ntitle: "a\\e[2J"\n', r"f\.yaml:1: title = 'a\\x1b\[2J'"),
     ],
 )
 def test_errors_name_the_line(old: str, new: str, message: str) -> None:

@@ -16,11 +16,13 @@ from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.geometry import Transform
 from icu_common.core.gesture import Gesture, Point, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
+from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import (
     Broadcast,
     CallService,
     Effect,
+    End,
     Heartbeat,
     Order,
     Record,
@@ -31,6 +33,7 @@ from scope_ui_bridge.core.effects import (
 )
 from scope_ui_bridge.core.machine_view import split_state
 from scope_ui_bridge.core.passwords import Role
+from scope_ui_bridge.core.viewer import SHORT
 
 # --- from click to command ---
 
@@ -642,13 +645,17 @@ def test_replays_stale_epochs_and_old_boots_are_refused_but_a_stop_is_always_goo
     assert of_type(rig.desk.message(rig.a, json.dumps(stop), rig.now), StopNow)
 
 
-def test_a_flood_is_dropped_without_closing_and_the_stop_in_it_is_heard() -> None:
+def test_a_flood_is_dropped_unread_and_then_ended_and_the_stop_in_it_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
-    answers = [rig.ask(rig.a, type="call", service="enable") for _ in range(400)]
+    read: list[str] = []
+    monkeypatch.setattr(wire, "decode", lambda text, real=wire.decode: read.append(text) or real(text))
+    answers = [rig.ask(rig.a, type="call", service="enable") for _ in range(159)]
     codes = [e.message.get("code") for effects in answers for e in of_type(effects, Send)]
     assert codes.count("rate_limited") == 1, "told once a second, not with every message"
     assert answers[-1] == []
+    assert len(read) <= 80
     assert of_type(rig.ask(rig.a, type="stop"), StopNow)
+    assert rig.ask(rig.a, type="call", service="enable") == [End(viewer=rig.a)]
     rig.seconds += 2.0
     (alive,) = of_type(rig.ask(rig.a, type="alive", client_ms=5.0), Send)
     clocks = {"bridge_ms": rig.seconds * 1e3, "wall_ms": rig.now.wall_s * 1e3}
@@ -658,9 +665,28 @@ def test_a_flood_is_dropped_without_closing_and_the_stop_in_it_is_heard() -> Non
 def test_a_flood_of_garbage_is_answered_as_seldom_as_any_other() -> None:
     rig = Rig()
     viewer, _ = rig.desk.join("Operator 2")
-    answers = [e.message for _ in range(500) for e in of_type(rig.desk.message(viewer, "{", rig.now), Send)]
-    assert [m["code"] for m in answers] == ["malformed"] * 80 + ["rate_limited"]
+    effects = [e for _ in range(500) for e in rig.desk.message(viewer, "{", rig.now)]
+    assert [e.message["code"] for e in of_type(effects, Send)] == ["malformed"] * 80 + ["rate_limited"]
+    assert effects[-1] == End(viewer=viewer)
     assert of_type(rig.ask(viewer, type="stop"), StopNow)
+
+
+def test_a_flood_of_stops_stops_and_is_ended_as_any_other() -> None:
+    rig = Rig()
+    viewer, _ = rig.desk.join("Eve", Role.VIEWER)
+    effects = [e for _ in range(500) for e in rig.ask(viewer, type="stop")]
+    assert len(of_type(effects, StopNow)) == 1
+    assert effects[-1] == End(viewer=viewer)
+
+
+def test_only_who_is_in_control_may_send_long_messages() -> None:
+    rig = Rig()
+    viewer, _ = rig.desk.join("Eve", Role.ENGINEER)
+    long = {"type": "sequence", "steps": ["press:RUN_STOP => effect"] * 99, "camera": "left", "stamp": str(rig.stamp)}
+    (answer,) = of_type(rig.ask(viewer, **long), Send)
+    assert answer.message["code"] == "oversized" and answer.message["values"]["limit"] == SHORT
+    assert answer.message["seq"] is not None, "its page learns which one was refused"
+    assert "oversized" not in str(rig.ask(rig.a, **long))
 
 
 def test_hand_over_is_asked_for_and_not_done_while_something_moves() -> None:
@@ -739,8 +765,11 @@ def test_there_is_room_for_so_many_pages() -> None:
     rig = Rig(BridgeConfig(max_viewers=1))
     with pytest.raises(Exception, match="too_many_viewers limit=1"):
         rig.desk.join("Operator 2")
-    rig.desk.leave(rig.a, rig.now)
+    rig.desk.join("Operator 1")
+    for page in ("v1", "v2"):
+        rig.desk.leave(page, rig.now)
     rig.desk.join("Operator 2")
+    rig.desk.join("Operator 1")
 
 
 # --- heartbeat and watchdog ---

@@ -11,6 +11,7 @@ import ssl
 import stat
 import subprocess
 import unicodedata
+from datetime import datetime
 from pathlib import Path
 
 import aiohttp
@@ -19,7 +20,7 @@ from unit.scope_ui_bridge.web_rig import WITHIN_S, Rig, with_rig
 
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users
 from scope_ui_bridge.cli import page_admin
-from scope_ui_bridge.core.audit import AuditError
+from scope_ui_bridge.core.audit import AuditError, Gap
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.passwords import Role, matches
 
@@ -165,6 +166,16 @@ def test_the_chain_goes_on_after_a_record_that_lost_only_its_end_of_line(tmp_pat
     audit.close()
     AuditFile(path).close()
     assert [json.loads(line)["command"] for line in path.read_text().splitlines()] == ["stop", "reset"]
+
+
+def test_the_check_of_the_audit_file_names_its_gaps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "audit.jsonl"
+    audit = AuditFile(path)
+    audit.append(Gap(count=7, from_s=1_800_000_000.0, until_s=1_800_000_060.0).record())
+    audit.close()
+    assert page_admin.main(["audit", str(path)]) == 0
+    begin, end = (f"{datetime.fromtimestamp(at).astimezone():%Y-%m-%d %H:%M:%S %z}" for at in (18e8, 18e8 + 60))
+    assert f"\n7 records were lost between {begin} and {end}\n" in capsys.readouterr().out
 
 
 def test_the_audit_file_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -60,13 +60,15 @@ UNSAID = {
     ),
     "lines of the audit file": (
         *("take control", "hand over control", "release control", "lose control", "the bridge"),
-        *("its time was over", "{} others have signed in since"),
+        *("its time was over", "{} others have signed in since", "{} newer ones of the same user"),
     ),
     "parts of a sentence that is in the table as a whole": ("to {}", "; drift: {}"),
     "compared with what the board says": ("reset to continue",),
     "status lines and plain pages of the web server; terminals": (
         *("not signed in", "engineers only", "no picture is held", "sign in first"),
-        *("too many viewers", "the desk knows which picture is held", "Operator page: {}?token={}"),
+        *("too many connections", "more than {} a second", "more than {}: the oldest ends", "more than {} are open"),
+        *("went on after rate_limited: ended", "too many viewers"),
+        *("the desk knows which picture is held", "Operator page: {}?token={}"),
         "tls_certificate = {}, tls_key = {}: {}",
         "{}: rms {} px, residuals x{}, red: above three times the rms",
         *("bring_up --scope {} --set recognition.template={} --set recognition.template_px_per_mm={}",),

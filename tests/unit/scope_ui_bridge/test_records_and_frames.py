@@ -89,9 +89,50 @@ def test_a_record_that_did_not_fit_on_the_disk_leaves_the_chain_whole(tmp_path: 
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     audit.append({"command": "press:3"})
     audit.close()
-    assert verify(lines(path))[0] == 2
-    assert [json.loads(line)["command"] for line in lines(path)] == ["press:1", "press:3"]
+    assert verify(lines(path))[0] == 3
+    assert [json.loads(line)["command"] for line in lines(path)] == ["press:1", "records lost", "press:3"]
     AuditFile(path).close()
+
+
+def test_records_that_a_full_disk_loses_leave_a_line_with_their_number_and_times(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    audit = AuditFile(path)
+    audit.append({"wall_s": 99.0, "command": "press:0"})
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 20, hard))
+    try:
+        for second in range(7):
+            with pytest.raises(OSError, match="File too large"):
+                audit.append({"wall_s": 100.0 + second, "command": f"press:{second}"})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    audit.append({"wall_s": 200.0, "command": "press:8"})
+    audit.append({"wall_s": 201.0, "command": "press:9"})
+    audit.close()
+    found = [json.loads(line) for line in lines(path)]
+    assert [entry["command"] for entry in found] == ["press:0", "records lost", "press:8", "press:9"]
+    assert {key: found[1][key] for key in ("lost", "from_s", "until_s")} == {"lost": 7, "from_s": 100, "until_s": 106}
+    assert verify(lines(path))[0] == 4
+
+
+def test_what_was_lost_until_the_end_is_noted_at_the_end_or_in_the_log(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for is_room in (True, False):
+        path = tmp_path / f"audit_{is_room}.jsonl"
+        audit = AuditFile(path)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20, hard))
+        try:
+            with pytest.raises(OSError, match="File too large"):
+                audit.append({"wall_s": 5.0, "command": "stop"})
+            if not is_room:
+                audit.close()
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        audit.close()
+        assert len(lines(path)) == is_room
+    assert "1 records were lost, and" in caplog.text
 
 
 def all_lines(path: Path) -> list[str]:

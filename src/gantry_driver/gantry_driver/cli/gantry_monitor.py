@@ -20,6 +20,7 @@ from std_msgs.msg import String
 from gantry_driver.core.monitor import Monitor
 from icu_common.adapters.program_end import ends_quietly, help_text
 from icu_common.core.frames import JOINTS
+from icu_common.core.text_bounds import plain
 from icu_common.nodes.qos import LATCHED, RESULTS
 from icu_common.nodes.runtime import own_arguments, ros_session
 
@@ -38,7 +39,7 @@ class MonitorNode(Node):
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, RESULTS)
 
     def _on_state(self, message: String) -> None:
-        self.monitor.state = message.data
+        self.monitor.state = plain(message.data)
 
     def _on_joints(self, message: JointState) -> None:
         places = dict(zip(message.name, message.position))

@@ -27,6 +27,7 @@ from gantry_driver.core.world import CROSSED_M
 from icu_common.core.delays import Delay, ResultCode, delay_of
 from icu_common.core.gesture import GestureError, parse_gesture
 from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.text_bounds import plain
 
 ASK_AGAIN_S = 0.5
 CLEAR_AGAIN_S = 1.0
@@ -223,7 +224,7 @@ class Controller(GoalPhases):
         try:
             gesture = parse_gesture(text)
         except GestureError as error:
-            self._reject(_id_in(text), text, str(error))
+            self._reject(plain(_id_in(text)), plain(text), plain(str(error)))
             return
         if (held_s := self._world.held_up_s) > CLICK_MAX_AGE_S:
             # A command has no stamp: this one may have waited for as long.

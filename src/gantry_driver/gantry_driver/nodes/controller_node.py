@@ -32,8 +32,10 @@ from icu_common.core.camera_model import CameraModel
 from icu_common.core.delays import is_delayed, with_load
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.results import GoalResult
+from icu_common.core.text_bounds import plain
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
+    MAX_NAME,
     axes_of_message,
     camera_model,
     check_frame,
@@ -81,7 +83,7 @@ class ControllerNode(GraphNode):
         self._stop = self.create_publisher(Empty, "stop_request", qos.RESULTS)
         self._clear = self.create_publisher(PointStamped, "stylus_seen_clear", qos.RESULTS)
         self._diagnostics = Diagnostics(self, "gantry controller")
-        self._hear(String, "driver_state", qos.EACH_LATCHED, lambda m: msg.DriverState(text=m.data))
+        self._hear(String, "driver_state", qos.EACH_LATCHED, lambda m: msg.DriverState(text=plain(m.data)))
         self._hear(JointState, "joint_states", qos.SENSOR, lambda m: msg.Joints(readings=joint_positions(m, JOINTS)))
         self._hear(
             DiagnosticArray,
@@ -92,7 +94,7 @@ class ControllerNode(GraphNode):
         self._see(PoseStamped, "panel/pose", qos.LATCHED, _panel_pose)
         self._hear(MarkerArray, "panel/controls", qos.LATCHED, _panel_controls)
         self._hear(Float32, "panel/confidence", qos.SENSOR, lambda m: msg.PanelConfidence(value=m.data))
-        self._hear(String, "panel/alarm", qos.LATCHED, lambda m: msg.PanelAlarm(text=m.data))
+        self._hear(String, "panel/alarm", qos.LATCHED, lambda m: msg.PanelAlarm(text=plain(m.data)))
         self._see(DiagnosticArray, "panel/state", qos.SENSOR, lambda m: msg.PanelState(seen=panel_state_of_message(m)))
         self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, _camera_from_base)
         self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, _axes)
@@ -120,7 +122,7 @@ class ControllerNode(GraphNode):
                 try:
                     event = convert(message)
                 except ValueError as error:
-                    self.get_logger().error(f"{topic}: ignored: {error}", throttle_duration_sec=5.0)
+                    self.get_logger().error(f"{topic}: ignored: {plain(str(error))}", throttle_duration_sec=5.0)
                     return
                 self._handle(event)
 
@@ -212,7 +214,7 @@ class ControllerNode(GraphNode):
 
 def _point_goal(message: PointStamped) -> msg.Event:
     stamp = stamp_ns(message.header.stamp)
-    return msg.PointGoal(frame=message.header.frame_id, xyz=point_array(message), stamp_ns=stamp)
+    return msg.PointGoal(frame=plain(message.header.frame_id, MAX_NAME), xyz=point_array(message), stamp_ns=stamp)
 
 
 def _panel_pose(message: PoseStamped) -> msg.Event:

@@ -20,6 +20,7 @@ from gantry_driver.core.world import AT_AN_END
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.core.sequence import Sequence, SequenceError, parse_file, unfit
+from icu_common.core.text_bounds import plain
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import (
     check_not_ahead,
@@ -97,7 +98,7 @@ class SequenceNode(GraphNode):
         text = message.data
         if first.startswith("id:"):
             # The line stays, emptied, so that errors name the lines that the sender has.
-            run_id, text = first[3:].strip()[:48], "\n" + rest
+            run_id, text = plain(first[3:60].strip()[:48]), "\n" + rest
         try:
             if (run := self._at_work()) is not None:
                 raise SequenceError(f"busy with {run.run_id!r}, {run.state}")
@@ -147,16 +148,18 @@ class SequenceNode(GraphNode):
         self._act(run.panel(seen, self._now_ns()))
 
     def _on_controller(self, message: String) -> None:
-        changed, self._controller = message.data != self._controller, message.data
+        state = plain(message.data)
+        changed, self._controller = state != self._controller, state
         if (run := self._at_work()) is None:
             return
         if changed:
             run.sign(self._now_ns())
-        if message.data.startswith(AT_AN_END):
-            self._act(run.stopped(message.data, self._now_ns()))
+        if state.startswith(AT_AN_END):
+            self._act(run.stopped(state, self._now_ns()))
 
     def _on_driver(self, message: String) -> None:
-        changed, self._driver = message.data != self._driver, message.data
+        state = plain(message.data)
+        changed, self._driver = state != self._driver, state
         if (run := self._at_work()) is not None and changed:
             run.sign(self._now_ns())
 

@@ -20,9 +20,12 @@ from harris_perception.core.recognition import PanelRecogniser
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.geometry import Array
 from icu_common.core.panel_layout import CONTROL_KINDS, PanelLayout, parse_layout
+from icu_common.core.text_bounds import deepest_line, plain
 
 _MODEL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}\Z")  # it becomes a file's name
 
+MAX_REQUEST, MAX_DEPTH = 64 * 1024, 12
+"""Maximum number of characters and of open brackets of a request, both checked before it is parsed."""
 Picture = npt.NDArray[np.uint8]
 
 
@@ -190,9 +193,14 @@ def parse_request(text: str) -> Request:
     TeachingError
     """
     goal_id = ""
+    if len(text) > MAX_REQUEST or deepest_line(text, MAX_DEPTH):
+        raise TeachingError(
+            f"the request is not understood: more than {MAX_REQUEST} characters or {MAX_DEPTH} brackets"
+        )
     try:
         given = json.loads(text)
-        goal_id = str(given["id"]).encode().decode()  # JSON has halves of characters, which no message can carry
+        # JSON has halves of characters, which no message can carry.
+        goal_id = plain(str(given["id"]).encode().decode(), 80)
         pointed = []
         for name, kind, *numbers in given["controls"]:
             u, v, wide, high, proud = (float(n) for n in numbers)
@@ -209,7 +217,7 @@ def parse_request(text: str) -> Request:
         return Request(goal_id=goal_id, stamp_ns=int(given["stamp"]), lesson=lesson)
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         unclear = "" if isinstance(error, TeachingError) else f"the request is not understood: {type(error).__name__}: "
-        raise TeachingError(f"{unclear}{error}", goal_id) from error
+        raise TeachingError(f"{unclear}{plain(str(error))}", goal_id) from error
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -29,6 +29,7 @@ from harris_perception.core.calibrator import (
 )
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, FacePoints
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
+from icu_common.core.text_bounds import plain
 from icu_common.nodes import qos
 from icu_common.nodes.camera_info import CameraInfoSubscription
 from icu_common.nodes.conversions import (
@@ -194,7 +195,7 @@ class HandEyeNode(GraphNode):
         self._act(self.calibrator.take_contact(point_array(message), message.header.frame_id, self._now_ns()))
 
     def _on_driver(self, message: String) -> None:
-        self._act(self.calibrator.take_driver(message.data, self._now_ns()))
+        self._act(self.calibrator.take_driver(plain(message.data), self._now_ns()))
 
     def _on_result(self, message: DiagnosticArray) -> None:
         if not self.calibrator.running:

@@ -16,8 +16,11 @@ import yaml
 from icu_common.core.fiducial import DICTIONARIES, Fiducial, count_of
 from icu_common.core.gesture import is_mark, is_name
 from icu_common.core.stroke_font import text_strokes
+from icu_common.core.text_bounds import plain
 from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
 
+MAX_TEXT = 100
+"""Maximum number of characters of a title, a label, a name or a text on the panel."""
 CONTROL_KINDS = ("button", "knob", "touch_area", "connector")
 SHAPES = ("rectangle", "circle")
 
@@ -257,6 +260,8 @@ class _Reader:
             raise self.error(entry, f"height_mm = {proud:g} is not within 0 to 200 mm")
         if not 0 <= detent <= 180:
             raise self.error(entry, f"detent_deg = {detent:g} is not within 0 to 180 degrees")
+        if "detent_deg" in entry and not detent:
+            raise self.error(entry, f"detent_deg = {detent:g}: a knob without clicks has no such key")
         if kind == "knob" and shape != "circle":
             raise self.error(entry, f"knob {name!r} is a {shape}; a knob is a circle")
         if shape == "circle" and width != height:
@@ -355,7 +360,7 @@ class _Reader:
         return Dimple(place_mm=(x, y), diameter_mm=diameter, depth_mm=depth)
 
     def error(self, entry: dict[str, Any], what: str) -> LayoutError:
-        return LayoutError(f"{self.file_name}:{entry.get('__line__', 1)}: {what}")
+        return LayoutError(f"{self.file_name}:{entry.get('__line__', 1)}: {plain(what)}")
 
     def known(self, entry: dict[str, Any], names: set[str]) -> None:
         unknown = set(entry) - names - {"__line__"}
@@ -374,6 +379,9 @@ class _Reader:
         value = entry.get(key, default)
         if not isinstance(value, str) or (default is None and not value):
             raise self.error(entry, f"{key} = {value!r}: a text is needed (quote it)")
+        if len(value) > MAX_TEXT or not value.isprintable():
+            found = f"{key} = {value[:20]!r}..., {len(value)} characters"
+            raise self.error(entry, f"{found}: a text of up to {MAX_TEXT} printable characters is needed")
         return value
 
     def choice(self, entry: dict[str, Any], key: str, choices: tuple[str, ...], default: str | None = None) -> str:
@@ -394,11 +402,12 @@ class _Reader:
         value = entry.get(key)
         good = isinstance(value, list) and len(value) == count
         if not good or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value or ()):
-            raise self.error(entry, f"{key} = {value!r}: {count} numbers are needed")
+            raise self.error(entry, f"{key} = {plain(repr(value), 60)}: {count} numbers are needed")
         assert isinstance(value, list)
         if any(v != v or abs(v) > 1e4 for v in value) or (positive and min(value) <= 0):
             raise self.error(
-                entry, f"{key} = {value!r}: {'positive ' if positive else ''}numbers up to 10000 are needed"
+                entry,
+                f"{key} = {plain(repr(value), 60)}: {'positive ' if positive else ''}numbers up to 10000 are needed",
             )
         return tuple(float(v) for v in value)
 

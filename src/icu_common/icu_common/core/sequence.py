@@ -18,14 +18,20 @@ import yaml
 
 from icu_common.core.gesture import TURNING, Gesture, GestureError, is_mark, parse_gesture
 from icu_common.core.panel_state import LAMPS, ControlSeen, PanelSeen
-from icu_common.core.yaml_text import UNREADABLE, Loader, mistake
+from icu_common.core.text_bounds import plain
+from icu_common.core.yaml_text import UNREADABLE, ForeignLoader, mistake
 
 MAX_STEPS = 100
+MAX_NAME = 64
+"""Maximum number of characters of a sequence's name."""
 _CHECK = re.compile(r"(?:(effect|screen)|(lamp|angle):([A-Za-z][A-Za-z0-9_]*)=([^\s=]+))\Z")
 
 
 class SequenceError(ValueError):
-    """A sequence is wrong; the message names the line or the step."""
+    """A sequence is wrong; the message names the line or the step, and quotes at most a part of it."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(plain(what))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +97,7 @@ def parse_file(text: str, file_name: str = "sequence") -> Sequence:
         In the form ``file:line: what is wrong``.
     """
     try:
-        return _sequence_of(yaml.compose(text, Loader=Loader), file_name)
+        return _sequence_of(yaml.compose(text, Loader=ForeignLoader), file_name)
     except UNREADABLE as error:
         raise SequenceError(f"{file_name}:{mistake(error)}") from error
 
@@ -162,10 +168,14 @@ def _sequence_of(root: yaml.Node | None, file_name: str) -> Sequence:
         place = f"{file_name}:{key.start_mark.line + 1}"
         if key.value == "name" and isinstance(value, yaml.ScalarNode):
             name = value.value
+            if len(name) > MAX_NAME or not name.isprintable():
+                raise SequenceError(
+                    f"{place}: a name of {len(name)} characters; expected up to {MAX_NAME} printable ones"
+                )
         elif key.value == "steps" and isinstance(value, yaml.SequenceNode):
             for node in value.value:
                 entries.append(
-                    (f"{file_name}:{node.start_mark.line + 1}", Loader("").construct_object(node, deep=True))
+                    (f"{file_name}:{node.start_mark.line + 1}", ForeignLoader("").construct_object(node, deep=True))
                 )
         else:
             raise SequenceError(f"{place}: {key.value!r}: name (a text) and steps (a list) are known")
@@ -189,7 +199,9 @@ def _step(place: str, entry: Any) -> Step:
         within = entry.get("within_s", math.nan)
         good = isinstance(within, (int, float)) and not isinstance(within, bool)
         if not good or not (within != within or 0 < within <= 60):  # no isnan: it takes no number of 400 digits
-            raise SequenceError(f"{place}: within_s = {within!r}: seconds above 0 and up to 60 are needed")
+            raise SequenceError(
+                f"{place}: within_s = {plain(repr(within), 40)}: seconds above 0 and up to 60 are needed"
+            )
         if not isinstance(texts, list) or not all(isinstance(t, str) for t in texts):
             raise SequenceError(f"{place}: check = {checks!r}: a text or a list of texts is needed")
         gesture, within_s = entry["do"], float(within)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -33,6 +34,7 @@ from icu_common.core.geometry import Array, Transform
 from icu_common.core.panel_layout import Control, Dimple, PanelLayout, rgb
 from icu_common.core.panel_state import HIDDEN_BY, ControlSeen, PanelSeen
 from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.text_bounds import plain
 from icu_common.nodes.images import AnyImage
 
 _CHANNELS: dict[str, tuple[Any, int]] = {
@@ -47,6 +49,8 @@ _CHANNELS |= {"8UC1": (np.uint8, 1), "16UC1": (np.uint16, 1), "32FC1": (np.float
 
 MOST_AHEAD_S = 0.1
 """So far the clocks of machines may differ: docs/decisions/several-machines.md."""
+MAX_PAIRS, MAX_CONTROLS, MAX_NAME = 100, 400, 80
+"""Maximum number of values of a status, of controls of a panel, and of characters of a name."""
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
 
@@ -68,7 +72,7 @@ def header(stamp: int, frame: str) -> Header:
 def check_frame(head: Header, frame: str) -> None:
     """Raise ValueError unless a header names this frame."""
     if head.frame_id != frame:
-        raise ValueError(f"frame {head.frame_id!r}, {frame!r} is needed")
+        raise ValueError(f"frame {plain(head.frame_id)!r}, {frame!r} is needed")
 
 
 def check_not_ahead(head: Header, clock: ROSClock) -> None:
@@ -110,7 +114,7 @@ def image_array(message: AnyImage) -> npt.NDArray[Any]:
         For an unknown encoding, or a size that does not fit the data.
     """
     if message.encoding not in _CHANNELS:
-        raise ValueError(f"encoding {message.encoding!r} is none of {', '.join(_CHANNELS)}")
+        raise ValueError(f"encoding {plain(message.encoding, 40)!r} is none of {', '.join(_CHANNELS)}")
     dtype, channels = _CHANNELS[message.encoding]
     row = message.width * channels * np.dtype(dtype).itemsize
     if message.step < row or len(message.data) < message.step * message.height:
@@ -144,7 +148,7 @@ def cloud_array(cloud: PointCloud2, columns: Sequence[str]) -> npt.NDArray[np.fl
     offsets = {f.name: f.offset for f in cloud.fields if f.datatype == PointField.FLOAT32}
     missing = [name for name in columns if name not in offsets]
     if missing:
-        raise ValueError(f"the cloud has no float32 field {', '.join(missing)}; it has {', '.join(offsets)}")
+        raise ValueError(f"the cloud has no float32 field {', '.join(missing)}; it has {_shown(offsets)}")
     if cloud.is_bigendian:
         raise ValueError("the cloud has its most significant bytes first, the other order is needed")
     count, used = cloud.width * cloud.height, cloud.width * cloud.point_step
@@ -223,7 +227,8 @@ def camera_model(info: CameraInfo, name: str = "camera") -> CameraModel:
     if not info.k[0]:
         raise ValueError("the camera is not calibrated (K is 0)")
     if info.distortion_model != "plumb_bob" or len(info.d) != 5:
-        raise ValueError(f"distortion {info.distortion_model!r} with {len(info.d)} values: plumb_bob with 5 is needed")
+        model = plain(info.distortion_model, MAX_NAME)
+        raise ValueError(f"distortion {model!r} with {len(info.d)} values: plumb_bob with 5 is needed")
     # The message tells the size and the matrices of the whole picture, the region before binning, and 0 is "whole".
     roi, binning = info.roi, (max(info.binning_x, 1), max(info.binning_y, 1))
     width, height = roi.width or info.width, roi.height or info.height
@@ -335,13 +340,17 @@ def axes_message(base_from_reading: Array | None) -> Float64MultiArray:
 def axes_of_message(message: Float64MultiArray) -> Array | None:
     """Return base_from_reading (2, 2), None when it was withdrawn; raise ValueError for other than 4 finite values."""
     if len(message.data) not in (0, 4) or not np.isfinite(message.data).all():
-        raise ValueError(f"{list(message.data)}: 4 finite values are needed (2 x 2, row by row)")
+        raise ValueError(f"{list(message.data[:5])}: 4 finite values are needed (2 x 2, row by row)")
     return np.array(message.data).reshape(2, 2) if message.data else None
 
 
 def joint_message(names: Sequence[str], positions_m: Iterable[float], head: Header) -> JointState:
     """Pack joint positions in metres."""
     return JointState(header=head, name=list(names), position=[float(p) for p in positions_m])
+
+
+def _shown(names: Iterable[str]) -> str:
+    return plain(", ".join(plain(name, MAX_NAME) for name in itertools.islice(names, MAX_PAIRS)))
 
 
 def joint_positions(message: JointState, names: Sequence[str]) -> Array:
@@ -355,7 +364,7 @@ def joint_positions(message: JointState, names: Sequence[str]) -> Array:
     known = dict(zip(message.name, message.position))
     missing = [name for name in names if name not in known]
     if missing:
-        raise ValueError(f"joint {', '.join(missing)} is missing; the message has {', '.join(known)}")
+        raise ValueError(f"joint {', '.join(missing)} is missing; the message has {_shown(known)}")
     for name in names:
         if not math.isfinite(known[name]):
             raise ValueError(f"joint {name} = {known[name]} m is not finite")
@@ -384,12 +393,13 @@ def trajectory_array(message: JointTrajectory, names: Sequence[str]) -> Array:
     """
     missing = [name for name in names if name not in message.joint_names]
     if missing:
-        raise ValueError(f"joint {', '.join(missing)} is missing; the message has {', '.join(message.joint_names)}")
+        raise ValueError(f"joint {', '.join(missing)} is missing; the message has {_shown(message.joint_names)}")
     order = [list(message.joint_names).index(name) for name in names]
     count = len(message.joint_names)
     for number, point in enumerate(message.points):
         if len(point.positions) != count or not np.isfinite(point.positions).all():
-            raise ValueError(f"point {number}: {list(point.positions)}: {count} finite positions are needed")
+            found = list(point.positions[: count + 1])
+            raise ValueError(f"point {number}: {found}: {count} finite positions are needed")
     return np.array([point.positions for point in message.points]).reshape(-1, count)[:, order]
 
 
@@ -416,6 +426,11 @@ def result_message(result: GoalResult, stamp: int) -> DiagnosticArray:
     return DiagnosticArray(header=header(stamp, ""), status=[diagnostic_status("goal", level, text, values)])
 
 
+def pairs_of(status: DiagnosticStatus) -> dict[str, str]:
+    """Return a status's values by key, the first :data:`MAX_PAIRS` of them, as texts that may be shown anywhere."""
+    return {plain(pair.key, MAX_NAME): plain(pair.value) for pair in status.values[:MAX_PAIRS]}
+
+
 def result_of_message(message: DiagnosticArray) -> GoalResult:
     """Unpack a goal's answer.
 
@@ -426,7 +441,7 @@ def result_of_message(message: DiagnosticArray) -> GoalResult:
     """
     if len(message.status) != 1 or message.status[0].name != "goal":
         raise ValueError("not the answer to a goal")
-    values = {pair.key: pair.value for pair in message.status[0].values}
+    values = pairs_of(message.status[0])
     known = ("goal_id", "goal", "outcome", "reason", "error_m", "duration_s", "code")
     return GoalResult(
         goal_id=values.get("goal_id", ""),
@@ -472,12 +487,12 @@ def panel_state_of_message(message: DiagnosticArray) -> PanelSeen:
         If a control's values are missing or wrong.
     """
     controls = []
-    for status in message.status:
-        values = {pair.key: pair.value for pair in status.values}
+    for status in message.status[:MAX_CONTROLS]:
+        name, values = plain(status.name, MAX_NAME), pairs_of(status)
         try:
             controls.append(
                 ControlSeen(
-                    name=status.name,
+                    name=name,
                     kind=values["kind"],
                     hidden_by=HIDDEN_BY[HIDDEN_BY.index(values["hidden_by"])],
                     lamp=values.get("lamp", ""),
@@ -488,7 +503,7 @@ def panel_state_of_message(message: DiagnosticArray) -> PanelSeen:
                 )
             )
         except (KeyError, ValueError) as error:
-            raise ValueError(f"control {status.name!r}: {error}") from error
+            raise ValueError(f"control {name!r}: {error}") from error
     return PanelSeen(stamp_ns=stamp_ns(message.header.stamp), controls=tuple(controls))
 
 
@@ -551,12 +566,12 @@ def controls_of_message(message: MarkerArray) -> tuple[tuple[Control, ...], Arra
             outline = np.array([(p.x, p.y) for p in marker.points])
             continue
         if not marker.text:
-            raise ValueError(f"marker {marker.ns!r} {marker.id} has no name")
+            raise ValueError(f"marker {plain(marker.ns, MAX_NAME)!r} {marker.id} has no name")
         top, scale = marker.pose.position, marker.scale
         controls.append(
             Control(
-                name=marker.text,
-                kind=marker.ns,
+                name=plain(marker.text, MAX_NAME),
+                kind=plain(marker.ns, MAX_NAME),
                 position_mm=(top.x * 1e3, top.y * 1e3),
                 size_mm=(scale.x * 1e3, scale.y * 1e3),
                 shape=shapes.get(marker.type, "rectangle"),

@@ -3,35 +3,39 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
+from urllib.parse import parse_qsl, unquote
 
 from aiohttp import web
-from aiohttp.http_exceptions import BadHttpMessage
 
+from icu_common.core.text_bounds import plain
+from scope_ui_bridge.adapters.listener import NOBODY, Listener, Turnstile
 from scope_ui_bridge.adapters.secret_files import read_users
 from scope_ui_bridge.adapters.turned_away import TurnedAway
+from scope_ui_bridge.core.admission.rates import REQUESTS_BURST, REQUESTS_PER_S, Bucket, OfUsers
 from scope_ui_bridge.core.config import BridgeConfig
-from scope_ui_bridge.core.passwords import PasswordError, User, composed, hash_password, matches
+from scope_ui_bridge.core.passwords import MAX_NAME, PasswordError, User, composed, hash_password, matches
 from scope_ui_bridge.core.refusal import Refusal
-from scope_ui_bridge.core.sign_in import Session, SignIn
+from scope_ui_bridge.core.sign_in import AGAIN, Session, SignIn
 
+_LOG = logging.getLogger(__name__)
 COOKIE = "icu_session"
 """The cookie's name, before the port: browsers send it to every port of a host, where other robots may be served."""
 PAGE = Path(__file__).resolve().parent.parent / "page"
 _BODY_TIMEOUT_S = 5.0
+_MAX_FIELDS = 8
 _LOOK_S = 1.0
 """So often the file of passwords is read for those who have come in by it."""
 _SPEAK_WITHIN_S = 5.0
-_MAX_CONNECTIONS = 256
 _MAX_PATH = 200  # characters; far below what a file system takes for a name
-_MAX_GUESSES = 4  # passwords that wait to be checked: each takes a tenth of a second of a processor
-_MAX_OF_ONE = 3  # of them from one address, as that of all tunnels: others find a place
+_MAX_GUESSES = 8  # passwords that wait to be checked: each takes a tenth of a second of a processor
+_MAX_OF_ONE = 3  # of them at one account from one address, as that of all tunnels: others find a place
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
@@ -47,6 +51,15 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class _Lane:
+    """Passwords that are checked one by one, in a thread; those of who is signed in do not wait behind strangers'."""
+
+    def __init__(self, name: str) -> None:
+        self.checker = ThreadPoolExecutor(1, name)
+        self.guesses: list[tuple[str, str]] = []
+        self.one_by_one = asyncio.Lock()
 
 
 class FrontDoor:
@@ -70,12 +83,14 @@ class FrontDoor:
         self._origins: frozenset[str] = frozenset()
         self._hosts: frozenset[str] = frozenset()
         self._passwords = Path(config.passwords_file).expanduser()
-        self._checker = ThreadPoolExecutor(1, "password")
-        self._guesses: list[str] = []
-        self._one_by_one = asyncio.Lock()
+        self._strangers, self._known = _Lane("password"), _Lane("password again")
         self._nobody = ""
         self._users: dict[str, User] | None = None
         self._look_s = 0.0
+        self._turnstile = Turnstile()
+        self._requests = OfUsers(lambda: Bucket(REQUESTS_PER_S, REQUESTS_BURST))
+        self._listener: Listener | None = None
+        self._failures = Bucket(1.0, 1.0)  # tracebacks in the log
         self._seen_s: dict[Any, float] = {}
         self._spoke: set[Any] = set()
 
@@ -84,14 +99,16 @@ class FrontDoor:
         """For how long a connection may ask for nothing, and for how long it may take to become encrypted."""
         return _SPEAK_WITHIN_S
 
-    def opened(self, port: int) -> None:
-        """Take the port in use, which the exact origins and hosts name."""
+    def opened(self, port: int, listener: Listener) -> None:
+        """Take the port in use, which the exact origins and hosts name, and who knows whose connections there are."""
+        self._listener = listener
         self._origins = self._config.origins(port)
         self._hosts = frozenset(origin.partition("://")[2] for origin in self._origins)
 
     def close(self) -> None:
         """Give up what is being checked."""
-        self._checker.shutdown(wait=False, cancel_futures=True)
+        for lane in (self._strangers, self._known):
+            lane.checker.shutdown(wait=False, cancel_futures=True)
 
     def add_routes(self, router: web.UrlDispatcher) -> None:
         """Register the plain requests, but for the stop."""
@@ -107,6 +124,7 @@ class FrontDoor:
         """Refuse foreign hosts (DNS rebinding) and origins, and put the security headers on every answer."""
         response: web.StreamResponse
         self._spoke.add(request.protocol)
+        await self._in_turn(request)
         named = request.method == "POST" or request.path in ("/control", "/video")
         if request.host not in self._hosts:
             self.turned_away.note(request.remote or "", "request", f"host {request.host[:80]!r}")
@@ -118,6 +136,9 @@ class FrontDoor:
             found = request.headers.get("Origin")
             self._note(request, f"origin {str(found)[:80]!r}")
             response = web.Response(status=403, text="This origin may not do that.\n")
+        elif set(request.headers.getall("Content-Encoding", [])) - {"identity"}:
+            self._note(request, "an encoded body")
+            response = web.Response(status=415, text="A body is taken as it is only.\n")
         else:
             try:
                 response = await handler(request)
@@ -127,9 +148,32 @@ class FrontDoor:
                 response = web.Response(status=error.status, text=f"{error.status}: {error.reason}\n")
                 if "Allow" in error.headers:
                     response.headers["Allow"] = error.headers["Allow"]
+            except Exception as error:  # a mistake of ours, which a stranger may repeat as often as they like
+                if self._failures.take(time.monotonic()):
+                    _LOG.exception("a request failed")
+                self._note(request, f"500 {type(error).__name__}")
+                response = web.Response(status=500, text="500: this request failed.\n")
         if not response.prepared:
             response.headers.update(HEADERS)
         return response
+
+    async def _in_turn(self, request: web.Request) -> None:
+        """Wait until a request may be handled; that of a signed-in user to stop waits for nothing."""
+        session = self.session(request)
+        if self._listener is not None and request.transport is not None:
+            user = session.name if session is not None else NOBODY
+            self._listener.know(request.transport.get_protocol(), user)
+        if session is None:
+            await self._turnstile.wait()
+        elif request.path != "/stop":
+            while not (rate := self._requests[session.name]).take(time.monotonic()):
+                await asyncio.sleep(rate.wait_s())
+            await asyncio.sleep(0)  # requests in a row on one connection would be handled in one go
+
+    def user_of(self, cookie: str) -> str:
+        """Return whose session a cookie is, NOBODY for none."""
+        session = self._sign_in.session(cookie, time.monotonic())
+        return session.name if session is not None else NOBODY
 
     def _note(self, request: web.Request, why: str) -> None:
         # What is served here is a kind of its own. Each path that somebody makes up would be one, too, with its record.
@@ -150,9 +194,8 @@ class FrontDoor:
         self._spoke.intersection_update(connections)
         self._seen_s = {c: self._seen_s.get(c, now_s) for c in connections}
         silent = [c for c in connections if c not in self._spoke]
-        crowded = len(connections) > _MAX_CONNECTIONS
         for connection in silent:
-            if crowded or now_s - self._seen_s[connection] > _SPEAK_WITHIN_S:
+            if now_s - self._seen_s[connection] > _SPEAK_WITHIN_S:
                 self.turned_away.note("somebody", "connection", "nothing was asked in time")
                 if connection.transport is not None:
                     connection.transport.abort()
@@ -201,10 +244,11 @@ class FrontDoor:
         remote = request.remote or ""
         try:
             if name:
-                user = await self._user(composed(name.strip()), password, remote)
-                secret = self._sign_in.enter_by_password(user, remote, time.monotonic())
+                account = plain(composed(name.strip()), MAX_NAME)
+                user = await self._user(self._strangers, account, password, remote)
+                secret = self._sign_in.enter_by_password(user, account, remote, time.monotonic())
             else:
-                secret = self._sign_in.enter(token.strip(), remote, time.monotonic())
+                secret = self._sign_in.enter(token.strip(), time.monotonic())
         except Refusal as refusal:
             self.turned_away.note(remote, "sign-in", refusal.code)
             response = self._sign_in_page(429 if refusal.code == "wait" else 401, refusal.code)
@@ -228,11 +272,11 @@ class FrontDoor:
         remote, session = request.remote or "", self.session(request)
         try:
             if session is not None and session.user is not None:
-                user = await self._user(session.name, secret, remote)
-                self._sign_in.check_user(user, remote, time.monotonic())
+                user = await self._user(self._known, session.name, secret, AGAIN)
+                self._sign_in.check_user(user, session.name, AGAIN, time.monotonic())
                 session = self.session(request)  # checking takes its time
             elif session is not None:
-                self._sign_in.use_up(secret.strip(), remote, time.monotonic())
+                self._sign_in.use_up(secret.strip())
             if session is None or self._sign_in.renew(_secret(request), time.monotonic()) is None:
                 raise Refusal("signed_out")
         except Refusal as refusal:
@@ -246,19 +290,19 @@ class FrontDoor:
         done = {"wall_s": round(time.time(), 3), "who": session.name, "command": command, "result": "done"}
         self._record(done | ({"reason": why} if why else {}))
 
-    async def _user(self, name: str, password: str, remote: str) -> User | None:
+    async def _user(self, lane: _Lane, name: str, password: str, remote: str) -> User | None:
         """Return whose name and password these are, None for nobody's; ``wait`` while too many are looked at."""
-        self._sign_in.check_wait(remote, time.monotonic())
-        if self._guesses.count(remote) >= _MAX_OF_ONE or len(self._guesses) >= _MAX_GUESSES:
+        self._sign_in.check_wait(name, remote, time.monotonic())
+        if lane.guesses.count((name, remote)) >= _MAX_OF_ONE or len(lane.guesses) >= _MAX_GUESSES:
             raise Refusal("wait", seconds=1.0)
-        self._guesses.append(remote)
+        lane.guesses.append((name, remote))
         try:
-            async with self._one_by_one:  # when a guess before this one was wrong, its address has to wait now
-                self._sign_in.check_wait(remote, time.monotonic())
+            async with lane.one_by_one:  # when a guess before this one was wrong, those like it have to wait now
+                self._sign_in.check_wait(name, remote, time.monotonic())
                 loop = asyncio.get_running_loop()
-                user, problem = await loop.run_in_executor(self._checker, self._check, name, password)
+                user, problem = await loop.run_in_executor(lane.checker, self._check, name, password)
         finally:
-            self._guesses.remove(remote)
+            lane.guesses.remove((name, remote))
         if problem:
             self.turned_away.note("the bridge", "passwords_file", problem)
         return user
@@ -303,13 +347,20 @@ class FrontDoor:
 
 
 async def _form(request: web.Request, *fields: str) -> tuple[str, ...]:
+    """Return the fields of a form as a browser sends it; anything else of a body is refused."""
+    if request.content_type != "application/x-www-form-urlencoded":
+        raise web.HTTPBadRequest(reason="no form that can be read")
     try:
-        form = await asyncio.wait_for(request.post(), _BODY_TIMEOUT_S)
+        body = await asyncio.wait_for(request.read(), _BODY_TIMEOUT_S)
+        text = body.decode(request.charset or "utf-8")
+        form = dict(parse_qsl(text, keep_blank_values=True, errors="strict", max_num_fields=_MAX_FIELDS))
     except asyncio.TimeoutError:
         raise web.HTTPRequestTimeout from None
-    except (ValueError, LookupError, AssertionError, BadHttpMessage) as error:  # what aiohttp raises, 3.9 as well
+    except web.HTTPException:
+        raise
+    except Exception as error:  # by whatever of a body: aiohttp and its parsers raise many kinds, and others each year
         raise web.HTTPBadRequest(reason="no form that can be read") from error
-    return tuple(str(form.get(field, "")) for field in fields)
+    return tuple(form.get(field, "") for field in fields)
 
 
 def _secret(request: web.Request) -> str:

@@ -8,12 +8,13 @@ import io
 import logging
 import math
 import os
+import time
 from collections import deque
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, chain_line, line_before, verify
+from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, Gap, chain_line, line_before, verify
 from scope_ui_bridge.core.passwords import User, parse_users
 
 _LOG = logging.getLogger(__name__)
@@ -72,6 +73,7 @@ class AuditFile:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._path, self._max_bytes = path, max_bytes
         self._told = False
+        self._gap: Gap | None = None
         self._file = _open_to_append(path)
         try:
             self._begin(path)
@@ -95,7 +97,22 @@ class AuditFile:
         _sync_folder(path)
 
     def append(self, record: dict[str, Any]) -> None:
-        """Write one record and wait for the disk; one that could not be written (OSError) leaves nothing behind."""
+        """Write one record and wait for the disk.
+
+        One that could not be written (OSError) leaves nothing behind; the next one that can comes after a line that
+        says how many were lost, and between which times.
+        """
+        try:
+            if self._gap is not None:
+                self._write(self._gap.record())
+                self._gap = None
+            self._write(record)
+        except OSError:
+            wall_s = float(record.get("wall_s", round(time.time(), 3)))
+            self._gap = (self._gap or Gap(count=0, from_s=wall_s, until_s=wall_s)).with_one_more(wall_s)
+            raise
+
+    def _write(self, record: dict[str, Any]) -> None:
         if os.fstat(self._file.fileno()).st_size >= self._max_bytes:
             self._put_aside()
         line, digest = chain_line(self._count + 1, self._previous, record)
@@ -143,6 +160,12 @@ class AuditFile:
         _sync_folder(self._path)
 
     def close(self) -> None:
+        """Close the file, after a last try to note what was lost."""
+        if self._gap is not None and not self._file.closed:
+            try:
+                self._write(self._gap.record())
+            except OSError as error:
+                _LOG.error("%d records were lost, and %s cannot say so: %s", self._gap.count, self._path, error)
         self._file.close()
 
 

@@ -7,9 +7,15 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from aiohttp.http_exceptions import HttpProcessingError
+
+from icu_common.core.text_bounds import plain
+
 _LOG = logging.getLogger(__name__)
 _PERIOD_S = 1.0
 _MAX_NAMES = 256
+MAX_NAME = 80
+_SHOWN = 120
 
 SUSPECT = frozenset(
     {"malformed", "oversized", "rate_limited", "old_boot", "replayed", "stale_epoch", "no_lease", "role_needed"}
@@ -31,7 +37,8 @@ class TurnedAway:
         self._last: dict[tuple[str, str], tuple[float, int]] = {}
 
     def note(self, who: str, what: str, why: str) -> None:
-        """Note that ``who`` was refused ``what``."""
+        """Note that ``who`` was refused ``what``; all three may be texts of a stranger."""
+        who, what, why = plain(who, MAX_NAME), plain(what, MAX_NAME), plain(why)
         now_s = time.monotonic()
         key = (who, what)
         last_s, more = self._last.get(key, (-_PERIOD_S, 0))
@@ -44,3 +51,18 @@ class TurnedAway:
         _LOG.warning("%s of %s refused: %s%s", what, who, why, f" (and {more} more before)" if more else "")
         record = {"wall_s": round(time.time(), 3), "who": who, "command": what, "result": f"refused: {why}"}
         self._write(record | ({"more": more} if more else {}))
+
+    def logger(self) -> logging.Logger:
+        """Return a logger for the HTTP library; it notes requests that are no HTTP as refused, not as our failures."""
+        made = logging.Logger("scope_ui_bridge.http")
+        made.parent = _LOG
+        made.addFilter(self._is_failure)
+        return made
+
+    def _is_failure(self, record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        if not isinstance(error, HttpProcessingError):
+            return True
+        remote = record.args[0] if isinstance(record.args, tuple) and record.args else ""
+        self.note(str(remote), "request", f"{error.code} {' '.join(error.message.split())[:_SHOWN]}")
+        return False

@@ -20,6 +20,7 @@ from typing import Any
 from aiohttp import web
 
 from scope_ui_bridge.adapters.jpeg_encoder import Picture
+from scope_ui_bridge.core.admission.rates import PICTURES_BURST, PICTURES_PER_S, Bucket
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.frame_window import FORMS, Form, FrameWindow
 from scope_ui_bridge.core.wire import CAMERAS, encode
@@ -41,6 +42,7 @@ class VideoViewer:
     window: FrameWindow = field(default_factory=FrameWindow)
     scene_version: int = -1
     changed: asyncio.Event = field(default_factory=asyncio.Event)
+    messages: Bucket = field(default_factory=lambda: Bucket(PICTURES_PER_S, PICTURES_BURST))
 
     @property
     def stream(self) -> tuple[str, int]:

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
 import logging
 import ssl
 import threading
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -21,20 +20,27 @@ import numpy.typing as npt
 from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
 from icu_common.core.config import ConfigError
+from scope_ui_bridge.adapters import listener as listening
 from scope_ui_bridge.adapters.front_door import FrontDoor
 from scope_ui_bridge.adapters.graph_port import GraphError, GraphPort
 from scope_ui_bridge.adapters.jpeg_encoder import JpegEncoder
+from scope_ui_bridge.adapters.listener import Listener
 from scope_ui_bridge.adapters.mailbox import Mailbox
 from scope_ui_bridge.adapters.recorder import Recorder
 from scope_ui_bridge.adapters.secret_files import AuditFile
+from scope_ui_bridge.adapters.stop_path import StopPath
 from scope_ui_bridge.adapters.turned_away import SUSPECT
 from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
+from scope_ui_bridge.adapters.websockets import close, receive, send_all, throw_out, until_gone
+from scope_ui_bridge.core.admission.places import OWN_PLACES, Places
+from scope_ui_bridge.core.admission.rates import OPENED_BURST, OPENED_PER_S, PINGS_BURST, PINGS_PER_S, Bucket, OfUsers
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import (
     Broadcast,
     CallService,
     Effect,
+    End,
     Heartbeat,
     HoldPicture,
     Now,
@@ -53,7 +59,7 @@ from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.sign_in import Session, SignIn
 from scope_ui_bridge.core.teaching import HeldPicture
-from scope_ui_bridge.core.wire import CAMERAS, MAX_BYTES, decode_object, encode
+from scope_ui_bridge.core.wire import CAMERAS, decode_object, encode
 
 _LOG = logging.getLogger(__name__)
 _TICK_S = 0.05
@@ -62,11 +68,9 @@ _MAX_FORM = 4096  # bytes of a plain request
 _HARD_LIMIT = 64 * 1024  # above this the WebSocket library itself closes the connection
 _START_TIMEOUT_S = 10.0
 _IDLE_CONNECTION_S = 15.0
-_BACKLOG = 128
-_LOOK_S = 1.0
-"""So often, at least, it is looked whether who has opened a connection is still signed in, and may listen."""
 _GOES_ON = (WSMsgType.TEXT, WSMsgType.BINARY, WSMsgType.PING, WSMsgType.PONG)
 _HELD_QUALITY = 95
+_MAX_WISH = 512  # characters of what a page sends on the connection of the pictures
 
 
 class WebServer:
@@ -92,6 +96,7 @@ class WebServer:
         self._sign_in = sign_in
         self.door = FrontDoor(config, sign_in, self._write_later)
         self._graph = graph
+        self._stop_path = StopPath(graph, self._write_later, self._service_answered)
         self._audit = audit
         self._loop = asyncio.new_event_loop()
         self.mailbox = Mailbox(self._loop)
@@ -105,9 +110,12 @@ class WebServer:
         self._outboxes: dict[str, asyncio.Queue[str]] = {}
         self._controls: dict[str, web.WebSocketResponse] = {}
         self._transports: dict[str, asyncio.Transport] = {}
-        self._sockets: set[web.WebSocketResponse] = set()
+        self._places: Places[web.WebSocketResponse] = Places(2 * config.max_viewers)
+        self._most = max(listening.MAX_CONNECTIONS, 4 * config.max_viewers)
+        self._opened = OfUsers(lambda: Bucket(OPENED_PER_S, OPENED_BURST))
         self._tasks: set[asyncio.Task[Any]] = set()
         self._closing = asyncio.Event()
+        sign_in.spares = desk.had_control
         self._started = threading.Event()
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="web", daemon=True)
@@ -183,25 +191,20 @@ class WebServer:
             handle_signals=False,
             shutdown_timeout=1.0,
             keepalive_timeout=_IDLE_CONNECTION_S,
+            auto_decompress=False,
+            logger=self.door.turned_away.logger(),
         )
         await runner.setup()
         assert runner.server is not None
-        listener: asyncio.Server | None = None
+        listener: Listener | None = None
         try:
             context: ssl.SSLContext | None = None
             if self._config.tls:
                 context = self._certified()
-            listener = await self._loop.create_server(
-                runner.server,
-                self._config.host,
-                self._config.port,
-                ssl=context,
-                backlog=_BACKLOG,
-                # The sweep sees no connection before it is encrypted, and asyncio would wait for a minute.
-                ssl_handshake_timeout=self.door.speak_within_s if context else None,
-            )
-            self.port = listener.sockets[0].getsockname()[1]
-            self.door.opened(self.port)
+            listener = Listener(runner.server, self.door.user_of, self._desk.had_control, self._most, self._made_room)
+            # The sweep sees no connection before it is encrypted, and asyncio would wait for a minute.
+            self.port = await listener.open(self._config.host, self._config.port, context, self.door.speak_within_s)
+            self.door.opened(self.port, listener)
             self._started.set()
             while not self._closing.is_set():
                 self._desk.recordings.own = self.recorder.recording
@@ -209,9 +212,9 @@ class WebServer:
                 self.door.sweep(runner.server)
                 with contextlib.suppress(asyncio.TimeoutError):
                     await asyncio.wait_for(self._closing.wait(), _TICK_S)
-            for socket in list(self._sockets):
+            for socket in self._places.owners():
                 with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
-                    await asyncio.wait_for(_close(socket), 0.5)
+                    await asyncio.wait_for(close(socket), 0.5)
         finally:
             for task in self._tasks:
                 task.cancel()
@@ -219,6 +222,9 @@ class WebServer:
             if listener is not None:
                 listener.close()
             await runner.cleanup()
+
+    def _made_room(self, whose: str) -> None:
+        self.door.turned_away.note(whose, "connection", f"more than {self._most} are open")
 
     def _application(self) -> web.Application:
         application = web.Application(middlewares=[self.door.guard], client_max_size=_MAX_FORM)
@@ -240,10 +246,7 @@ class WebServer:
         if session is None:
             self.door.turned_away.note(request.remote or "", "stop", "not signed in")
             return web.json_response({"ok": False, "code": "signed_out"}, status=401)
-        press, sent = request.query.get("press", "")[:64], request.query.get("sent", "")
-        if sent.isascii() and sent.isdigit() and len(sent) <= 15:
-            self._desk.stop_overtakes(request.query.get("page", ""), session.name, int(sent))
-        self._carry_out(self._desk.stop(session.name, self._now(), press=press))
+        self._carry_out(self._stop_path.effects_of(request, session, self._desk, self._now()))
         if "text/html" in request.headers.get("Accept", ""):  # the form without its script
             return web.Response(status=303, headers={"Location": "/"})
         return web.json_response({"ok": True})
@@ -273,21 +276,36 @@ class WebServer:
         session = self.door.session(request)
         if session is None:
             raise web.HTTPUnauthorized(reason="sign in first")
-        if len(self._sockets) >= 2 * self._config.max_viewers:
-            raise web.HTTPServiceUnavailable(reason="too many viewers")
+        if not self._opened[session.name].take(time.monotonic()):
+            self.door.turned_away.note(session.name, "connection", f"more than {OPENED_PER_S:g} a second")
+            raise web.HTTPTooManyRequests(reason="too many connections")
         # Pings come through to us: answered unseen, they would put off the look at who says nothing.
         socket = web.WebSocketResponse(
             max_msg_size=_HARD_LIMIT, compress=False, heartbeat=5.0, timeout=1.0, autoping=False
         )
-        await socket.prepare(request)
-        self._sockets.add(socket)
+        try:
+            kept = self._desk.had_control(session.name)
+            gone = self._places.take(
+                socket, session.name, request.path, kept=kept, spared=self._controls.get(self._desk.lease.holder)
+            )
+        except Refusal as refusal:
+            raise web.HTTPServiceUnavailable(reason="too many viewers") from refusal
+        if gone is not None:
+            self.door.turned_away.note(session.name, request.path, f"more than {OWN_PLACES}: the oldest ends")
+            self._spawn(close(gone, WSCloseCode.POLICY_VIOLATION, b"newer ones of the same user"))
+        try:
+            await socket.prepare(request)
+        except BaseException:
+            self._places.leave(socket)
+            raise
         return socket, session
 
     async def _control(self, request: web.Request) -> web.StreamResponse:
         socket, session = await self._open(request)
         viewer = ""
         sender: asyncio.Task[None] | None = None
-        gone = "stopped_link_lost"  # without a word, as when a tunnel ends
+        gone, flooding = "stopped_link_lost", False  # without a word, as when a tunnel ends
+        pings = Bucket(PINGS_PER_S, PINGS_BURST)
         try:
             try:
                 viewer, hello = self._desk.join(session.name, session.role, session.user is not None)
@@ -299,9 +317,9 @@ class WebServer:
             self._outboxes[viewer], self._controls[viewer] = outbox, socket
             if request.transport is not None:
                 self._transports[viewer] = request.transport
-            sender = asyncio.create_task(_send_all(socket, outbox))
+            sender = asyncio.create_task(send_all(socket, outbox))
             while True:
-                message = await _receive(socket)
+                message = await receive(socket, pings)
                 if message is not None and message.type not in _GOES_ON:
                     if message.type is WSMsgType.CLOSE:
                         gone = "stopped_page_gone"
@@ -320,8 +338,12 @@ class WebServer:
                 effects = self._desk.message(viewer, message.data, self._now())
                 self._note_suspects(session.name, effects)
                 self._carry_out(effects)
+                if any(isinstance(effect, End) for effect in effects):
+                    gone, flooding = "stopped_flooding", True
+                    self.door.turned_away.note(session.name, "connection", "went on after rate_limited: ended")
+                    break
         finally:
-            self._sockets.discard(socket)
+            self._places.leave(socket)
             self._outboxes.pop(viewer, None)
             self._controls.pop(viewer, None)
             self._transports.pop(viewer, None)
@@ -329,7 +351,7 @@ class WebServer:
                 self._carry_out(self._desk.leave(viewer, self._now(), gone))
             if sender is not None:
                 sender.cancel()
-        return await self._ended(socket)
+        return await (throw_out(request, socket) if flooding else self._ended(socket))
 
     def _note_suspects(self, name: str, effects: list[Effect]) -> None:
         for effect in effects:
@@ -342,16 +364,20 @@ class WebServer:
 
     async def _video(self, request: web.Request) -> web.StreamResponse:
         socket, session = await self._open(request)
-        viewer = VideoViewer(socket=socket)
+        viewer, flooding, pings = VideoViewer(socket=socket), False, Bucket(PINGS_PER_S, PINGS_BURST)
         self.video.add(viewer)
-        sender = asyncio.create_task(_until_gone(self.video.serve(viewer)))
+        sender = asyncio.create_task(until_gone(self.video.serve(viewer)))
         try:
             while self.door.session(request) is not None:
-                message = await _receive(socket)
+                message = await receive(socket, pings)
                 if message is None or message.type in (WSMsgType.PING, WSMsgType.PONG):
                     continue
                 if message.type is not WSMsgType.TEXT or self.door.session(request) is None:
                     self._note_broken(session, message)
+                    break
+                if not viewer.messages.take(time.monotonic()):
+                    self.door.turned_away.note(session.name, "video", f"more than {viewer.messages.per_s:g} a second")
+                    flooding = True
                     break
                 try:
                     self._video_message(viewer, message.data)
@@ -359,20 +385,20 @@ class WebServer:
                     with contextlib.suppress(ConnectionError):
                         await socket.send_str(encode({"type": "answer", "ok": False, **refusal.message()}))
         finally:
-            self._sockets.discard(socket)
+            self._places.leave(socket)
             self.video.remove(viewer)
             sender.cancel()
-        return await self._ended(socket)
+        return await (throw_out(request, socket) if flooding else self._ended(socket))
 
     async def _ended(self, socket: web.WebSocketResponse) -> web.WebSocketResponse:
         """Close with the server's reason: aiohttp 3.9 takes the end of a handler for a normal closure."""
         if self._closing.is_set():
-            await _close(socket)
+            await close(socket)
         return socket
 
     def _video_message(self, viewer: VideoViewer, text: str) -> None:
-        if len(text) > MAX_BYTES:
-            raise Refusal("oversized", size=len(text), limit=MAX_BYTES)
+        if len(text) > _MAX_WISH:
+            raise Refusal("oversized", size=len(text), limit=_MAX_WISH)
         message = decode_object(text)
         drawn, camera = message.get("drawn"), message.get("camera")
         layers = {name: message.get(name, False) for name in LAYERS}
@@ -389,13 +415,12 @@ class WebServer:
     def _carry_out(self, effects: list[Effect]) -> None:
         for effect in effects:
             if isinstance(effect, StopNow):
-                self._graph.stop(functools.partial(self._service_answered, effect.entry))
-                self._write_later(effect.record)
+                self._stop_path.send(effect)
             elif isinstance(effect, Heartbeat):
                 self._graph.heartbeat()
             elif isinstance(effect, Ping):
                 if effect.viewer in self._controls:
-                    self._spawn(_until_gone(self._controls[effect.viewer].ping()))
+                    self._spawn(until_gone(self._controls[effect.viewer].ping()))
             elif isinstance(effect, Send):
                 self._put(effect.viewer, encode(effect.message))
             elif isinstance(effect, Broadcast):
@@ -406,6 +431,8 @@ class WebServer:
                 self._hold(effect.viewer)
             elif isinstance(effect, Record):
                 self._write_later(effect.record)
+            elif isinstance(effect, End):
+                continue  # the connection's own task ends it
             else:
                 assert isinstance(effect, Order)
                 self._spawn(self._send_order(effect, self._write(effect.record)))
@@ -485,29 +512,3 @@ class WebServer:
 def _tell_failure(written: Future[None]) -> None:
     if (error := written.exception()) is not None:
         _LOG.error("the record could not be written: %s", error)
-
-
-async def _close(socket: web.WebSocketResponse) -> None:
-    await socket.close(code=WSCloseCode.GOING_AWAY, message=b"server ends")
-
-
-async def _receive(socket: web.WebSocketResponse) -> WSMessage | None:
-    """Return what comes next, or None when nothing has come for a second; what comes then is not lost."""
-    try:
-        message = await socket.receive(timeout=_LOOK_S)
-    except asyncio.TimeoutError:
-        return None
-    if message.type is WSMsgType.PING:
-        await socket.pong(message.data)
-    return message
-
-
-async def _send_all(socket: web.WebSocketResponse, outbox: asyncio.Queue[str]) -> None:
-    with contextlib.suppress(ConnectionError):
-        while True:
-            await socket.send_str(await outbox.get())
-
-
-async def _until_gone(work: Awaitable[None]) -> None:
-    with contextlib.suppress(ConnectionError):
-        await work

@@ -20,7 +20,7 @@ from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
 from icu_common.core.option_bounds import named_path
 from scope_ui_bridge.adapters.secret_files import older_files, read_users, write_secret
-from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, line_before, verify
+from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, gaps, line_before, verify
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.passwords import PasswordError, Role, composed, new_user
 
@@ -132,7 +132,7 @@ def check_audit(path: Path, noted: str | None) -> str:
             f"{files[0]}: records 1 to {gone} are not here. If they were put into an archive, check them there, and "
             f"here with the hash of the last one: it must be {last}"
         )
-    count, known = gone, noted is None
+    count, known, lost = gone, noted is None, list[str]()
     for file in files:
         text = file.read_text(encoding="utf-8", errors=BAD_BYTES).splitlines()
         try:
@@ -140,12 +140,13 @@ def check_audit(path: Path, noted: str | None) -> str:
         except AuditError as error:
             raise AuditError(f"{file}: {error}") from error
         # Each line names the hash of the one before, so a noted hash stands in the line after it, or is the last one's.
+        lost += gaps(text)
         known = known or noted == last or any(f'"previous":"{noted}"' in line for line in text)
     if not known:
         raise AdminError(f"{path} is a whole chain, but the noted hash is not in it: another file, or cut short")
     where = f"{path} and {len(files) - 1} older" if files[1:] else str(path)
     what = f"{count} records" if not gone else f"records {gone + 1} to {count}"
-    return f"{where}: {what}, intact; hash of the last: {last}"
+    return "\n".join([f"{where}: {what}, intact; hash of the last: {last}", *lost])
 
 
 def run(options: argparse.Namespace) -> str:

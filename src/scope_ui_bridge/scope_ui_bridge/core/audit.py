@@ -8,6 +8,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
 START = "0" * 64
@@ -23,6 +25,39 @@ def chain_line(number: int, previous: str, record: dict[str, Any]) -> tuple[str,
     """Return line ``number`` (without its end) with the hash of the line before, and this line's own hash."""
     line = json.dumps({"n": number, "previous": previous, **record}, separators=(",", ":"), allow_nan=False)
     return line, _hash(line)
+
+
+GAP = "records lost"
+"""The command of the line that stands where records could not be written, as on a full disk."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gap:
+    """Records that could not be written: how many, and the times of the first and the last, wall clock in s."""
+
+    count: int
+    from_s: float
+    until_s: float
+
+    def with_one_more(self, wall_s: float) -> Gap:
+        """Return the gap with one more lost record."""
+        return Gap(count=self.count + 1, from_s=min(self.from_s, wall_s), until_s=max(self.until_s, wall_s))
+
+    def record(self) -> dict[str, Any]:
+        """Return the line that notes it."""
+        values = {"lost": self.count, "from_s": self.from_s, "until_s": self.until_s}
+        return {"wall_s": self.until_s, "who": "the bridge", "command": GAP, **values}
+
+
+def gaps(lines: Iterable[str]) -> list[str]:
+    """Return a sentence for each gap that the lines of an intact file note."""
+    entries = (json.loads(line) for line in lines if f'"command":"{GAP}"' in line)
+    found = ((entry["lost"], _shown(entry["from_s"]), _shown(entry["until_s"])) for entry in entries)
+    return [f"{count} records were lost between {begin} and {end}" for count, begin, end in found]
+
+
+def _shown(wall_s: float) -> str:
+    return f"{datetime.fromtimestamp(wall_s).astimezone():%Y-%m-%d %H:%M:%S %z}"
 
 
 def verify(lines: Iterable[str], count: int = 0, previous: str = START) -> tuple[int, str]:

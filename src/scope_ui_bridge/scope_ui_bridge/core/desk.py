@@ -18,12 +18,15 @@ from icu_common.core.geometry import Array
 from icu_common.core.gesture import Point
 from icu_common.core.results import GoalResult, Outcome
 from scope_ui_bridge.core import command_log, wire
+from scope_ui_bridge.core.admission.places import KEPT_PLACES
+from scope_ui_bridge.core.admission.rates import OfUsers, UserBudget
 from scope_ui_bridge.core.command_log import CommandLog, LogEntry, record, shown
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import (
     Broadcast,
     CallService,
     Effect,
+    End,
     Heartbeat,
     HoldPicture,
     Now,
@@ -56,7 +59,7 @@ from scope_ui_bridge.core.selection import (
 from scope_ui_bridge.core.sequencing import SequenceView
 from scope_ui_bridge.core.stop_cause import StopCauses
 from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
-from scope_ui_bridge.core.viewer import Viewer
+from scope_ui_bridge.core.viewer import FLOODING, SHORT, Viewer
 
 HEARTBEAT_PERIOD_S = 0.1
 """The newest beat that the driver has is, at the next one, at most that one's own delay and 0.1 s old.
@@ -72,6 +75,7 @@ _SETS_OUT_S = 1.0
 """A way is told before the state of what moves along it, at most so long: then no driver takes it any more."""
 _MAX_LINES = 40  # in one tick
 _KEPT_LINES = 100  # for engineers who come later
+_REMEMBERED = 32  # users who had control
 _FOR_ENGINEERS = ("accept_settings",)
 _MOVE = ("home", "calibrate")
 
@@ -107,6 +111,8 @@ class Desk:
         self._causes = StopCauses()
         self._viewers: dict[str, Viewer] = {}
         self._viewer_count = 0
+        self._budgets = OfUsers(UserBudget)
+        self._had_control: deque[str] = deque(maxlen=_REMEMBERED)
         self._log = CommandLog()
         self._selection: Selection | None = None
         self._selection_count = 0
@@ -148,11 +154,12 @@ class Desk:
         Refusal
             ``too_many_viewers``.
         """
-        if len(self._viewers) >= self.config.max_viewers:
+        kept = KEPT_PLACES if self.had_control(name) else 0
+        if len(self._viewers) >= self.config.max_viewers + kept:
             raise Refusal("too_many_viewers", limit=self.config.max_viewers)
         self._viewer_count += 1
         viewer = f"v{self._viewer_count}"
-        self._viewers[viewer] = Viewer(name, role)
+        self._viewers[viewer] = Viewer(name, role, user=self._budgets[name])
         return viewer, {
             "type": "hello",
             "boot": self.boot_id,
@@ -171,6 +178,10 @@ class Desk:
             "selection": self._selection.message() if self._selection else None,
             "state": self._snapshot_now(),
         }
+
+    def had_control(self, name: str) -> bool:
+        """Tell whether a user has or had control: places are kept for these."""
+        return name in self._had_control
 
     def _limits(self) -> dict[str, float]:
         return {
@@ -191,27 +202,34 @@ class Desk:
         return effects
 
     def message(self, viewer: str, text: str | bytes, now: Now) -> list[Effect]:
-        """Take one text of a page and return what is to be done; anything bad is answered, nothing moves."""
+        """Take one text of a page and return what is to be done; anything bad is answered, nothing moves.
+
+        Size and rate are limited before the text is read, but for what may be a stop.
+        """
         seq: int | None = None
-        selected = self._selection
+        selected, page = self._selection, self._viewers[viewer]
+        longest = wire.MAX_BYTES if viewer == self.lease.holder else SHORT
         try:
-            try:
-                message = wire.decode(text)
-            except Refusal:
-                seq = wire.seq_of(text)
-                self._viewers[viewer].limit_rate(now.mono_s)
-                raise
-            seq = message.seq
+            unlimited = page.may_stop(text, now.mono_s)
+            if not unlimited:
+                page.limit(len(text), longest, now.mono_s)
+            message = wire.decode(text)
             if isinstance(message, wire.Stop):  # before every other check: a stop is always good
-                effects = self.stop(self._viewers[viewer].name, now, press=message.press)
-                return [*effects, self._answer(viewer, seq)]
-            self._viewers[viewer].admit(message, self.boot_id, now.mono_s)
+                effects = self.stop(page.name, now, press=message.press)
+                return [*effects, self._answer(viewer, message.seq)]
+            if unlimited:
+                page.limit(len(text), longest, now.mono_s)
+            seq = message.seq
+            page.admit(message, self.boot_id)
             return self._dispatch(viewer, message, now)
         except Refusal as refusal:
-            if refusal.code == "rate_limited" and not self._viewers[viewer].may_tell_rate(now.mono_s):
+            if refusal.code == FLOODING:
+                return [End(viewer=viewer)]
+            if refusal.code == "rate_limited" and not page.may_tell_rate(now.mono_s):
                 return []
             gone = selected is not None and self._selection is None
             told: list[Effect] = [_selection_shown(None)] if gone else []
+            seq = wire.seq_of(text) if seq is None else seq
             answer = {"type": "answer", "seq": seq, "ok": False, **refusal.message()}
             return [*told, Send(viewer=viewer, message=answer)]
 
@@ -399,6 +417,9 @@ class Desk:
             self.lease.grant(viewer, message.to, now.mono_s)
         if self.lease.epoch == epoch:
             return [self._state_effect(now)]
+        holder_name = self._name(self.lease.holder)
+        if holder_name not in self._had_control:
+            self._had_control.append(holder_name)
         given = step == "grant"
         command, holder = "hand over control" if given else "take control", self.lease.holder
         passed = self._passed(self._name(viewer), command, holder, now, self._name(holder) if given else "")

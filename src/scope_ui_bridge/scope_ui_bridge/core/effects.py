@@ -50,6 +50,13 @@ class Broadcast:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class End:
+    """End the connection of a viewer, which has been told why it is refused and goes on."""
+
+    viewer: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Heartbeat:
     """Tell the driver that an operator is there."""
 
@@ -135,4 +142,4 @@ class CallService(Order):
     service: str
 
 
-Effect = Send | Broadcast | Heartbeat | Ping | StopNow | Record | Order | HoldPicture
+Effect = Send | Broadcast | End | Heartbeat | Ping | StopNow | Record | Order | HoldPicture

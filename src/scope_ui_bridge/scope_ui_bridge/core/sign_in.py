@@ -1,18 +1,29 @@
-"""Sign-in: a one-shot token or a password, sessions behind a cookie, back-off after failures. Secrets stay hashed."""
+"""Sign-in: a one-shot token or a password, sessions behind a cookie. Secrets stay hashed.
+
+A token has 256 bits: guessing it is hopeless, so it is compared at once, and wrong ones make nobody wait. Passwords are
+slowed down, for each account and address, so that whoever guesses at one keeps nobody else out.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import hmac
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from scope_ui_bridge.core.admission.rates import Bucket, OfUsers
 from scope_ui_bridge.core.passwords import Role, User
 from scope_ui_bridge.core.refusal import Refusal
 
-_MAX_REMOTES = 1024
+_MAX_FAILURES = 1024
 _MAX_SESSIONS = 256
+MAX_OF_USER = 8
+"""Sessions of one user: when another one begins, the user's oldest ends."""
+_SIGN_INS_PER_S, _SIGN_INS_BURST = 0.2, 10.0
+"""Sign-ins of one account by its password: each takes a tenth of a second of a processor."""
+AGAIN = "renewal"
+"""In place of an address, for who is signed in already: foreign guesses from the same address do not count there."""
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 10.0
 
 
@@ -46,6 +57,11 @@ class SignIn:
         How long a session lives.
     token_role
         What somebody may do who comes with a token.
+
+    Attributes
+    ----------
+    spares
+        Tells of a user whether that one has or had control: such sessions go last.
     """
 
     def __init__(
@@ -56,9 +72,11 @@ class SignIn:
         self._token_role = token_role
         self._token = b""
         self._sessions: OrderedDict[bytes, Session] = OrderedDict()
-        self._failures: OrderedDict[str, _Failures] = OrderedDict()
-        self._pushed_out: list[Session] = []
+        self._failures: OrderedDict[tuple[str, str], _Failures] = OrderedDict()
+        self._rates = OfUsers(lambda: Bucket(_SIGN_INS_PER_S, _SIGN_INS_BURST))
+        self._pushed_out: list[tuple[Session, str]] = []
         self._count = 0
+        self.spares: Callable[[str], bool] = lambda name: False
 
     def issue_token(self) -> str:
         """Return a new token that signs in once; an unused older one becomes void."""
@@ -66,42 +84,45 @@ class SignIn:
         self._token = _digest(token)
         return token
 
-    def enter(self, token: str, remote: str, now_s: float) -> str:
-        """Use the token up and return the cookie's value.
-
-        Raises
-        ------
-        Refusal
-            ``wrong_token``, or ``wait`` with the seconds until the next try of this remote address is looked at.
-        """
-        self.use_up(token, remote, now_s)
+    def enter(self, token: str, now_s: float) -> str:
+        """Use the token up and return the cookie's value; a wrong one is refused (``wrong_token``)."""
+        self.use_up(token)
         self._count += 1
-        return self._admit(f"Operator {self._count}", self._token_role, remote, now_s)
+        return self._admit(f"Operator {self._count}", self._token_role, now_s)
 
-    def use_up(self, token: str, remote: str, now_s: float) -> None:
+    def use_up(self, token: str) -> None:
         """Use the token up, for somebody who is signed in already; refusals as of :meth:`enter`."""
-        self.check_wait(remote, now_s)
         if not self._token or not hmac.compare_digest(_digest(token), self._token):
-            self._failed(remote, now_s)
             raise Refusal("wrong_token")
         self._token = b""
 
-    def check_wait(self, remote: str, now_s: float) -> None:
-        """Refuse (``wait``) while a remote address has to wait after failures."""
-        failures = self._failures.get(remote)
+    def check_wait(self, account: str, remote: str, now_s: float) -> None:
+        """Refuse (``wait``) before a password is looked at, which takes its time.
+
+        That is while guesses at this account from this address have to wait after failures, or while the account has
+        been signed in to too often.
+        """
+        rate = self._rates.get(account) if remote != AGAIN else None
+        if rate is not None and rate.take(now_s, 0.0) and rate.wait_s() > 0:
+            raise Refusal("wait", seconds=max(round(rate.wait_s(), 1), 0.1))
+        failures = self._failures.get((account, remote))
         if failures is not None and now_s < failures.blocked_until_s:
             raise Refusal("wait", seconds=round(failures.blocked_until_s - now_s, 1))
 
-    def enter_by_password(self, user: User | None, remote: str, now_s: float) -> str:
+    def enter_by_password(self, user: User | None, account: str, remote: str, now_s: float) -> str:
         """Return the cookie's value for whose password was found good; ``wrong_password`` for None."""
-        known = self.check_user(user, remote, now_s)
-        return self._admit(known.name, known.role, remote, now_s, known)
+        known = self.check_user(user, account, remote, now_s)
+        rate = self._rates[known.name]
+        if not rate.take(now_s):
+            raise Refusal("wait", seconds=max(round(rate.wait_s(), 1), 0.1))
+        return self._admit(known.name, known.role, now_s, known)
 
-    def check_user(self, user: User | None, remote: str, now_s: float) -> User:
+    def check_user(self, user: User | None, account: str, remote: str, now_s: float) -> User:
         """Refuse (``wrong_password``) when the password was found good for nobody."""
         if user is None:
-            self._failed(remote, now_s)
+            self._failed(account, remote, now_s)
             raise Refusal("wrong_password")
+        self._failures.pop((account, remote), None)
         return user
 
     def renew(self, cookie: str, now_s: float) -> Session | None:
@@ -114,21 +135,33 @@ class SignIn:
         self._sessions.move_to_end(_digest(cookie))
         return renewed
 
-    def _admit(self, name: str, role: Role, remote: str, now_s: float, user: User | None = None) -> str:
-        self._failures.pop(remote, None)
+    def _admit(self, name: str, role: Role, now_s: float, user: User | None = None) -> str:
         secret = self._new_secret()
         self._sessions[_digest(secret)] = Session(name=name, role=role, ends_s=now_s + self._lifetime_s, user=user)
-        while len(self._sessions) > _MAX_SESSIONS:
-            self._pushed_out.append(self._sessions.popitem(last=False)[1])
+        own = [key for key, session in self._sessions.items() if session.name == name]
+        if len(own) > MAX_OF_USER:
+            self._push_out(own[0], f"{MAX_OF_USER} newer ones of the same user")
+        elif len(self._sessions) > _MAX_SESSIONS:
+            self._push_out(self._most_dispensable(), f"{_MAX_SESSIONS} others have signed in since")
         return secret
 
-    def _failed(self, remote: str, now_s: float) -> None:
-        failures = self._failures.get(remote, _Failures())
+    def _push_out(self, key: bytes, why: str) -> None:
+        self._pushed_out.append((self._sessions.pop(key), why))
+
+    def _most_dispensable(self) -> bytes:
+        """Return the oldest session of the user who has most, of those who never had control while there are some."""
+        counts = Counter(session.name for session in self._sessions.values())
+        newest = next(reversed(self._sessions))
+        others = ((key, session.name) for key, session in self._sessions.items() if key != newest)
+        return min(others, key=lambda one: (self.spares(one[1]), -counts[one[1]]))[0]
+
+    def _failed(self, account: str, remote: str, now_s: float) -> None:
+        failures = self._failures.get((account, remote), _Failures())
         failures.count += 1
         failures.blocked_until_s = now_s + min(_FIRST_WAIT_S * 2 ** min(failures.count - 1, 20), _LONGEST_WAIT_S)
-        self._failures[remote] = failures
-        self._failures.move_to_end(remote)
-        while len(self._failures) > _MAX_REMOTES:
+        self._failures[account, remote] = failures
+        self._failures.move_to_end((account, remote))
+        while len(self._failures) > _MAX_FAILURES:
             self._failures.popitem(last=False)
 
     def session(self, cookie: str, now_s: float) -> Session | None:
@@ -144,8 +177,8 @@ class SignIn:
         """Forget the sessions that have ended by themselves; return each once, with the reason."""
         over = [key for key, session in self._sessions.items() if now_s >= session.ends_s]
         ended = [(self._sessions.pop(key), "its time was over") for key in over]
-        ended += [(session, f"{_MAX_SESSIONS} others have signed in since") for session in self._pushed_out]
-        self._pushed_out.clear()
+        ended += self._pushed_out
+        self._pushed_out = []
         return ended
 
 

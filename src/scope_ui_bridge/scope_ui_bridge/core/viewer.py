@@ -3,45 +3,63 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from scope_ui_bridge.core import wire
+from scope_ui_bridge.core.admission import rates
+from scope_ui_bridge.core.admission.rates import Bucket, UserBudget
 from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.refusal import Refusal
 
-MESSAGES_PER_S, BURST = 40.0, 80.0
 _TELL_RATE_EVERY_S = 1.0
+SHORT = 2048
+"""Maximum size of a message of a page without control, in characters: only orders are longer."""
+FLOODING = "flooding"
+"""The refusal that ends a page's connection: it has gone on after it was told to slow down."""
 
 
 @dataclass(slots=True)
 class Viewer:
-    """A page of the user ``name``, whose sign-in ends at ``signed_in_until_s``."""
+    """A page of the user ``name``, whose sign-in ends at ``signed_in_until_s``; ``user`` is for all of that user's."""
 
     name: str
     role: Role
     signed_in_until_s: float = math.inf
+    user: UserBudget = field(default_factory=UserBudget)
     _last_seq: int = -1
     _stopped_seq: int = -1
-    _tokens: float = BURST
-    _refilled_s: float = 0.0
     _told_rate_s: float = -math.inf
+    _messages: Bucket = field(default_factory=lambda: Bucket(rates.MESSAGES_PER_S, rates.BURST))
+    _stops: Bucket = field(default_factory=lambda: Bucket(rates.STOPS_PER_S, rates.STOP_BURST))
+    _dropped: Bucket = field(default_factory=lambda: Bucket(rates.DROPPED_PER_S, rates.DROPPED_BURST))
 
     def need(self, role: Role) -> None:
         """Refuse (``role_needed``) what only ``role`` may do."""
         if not self.role.may(role):
             raise Refusal("role_needed", role=role.value, found=self.role.value)
 
-    def limit_rate(self, now_s: float) -> None:
-        """Refuse (``rate_limited``) what comes faster than ``MESSAGES_PER_S``, after ``BURST`` at once."""
-        self._tokens = min(BURST, self._tokens + (now_s - self._refilled_s) * MESSAGES_PER_S)
-        self._refilled_s = now_s
-        if self._tokens < 1:
-            raise Refusal("rate_limited", limit=MESSAGES_PER_S)
-        self._tokens -= 1
+    def may_stop(self, text: str | bytes, now_s: float) -> bool:
+        """Whether a text that nobody has read yet may be a stop, which is read whatever else this page has sent.
 
-    def admit(self, message: wire.Message, boot_id: str, now_s: float) -> None:
-        """Refuse what comes too fast, for another run of the server (``old_boot``), or again (``replayed``)."""
-        self.limit_rate(now_s)
+        There are few of them: a page that says it again within half a second means the same stop.
+        """
+        named = b'"stop"' in text if isinstance(text, bytes) else '"stop"' in text
+        return named and len(text) <= wire.MAX_STOP and self._stops.take(now_s)
+
+    def limit(self, size: int, longest: int, now_s: float) -> None:
+        """Refuse a message before it is read: by its size, by this page's rate, and by the user's.
+
+        ``rate_limited`` is dropped; a page that goes on regardless is ``flooding``.
+        """
+        within = self._messages.take(now_s) and self.user.messages.take(now_s)
+        if within and size > longest:
+            raise Refusal("oversized", size=size, limit=longest)
+        if within and self.user.size.take(now_s, size):
+            return
+        raise Refusal("rate_limited" if self._dropped.take(now_s) else FLOODING, limit=rates.MESSAGES_PER_S)
+
+    def admit(self, message: wire.Message, boot_id: str) -> None:
+        """Refuse what comes for another run of the server (``old_boot``), or again (``replayed``)."""
         if message.boot != boot_id:
             raise Refusal("old_boot")
         if message.seq <= self._last_seq:

@@ -15,12 +15,18 @@ from typing import Any, NoReturn
 
 from icu_common.core.gesture import GESTURES
 from icu_common.core.sequence import MAX_STEPS
+from icu_common.core.text_bounds import deepest_line
 from scope_ui_bridge.core.refusal import Refusal
 
 MAX_BYTES = 32 * 1024
 """Holds the longest messages that are allowed otherwise: as many steps of a sequence, as many controls of a panel."""
+MAX_STOP = 512
+"""Maximum size of a stop, which is read even on a connection that sends too much."""
+MAX_DEPTH = 8
+"""Maximum number of open brackets: the rows of a lesson need three; those in texts count as well."""
 MAX_TEXT = 64
 _MAX_INTEGER = 2**53
+_SEQ_WITHIN = 300  # the page writes it behind the type
 _SEQ = re.compile(r'"seq": ?([0-9]{1,15})[,}]')
 
 
@@ -197,12 +203,15 @@ def decode(text: str | bytes) -> Message:
 
 def seq_of(text: str | bytes) -> int | None:
     """Return the number of a message that cannot be read, for the answer to it; None where it bears none."""
-    found = _SEQ.search(text if isinstance(text, str) else text.decode("utf-8", "replace"))
+    begin = text[:_SEQ_WITHIN]
+    found = _SEQ.search(begin if isinstance(begin, str) else begin.decode("utf-8", "replace"))
     return int(found[1]) if found else None
 
 
 def decode_object(text: str | bytes) -> dict[str, Any]:
-    """Parse a JSON object strictly: no NaN, no infinity, no repeated key."""
+    """Parse a JSON object strictly: no NaN, no infinity, no repeated key, and no more than a few levels."""
+    if deepest_line(text if isinstance(text, str) else text.decode("utf-8", "replace"), MAX_DEPTH):
+        raise Refusal("malformed", what=f"more than {MAX_DEPTH} open brackets")
     try:
         value = json.loads(
             text, parse_constant=_no_constant, parse_float=_finite, parse_int=_integer, object_pairs_hook=_unique

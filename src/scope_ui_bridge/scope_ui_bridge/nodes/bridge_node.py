@@ -40,9 +40,11 @@ from icu_common.core.frames import CAMERA_LEFT, JOINTS
 from icu_common.core.geometry import Transform
 from icu_common.core.panel_layout import Control, LayoutError, PanelLayout, load_layout
 from icu_common.core.sequence import Sequence, parse_file
+from icu_common.core.text_bounds import plain
 from icu_common.nodes import qos
 from icu_common.nodes.camera_info import CameraInfoSubscription
 from icu_common.nodes.conversions import (
+    MAX_NAME,
     axes_of_message,
     camera_model,
     check_frame,
@@ -52,6 +54,7 @@ from icu_common.nodes.conversions import (
     image_array,
     image_message,
     joint_positions,
+    pairs_of,
     panel_state_of_message,
     point_array,
     point_message,
@@ -251,7 +254,7 @@ class BridgeNode(GraphNode):
             try:
                 take(message)
             except ValueError as error:
-                self.get_logger().error(f"{topic}: ignored: {error}", throttle_duration_sec=5.0)
+                self.get_logger().error(f"{topic}: ignored: {plain(str(error))}", throttle_duration_sec=5.0)
 
         return self.create_subscription(message_type, topic, callback, profile)
 
@@ -273,7 +276,7 @@ class BridgeNode(GraphNode):
         return self.ros_ns() if self._replay else stamp_ns(message.header.stamp)
 
     def _state_taker(self, part: str) -> Callable[[String], None]:
-        return lambda message: self._mail.newest(part, self._desk.set_state, part, message.data)
+        return lambda message: self._mail.newest(part, self._desk.set_state, part, plain(message.data))
 
     def _hear_camera(self, side: str) -> None:
         def changed(message: CameraInfo) -> None:
@@ -392,11 +395,11 @@ class BridgeNode(GraphNode):
 
     def _facts_seen(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            facts = {pair.key: pair.value for pair in status.values}
+            name, facts = plain(status.name, MAX_NAME), pairs_of(status)
             sender = Sender(node=facts.get("node", ""), process=facts.get("process", ""))
-            if self._liveness.heard(status.name, sender):
-                self.get_logger().info(f"{status.name} reports again")
-            part = next((part for name, part in _REPORTERS.items() if name in status.name), "")
+            if self._liveness.heard(name, sender):
+                self.get_logger().info(f"{name} reports again")
+            part = next((part for reporter, part in _REPORTERS.items() if reporter in name), "")
             if part:
                 self._mail.newest(f"facts {part}", self._desk.machine.set_facts, part, facts)
 
@@ -406,7 +409,8 @@ class BridgeNode(GraphNode):
         mine = ".".join(self.get_namespace().split("/")[1:])
         if level and (not mine or message.name.startswith(f"{mine}.")):
             wall_ms = stamp_ns(message.stamp) // 1_000_000
-            line = {"wall_ms": wall_ms, "level": level, "name": message.name, "text": message.msg[:300]}
+            name, text = plain(message.name, MAX_NAME), plain(message.msg, 300)
+            line = {"wall_ms": wall_ms, "level": level, "name": name, "text": text}
             self._mail.each(self._desk.said, line)
 
     def _result_seen(self, message: DiagnosticArray) -> None:

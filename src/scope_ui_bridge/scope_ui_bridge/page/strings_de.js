@@ -171,6 +171,7 @@ export const DE = {
   stopped_heartbeat: "der Herzschlag des Bedieners blieb aus: Seite, Brücke oder Verbindung antwortete nicht",
   stopped_after: "– {seconds} s lang nichts",
   stopped_page_gone: "die Seite des Bedieners wurde geschlossen oder neu geladen",
+  stopped_flooding: "die Seite des Bedieners hat viel zu viele Nachrichten gesandt, und ihre Verbindung wurde beendet",
   stopped_signed_out: "die Anmeldung des Bedieners ist beendet",
   stopped_released: "die Bedienung wurde während einer Bewegung abgegeben",
 

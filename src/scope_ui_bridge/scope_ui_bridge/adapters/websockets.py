@@ -1,0 +1,60 @@
+"""What both kinds of WebSocket connections do: take the next message, send in order, and end."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Awaitable
+
+from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
+
+from scope_ui_bridge.core.admission.rates import Bucket
+
+LOOK_S = 1.0
+"""Maximum seconds between checks that a connection's user is still signed in, and may listen."""
+_FAREWELL_S = 0.2
+_TOO_MANY_PINGS = WSMessage(WSMsgType.ERROR, "too many pings", None)
+
+
+async def close(socket: web.WebSocketResponse, code: int = WSCloseCode.GOING_AWAY, why: bytes = b"server ends") -> None:
+    """Close a connection with a reason."""
+    await socket.close(code=code, message=why)
+
+
+async def throw_out(request: web.Request, socket: web.WebSocketResponse) -> web.WebSocketResponse:
+    """End a connection whose other side sends too much, whether or not it reads the reason."""
+    with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
+        await asyncio.wait_for(close(socket, WSCloseCode.POLICY_VIOLATION, b"too many messages"), _FAREWELL_S)
+    if request.transport is not None:
+        request.transport.abort()
+    return socket
+
+
+async def receive(socket: web.WebSocketResponse, pings: Bucket) -> WSMessage | None:
+    """Return what comes next, or None when nothing has come for a second; what comes then is not lost.
+
+    Pings and pongs beyond their rate end the connection.
+    """
+    try:
+        message = await socket.receive(timeout=LOOK_S)
+    except asyncio.TimeoutError:
+        return None
+    if message.type in (WSMsgType.PING, WSMsgType.PONG) and not pings.take(time.monotonic()):
+        return _TOO_MANY_PINGS
+    if message.type is WSMsgType.PING:
+        await socket.pong(message.data)
+    return message
+
+
+async def send_all(socket: web.WebSocketResponse, outbox: asyncio.Queue[str]) -> None:
+    """Send what is put into a queue until the connection is gone."""
+    with contextlib.suppress(ConnectionError):
+        while True:
+            await socket.send_str(await outbox.get())
+
+
+async def until_gone(work: Awaitable[None]) -> None:
+    """Do something with a connection that may end meanwhile."""
+    with contextlib.suppress(ConnectionError):
+        await work

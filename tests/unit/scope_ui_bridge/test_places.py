@@ -1,0 +1,41 @@
+"""Places for connections: nobody takes them all, and who had control finds one."""
+
+from __future__ import annotations
+
+import pytest
+
+from scope_ui_bridge.core.admission.places import KEPT_PLACES, OWN_PLACES, Places
+from scope_ui_bridge.core.refusal import Refusal
+
+
+def test_one_user_has_so_many_of_a_kind_and_gives_up_the_oldest_for_a_newer_one() -> None:
+    places: Places[str] = Places(48)
+    gone = [places.take(f"v{n}", "eve", "/video", kept=False) for n in range(47)]
+    assert gone == [None] * OWN_PLACES + [f"v{n}" for n in range(47 - OWN_PLACES)]
+    assert places.take("c0", "eve", "/control", kept=False) is None, "another kind"
+    assert places.take("v99", "ada", "/video", kept=False) is None
+    assert len(places.owners()) == OWN_PLACES + 2
+
+
+def test_the_connection_in_control_is_not_the_one_that_goes() -> None:
+    places: Places[str] = Places(48)
+    for number in range(OWN_PLACES):
+        places.take(f"c{number}", "ada", "/control", kept=True)
+    assert places.take("c8", "ada", "/control", kept=True, spared="c0") == "c1"
+    assert "c0" in places.owners()
+
+
+def test_when_all_are_taken_those_who_had_control_still_find_one() -> None:
+    places: Places[str] = Places(4)
+    for number in range(4):
+        places.take(f"p{number}", f"user {number}", "/control", kept=False)
+    with pytest.raises(Refusal, match="too_many_viewers limit=2"):
+        places.take("p4", "user 4", "/control", kept=False)
+    for number in range(2 * KEPT_PLACES):
+        assert places.take(f"k{number}", f"ada {number}", "/control", kept=True) is None
+    with pytest.raises(Refusal):
+        places.take("k8", "ada 8", "/control", kept=True)
+    places.leave("p0")
+    places.leave("p0")
+    with pytest.raises(Refusal):
+        places.take("p4", "user 4", "/control", kept=False)
