@@ -160,7 +160,12 @@ class Controller(GoalPhases):
             case msg.CameraSeen():
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
             case msg.Heartbeat():
-                world.heartbeat_ns = world.wall_ns
+                seen_ns = world.wall_ns - event.age_ns
+                world.heartbeat_ns = seen_ns if world.heartbeat_ns is None else max(world.heartbeat_ns, seen_ns)
+            case msg.Rivals():
+                begins = world.rivals.take(event.topic, event.text)
+                if begins and self._job is None:  # at rest, too; a job ends by its fault
+                    self._actions.append(msg.CallStop(reason=event.text))
             case msg.Tick():
                 pass
 
@@ -174,6 +179,7 @@ class Controller(GoalPhases):
     def _take_driver(self, text: str) -> None:
         self._world.driver = text
         state = text.partition(":")[0]
+        self._world.rivals.driver_is(state)
         if state == "stopped":
             self._world.unchecked = False
         elif not self._world.unchecked and state == "idle":

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from gantry_driver.core.motion_plan import MotionConfig
 from gantry_driver.core.targets import TouchConfig
+from icu_common.core.admission.heartbeats import PROGRAMS as HEARTBEAT_PROGRAMS
 from icu_common.core.config import WALL_TIME, Config, ConfigError, nested, setting
 
 
@@ -109,6 +110,9 @@ class ControllerConfig(Config):
     goal_max_age_s: float = setting(0.5, "Older goals are refused as stale", minimum=0.05, maximum=10.0, unit="s")
     heartbeat_timeout_s: float = setting(
         0.6, "Age at which the operator counts as gone", minimum=0.1, maximum=10.0, unit="s", clock=WALL_TIME
+    )
+    heartbeat_programs: str = setting(
+        HEARTBEAT_PROGRAMS, "Nodes that may send heartbeats side by side, separated by spaces", read_only=True
     )
     joints_timeout_s: float = setting(
         1.0, "Age of joint_states at which the driver counts as silent", minimum=0.1, maximum=10.0, unit="s"

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 from gantry_driver.core.wire.clearance import stopping_way_mm
+from icu_common.core.admission.heartbeats import PROGRAMS as HEARTBEAT_PROGRAMS
 from icu_common.core.config import WALL_TIME, Config, ConfigError, nested, setting
 
 REPORTS_MISSED = 1.5
@@ -137,6 +138,14 @@ class DriverConfig(Config):
         read_only=True,
     )
     enabled_at_start: bool = setting(False, "Motion is allowed without a call of enable", read_only=True)
+    trajectory_programs: str = setting(
+        "gantry_controller",
+        "Nodes whose trajectories are followed, separated by spaces, one at a time; * for any node",
+        read_only=True,
+    )
+    heartbeat_programs: str = setting(
+        HEARTBEAT_PROGRAMS, "Nodes that may send heartbeats side by side, separated by spaces", read_only=True
+    )
     heartbeat_timeout_s: float = setting(
         0.6, "Motion stops when the operator's heartbeat is older", minimum=0.1, maximum=5.0, unit="s", clock=WALL_TIME
     )

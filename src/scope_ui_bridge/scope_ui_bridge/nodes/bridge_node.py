@@ -475,7 +475,7 @@ class BridgeNode(GraphNode):
         self.get_logger().warning("stop")
 
     def heartbeat(self) -> None:
-        self._heartbeat.publish(header(self.ros_ns(), "operator"))
+        self._heartbeat.publish(header(self.ros_ns(), self.get_fully_qualified_name()))
 
     def send_command(self, text: str) -> None:
         if self._command.get_subscription_count() == 0:
