@@ -51,6 +51,12 @@ class Controller(GoalPhases):
         """The goal in work as text, empty without one."""
         return self._job.text if self._job is not None else ""
 
+    def unrest(self) -> str:
+        """Return why settings that guard people must stay as they are, empty at rest with the stylus up."""
+        if self._job is not None:
+            return f"busy with {self._job.text!r}"
+        return self._world.unrest()
+
     def handle(self, event: msg.Event, now_ns: int, wall_ns: int | None = None) -> list[msg.Action]:
         """Take one event at ROS time ``now_ns`` and return what is to be done, in order.
 

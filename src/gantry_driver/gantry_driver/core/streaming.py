@@ -33,6 +33,7 @@ from icu_common.core.results import GoalResult, Outcome
 
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """What a program may rely on at its first line."""
+_RESTS = frozenset((Phase.CLOSED, Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE, Phase.STOPPED, Phase.ALARM))
 
 
 class Streaming(Proving):
@@ -50,6 +51,12 @@ class Streaming(Proving):
         """Take which programs publish a topic that only one may, empty for one alone; more than one is a stop."""
         if self._rivals.take(topic, text):
             self.stop(text, now)
+
+    def unrest(self) -> str:
+        """Return why settings that guard people must stay as they are, empty at rest with the stylus up."""
+        if self.phase in _RESTS and not self._stylus_is_down():
+            return ""
+        return f"the driver is {self.state_text}" + ("; the stylus is down" if self._stylus_is_down() else "")
 
     def heartbeat(self, at: float) -> None:
         """Note that the operator was there at ``at``, in wall time."""

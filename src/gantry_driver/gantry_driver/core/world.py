@@ -283,6 +283,13 @@ class World:
         age_s = (self.wall_ns - self.heartbeat_ns) / NANO
         return age_s - min(self.wall_held_up_s, max(age_s, 0.0))
 
+    def unrest(self) -> str:
+        """Return that the machine moves, or that its stylus is extended; empty at rest."""
+        if self.driver.partition(":")[0] in ("moving", "homing"):
+            return f"the driver is {self.driver!r}"
+        extended = self.readings is not None and self.readings[2] > EXTENDED_M
+        return f"the stylus is extended by {1000 * self.here[2]:.1f} mm" if extended else ""
+
     def left_behind_text(self) -> str:
         """Say how far the stylus was extended."""
         return f"the controller started with the stylus extended by {1000 * self.here[2]:.1f} mm"

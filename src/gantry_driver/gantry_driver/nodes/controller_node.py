@@ -72,12 +72,13 @@ class ControllerNode(GraphNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("gantry_controller", **kwargs)
-        parameters = LiveParameters(self, ControllerConfig, self._on_config)
-        self._controller = Controller(parameters.config)
+        self._live = LiveParameters(self, ControllerConfig, self._on_config, unrest=lambda: self._controller.unrest())
+        config = self._live.config
+        self._controller = Controller(config)
         # Elsewhere ROS time is wall time, or that of a recording, whose heartbeats are recorded as well.
         self._wall_ns = (lambda: round(1e9 * steady_s())) if this_process.simulated else self._now_ns
         self._sources = SourceWatch(self, self._on_sources)
-        self._heartbeats = HeartbeatSources(parameters.config.heartbeat_programs)
+        self._heartbeats = HeartbeatSources(config.heartbeat_programs)
         self._camera: tuple[CameraInfo, CameraModel] | None = None
         self._load = LoadMeter()
         self._trajectory = self.create_publisher(JointTrajectory, "trajectory", qos.COMMAND)

@@ -70,7 +70,7 @@ class SerialDriverNode(GraphLifecycleNode):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("serial_driver", **node_arguments)
-        self._live = LiveParameters(self, DriverConfig, self._on_config)
+        self._live = LiveParameters(self, DriverConfig, self._on_config, unrest=self._unrest)
         config = self._live.config
         self._joint_states = self.create_publisher(JointState, "joint_states", RESULTS)
         self._state = self.create_publisher(String, "driver_state", LATCHED)
@@ -219,6 +219,9 @@ class SerialDriverNode(GraphLifecycleNode):
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         text = "enabled" if request.data else "disabled"
         return _fill(response, self._link.call(lambda machine, now: machine.enable(request.data, now)), text)
+
+    def _unrest(self) -> str:
+        return self._link.call(lambda machine, now: machine.unrest())
 
     def _on_config(self, config: DriverConfig) -> None:
         self._link.call(lambda machine, now: machine.configure(config, now))

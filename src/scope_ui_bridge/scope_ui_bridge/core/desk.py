@@ -41,6 +41,7 @@ from scope_ui_bridge.core.jog import HeldJog
 from scope_ui_bridge.core.lease import OperatorLease
 from scope_ui_bridge.core.machine_view import MachineView
 from scope_ui_bridge.core.panel_view import PanelView
+from scope_ui_bridge.core.parameters.changes import ParameterChanges
 from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.recordings import Recordings
 from scope_ui_bridge.core.refusal import Refusal
@@ -108,6 +109,7 @@ class Desk:
         self._viewers: dict[str, Viewer] = {}
         self._viewer_count = 0
         self._log = CommandLog()
+        self.parameters = ParameterChanges(self._log)
         self._selection: Selection | None = None
         self._selection_count = 0
         self._jog: HeldJog | None = None
