@@ -166,8 +166,9 @@ class Controller(GoalPhases):
             case msg.CameraSeen():
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
             case msg.Heartbeat():
-                seen_ns = world.wall_ns - event.age_ns
-                world.heartbeat_ns = seen_ns if world.heartbeat_ns is None else max(world.heartbeat_ns, seen_ns)
+                seen_ns, last_ns = world.wall_ns - event.age_ns, world.heartbeat_ns
+                if last_ns is None or not seen_ns < last_ns <= world.wall_ns:  # an old one does not replace it
+                    world.heartbeat_ns = seen_ns
             case msg.Rivals():
                 begins = world.rivals.take(event.topic, event.text)
                 if begins and self._job is None:  # at rest, too; a job ends by its fault
