@@ -518,6 +518,9 @@ class Desk:
     def set_state(self, part: str, text: str) -> None:
         """Note the state of driver, controller, calibration or sequencer; empty when there is none."""
         self.machine.set_state(part, text)
+        state, reason = self.machine.state(part)
+        if part == "controller" and state == "stopped":  # at rest it stops for what ended no goal
+            self._causes.aborted(reason, self._now_s)
         if part == "sequencer":
             self.sequence.set_state(text)
 
