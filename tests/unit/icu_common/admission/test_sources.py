@@ -41,6 +41,17 @@ def test_successor_of_a_killed_program_is_one() -> None:
     assert watched.judge([NEW], 11.0).names == ("/panel/recognition",)
 
 
+def test_successor_of_a_program_that_ran_for_long_is_one() -> None:
+    alive: dict[bytes, bool | None] = {A: True, B: True}
+    watched = sources(alive=alive)
+    watched.judge([OLD], 0.0)
+    alive[A] = False
+    for now_s in (1000.0, 1005.0, 1009.9):
+        assert watched.judge([OLD, NEW], now_s).names == ("/panel/recognition",)
+    alive[A] = True
+    assert len(watched.judge([OLD, NEW], 1010.0).names) == 2
+
+
 def test_stranger_beside_a_killed_program_is_one() -> None:
     assert sources(alive={A: False, B: True}).judge([OLD, STRANGER], 0.0).names == ("/stranger",)
 

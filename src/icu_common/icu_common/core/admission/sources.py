@@ -8,6 +8,7 @@ until the lease must have ended.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
@@ -59,6 +60,8 @@ class TopicSources:
     def __init__(self, is_alive: Callable[[bytes], bool | None]) -> None:
         self._is_alive = is_alive
         self._since_s: dict[bytes, float] = {}
+        self._ended_s: dict[bytes, float] = {}
+        """When a process was first found to have ended."""
 
     def judge(self, sources: Iterable[Source], now_s: float) -> Found:
         """Return the living ones among the sources that the graph has."""
@@ -68,13 +71,14 @@ class TopicSources:
             unnamed = any(not source.name for source in sources)
             return Found(names=tuple(s.name or UNNAMED for s in sources), unnamed=unnamed, undecided=unnamed)
         alive = {s.process: self._is_alive(s.process) for s in sources}
+        self._ended_s = {p: self._ended_s.get(p, now_s) for p, lives in alive.items() if lives is False}
         living: list[Source] = []
         undecided = unnamed = False
         for source in sources:
             age_s = now_s - self._since_s[source.process]
             # One that has ended and stays in the graph renews its lease: it lives where its process cannot be seen, as
             # in a container.
-            ended = alive[source.process] is False and age_s <= LEASE_S
+            ended = now_s - self._ended_s.get(source.process, -math.inf) <= LEASE_S
             successor = alive[source.process] is None and self._is_successor(source, sources, now_s)
             if ended or successor:
                 undecided = True
