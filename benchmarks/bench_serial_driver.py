@@ -192,8 +192,8 @@ def run_node(port: str, holds: str) -> int:
     os.write = write_and_note
 
     signal.signal(signal.SIGTERM, note)
-    overrides = [Parameter("port", value=port), Parameter("enabled_at_start", value=True)]
-    node = make_node(parameter_overrides=overrides)
+    values = {"port": port, "enabled_at_start": True, "trajectory_programs": "*"}
+    node = make_node(parameter_overrides=[Parameter(name, value=value) for name, value in values.items()])
     executor = EventsExecutor()
     executor.add_node(node)
     parent = os.getppid()

@@ -74,7 +74,7 @@ RUN_STOP = BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])
 
 # Everything here shares one thread and, in a full test run, a busy machine: no deadline may be near.
 PATIENCE = {
-    "heartbeat_timeout_s": 5.0,
+    "heartbeat_timeout_s": 2.0,
     "joints_timeout_s": 5.0,
     "camera_timeout_s": 5.0,
     "panel_max_age_s": 20.0,

@@ -64,6 +64,7 @@ class Program:
 def bench(ros: Any) -> GantryBench:
     """The operator is the program under test, so the bench sends no heartbeat."""
     bench = GantryBench(ros, heartbeat=False)
+    bench.node.destroy_publisher(bench.beat)
     bench.see()
     return bench
 

@@ -36,7 +36,7 @@ from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 
 HOMED = (-359.0, -219.0, -1.0)
 # On a busy machine the thread that waits and sends heartbeats, or the board, may be late without anybody being lost.
-PATIENCE = {"heartbeat_timeout_s": 5.0, "goal_max_age_s": 4.0, "status_timeout_s": 10.0, "hold_timeout_s": 10.0}
+PATIENCE = {"heartbeat_timeout_s": 2.0, "goal_max_age_s": 4.0, "status_timeout_s": 10.0, "hold_timeout_s": 10.0}
 SLOW_M_S = 0.03
 """Of a way on which the machine is stopped: it must not have ended, be it that who stops it is held up for seconds."""
 
@@ -110,7 +110,8 @@ def operator(ros: Any, tmp_path: Path) -> Iterator[Callable[..., Operator]]:
     def make(*arguments: str, time_scale: float = 2.0, **parameters: Any) -> Operator:
         board = GrblBoard(tmp_path, *arguments, time_scale=time_scale)
         boards.append(board)
-        ros.node(SerialDriverNode, {"port": str(board.port), **PATIENCE, **parameters})
+        values = {"port": str(board.port), "trajectory_programs": "operator", **PATIENCE, **parameters}
+        ros.node(SerialDriverNode, values)
         return Operator(ros, board)
 
     yield make
@@ -213,13 +214,47 @@ def test_disabling_and_enabling_are_seen_in_the_state(operator: Callable[..., Op
     op.state("idle")
 
 
-def test_lost_heartbeat_stops_and_lifts(operator: Callable[..., Operator], ros: Any) -> None:
+def test_trajectory_of_a_program_that_is_not_allowed_moves_nothing(operator: Callable[..., Operator]) -> None:
+    op = operator(trajectory_programs="gantry_controller").ready()
+    op.go((0.0, 0.0, 0.06), (0.158, 0.0, 0.06), frame_id="deep")
+    op.until(lambda: op.results)
+    reason = "from /operator: trajectory_programs allows gantry_controller"
+    assert [(r.goal_id, r.outcome.value, r.reason) for r in op.results] == [("deep", "rejected", reason)]
+    assert op.board.mpos() == pytest.approx(HOMED, abs=0.01) and op.states[-1] == "idle"
+
+
+@pytest.mark.parametrize(("topic", "kind"), [("trajectory", JointTrajectory), ("heartbeat", Header)])
+def test_second_program_stops_a_motion_in_contact_and_the_stylus_is_lifted(
+    operator: Callable[..., Operator], ros: Any, topic: str, kind: Any
+) -> None:
     op = operator(time_scale=1.0).ready()
-    driver = next(node for node in ros.nodes if isinstance(node, SerialDriverNode))
+    foreign = ros.plain("foreign")
+    op.go((0.0, 0.0, 0.02), (0.021, 0.012, 0.02), (0.35, 0.2, 0.02), last_m_s=SLOW_M_S)
+    op.until(lambda: op.joints and op.joints[-1].position[0] > 0.02)
+    outlet = foreign.create_publisher(kind, topic, RESULTS)
+    text = f"two programs publish {topic}: /foreign and /operator"
+    op.state(f"stopped: {text}")
+    op.until(lambda: op.results and op.results[-1].outcome.value == "aborted")
+    assert op.results[-1].reason == text
+    op.until(lambda: op.board.mpos()[2] > HOMED[2] - 0.05)
+    op.until(lambda: op.call("reset").success)
+    op.go((0.1, 0.1, 0.0))
+    op.until(lambda: op.results[-1].reason == text and op.results[-1].outcome.value == "rejected")
+    foreign.destroy_publisher(outlet)
+
+    def obeys() -> bool:
+        op.go((0.1, 0.1, 0.0))
+        op.until(lambda: op.results[-1].outcome.value != "accepted")
+        return op.results[-1].outcome.value == "reached"
+
+    op.until(obeys)
+
+
+def test_lost_heartbeat_stops_and_lifts(operator: Callable[..., Operator]) -> None:
+    op = operator(time_scale=1.0).ready()
     op.go((0.0, 0.0, 0.02), (0.021, 0.012, 0.02), (0.35, 0.2, 0.02), last_m_s=SLOW_M_S)
     op.until(lambda: op.joints and op.joints[-1].position[0] > 0.02)
     op.beating = False
-    assert driver.set_parameters([Parameter("heartbeat_timeout_s", value=0.6)])[0].successful
     op.state("stopped: operator's heartbeat lost")
     op.until(lambda: op.results and op.results[-1].outcome.value == "aborted")
     op.until(lambda: op.board.mpos()[2] > HOMED[2] - 0.05)
@@ -355,7 +390,7 @@ def test_a_signal_to_end_holds_lifts_and_ends(number: signal.Signals, ros: Any, 
     """SIGHUP is what a terminal leaves behind that is closed, or whose connection is cut."""
     board = GrblBoard(tmp_path)
     command = [sys.executable, "-m", "gantry_driver.nodes.serial_driver_node", "--ros-args"]
-    for name, value in {"port": board.port, **PATIENCE}.items():
+    for name, value in {"port": board.port, "trajectory_programs": "operator", **PATIENCE}.items():
         command += ["-p", f"{name}:={value}"]
     environment = {**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id())}
     driver = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

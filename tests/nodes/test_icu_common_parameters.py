@@ -110,3 +110,30 @@ def test_wrong_ros_arguments_end_with_one_line(
 
 def test_own_arguments_are_those_that_ros_does_not_take() -> None:
     assert own_arguments(["program", "1", "--ros-args", "-r", "a:=b", "--", "--two"]) == ["1", "--two"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Guarded(Config):
+    silence_s: float = setting(0.6, "silence", minimum=0.1, maximum=2.0, unit="s", guards="nobody stops it")
+    lamp: bool = setting(True, "lamp")
+
+
+def test_what_guards_people_changes_only_at_rest(ros: Any) -> None:
+    node = ros.plain()
+    unrest = ["it moves"]
+    live = LiveParameters(node, Guarded, unrest=lambda: unrest[0])
+    both = [Parameter("lamp", value=False), Parameter("silence_s", value=2.0)]
+    refused = node.set_parameters_atomically(both)
+    assert not refused.successful
+    assert refused.reason == "silence_s can change only while the machine is at rest: it moves"
+    assert live.config == Guarded()
+    assert node.set_parameters([Parameter("silence_s", value=0.6)])[0].successful, "no change"
+    assert node.set_parameters([Parameter("lamp", value=False)])[0].successful
+    unrest[0] = ""
+    assert node.set_parameters([Parameter("silence_s", value=2.0)])[0].successful
+    assert live.config == Guarded(silence_s=2.0, lamp=False)
+
+
+def test_guards_need_to_know_whether_the_machine_is_at_rest(ros: Any) -> None:
+    with pytest.raises(TypeError, match="Guarded has settings that guard people"):
+        LiveParameters(ros.plain(), Guarded)

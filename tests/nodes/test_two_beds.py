@@ -39,8 +39,8 @@ class Bed:
         places = ["--config", ROOT / "config", "--state", folder / "state", "--run-dir", folder / "run"]
         # The operator's heartbeat and goals come from the thread that waits: on a busy machine they may be late.
         patience = {
-            "serial_driver": {"heartbeat_timeout_s": 5.0, "goal_max_age_s": 5.0, "status_timeout_s": 10.0},
-            "gantry_controller": {"heartbeat_timeout_s": 5.0, "goal_max_age_s": 5.0, "joints_timeout_s": 5.0},
+            "serial_driver": {"heartbeat_timeout_s": 2.0, "goal_max_age_s": 5.0, "status_timeout_s": 10.0},
+            "gantry_controller": {"heartbeat_timeout_s": 2.0, "goal_max_age_s": 5.0, "joints_timeout_s": 5.0},
         }
         for part, settings in patience.items():
             parts += [text for key, value in settings.items() for text in ("--set", f"{part}.{key}={value}")]

@@ -33,7 +33,7 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from icu_common.adapters.real_time import BRIDGE
-from icu_common.core.config import ConfigError
+from icu_common.core.config import ConfigError, settings_of
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.geometry import Transform
 from icu_common.core.gesture import parse_gesture
@@ -57,6 +57,7 @@ from icu_common.nodes.conversions import (
     transform_message,
 )
 from scope_ui_bridge.core import stop_cause
+from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.nodes import foxglove_sidecar
 from scope_ui_bridge.nodes.bridge_node import BridgeNode
 
@@ -309,8 +310,8 @@ def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
     graph = Graph(ros)
     parameters = {"port": 0, "token_file": str(tmp_path / "token"), "audit_file": str(tmp_path / "audit.jsonl")}
     patient = {
-        "lease_timeout_s": 60.0,
-        "silence_stop_s": 3.0,
+        "lease_timeout_s": 30.0,
+        "silence_stop_s": 2.0,
         "frame_max_age_s": 5.0,
         "recognition_max_age_s": 10.0,
     }  # a loaded machine
@@ -655,6 +656,52 @@ def test_limits_change_while_it_runs_and_addresses_do_not(ros: Any, bridge: Any)
     ros.spin_until(lambda: node._desk.config.min_confidence == 0.8, WITHIN_S)
     (fixed,) = node.set_parameters([Parameter("host", value="localhost")])
     assert not fixed.successful
+
+
+def test_change_of_a_parameter_is_shown_on_the_page_and_in_the_audit_file(
+    ros: Any, bridge: Any, tmp_path: Path
+) -> None:
+    _, browser, node, _ = bridge
+    assert node.set_parameters([Parameter("lease_timeout_s", value=20.0)])[0].successful
+    text = "lease_timeout_s = 20.0"
+
+    def shown() -> dict[str, Any]:
+        return dict(browser.latest("log").get("entry", {}))
+
+    ros.spin_until(lambda: shown().get("target") == text, WITHIN_S, shown)
+    entry = shown()
+    assert (entry["who"], entry["action"], entry["status"]) == ("/ui_bridge", "parameter", "done")
+
+    def lines() -> list[dict[str, Any]]:
+        return [json.loads(line) for line in (tmp_path / "audit.jsonl").read_text().splitlines()]
+
+    ros.spin_until(lambda: lines()[-1]["target"] == text, WITHIN_S)
+    assert (lines()[-1]["who"], lines()[-1]["command"]) == ("/ui_bridge", "parameter")
+
+
+@pytest.mark.parametrize("extended", [False, True])
+def test_what_guards_the_operator_stays_while_the_machine_moves_or_presses(
+    ros: Any, bridge: Any, extended: bool
+) -> None:
+    graph, _, node, _ = bridge
+
+    def unrest() -> str:
+        if extended:  # a position is forgotten soon
+            stamp = header(int(node.get_clock().now().nanoseconds), "")
+            graph.publish("joint_states", joint_message(JOINTS, (0.1, 0.1, 0.03), stamp))
+        else:
+            graph.publish("gantry/driver_state", String(data="moving"))
+        return str(node._desk.machine.unrest())
+
+    before = node._desk.config
+    for item in (i for i in settings_of(BridgeConfig) if i.setting.guards):
+        low, high, now = item.setting.minimum, item.setting.maximum, getattr(before, item.name)
+        value = 0.0 if item.name == "min_confidence" else high if high != now else (low + high) / 2
+        why = ros.spin_until(unrest, WITHIN_S)
+        (answer,) = node.set_parameters([Parameter(item.name, value=value)])
+        assert not answer.successful
+        assert answer.reason == f"{item.name} can change only while the machine is at rest: {why}"
+    assert node._desk.config == before
 
 
 def test_a_new_token_voids_the_old_one(ros: Any, bridge: Any, capfd: pytest.CaptureFixture[str]) -> None:

@@ -20,6 +20,8 @@ from line_socket import BoardSocket, LineSocket
 from system.operator_browser import browser  # noqa: F401
 from system.terminal_operator import operator  # noqa: F401
 
+from icu_common.core.admission.heartbeats import PROGRAMS
+
 ROOT = Path(__file__).resolve().parents[2]
 INSTALL = ROOT / "ros2_ws" / "install"
 
@@ -169,11 +171,11 @@ PATIENT = {
     "frame_max_age_s": 4.0,
     "frame_stale_s": 5.0,
     "recognition_max_age_s": 8.0,
-    "keepalive_fresh_s": 8.0,
-    "silence_stop_s": 8.0,
-    "picture_stop_s": 8.0,
-    "jog_hold_s": 3.0,
-    "lease_timeout_s": 60.0,
+    "keepalive_fresh_s": 1.0,
+    "silence_stop_s": 2.0,
+    "picture_stop_s": 2.0,
+    "jog_hold_s": 1.0,
+    "lease_timeout_s": 30.0,
     "answer_timeout_s": 30.0,
 }
 
@@ -182,6 +184,10 @@ PATIENT = {
 def started_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningGraph]:
     """A graph as it is after its start: neither homed nor calibrated; the tests of a session share it."""
     patience = [text for name, value in PATIENT.items() for text in ("--set", f"ui_bridge.{name}={value}")]
+    # Beside the operator of the tests, command-line programs run.
+    programs = f"{PROGRAMS} operator"
+    nodes = ("serial_driver", "gantry_controller")
+    patience += [text for node in nodes for text in ("--set", f"{node}.heartbeat_programs={programs}")]
     graph = RunningGraph(tmp_path_factory.mktemp("graph"), 50 + os.getpid() % 40, *patience)
     try:
         yield graph

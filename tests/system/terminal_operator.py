@@ -84,7 +84,7 @@ class Operator:
         while not self._ended.wait(0.1):
             if self.beating:
                 self.beats_heard += self.heartbeat.get_subscription_count() >= 2  # driver and controller
-                self.heartbeat.publish(Header(stamp=self.node.get_clock().now().to_msg(), frame_id="operator"))
+                self.heartbeat.publish(Header(stamp=self.node.get_clock().now().to_msg(), frame_id="/operator"))
 
     def close(self) -> None:
         """End the heartbeat."""

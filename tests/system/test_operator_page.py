@@ -113,7 +113,7 @@ def instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
 @pytest.fixture
 def strict_instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
     """With the product's own limits of pictures and recognition; an operator whose page is held up stays one."""
-    made = Instrument(tmp_path, {"silence_stop_s": 60.0, "lease_timeout_s": 60.0})
+    made = Instrument(tmp_path, {"silence_stop_s": 2.0, "lease_timeout_s": 30.0})
     try:
         yield made
     finally:

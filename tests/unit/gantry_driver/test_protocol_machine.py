@@ -792,12 +792,12 @@ def test_a_lost_ok_is_noticed_and_reported() -> None:
 
 
 def test_trap_4_a_long_hold_runs_into_no_time_out() -> None:
-    rig = Rig(DriverConfig(enabled_at_start=True, hold_timeout_s=30.0)).homed()
-    rig.board.hold_s = 10.0
+    rig = Rig(DriverConfig(enabled_at_start=True, hold_timeout_s=10.0)).homed()
+    rig.board.hold_s = 9.0
     rig.go((0.3, 0.0, 0.0), (0.1, 0.0, 0.0))
     rig.run_for(0.2)
     rig.machine.stop("stop requested", rig.now)
-    rig.run_for(9.0)
+    rig.run_for(8.0)
     assert rig.states[-1] == "stopped: stop requested" and rig.machine.phase.name == "HOLDING"
     assert rig.machine.counts.lost == 0
     rig.until(lambda: rig.machine.phase.name == "STOPPED")

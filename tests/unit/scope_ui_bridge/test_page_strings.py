@@ -63,6 +63,9 @@ UNSAID = {
         *("its time was over", "{} others have signed in since", "{} newer ones of the same user"),
     ),
     "parts of a sentence that is in the table as a whole": ("to {}", "; drift: {}"),
+    "answers to who changes a parameter": (
+        *("; the stylus is down", "the stylus is extended by {} mm", "the {} is {}"),
+    ),
     "compared with what the board says": ("reset to continue",),
     "status lines and plain pages of the web server; terminals": (
         *("not signed in", "engineers only", "no picture is held", "sign in first"),
@@ -74,6 +77,7 @@ UNSAID = {
         *("bring_up --scope {} --set recognition.template={} --set recognition.template_px_per_mm={}",),
     ),
     "the log": (
+        *("{}: message of {} bytes dropped (limit {} bytes)", "{}: message of {} bytes dropped: {}"),
         *("serial_driver: {}; under load a stop may take longer, see README, Hardware",),
         *("ui_bridge: {}; under load a motion may be stopped, see README, Hardware",),
         *("encoding {} is none of bgr8, mono8, {}", "OpenCV could not encode the picture"),

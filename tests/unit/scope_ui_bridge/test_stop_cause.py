@@ -147,3 +147,13 @@ def test_a_machine_that_is_not_stopped_has_no_cause() -> None:
     rig = moving()
     rig.ask(rig.a, type="stop")
     assert rig.desk.join("Operator 2")[1]["state"]["stop_cause"] is None
+
+
+def test_controller_that_stops_a_machine_at_rest_is_named_with_its_reason() -> None:
+    rig = Rig()
+    rig.wait(0.1)
+    text = "two programs publish panel/pose: /foreign and /panel/recognition"
+    rig.desk.set_state("controller", f"stopped: {text}")
+    assert driver_stops(rig) == {"code": "stopped_by_controller", "who": text, "silence_s": 0.0}
+    rig.desk.set_state("controller", f"stopped: stop requested; {text}")
+    assert driver_stops(rig) == {"code": "stopped_by_controller", "who": text, "silence_s": 0.0}

@@ -26,9 +26,9 @@ WITHIN_S = 20.0
 # A test whose process is held up for some seconds looks at what it has asked for all the same.
 PATIENT = {
     "frame_max_age_s": 5.0,
-    "recognition_max_age_s": 60.0,
-    "silence_stop_s": 60.0,
-    "lease_timeout_s": 60.0,
+    "recognition_max_age_s": 10.0,
+    "silence_stop_s": 2.0,
+    "lease_timeout_s": 30.0,
     "answer_timeout_s": 60.0,
 }
 

@@ -247,7 +247,8 @@ class OperatorSession:
         listeners = _nodes(self.node.get_subscriptions_info_by_topic(self._heartbeat.topic_name))
         roles = (_nodes(self.node.get_publishers_info_by_topic(topic)) for topic in _TOLD_BY)
         self._beats_heard += sum(bool(nodes & listeners) for nodes in roles)
-        self._heartbeat.publish(Header(stamp=time_message(self.now_ns()), frame_id="operator"))
+        sender = self.node.get_fully_qualified_name()
+        self._heartbeat.publish(Header(stamp=time_message(self.now_ns()), frame_id=sender))
 
 
 def _nodes(ends: Sequence[TopicEndpointInfo]) -> set[tuple[str, str]]:

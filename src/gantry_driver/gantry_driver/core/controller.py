@@ -52,6 +52,12 @@ class Controller(GoalPhases):
         """The goal in work as text, empty without one."""
         return self._job.text if self._job is not None else ""
 
+    def unrest(self) -> str:
+        """Return why settings that guard people must stay as they are, empty at rest with the stylus up."""
+        if self._job is not None:
+            return f"busy with {self._job.text!r}"
+        return self._world.unrest()
+
     def handle(self, event: msg.Event, now_ns: int, wall_ns: int | None = None) -> list[msg.Action]:
         """Take one event at ROS time ``now_ns`` and return what is to be done, in order.
 
@@ -161,7 +167,13 @@ class Controller(GoalPhases):
             case msg.CameraSeen():
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
             case msg.Heartbeat():
-                world.heartbeat_ns = world.wall_ns
+                seen_ns, last_ns = world.wall_ns - event.age_ns, world.heartbeat_ns
+                if last_ns is None or not seen_ns < last_ns <= world.wall_ns:  # an old one does not replace it
+                    world.heartbeat_ns = seen_ns
+            case msg.Rivals():
+                begins = world.rivals.take(event.topic, event.text)
+                if begins and self._job is None:  # at rest, too; a job ends by its fault
+                    self._actions.append(msg.CallStop(reason=event.text))
             case msg.Tick():
                 pass
 
@@ -175,6 +187,7 @@ class Controller(GoalPhases):
     def _take_driver(self, text: str) -> None:
         self._world.driver = text
         state = text.partition(":")[0]
+        self._world.rivals.driver_is(state)
         if state == "stopped":
             self._world.unchecked = False
         elif not self._world.unchecked and state == "idle":

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from gantry_driver.core.motion_plan import MotionConfig
 from gantry_driver.core.targets import TouchConfig
+from icu_common.core.admission.heartbeats import PROGRAMS as HEARTBEAT_PROGRAMS
 from icu_common.core.config import WALL_TIME, Config, ConfigError, nested, setting
 
 
@@ -18,7 +19,12 @@ class ControllerConfig(Config):
         0.00015, "Seen error at which no further correction is made", minimum=1e-5, maximum=0.01, unit="m"
     )
     max_error_m: float = setting(
-        0.0005, "Seen error above which nothing is touched", minimum=1e-5, maximum=0.01, unit="m"
+        0.0005,
+        "Seen error above which nothing is touched",
+        minimum=1e-5,
+        maximum=0.01,
+        unit="m",
+        guards="what is beside the target is touched",
     )
     max_corrections: int = setting(3, "Corrections before the error is judged by max_error_m", minimum=0, maximum=20)
     max_correction_m: float = setting(
@@ -27,11 +33,19 @@ class ControllerConfig(Config):
         minimum=1e-4,
         maximum=0.05,
         unit="m",
+        guards="a wrong calibration is corrected away",
     )
     max_depth_error_m: float = setting(
-        0.003, "Seen error along base z that means the same", minimum=1e-4, maximum=0.05, unit="m"
+        0.003,
+        "Seen error along base z that means the same",
+        minimum=1e-4,
+        maximum=0.05,
+        unit="m",
+        guards="a wrong depth is touched",
     )
-    require_servo: bool = setting(True, "Touch only what the cameras see the tip above")
+    require_servo: bool = setting(
+        True, "Touch only what the cameras see the tip above", guards="what the cameras do not see is touched"
+    )
     tip_count: int = setting(4, "Tip observations averaged in one look", minimum=1, maximum=50)
     tip_spread_m: float = setting(
         0.0006, "Largest distance of one of them from their mean, sideways", minimum=1e-5, maximum=0.01, unit="m"
@@ -83,7 +97,12 @@ class ControllerConfig(Config):
         unit="s",
     )
     state_max_age_s: float = setting(
-        1.5, "Age of what is seen of the controls before a gesture", minimum=0.1, maximum=10.0, unit="s"
+        1.5,
+        "Age of what is seen of the controls before a gesture",
+        minimum=0.1,
+        maximum=10.0,
+        unit="s",
+        guards="a hand may be over the control since",
     )
     aside_m: float = setting(
         0.025,
@@ -98,23 +117,59 @@ class ControllerConfig(Config):
         3.0, "Time for whatever hides the control to go away", minimum=0.0, maximum=60.0, unit="s"
     )
     hidden_after_s: float = setting(
-        0.3, "Hidden for so long ends a gesture before the touch", minimum=0.0, maximum=10.0, unit="s"
+        0.3,
+        "Hidden for so long ends a gesture before the touch",
+        minimum=0.0,
+        maximum=2.0,
+        unit="s",
+        guards="the stylus goes on towards a hand",
     )
     motion_timeout_s: float = setting(
-        6.0, "Time beyond the nominal duration for a trajectory's result", minimum=0.5, maximum=120.0, unit="s"
+        6.0,
+        "Time beyond the nominal duration for a trajectory's result",
+        minimum=0.5,
+        maximum=30.0,
+        unit="s",
+        guards="a motion without an end is not stopped",
     )
     arrival_tolerance_m: float = setting(
         0.0002, "Reading against commanded point at the end of a motion", minimum=1e-5, maximum=0.01, unit="m"
     )
-    goal_max_age_s: float = setting(0.5, "Older goals are refused as stale", minimum=0.05, maximum=10.0, unit="s")
+    goal_max_age_s: float = setting(
+        0.5,
+        "Older goals are refused as stale",
+        minimum=0.05,
+        maximum=5.0,
+        unit="s",
+        guards="a goal of long ago may be for another place",
+    )
     heartbeat_timeout_s: float = setting(
-        0.6, "Age at which the operator counts as gone", minimum=0.1, maximum=10.0, unit="s", clock=WALL_TIME
+        0.6,
+        "Age at which the operator counts as gone",
+        minimum=0.1,
+        maximum=2.0,
+        unit="s",
+        clock=WALL_TIME,
+        guards="the machine moves on after the operator has gone",
+    )
+    heartbeat_programs: str = setting(
+        HEARTBEAT_PROGRAMS, "Nodes that may send heartbeats side by side, separated by spaces", read_only=True
     )
     joints_timeout_s: float = setting(
-        1.0, "Age of joint_states at which the driver counts as silent", minimum=0.1, maximum=10.0, unit="s"
+        1.0,
+        "Age of joint_states at which the driver counts as silent",
+        minimum=0.1,
+        maximum=5.0,
+        unit="s",
+        guards="nobody knows where the machine is meanwhile",
     )
     camera_timeout_s: float = setting(
-        1.0, "Age of the newest picture at which the camera counts as stalled", minimum=0.1, maximum=10.0, unit="s"
+        1.0,
+        "Age of the newest picture at which the camera counts as stalled",
+        minimum=0.1,
+        maximum=5.0,
+        unit="s",
+        guards="what is not seen is touched",
     )
     slow_tries: int = setting(
         3,
@@ -123,10 +178,28 @@ class ControllerConfig(Config):
         maximum=6,
     )
     slow_limit_max_s: float = setting(
-        10.0, "Largest limit that such tries grow to", minimum=0.1, maximum=120.0, unit="s"
+        10.0,
+        "Largest limit that such tries grow to",
+        minimum=0.1,
+        maximum=30.0,
+        unit="s",
+        guards="limits of lateness grow to it",
     )
-    min_confidence: float = setting(0.3, "Recognition needed for a touch", minimum=0.0, maximum=1.0)
-    panel_max_age_s: float = setting(2.0, "Age of the panel's pose for a touch", minimum=0.1, maximum=60.0, unit="s")
+    min_confidence: float = setting(
+        0.3,
+        "Recognition needed for a touch",
+        minimum=0.0,
+        maximum=1.0,
+        guards="a panel that is hardly recognised may be elsewhere",
+    )
+    panel_max_age_s: float = setting(
+        2.0,
+        "Age of the panel's pose for a touch",
+        minimum=0.1,
+        maximum=20.0,
+        unit="s",
+        guards="the panel may have moved since",
+    )
     seen_clear_m: float = setting(
         0.025,
         "Seen height of the tip above the panel that proves, without a position, that it presses nothing; "
@@ -134,12 +207,18 @@ class ControllerConfig(Config):
         minimum=0.005,
         maximum=0.2,
         unit="m",
+        guards="a stylus that presses a high control counts as up",
     )
     camera_on_carriage: bool = setting(
         False, "The cameras ride on the carriage: the panel is seen anew at each place, and errors are seen in it"
     )
     panel_moved_m: float = setting(
-        0.0015, "Shift of the target in the picture that ends a goal", minimum=1e-4, maximum=0.05, unit="m"
+        0.0015,
+        "Shift of the target in the picture that ends a goal",
+        minimum=1e-4,
+        maximum=0.01,
+        unit="m",
+        guards="a panel that has moved is touched beside the target",
     )
     motion: MotionConfig = nested(MotionConfig)
     touch: TouchConfig = nested(TouchConfig)

@@ -141,7 +141,17 @@ class CameraSeen:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heartbeat:
-    """The operator is there."""
+    """The operator was there ``age_ns`` ago, by the heartbeat's stamp."""
+
+    age_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rivals:
+    """Which programs publish ``topic`` though only one may; an empty ``text`` when they do no more."""
+
+    topic: str
+    text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,6 +176,7 @@ Event = (
     | TipUnseen
     | CameraSeen
     | Heartbeat
+    | Rivals
     | Tick
 )
 

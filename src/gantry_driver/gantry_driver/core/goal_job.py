@@ -101,6 +101,21 @@ class Fault:
     delay: Delay | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Obstacle:
+    """What keeps goals from starting: ``state`` for /gantry/state, ``reason`` with value and bound for a rejection.
+
+    One that is ``passing`` may go away by itself: cameras on the carriage have not seen the panel from where they are,
+    or something is late. ``delay`` names what is late, if nothing else is wrong.
+    """
+
+    state: str
+    reason: str
+    every_goal: bool
+    passing: bool = False
+    delay: Delay | None = None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Aim:
     """How points of base_link become readings: by the axes (2, 2), and by the correction (2,) in readings found so far.

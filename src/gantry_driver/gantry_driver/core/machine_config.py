@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 from gantry_driver.core.wire.clearance import stopping_way_mm
+from icu_common.core.admission.heartbeats import PROGRAMS as HEARTBEAT_PROGRAMS
 from icu_common.core.config import WALL_TIME, Config, ConfigError, nested, setting
 
 REPORTS_MISSED = 1.5
@@ -102,7 +103,11 @@ class StylusConfig(Config):
         800.0, "S value of M3 that lowers the stylus", minimum=0.0, maximum=30000.0, read_only=True
     )
     servo_range: tuple[float, ...] = setting(
-        (0.0, 1000.0), "$31 and $30: the range of which S values are a share", minimum=0.0, read_only=True
+        (0.0, 1000.0),
+        "$31 and $30: the range of which S values are a share",
+        minimum=0.0,
+        maximum=30000.0,
+        read_only=True,
     )
     dwell_s: float = setting(0.25, "Time that servo or solenoid take for the way", minimum=0.0, maximum=5.0, unit="s")
 
@@ -137,13 +142,39 @@ class DriverConfig(Config):
         read_only=True,
     )
     enabled_at_start: bool = setting(False, "Motion is allowed without a call of enable", read_only=True)
+    trajectory_programs: str = setting(
+        "gantry_controller",
+        "Nodes whose trajectories are followed, separated by spaces, one at a time; * for any node",
+        read_only=True,
+    )
+    heartbeat_programs: str = setting(
+        HEARTBEAT_PROGRAMS, "Nodes that may send heartbeats side by side, separated by spaces", read_only=True
+    )
     heartbeat_timeout_s: float = setting(
-        0.6, "Motion stops when the operator's heartbeat is older", minimum=0.1, maximum=5.0, unit="s", clock=WALL_TIME
+        0.6,
+        "Motion stops when the operator's heartbeat is older",
+        minimum=0.1,
+        maximum=2.0,
+        unit="s",
+        clock=WALL_TIME,
+        guards="the machine moves on after the operator has gone",
     )
     status_rate_hz: float = setting(10.0, "Status reports while nothing moves", minimum=1.0, maximum=50.0, unit="Hz")
-    moving_status_rate_hz: float = setting(25.0, "Status reports while moving", minimum=5.0, maximum=100.0, unit="Hz")
+    moving_status_rate_hz: float = setting(
+        25.0,
+        "Status reports while moving",
+        minimum=5.0,
+        maximum=100.0,
+        unit="Hz",
+        guards="a fault of the path is seen later",
+    )
     touch_status_rate_hz: float = setting(
-        50.0, "Status reports while a path with the stylus extended is followed", minimum=10.0, maximum=100.0, unit="Hz"
+        50.0,
+        "Status reports while a path with the stylus extended is followed",
+        minimum=10.0,
+        maximum=100.0,
+        unit="Hz",
+        guards="a damaged line is stopped deeper",
     )
     clearance_m: float = setting(
         0.009,
@@ -163,7 +194,12 @@ class DriverConfig(Config):
         read_only=True,
     )
     status_timeout_s: float = setting(
-        1.5, "Silence after which the link counts as lost", minimum=0.2, maximum=10.0, unit="s"
+        1.5,
+        "Silence after which the link counts as lost",
+        minimum=0.2,
+        maximum=10.0,
+        unit="s",
+        guards="nobody knows where the stylus is meanwhile",
     )
     connect_timeout_s: float = setting(
         6.0, "Time for banner, build information and settings", minimum=1.0, maximum=60.0, unit="s"
@@ -172,13 +208,32 @@ class DriverConfig(Config):
         0.5, "Time for a banner before a running board is asked for its state", minimum=0.0, maximum=10.0, unit="s"
     )
     hold_timeout_s: float = setting(
-        2.0, "Time for a hold to complete; after it the board is reset and unhomed", minimum=0.1, maximum=30.0, unit="s"
+        2.0,
+        "Time for a hold to complete; after it the board is reset and unhomed",
+        minimum=0.1,
+        maximum=10.0,
+        unit="s",
+        guards="the stylus is not lifted before the hold has ended",
     )
-    homing_timeout_s: float = setting(60.0, "Time for a homing cycle", minimum=10.0, maximum=600.0, unit="s")
+    homing_timeout_s: float = setting(
+        60.0,
+        "Time for a homing cycle",
+        minimum=10.0,
+        maximum=600.0,
+        unit="s",
+        guards="a machine that does not find its switches runs on",
+    )
     answer_timeout_s: float = setting(
         3.0, "Time in which an idle board must have answered a line", minimum=0.5, maximum=60.0, unit="s"
     )
-    goal_max_age_s: float = setting(1.0, "Older trajectories are refused", minimum=0.05, maximum=60.0, unit="s")
+    goal_max_age_s: float = setting(
+        1.0,
+        "Older trajectories are refused",
+        minimum=0.05,
+        maximum=5.0,
+        unit="s",
+        guards="a path of long ago may be for another place",
+    )
     max_points: int = setting(2000, "Points of one trajectory", minimum=1, maximum=10_000)
     feed_m_s: float = setting(0.15, "Speed in x and y where a point names none", minimum=1e-4, maximum=1.0, unit="m/s")
     stylus_feed_m_s: float = setting(
@@ -195,10 +250,15 @@ class DriverConfig(Config):
         35.0,
         "Standing with the stylus extended for longer is a stop; the longest hold is 30 s",
         minimum=1.0,
-        maximum=600.0,
+        maximum=60.0,
         unit="s",
+        guards="a stylus that was left behind presses on",
     )
-    lift_on_stop: bool = setting(True, "After a stop, once the hold is complete, lift the stylus off the panel")
+    lift_on_stop: bool = setting(
+        True,
+        "After a stop, once the hold is complete, lift the stylus off the panel",
+        guards="after a stop the stylus presses on",
+    )
     machine: MachineConfig = nested(MachineConfig)
     stylus: StylusConfig = nested(StylusConfig)
 

@@ -27,11 +27,13 @@ from gantry_driver.core.trajectory_gcode import (
 from gantry_driver.core.wire.goal import Goal
 from gantry_driver.core.wire.proof import Proving, three
 from gantry_driver.core.wire.stages import LINE_S, SURPLUS_S, Send, make_script
+from icu_common.core.admission.rivals import RivalTopics
 from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.results import GoalResult, Outcome
 
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """What a program may rely on at its first line."""
+_RESTS = frozenset((Phase.CLOSED, Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE, Phase.STOPPED, Phase.ALARM))
 
 
 class Streaming(Proving):
@@ -43,6 +45,18 @@ class Streaming(Proving):
         self.wall_s: float | None = None
         """Wall time, by which the heartbeat is judged where ``now`` is simulated; None: ``now`` is wall time."""
         self._paused_at = 0.0
+        self._rivals = RivalTopics()
+
+    def rivals(self, topic: str, text: str, now: float) -> None:
+        """Take which programs publish a topic that only one may, empty for one alone; more than one is a stop."""
+        if self._rivals.take(topic, text):
+            self.stop(text, now)
+
+    def unrest(self) -> str:
+        """Return why settings that guard people must stay as they are, empty at rest with the stylus up."""
+        if self.phase in _RESTS and not self._stylus_is_down():
+            return ""
+        return f"the driver is {self.state_text}" + ("; the stylus is down" if self._stylus_is_down() else "")
 
     def heartbeat(self, at: float) -> None:
         """Note that the operator was there at ``at``, in wall time."""
@@ -73,7 +87,14 @@ class Streaming(Proving):
         return ""
 
     def run(
-        self, goal_id: str, names: Sequence[str], points: Sequence[Waypoint], *, age_s: float, now: float
+        self,
+        goal_id: str,
+        names: Sequence[str],
+        points: Sequence[Waypoint],
+        *,
+        age_s: float,
+        now: float,
+        distrust: str = "",
     ) -> GoalResult:
         """Start a trajectory, or refuse it; the answer is returned and also in the events.
 
@@ -85,6 +106,8 @@ class Streaming(Proving):
             The trajectory's joints and points, readings in metres.
         age_s
             Age of the trajectory's stamp; 0 for "now".
+        distrust
+            Why this trajectory may not be from a program that may move the machine.
         """
         text = f"{len(points)} points" + (f" to {tuple(points[-1].positions_m)}" if points else "")
         if not abs(age_s) <= (limit_s := self.config.goal_max_age_s):
@@ -94,7 +117,7 @@ class Streaming(Proving):
             stale = GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=reason)
             return self._answer(replace(stale, code=delay.code.value, details=delay.details()) if age_s > 0 else stale)
         try:
-            if refusal := self._goal_refusal(now):
+            if refusal := self._rivals.text or distrust or self._goal_refusal(now):
                 raise TrajectoryError(refusal)
             x, y, z = self.reading_m or (0.0, 0.0, 0.0)
             if self.config.stylus.kind != "z_axis":
@@ -189,6 +212,8 @@ class Streaming(Proving):
     def _permission(self, now: float) -> str:
         if not self.active:
             return "the driver is inactive"
+        if text := self._rivals.text:
+            return text
         return "not enabled" if not self.enabled else self._heartbeat_refusal(now)
 
     def _heartbeat_refusal(self, now: float) -> str:

@@ -10,11 +10,12 @@ import numpy as np
 
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import NANO, Fault
+from gantry_driver.core.goal_job import NANO, Fault, Obstacle
 from gantry_driver.core.patience import patient_limit_s
 from gantry_driver.core.scene import PanelMap, Scene
 from gantry_driver.core.sight.stylus_height import StylusHeight
 from gantry_driver.core.stylus_state import tells_of_stylus
+from icu_common.core.admission.rivals import RivalTopics
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.geometry import Array, Transform
@@ -38,21 +39,6 @@ AT_AN_END = ("stopped", "alarm", _NO_OPERATOR, *(f"waiting: {t}" for s, t in _DR
 """How ``/gantry/state`` begins while the machine cannot go on, or nobody is there who wants it to."""
 _LIFTS_NOTHING = ("disconnected", "connecting", "unhomed", "mismatch", "alarm")
 """Driver states in which the stylus stays where it was: its position is not known any more, or nobody moves it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Obstacle:
-    """What keeps goals from starting: ``state`` for /gantry/state, ``reason`` with value and bound for a rejection.
-
-    One that is ``passing`` may go away by itself: cameras on the carriage have not seen the panel from where they are,
-    or something is late. ``delay`` names what is late, if nothing else is wrong.
-    """
-
-    state: str
-    reason: str
-    every_goal: bool
-    passing: bool = False
-    delay: Delay | None = None
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -99,6 +85,7 @@ class World:
     height: StylusHeight = field(default_factory=StylusHeight)
     clear_ns: int = 0
     """When images proved last that the stylus presses nothing."""
+    rivals: RivalTopics = field(default_factory=RivalTopics)
 
     @property
     def here(self) -> Array:
@@ -111,6 +98,8 @@ class World:
 
         ``waiting``: the machine stands still and has touched nothing, so that late joint_states only cost time.
         """
+        if self.rivals.text:
+            return Fault(cause=self.rivals.text, stop=True)
         state = self.driver.partition(":")[0]
         if state not in ("idle", "moving"):
             return Fault(cause=f"the driver is {self.driver!r}", lift=False)
@@ -294,6 +283,13 @@ class World:
         age_s = (self.wall_ns - self.heartbeat_ns) / NANO
         return age_s - min(self.wall_held_up_s, max(age_s, 0.0))
 
+    def unrest(self) -> str:
+        """Return that the machine moves, or that its stylus is extended; empty at rest."""
+        if self.driver.partition(":")[0] in ("moving", "homing"):
+            return f"the driver is {self.driver!r}"
+        extended = self.readings is not None and self.readings[2] > EXTENDED_M
+        return f"the stylus is extended by {1000 * self.here[2]:.1f} mm" if extended else ""
+
     def left_behind_text(self) -> str:
         """Say how far the stylus was extended."""
         return f"the controller started with the stylus extended by {1000 * self.here[2]:.1f} mm"
@@ -320,6 +316,8 @@ class World:
 
     def obstacles(self, config: ControllerConfig) -> Iterator[Obstacle]:
         """Yield what keeps a goal from starting, the most important first."""
+        if text := self.rivals.text:
+            yield Obstacle(state=f"stopped: {text}", reason=text, every_goal=True)
         state, _, reason = self.driver.partition(":")
         silent = self.readings is None or self.age_s(self.readings_ns) > config.joints_timeout_s
         # A driver that died in the middle of a motion still "moves" by its latched state.
@@ -327,6 +325,7 @@ class World:
             shown = self.driver if state in ("stopped", "alarm") else f"waiting: {_DRIVER_TEXT.get(state, state)}"
             if state not in ("stopped", "alarm") and reason:
                 shown += f": {reason.strip()}"
+            shown += self.rivals.clause(self.driver)
             if self.left_behind:
                 shown += f"; {self.left_behind}"
             elif not tells_of_stylus(self.driver) and (state in _LIFTS_NOTHING or (state == "stopped" and silent)):

@@ -8,6 +8,7 @@ asking for a stop if the stylus was left extended.
 from __future__ import annotations
 
 import contextlib
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -28,12 +29,15 @@ from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.scene import PanelMap
 from icu_common.adapters.processor_load import LoadMeter
 from icu_common.adapters.real_time import steady_s
+from icu_common.core.admission.heartbeats import HeartbeatSources
+from icu_common.core.admission.sources import rivals_text
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.delays import is_delayed, with_load
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
 from icu_common.core.results import GoalResult
 from icu_common.core.text_bounds import plain
 from icu_common.nodes import qos
+from icu_common.nodes.admission.sources import Judge, SourceWatch
 from icu_common.nodes.conversions import (
     MAX_NAME,
     axes_of_message,
@@ -70,10 +74,13 @@ class ControllerNode(GraphNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("gantry_controller", **kwargs)
-        parameters = LiveParameters(self, ControllerConfig, self._on_config)
-        self._controller = Controller(parameters.config)
+        self._live = LiveParameters(self, ControllerConfig, self._on_config, unrest=lambda: self._controller.unrest())
+        config = self._live.config
+        self._controller = Controller(config)
         # Elsewhere ROS time is wall time, or that of a recording, whose heartbeats are recorded as well.
         self._wall_ns = (lambda: round(1e9 * steady_s())) if this_process.simulated else self._now_ns
+        self._sources = SourceWatch(self, self._on_sources)
+        self._heartbeats = HeartbeatSources(config.heartbeat_programs)
         self._camera: tuple[CameraInfo, CameraModel] | None = None
         self._load = LoadMeter()
         self._trajectory = self.create_publisher(JointTrajectory, "trajectory", qos.COMMAND)
@@ -101,10 +108,10 @@ class ControllerNode(GraphNode):
         self._see(PointStamped, "stylus/tip", qos.SENSOR, _tip)
         self._see(Header, "stylus/unseen", qos.SENSOR, lambda m: msg.TipUnseen(stamp_ns=stamp_ns(m.stamp)))
         self._see(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
-        self._hear(Header, "heartbeat", qos.SENSOR, lambda m: msg.Heartbeat())
+        self._hear(Header, "heartbeat", qos.SENSOR, self._beat, self._heartbeats.judge)
         # Last: after a hold-up executors other than that of our programs take what waits in this order.
-        self._hear(PointStamped, "goal", qos.COMMAND, _point_goal)
-        self._hear(String, "command", qos.COMMAND, lambda m: msg.Command(text=m.data))
+        self._take(PointStamped, "goal", qos.COMMAND, _point_goal)
+        self._take(String, "command", qos.COMMAND, lambda m: msg.Command(text=m.data))
         every(self, TICK_S, self._tick)
         if this_process.simulated:  # a heartbeat that ends is noticed while simulated time stands still, too
             every(self, WALL_TICK_S, self._tick, wall=True)
@@ -116,7 +123,22 @@ class ControllerNode(GraphNode):
         self._act(self._controller.close(self._now_ns()))
         self._load.finish()
 
-    def _hear(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:
+    def _hear(
+        self,
+        message_type: Any,
+        topic: str,
+        profile: Any,
+        convert: Callable[[Any], msg.Event],
+        judge: Judge = rivals_text,
+    ) -> None:
+        """Hear what one program tells; a second one on its topic stops the machine."""
+        self._sources.subscribe(message_type, topic, self._callback(topic, convert), profile, judge)
+
+    def _take(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:
+        """Hear what any program may ask for."""
+        self.create_subscription(message_type, topic, self._callback(topic, convert), profile)
+
+    def _callback(self, topic: str, convert: Callable[[Any], msg.Event]) -> Callable[[Any], None]:
         def callback(message: Any) -> None:
             with self._stopping_on_error():
                 try:
@@ -126,7 +148,20 @@ class ControllerNode(GraphNode):
                     return
                 self._handle(event)
 
-        self.create_subscription(message_type, topic, callback, profile)
+        return callback
+
+    def _on_sources(self, topic: str, text: str) -> None:
+        if not text:
+            self.get_logger().info(f"{topic} has one source again")
+        with self._stopping_on_error():
+            self._handle(msg.Rivals(topic=topic, text=text))
+
+    def _beat(self, message: Header) -> msg.Event:
+        if self._heartbeats.heard(message.frame_id, time.monotonic()):
+            self._sources.look("heartbeat")
+        stamp = stamp_ns(message.stamp)
+        # As in the driver: without a stamp it is of now, and so is one from the future.
+        return msg.Heartbeat(age_ns=max(0, self._now_ns() - stamp) if stamp else 0)
 
     def _see(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:
         """Hear what comes of pictures; those of the future are ignored, for they would be young for too long."""

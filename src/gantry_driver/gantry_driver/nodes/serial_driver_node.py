@@ -13,6 +13,7 @@ import gc
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from queue import SimpleQueue
@@ -34,7 +35,10 @@ from gantry_driver.core.machine_states import Answered, Event, Note, Position, S
 from gantry_driver.core.trajectory_gcode import Waypoint
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time, steady_s
 from icu_common.adapters.step_ledger import BYTES_READ, BYTES_WRITTEN
+from icu_common.core.admission.heartbeats import HeartbeatSources
+from icu_common.core.admission.sources import distrust_text
 from icu_common.core.frames import JOINTS
+from icu_common.nodes.admission.sources import SourceWatch
 from icu_common.nodes.conversions import (
     diagnostic_status,
     header,
@@ -66,7 +70,7 @@ class SerialDriverNode(GraphLifecycleNode):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("serial_driver", **node_arguments)
-        self._live = LiveParameters(self, DriverConfig, self._on_config)
+        self._live = LiveParameters(self, DriverConfig, self._on_config, unrest=self._unrest)
         config = self._live.config
         self._joint_states = self.create_publisher(JointState, "joint_states", RESULTS)
         self._state = self.create_publisher(String, "driver_state", LATCHED)
@@ -79,10 +83,12 @@ class SerialDriverNode(GraphLifecycleNode):
         self._publisher = threading.Thread(target=self._publish_all, name="publisher", daemon=True)
         self._publisher.start()
         self._link = self._make_link()
-        self.create_subscription(JointTrajectory, "trajectory", self._on_trajectory, COMMAND)
+        self._heartbeats = HeartbeatSources(config.heartbeat_programs)
+        self._sources = SourceWatch(self, self._on_sources)
+        self._sources.subscribe(JointTrajectory, "trajectory", self._on_trajectory, COMMAND)
         self.create_subscription(Empty, "stop_request", lambda _: self._link.stop("stop requested"), RESULTS)
-        self.create_subscription(Header, "heartbeat", self._on_heartbeat, SENSOR)
-        self.create_subscription(PointStamped, "stylus_seen_clear", self._on_seen_clear, RESULTS)
+        self._sources.subscribe(PointStamped, "stylus_seen_clear", self._on_seen_clear, RESULTS)
+        self._sources.subscribe(Header, "heartbeat", self._on_heartbeat, SENSOR, self._heartbeats.judge)
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "stop", self._on_stop)
         self.create_service(Trigger, "reset", self._on_reset)
@@ -165,14 +171,25 @@ class SerialDriverNode(GraphLifecycleNode):
 
     # --- from the graph ------------------------------------------------------------------------------------------
 
+    def _on_sources(self, topic: str, text: str) -> None:
+        if text:
+            self._link.stop(text)
+        self._link.call(lambda machine, now: machine.rivals(topic, text, now))
+
     def _on_trajectory(self, message: JointTrajectory) -> None:
         stamp = stamp_ns(message.header.stamp)
         age_s = (self._now_ns() - stamp) / 1e9 if stamp else 0.0
         goal_id = message.header.frame_id or str(stamp)
         names, points = list(message.joint_names), [_waypoint(point) for point in message.points]
-        self._link.call(lambda machine, now: machine.run(goal_id, names, points, age_s=age_s, now=now))
+        self._sources.look("trajectory")  # its message may be here before the event of its publisher
+        distrust = distrust_text(self._sources.names("trajectory"), self._live.config.trajectory_programs)
+        self._link.call(
+            lambda machine, now: machine.run(goal_id, names, points, age_s=age_s, now=now, distrust=distrust)
+        )
 
     def _on_heartbeat(self, message: Header) -> None:
+        if self._heartbeats.heard(message.frame_id, time.monotonic()):
+            self._sources.look("heartbeat")
         stamp = stamp_ns(message.stamp)
         # One that was long under way must not count as fresh; one from the future counts as now.
         age_s = max(0.0, (self._now_ns() - stamp) / 1e9) if stamp else 0.0
@@ -202,6 +219,9 @@ class SerialDriverNode(GraphLifecycleNode):
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         text = "enabled" if request.data else "disabled"
         return _fill(response, self._link.call(lambda machine, now: machine.enable(request.data, now)), text)
+
+    def _unrest(self) -> str:
+        return self._link.call(lambda machine, now: machine.unrest())
 
     def _on_config(self, config: DriverConfig) -> None:
         self._link.call(lambda machine, now: machine.configure(config, now))
@@ -255,6 +275,10 @@ class SerialDriverNode(GraphLifecycleNode):
         if settings and settings != self._settings_told:
             self._settings_told = settings
             self._outbox.put(lambda: self._settings.publish(String(data=settings)))
+        values += [
+            ("trajectories_from", " ".join(self._sources.names("trajectory"))),
+            ("heartbeats_from", " ".join(self._heartbeats.senders(self._sources.names("heartbeat")))),
+        ]
         values += [("real_time", str(is_real_time())), *sender_values(self)]
         level = LEVELS.get(state.partition(":")[0], "error")
         status = diagnostic_status(f"{self.get_name()}: board", level, state, values)

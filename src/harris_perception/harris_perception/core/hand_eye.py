@@ -75,7 +75,9 @@ class HandEyeConfig(Config):
         unit="m",
     )
     contact_sigma_m: float = setting(0.0003, "How well a touched point is known", minimum=1e-6, maximum=0.01, unit="m")
-    outlier_sigmas: float = setting(4.5, "Samples beyond so many standard deviations are left out", minimum=2.0)
+    outlier_sigmas: float = setting(
+        4.5, "Samples beyond so many standard deviations are left out", minimum=2.0, maximum=100.0
+    )
     max_outliers: float = setting(0.3, "Part of the samples that may be left out", minimum=0.0, maximum=0.49)
     max_rms_m: float = setting(0.0005, "Greatest misfit that is accepted", minimum=1e-6, maximum=0.1, unit="m")
     max_scale_error: float = setting(0.05, "Scale of an axis against its reading", minimum=0.001, maximum=0.5)

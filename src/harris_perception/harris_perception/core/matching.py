@@ -41,7 +41,9 @@ class MatchConfig(Config):
     ratio: float = setting(
         0.85, "Largest distance to the best match, as a fraction of that to another place", minimum=0.1, maximum=1.0
     )
-    elsewhere_px: float = setting(8.0, "Nearer than this is the same place for the ratio", minimum=0.0, unit="px")
+    elsewhere_px: float = setting(
+        8.0, "Nearer than this is the same place for the ratio", minimum=0.0, maximum=1000.0, unit="px"
+    )
     geometry: str = setting("homography", "What all matches must agree on", choices=("none", "epipolar", "homography"))
     tolerance_px: float = setting(
         3.0, "Largest deviation from it, of epipolar geometry Sampson's", minimum=0.1, maximum=50.0, unit="px"

@@ -32,3 +32,35 @@ def is_alive(number: int) -> bool:
 def _place() -> str:
     # Of containers with the host's name each has its own process numbers.
     return f"{socket.gethostname()} {Path('/proc/self/ns/pid').readlink()}"
+
+
+class ParticipantProcesses:
+    """Tells whether the process of a DDS participant exists, by the participant's identifier.
+
+    Fast DDS writes into it: vendor (2 bytes), host (2), the lower half of the process's number (2, little-endian).
+    """
+
+    def __init__(self) -> None:
+        self._own_host = b""
+
+    @property
+    def known(self) -> bool:
+        """Whether this process's own participant has been learned."""
+        return bool(self._own_host)
+
+    def learn(self, own: bytes) -> None:
+        """Take the identifier of this process's own participant, if it is written like this."""
+        if own[4:6] == (os.getpid() & 0xFFFF).to_bytes(2, "little"):
+            self._own_host = own[:4]
+
+    def is_alive(self, participant: bytes) -> bool | None:
+        """Return whether a participant's process exists; None where that cannot be known, as on another host."""
+        if not self.known or participant[:4] != self._own_host:
+            return None
+        low = int.from_bytes(participant[4:6], "little")
+        return any(is_alive(number) for number in range(low, _process_numbers(), 0x10000) if number)
+
+
+@functools.cache
+def _process_numbers() -> int:
+    return int(Path("/proc/sys/kernel/pid_max").read_text())

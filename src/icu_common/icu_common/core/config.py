@@ -19,7 +19,7 @@ GRAPH_TIME, WALL_TIME = "graph", "wall"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """What is known of one field beside its type and default."""
+    """What is known of one field beside its type and default; ``guards`` is described at :func:`setting`."""
 
     description: str
     minimum: float | None = None
@@ -28,6 +28,7 @@ class Setting:
     choices: tuple[str, ...] = ()
     read_only: bool = False
     clock: str = ""
+    guards: str = ""
 
 
 def setting(
@@ -40,6 +41,7 @@ def setting(
     choices: tuple[str, ...] = (),
     read_only: bool = False,
     clock: str = "",
+    guards: str = "",
 ) -> Any:
     """Declare one field of a :class:`Config`.
 
@@ -60,6 +62,9 @@ def setting(
     clock
         For a duration: the clock that measures it. GRAPH_TIME, the default, is as slow as a slow simulation; WALL_TIME
         is for what guards people or programs. See docs/decisions/simulated-time.md.
+    guards
+        For a setting that guards people: what happens when it is weakened. Such a parameter has a maximum near its
+        purpose and changes only while the machine is at rest. See docs/decisions/sources.md.
     """
     info = Setting(
         description=description,
@@ -69,6 +74,7 @@ def setting(
         choices=choices,
         read_only=read_only,
         clock=clock or (GRAPH_TIME if unit == "s" else ""),
+        guards=guards,
     )
     return field(default=default, metadata={_KEY: info})
 

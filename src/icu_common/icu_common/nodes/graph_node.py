@@ -1,4 +1,4 @@
-"""The base of every node of the graph: counted messages, timers of simulated time, watched subscriptions.
+"""The base of every node of the graph: counted messages, timers of simulated time, watched and bounded subscriptions.
 
 rclpy stays as it is: what is added is done by overriding ``create_publisher`` and ``create_subscription``, through
 which rclpy itself subscribes to ``/clock``.
@@ -17,10 +17,12 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.time import Time
 
 from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger
+from icu_common.nodes.admission.message_sizes import max_bytes_of
 from icu_common.nodes.qos import ARRIVES_WHOLE
 
 CLOCK_TOPIC = "/clock"
@@ -28,6 +30,8 @@ Observer = Callable[[Node, Subscription], Callable[[], None]]
 """Gets each new subscription, and returns what is called before each of its callbacks."""
 _DEPTH = 200
 """Messages that a subscription of a process that counts holds: none may be dropped."""
+_DROPPED_S = 5.0
+"""Minimum interval between two log entries on messages that were dropped."""
 _PUBLISHED_DEPTH = 20
 """Messages that a publisher holds until every subscription has them; images take 3 MB each."""
 
@@ -142,12 +146,29 @@ class _Graph:
         qos_profile: Any,
         *,
         observed: bool = True,
+        max_bytes: int | None = None,
+        too_large: Callable[[int], object] | None = None,
         **kwargs: Any,
     ) -> Any:
         """Create a subscription as Node does; the process's ledger and observer learn of each of its callbacks.
 
-        With ``observed`` false the observer does not.
+        Parameters
+        ----------
+        msg_type, topic, callback, qos_profile, **kwargs
+            As for Node. With ``raw`` only a given ``max_bytes`` is a limit.
+        observed
+            Whether the process's observer learns of it.
+        max_bytes
+            Largest serialised message that is unpacked, 0 for no limit; None for the limit of the type.
+        too_large
+            Called with the size of a larger message, in bytes, in place of ``callback``.
         """
+        raw = bool(kwargs.get("raw", False))
+        if max_bytes is None:
+            max_bytes = 0 if raw else max_bytes_of(msg_type)
+        if max_bytes:
+            callback = self._bounded(msg_type, topic, callback, raw, max_bytes, too_large)
+            kwargs["raw"] = True
         ledger, observer = this_process.ledger, this_process.observer if observed else None
         name, before = "", None
 
@@ -176,6 +197,34 @@ class _Graph:
         if ledger is not None:
             ledger.subscribe(name)
         return made
+
+    def _bounded(
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[[Any], object],
+        raw: bool,
+        max_bytes: int,
+        too_large: Callable[[int], object] | None,
+    ) -> Callable[[bytes], None]:
+        """Return a callback for serialised messages that unpacks those within the limit."""
+
+        def bounded(data: bytes) -> None:
+            if len(data) > max_bytes:
+                text = f"{topic}: message of {len(data)} bytes dropped (limit {max_bytes} bytes)"
+                self.get_logger().error(text, throttle_duration_sec=_DROPPED_S)  # type: ignore[attr-defined]
+                if too_large is not None:
+                    too_large(len(data))
+                return
+            try:
+                message = data if raw else deserialize_message(data, msg_type)
+            except RuntimeError as error:  # RMWError, which rclpy does not export
+                text = f"{topic}: message of {len(data)} bytes dropped: {error}"
+                self.get_logger().error(text, throttle_duration_sec=_DROPPED_S)  # type: ignore[attr-defined]
+                return
+            callback(message)
+
+        return bounded
 
     def destroy_subscription(self, subscription: Subscription) -> bool:
         """Destroy a subscription as Node does."""

@@ -30,9 +30,14 @@ class LiveParameters(Generic[C]):
         Called with the new configuration after every accepted change.
     check
         Called with a changed configuration before it is accepted; a ConfigError refuses it.
+    unrest
+        Returns why the machine is not at rest, empty at rest: settings that guard people change only then. A
+        configuration with such settings needs it.
 
     Raises
     ------
+    TypeError
+        If nothing tells whether the machine is at rest, though there are settings that guard people.
     ConfigError
         If a parameter file has a key that the configuration does not know, or a value that it refuses.
     """
@@ -43,9 +48,13 @@ class LiveParameters(Generic[C]):
         config_class: type[C],
         on_change: Callable[[C], None] | None = None,
         check: Callable[[C], None] | None = None,
+        unrest: Callable[[], str] | None = None,
     ) -> None:
         self._config_class = config_class
-        self._on_change, self._check = on_change, check
+        self._on_change, self._check, self._unrest = on_change, check, unrest
+        self._guards = {i.name for i in settings_of(config_class) if i.setting.guards and not i.setting.read_only}
+        if self._guards and unrest is None:
+            raise TypeError(f"{config_class.__name__} has settings that guard people: unrest is needed")
         items = {item.name: item for item in settings_of(config_class)}
         _refuse_unknown(node, items)
         values: dict[str, Any] = {}
@@ -66,6 +75,7 @@ class LiveParameters(Generic[C]):
         values = to_mapping(self._config)
         mine = {p.name: p.value for p in parameters if p.name in values}
         try:
+            self._check_guards({name for name, value in mine.items() if value != values[name]})
             pending = from_mapping(self._config_class, {**values, **mine})
             if self._check is not None and pending != self._config:
                 self._check(pending)
@@ -73,6 +83,11 @@ class LiveParameters(Generic[C]):
             return SetParametersResult(successful=False, reason=str(error))
         self._pending = pending
         return SetParametersResult(successful=True)
+
+    def _check_guards(self, changed: set[str]) -> None:
+        guards = sorted(changed & self._guards)
+        if guards and self._unrest is not None and (reason := self._unrest()):
+            raise ConfigError(f"{', '.join(guards)} can change only while the machine is at rest: {reason}")
 
     def _after_set(self, parameters: list[Parameter]) -> None:
         if self._pending != self._config:

@@ -22,7 +22,11 @@ class CameraConfig(Config):
     height_px: int = setting(720, "Height of one picture", minimum=120, maximum=3072, unit="px", read_only=True)
     focal_px: float = setting(1700.0, "Focal length", minimum=200.0, maximum=8000.0, unit="px")
     centre_px: tuple[float, ...] = setting(
-        (646.3, 354.8, 631.9, 363.1), "Principal points, left x y then right x y", minimum=0.0, unit="px"
+        (646.3, 354.8, 631.9, 363.1),
+        "Principal points, left x y then right x y",
+        minimum=0.0,
+        maximum=20_000.0,
+        unit="px",
     )
     distortion: tuple[float, ...] = setting(
         (-0.081, 0.043, 0.0004, -0.0003, 0.0, -0.079, 0.039, -0.0003, 0.0005, 0.0),

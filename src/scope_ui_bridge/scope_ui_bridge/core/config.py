@@ -41,6 +41,7 @@ class BridgeConfig(Config):
         600.0,
         "So long before its sign-in ends a page says so, and takes another one",
         minimum=0.0,
+        maximum=86400.0,
         unit="s",
         clock=WALL_TIME,
     )
@@ -49,6 +50,7 @@ class BridgeConfig(Config):
         16.0,
         "An audit file of this size is put aside with a number, and a new one goes on; none is deleted",
         minimum=0.01,
+        maximum=10_000.0,
         unit="MB",
         read_only=True,
     )
@@ -66,55 +68,95 @@ class BridgeConfig(Config):
         "", "Folder of sequence files (YAML) that pages can choose from, empty = none", read_only=True
     )
     jpeg_quality: int = setting(80, "Quality of the live picture", minimum=20, maximum=100)
-    frame_amber_s: float = setting(0.25, "A picture older than this is shown as late", minimum=0.05, unit="s")
-    frame_max_age_s: float = setting(
-        0.5, "No selection and no actuation on a picture older than this", minimum=0.05, maximum=5.0, unit="s"
+    frame_amber_s: float = setting(
+        0.25, "A picture older than this is shown as late", minimum=0.05, maximum=10.0, unit="s"
     )
-    frame_stale_s: float = setting(1.0, "A picture older than this is greyed out", minimum=0.1, unit="s")
+    frame_max_age_s: float = setting(
+        0.5,
+        "No selection and no actuation on a picture older than this",
+        minimum=0.05,
+        maximum=5.0,
+        unit="s",
+        guards="a person must not act on what was seen long ago",
+    )
+    frame_stale_s: float = setting(1.0, "A picture older than this is greyed out", minimum=0.1, maximum=10.0, unit="s")
     min_confidence: float = setting(
-        0.5, "No actuation below this confidence of the recognition", minimum=0.0, maximum=1.0
+        0.5,
+        "No actuation below this confidence of the recognition",
+        minimum=0.0,
+        maximum=1.0,
+        guards="a panel that is hardly recognised may be another one, or elsewhere",
     )
     recognition_max_age_s: float = setting(
         2.0,
         "No actuation, and nothing shown as seen of the panel, when the recognition has been silent for this time",
         minimum=0.1,
+        maximum=10.0,
         unit="s",
+        guards="the panel may have moved since it was recognised",
     )
     panel_moved_limit_m: float = setting(
-        0.002, "A selection is void when the panel has moved by more than this", minimum=0.0001, unit="m"
+        0.002,
+        "A selection is void when the panel has moved by more than this",
+        minimum=0.0001,
+        maximum=0.02,
+        unit="m",
+        guards="a selection must mean the place that was seen",
     )
     keepalive_fresh_s: float = setting(
         0.4,
         "The heartbeat is published while the page's keep-alive is younger than this",
         minimum=0.1,
+        maximum=1.0,
         unit="s",
         clock=WALL_TIME,
+        guards="without the heartbeat the driver stops: the operator has gone",
     )
     silence_stop_s: float = setting(
         0.6,
         "Something moves and the operator's page was silent for this time: stop",
         minimum=0.1,
+        maximum=2.0,
         unit="s",
         clock=WALL_TIME,
+        guards="a page that is silent cannot stop the machine",
     )
     picture_stop_s: float = setting(
-        0.6, "Something moves and no picture came for this time: stop", minimum=0.1, maximum=10.0, unit="s"
+        0.6,
+        "Something moves and no picture came for this time: stop",
+        minimum=0.1,
+        maximum=2.0,
+        unit="s",
+        guards="what is not seen must not move",
     )
     jog_hold_s: float = setting(
         0.3,
         "Moving on while held ends when the page has not asked again for this time",
         minimum=0.1,
+        maximum=1.0,
         unit="s",
         clock=WALL_TIME,
+        guards="the machine moves on after the arrow has been let go",
     )
     jog_step_max_m: float = setting(
-        0.01, "Longest step of moving on while held: how far it still goes when let go", minimum=0.0001, unit="m"
+        0.01,
+        "Longest step of moving on while held: how far it still goes when let go",
+        minimum=0.0001,
+        maximum=0.05,
+        unit="m",
+        guards="the machine moves so far after the arrow has been let go",
     )
     lease_timeout_s: float = setting(
-        5.0, "A silent operator loses control after this time", minimum=1.0, unit="s", clock=WALL_TIME
+        5.0,
+        "A silent operator loses control after this time",
+        minimum=1.0,
+        maximum=30.0,
+        unit="s",
+        clock=WALL_TIME,
+        guards="nobody else can take control meanwhile",
     )
     answer_timeout_s: float = setting(
-        3.0, "A command without an answer for this time has failed", minimum=0.2, unit="s"
+        3.0, "A command without an answer for this time has failed", minimum=0.2, maximum=120.0, unit="s"
     )
 
     def __post_init__(self) -> None:

@@ -44,6 +44,7 @@ from scope_ui_bridge.core.jog import HeldJog
 from scope_ui_bridge.core.lease import OperatorLease
 from scope_ui_bridge.core.machine_view import MachineView
 from scope_ui_bridge.core.panel_view import PanelView
+from scope_ui_bridge.core.parameters.changes import ParameterChanges
 from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.recordings import Recordings
 from scope_ui_bridge.core.refusal import Refusal
@@ -114,6 +115,7 @@ class Desk:
         self._budgets = OfUsers(UserBudget)
         self._had_control: deque[str] = deque(maxlen=_REMEMBERED)
         self._log = CommandLog()
+        self.parameters = ParameterChanges(self._log)
         self._selection: Selection | None = None
         self._selection_count = 0
         self._jog: HeldJog | None = None
@@ -537,6 +539,9 @@ class Desk:
     def set_state(self, part: str, text: str) -> None:
         """Note the state of driver, controller, calibration or sequencer; empty when there is none."""
         self.machine.set_state(part, text)
+        state, reason = self.machine.state(part)
+        if part == "controller" and state == "stopped":  # at rest it stops for what ended no goal
+            self._causes.aborted(reason, self._now_s)
         if part == "sequencer":
             self.sequence.set_state(text)
 

@@ -14,6 +14,8 @@ from scope_ui_bridge.core.refusal import Refusal
 
 _MOST_AHEAD_S = 0.1
 _POSITION_LIFE_S = 1.0
+_EXTENDED_M = 0.0005
+"""Extension from which on the stylus may press something."""
 _MOVING = {
     "driver": {"moving", "homing"},
     "controller": {"moving", "looking", "touching"},
@@ -147,6 +149,14 @@ class MachineView:
             state, reason = self.state(part)
             if state in names:
                 raise Refusal("not_at_rest", state=state, reason=reason)
+
+    def unrest(self) -> str:
+        """Return why settings that guard people must stay as they are, empty at rest with the stylus up."""
+        for part, names in _MOVING.items():
+            if self.state(part)[0] in names:
+                return f"the {part} is {self._states[part]!r}"
+        extended_m = self._position[2] if self._position else 0.0
+        return f"the stylus is extended by {1e3 * extended_m:.1f} mm" if extended_m > _EXTENDED_M else ""
 
     def check_at_rest(self) -> None:
         """Refuse a move unless the machine is homed, enabled and at rest: ``not_at_rest``."""

@@ -24,7 +24,8 @@ import numpy as np
 import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
-from rcl_interfaces.msg import Log
+from rcl_interfaces.msg import Log, ParameterEvent
+from rclpy.parameter import parameter_value_to_python
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
@@ -111,6 +112,8 @@ _LAYER_TOPICS = {
 _LAYER_COLUMNS = {CORNERS: ("u", "v"), EDGES: ("u", "v", "line")}
 _SHOWN_PERIOD_S = 0.2
 _MAX_PATH = 200
+_MAX_VALUE = 200
+"""Characters of a changed parameter's name and value that are shown."""
 SILENT_S = 5.0
 """Seconds without a report from which on a node counts as late; nodes report every second."""
 _RECORDERS = ("bag_recorder", "rosbag2_recorder")
@@ -123,7 +126,7 @@ class BridgeNode(GraphNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("ui_bridge", **kwargs)
-        parameters = LiveParameters(self, BridgeConfig, self._on_config)
+        parameters = LiveParameters(self, BridgeConfig, self._on_config, unrest=lambda: self._desk.machine.unrest())
         config = parameters.config
         self._layout = _read_layout(config)
         self._replay = config.replay
@@ -218,6 +221,7 @@ class BridgeNode(GraphNode):
         self._hear(Float32, "simulation_factor", qos.LATCHED, self._factor_seen)
         self._hear(DiagnosticArray, "/diagnostics", qos.RESULTS, self._facts_seen)
         self._hear(Log, "/rosout", qos.RESULTS, self._said)
+        self._hear(ParameterEvent, "/parameter_events", qos.RESULTS, self._parameters_changed)
         self._hear(DiagnosticArray, "gantry/result", qos.RESULTS, self._result_seen)
         self._hear(DiagnosticArray, "panel/teach/result", qos.RESULTS, self._taught)
         self._hear(DiagnosticArray, "gantry/sequence_result", qos.RESULTS, self._sequence_result_seen)
@@ -413,6 +417,15 @@ class BridgeNode(GraphNode):
             line = {"wall_ms": wall_ms, "level": level, "name": name, "text": text}
             self._mail.each(self._desk.said, line)
 
+    def _parameters_changed(self, message: ParameterEvent) -> None:
+        # All robots of the domain write to one topic.
+        if not message.node.startswith(self.get_namespace()):
+            return
+        for changed in message.changed_parameters:
+            if changed.name != "use_sim_time":  # a command-line program that follows the graph's clock
+                value = str(parameter_value_to_python(changed.value))[:_MAX_VALUE]
+                self._server.post(self._desk.parameters.changed, message.node, changed.name[:_MAX_VALUE], value)
+
     def _result_seen(self, message: DiagnosticArray) -> None:
         self._server.post(self._desk.result, result_of_message(message))
 
@@ -479,7 +492,7 @@ class BridgeNode(GraphNode):
         self.get_logger().warning("stop")
 
     def heartbeat(self) -> None:
-        self._heartbeat.publish(header(self.ros_ns(), "operator"))
+        self._heartbeat.publish(header(self.ros_ns(), self.get_fully_qualified_name()))
 
     def send_command(self, text: str) -> None:
         if self._command.get_subscription_count() == 0:

@@ -157,6 +157,12 @@ function showFacts({ facts }) {
   showCounts(counts);
 }
 
+/** Which programs move the machine: whose trajectories and whose heartbeats the driver takes. */
+function movedBy() {
+  const { trajectories_from: program, heartbeats_from: operator } = counts ?? {};
+  return program ? t("moved_by", { program, operator: operator || "–" }) : "";
+}
+
 function setSelection(next) {
   const isNew = next && next.number !== desk.selection?.number;
   desk.selection = next;
@@ -239,7 +245,8 @@ function render() {
   if (!state) return;
   const focused = document.activeElement;
   for (const part of ["driver", "controller", "calibration"]) {
-    stateChip(`chip-${part}`, link.silent ? { state: "", reason: "" } : state[part]);
+    const more = part === "driver" && !link.silent ? movedBy() : "";
+    stateChip(`chip-${part}`, link.silent ? { state: "", reason: "" } : state[part], more);
   }
   const seen = state.confidence > 0;
   const unsure = ["panel_not_seen", "low_confidence", "recognition_silent"].includes(state.refusal?.code);

@@ -33,11 +33,12 @@ export function named({ state, reason }) {
   return state === "calibrated" && reason.includes("; drift: ") ? "drifted" : state;
 }
 
-export function stateChip(id, { state: found, reason: told }) {
+/** Show a part's state; `more` is what its title says besides. */
+export function stateChip(id, { state: found, reason: told }, more = "") {
   const [state, reason] = [named({ state: found, reason: told }), said(told)];
   const text = state ? t(`state_${state}`, { reason }) : t("unknown");
   const full = reason && state !== "calibrating" ? `${text}: ${reason}` : text;
-  chip(id, LOOK_OF[state] ?? "none", text, full);
+  chip(id, LOOK_OF[state] ?? "none", text, more ? `${full}; ${more}` : full);
 }
 
 /** What the button beside the banner says as well: a telephone has no room for it. */

@@ -359,6 +359,8 @@ export const DE = {
   action_long: "Lange drücken",
   action_drag: "Ziehen",
   action_click: "Rasten",
+  moved_by: "bewegt von {program}, Lebenszeichen von {operator}",
+  action_parameter: "Parameter geändert:",
   action_set: "Einstellen auf",
   seen_title: "Auf der Front zu sehen",
   seen_none: "Über Lampen, Drehknöpfe und Bildschirme ist nichts gemeldet.",

@@ -360,6 +360,8 @@ export const EN = {
   action_drag: "Draw",
   action_click: "Click",
   action_set: "Set to",
+  moved_by: "moved by {program}, heartbeat from {operator}",
+  action_parameter: "Parameter changed:",
   seen_title: "Seen on the panel",
   seen_none: "Nothing is reported of lamps, knobs and screens.",
   hidden_stylus: "behind the stylus",

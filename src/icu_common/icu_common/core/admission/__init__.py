@@ -1,0 +1,1 @@
+"""Which programs may send what: the decisions, without ROS."""

@@ -1,0 +1,57 @@
+"""Who sends the operator's heartbeat; pure, no clock.
+
+The page and the command-line programs may send it side by side: a person presses from a terminal while the page is
+open. Their heartbeats name the sender in ``frame_id``, and a page that sends none, as no operator has control, does not
+count. Any other program is a stranger: it may send heartbeats, but no one else then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+from icu_common.core.admission.sources import base_name, rivals_text
+
+PROGRAMS = "ui_bridge gantry_goal gantry_sequence gantry_prepare"
+"""Names of this project's nodes that send heartbeats, as the default of a parameter."""
+HEARD_S = 1.0
+"""Seconds after its last heartbeat in which a program counts as sending."""
+
+
+class HeartbeatSources:
+    """Judges the sources of the heartbeat.
+
+    Attributes
+    ----------
+    programs
+        Names of nodes, without namespace, separated by spaces, that may send heartbeats side by side.
+    """
+
+    def __init__(self, programs: str) -> None:
+        self.programs = programs
+        self._heard_s: dict[str, float] = {}
+        self._now_s = -math.inf
+
+    def heard(self, sender: str, now_s: float) -> bool:
+        """Take a heartbeat; return whether its sender, one of the programs, has just begun to send."""
+        self._now_s = now_s
+        if not self._is_own(sender):
+            return False
+        begins = now_s - self._heard_s.get(sender, -math.inf) > HEARD_S
+        self._heard_s[sender] = now_s
+        return begins
+
+    def senders(self, names: Collection[str]) -> list[str]:
+        """Return those of the topic's sources that send heartbeats, as far as that is known."""
+        return [name for name in names if not self._is_own(name) or self._sends(name)]
+
+    def judge(self, topic: str, names: Collection[str]) -> str:
+        """Return what is wrong with the sources: a stranger among others."""
+        senders = self.senders(names)
+        return "" if all(self._is_own(name) for name in senders) else rivals_text(topic, senders)
+
+    def _is_own(self, name: str) -> bool:
+        return base_name(name) in self.programs.split()
+
+    def _sends(self, name: str) -> bool:
+        return self._now_s - self._heard_s.get(name, -math.inf) <= HEARD_S

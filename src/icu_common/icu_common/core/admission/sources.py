@@ -1,0 +1,129 @@
+"""Which programs publish a topic that only one may publish; pure, no clock.
+
+A program that was killed stays in the graph until its lease ends (10 s by the graph's profile). Its successor has the
+same name and another process, so both are in the graph for a while. They are not two programs: a source whose process
+has ended does not count. Of a process on another host this cannot be known; there, sources of one name count as one
+until the lease must have ended.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
+
+LEASE_S = 25.0
+"""Seconds after which a program that has ended is out of the graph: Fast DDS's default lease is 20 s."""
+NAMED_WITHIN_S = 0.3
+"""Seconds within which the name of a new source becomes known; measured: up to 0.12 s."""
+UNNAMED = "a program without a name"
+_NUMBERS = {2: "two", 3: "three", 4: "four"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, order=True)
+class Source:
+    """A node that publishes a topic, by its full name (empty: not known yet), and its process."""
+
+    name: str
+    process: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """The living sources of a topic.
+
+    Attributes
+    ----------
+    names
+        Full names of their nodes, ``UNNAMED`` for one whose name is not known.
+    unnamed
+        The name of one is about to be known.
+    undecided
+        It is worth looking again soon.
+    """
+
+    names: tuple[str, ...] = ()
+    unnamed: bool = False
+    undecided: bool = False
+
+
+class TopicSources:
+    """The sources of one topic.
+
+    Parameters
+    ----------
+    is_alive
+        Whether a process exists, None where that cannot be known, as on another host.
+    """
+
+    def __init__(self, is_alive: Callable[[bytes], bool | None]) -> None:
+        self._is_alive = is_alive
+        self._since_s: dict[bytes, float] = {}
+        self._ended_s: dict[bytes, float] = {}
+        """When a process was first found to have ended."""
+
+    def judge(self, sources: Iterable[Source], now_s: float) -> Found:
+        """Return the living ones among the sources that the graph has."""
+        sources = sorted(set(sources))
+        self._since_s = {s.process: self._since_s.get(s.process, now_s) for s in sources}
+        if len(sources) < 2:
+            unnamed = any(not source.name for source in sources)
+            return Found(names=tuple(s.name or UNNAMED for s in sources), unnamed=unnamed, undecided=unnamed)
+        alive = {s.process: self._is_alive(s.process) for s in sources}
+        self._ended_s = {p: self._ended_s.get(p, now_s) for p, lives in alive.items() if lives is False}
+        living: list[Source] = []
+        undecided = unnamed = False
+        for source in sources:
+            age_s = now_s - self._since_s[source.process]
+            # One that has ended and stays in the graph renews its lease: it lives where its process cannot be seen, as
+            # in a container.
+            ended = now_s - self._ended_s.get(source.process, -math.inf) <= LEASE_S
+            successor = alive[source.process] is None and self._is_successor(source, sources, now_s)
+            if ended or successor:
+                undecided = True
+                continue
+            living.append(source)
+            unnamed |= not source.name and age_s <= NAMED_WITHIN_S
+        names = tuple(source.name or UNNAMED for source in living)
+        return Found(names=names, unnamed=unnamed, undecided=undecided or unnamed)
+
+    def _is_successor(self, source: Source, sources: Iterable[Source], now_s: float) -> bool:
+        """Whether an older source of the same name may have ended, and this one may be its successor."""
+        order = self._since_s[source.process], source.process
+        earlier = ((self._since_s[s.process], s.process) < order for s in sources if s.name == source.name)
+        return any(earlier) and now_s - order[0] <= LEASE_S
+
+
+def rivals_text(topic: str, names: Collection[str]) -> str:
+    """Return ``two programs publish panel/pose: /a and /b``, empty for fewer than two."""
+    if len(names) < 2:
+        return ""
+    counted = [f"{name} ({count} times)" if count > 1 else name for name, count in sorted(Counter(names).items())]
+    listed = " and ".join(filter(None, (", ".join(counted[:-1]), counted[-1])))
+    count = _NUMBERS.get(len(names), str(len(names)))
+    return f"{count} programs publish {topic.lstrip('/')}: {listed}"
+
+
+def distrust_text(names: Collection[str], allowed: str) -> str:
+    """Return why a message of a topic with these sources may be of a program that is not allowed, empty if it is not.
+
+    Parameters
+    ----------
+    names
+        Full names of the topic's sources.
+    allowed
+        Names of nodes without namespace, separated by spaces; ``*`` for any.
+    """
+    if allowed.strip() == "*":
+        return ""
+    strangers = [name for name in names if base_name(name) not in allowed.split()]
+    if names and not strangers:
+        return ""
+    found = " and ".join(strangers) or "no known program"
+    return f"from {found}: trajectory_programs allows {allowed or 'no program'}"
+
+
+def base_name(name: str) -> str:
+    """Return a node's name without its namespace."""
+    return name.rpartition("/")[2]

@@ -1,0 +1,122 @@
+"""Watches who publishes the topics that a node trusts.
+
+The middleware reports each match of a subscription with a publisher (``matched`` of rclpy's subscription events); only
+then the graph is asked, so that a graph at rest costs nothing. While something is undecided, or a topic has two
+sources, a timer of the wall clock asks again. rclpy 7.1 does not give the sender of a message, so a topic is trusted as
+a whole.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from icu_common.adapters.process_identity import ParticipantProcesses
+from icu_common.core.admission.sources import Source, TopicSources, rivals_text
+
+LOOK_AGAIN_S = 0.1
+PREFIX_BYTES = 12
+"""Of an endpoint's identifier; they name its participant (DDS-RTPS 9.3.1)."""
+NO_NAME = "_NODE_NAME_UNKNOWN_"
+"""What rmw_fastrtps gives as the name of a node that it has not been told of yet."""
+Judge = Callable[[str, tuple[str, ...]], str]
+"""Gets a topic's name and its living sources, and returns what is wrong with them, empty: nothing."""
+
+
+@dataclass(slots=True)
+class _Watched:
+    subscription: Subscription
+    judge: Judge
+    sources: TopicSources
+    names: tuple[str, ...] = ()
+    text: str = ""
+    undecided: bool = False
+
+
+class SourceWatch:
+    """Reports topics with more than one source.
+
+    Parameters
+    ----------
+    node
+        Owns the subscriptions that are watched.
+    on_change
+        Called with a topic's name as it was subscribed to, and what is wrong with its sources; empty: nothing any more.
+    """
+
+    def __init__(self, node: Node, on_change: Callable[[str, str], None]) -> None:
+        self._node, self._on_change = node, on_change
+        self._watched: dict[str, _Watched] = {}
+        self._processes = ParticipantProcesses()
+        self._timer = node.create_timer(LOOK_AGAIN_S, self._look_again, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer.cancel()
+
+    def subscribe(
+        self,
+        message_type: Any,
+        topic: str,
+        callback: Callable[[Any], Any],
+        profile: Any,
+        judge: Judge = rivals_text,
+        **kwargs: Any,
+    ) -> Subscription:
+        """Subscribe as ``node.create_subscription`` does, and watch the topic's sources."""
+        events = SubscriptionEventCallbacks(matched=lambda _: self.look(topic))
+        made = self._node.create_subscription(message_type, topic, callback, profile, event_callbacks=events, **kwargs)
+        self._watched[topic] = _Watched(made, judge, TopicSources(self._processes.is_alive))
+        self.look(topic)
+        return made
+
+    def names(self, topic: str) -> tuple[str, ...]:
+        """Return the full names of a topic's sources, as they were found last."""
+        return self._watched[topic].names
+
+    def look(self, topic: str) -> str:
+        """Ask the graph for a topic's sources, and return what is wrong with them."""
+        watched = self._watched.get(topic)
+        if watched is None:  # the event of a subscription that is being made
+            return ""
+        found = watched.sources.judge(self._sources_of(watched.subscription), time.monotonic())
+        watched.names, watched.undecided = found.names, found.undecided
+        # A successor of a program that has just left must not be called a second one for want of its name.
+        text = watched.text if found.unnamed else watched.judge(watched.subscription.topic_name, found.names)
+        if text != watched.text:
+            watched.text = text
+            self._on_change(topic, text)
+        if watched.undecided or watched.text:
+            self._timer.reset()
+        return text
+
+    def _look_again(self) -> None:
+        open_ones = [topic for topic, watched in self._watched.items() if watched.undecided or watched.text]
+        for topic in open_ones:
+            self.look(topic)
+        if not open_ones:
+            self._timer.cancel()
+
+    def _sources_of(self, subscription: Subscription) -> list[Source]:
+        topic = subscription.topic_name
+        if not self._processes.known:
+            for end in self._node.get_subscriptions_info_by_topic(topic):
+                if _full_name(end) == self._node.get_fully_qualified_name():
+                    self._processes.learn(bytes(end.endpoint_gid))
+        package = subscription.msg_type.__module__.partition(".")[0]
+        kind = f"{package}/msg/{subscription.msg_type.__name__}"
+        return [
+            Source(name=_full_name(end), process=bytes(end.endpoint_gid[:PREFIX_BYTES]))
+            for end in self._node.get_publishers_info_by_topic(topic)
+            if end.topic_type == kind  # no other is heard
+        ]
+
+
+def _full_name(end: TopicEndpointInfo) -> str:
+    return "" if end.node_name == NO_NAME else f"{end.node_namespace.rstrip('/')}/{end.node_name}"

@@ -1,0 +1,1 @@
+"""What the page tells of the parameters of the graph's nodes."""

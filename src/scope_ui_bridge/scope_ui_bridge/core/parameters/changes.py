@@ -1,0 +1,34 @@
+"""Changed parameters of the graph's nodes: a line each in command log and audit file, and none for a flood."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from scope_ui_bridge.core.command_log import CommandLog, record, shown
+from scope_ui_bridge.core.effects import Effect, Now, Record
+
+MOST, WITHIN_S = 20, 10.0
+"""Maximum number of changes that are shown within this time; the next one that is shown counts the others."""
+ACTION = "parameter"
+
+
+class ParameterChanges:
+    """Writes them to a command log."""
+
+    def __init__(self, log: CommandLog) -> None:
+        self._log = log
+        self._shown_s: deque[float] = deque(maxlen=MOST)
+        self._omitted = 0
+
+    def changed(self, node: str, name: str, value: str, now: Now) -> list[Effect]:
+        """Take a change; ``value`` is the new one as text."""
+        if len(self._shown_s) == MOST and now.mono_s - self._shown_s[0] < WITHIN_S:
+            self._omitted += 1
+            return []
+        self._shown_s.append(now.mono_s)
+        text = f"{name} = {value}"
+        entry = self._log.add(node, ACTION, text, now, status="done")
+        line = record(node, ACTION, text, now) | {"result": "done"}
+        if self._omitted:
+            line["omitted"], self._omitted = self._omitted, 0
+        return [Record(record=line), shown(entry)]

@@ -1,0 +1,101 @@
+"""Every parameter of every node: numbers have bounds, all have a reason, and those that guard people are known."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import pkgutil
+import typing
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.machine_config import DriverConfig
+from icu_common.core.config import Config, ConfigError, ConfigItem, from_mapping, settings_of
+from scope_ui_bridge.core.config import BridgeConfig
+
+PACKAGES = ("icu_common", "harris_perception", "gantry_driver", "scope_ui_bridge", "scope_bench")
+GUARDS = {
+    DriverConfig: {
+        *("heartbeat_timeout_s", "moving_status_rate_hz", "touch_status_rate_hz", "status_timeout_s"),
+        *("hold_timeout_s", "homing_timeout_s", "goal_max_age_s", "max_rest_extended_s", "lift_on_stop"),
+    },
+    ControllerConfig: {
+        *("max_error_m", "max_correction_m", "max_depth_error_m", "require_servo", "state_max_age_s"),
+        *("hidden_after_s", "motion_timeout_s", "goal_max_age_s", "heartbeat_timeout_s", "joints_timeout_s"),
+        *("camera_timeout_s", "slow_limit_max_s", "min_confidence", "panel_max_age_s", "panel_moved_m"),
+        "seen_clear_m",
+    },
+    BridgeConfig: {
+        *("frame_max_age_s", "min_confidence", "recognition_max_age_s", "panel_moved_limit_m", "keepalive_fresh_s"),
+        *("silence_stop_s", "picture_stop_s", "jog_hold_s", "jog_step_max_m", "lease_timeout_s"),
+    },
+}
+"""What guards people, by hand: a setting that loses its mark is found here."""
+
+
+def configurations() -> Iterator[type[Config]]:
+    """Iterate over every configuration class of the project."""
+    for package in PACKAGES:
+        for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+            if ".core." in module.name or ".nodes." in module.name:
+                importlib.import_module(module.name)
+    found = list(Config.__subclasses__())
+    yield from (c for c in found if c.__module__.partition(".")[0] in PACKAGES)
+
+
+ITEMS = {f"{c.__name__}.{i.name}": (c, i) for c in configurations() for i in settings_of(c, deep=False)}
+
+
+def kind_of(item: ConfigItem) -> Any:
+    return typing.get_args(item.kind)[0] if typing.get_origin(item.kind) is tuple else item.kind
+
+
+def test_parameters_were_found() -> None:
+    assert len(ITEMS) > 300
+    assert {"DriverConfig.lift_on_stop", "BridgeConfig.silence_stop_s", "StylusConfig.kind"} <= set(ITEMS)
+
+
+@pytest.mark.parametrize("name", ITEMS)
+def test_parameter_has_bounds_and_a_reason(name: str) -> None:
+    _, item = ITEMS[name]
+    info = item.setting
+    assert len(info.description.split()) >= 2 or info.description.startswith("$"), "what it is for"
+    if kind_of(item) in (int, float):
+        assert info.minimum is not None and info.maximum is not None
+        assert math.isfinite(info.minimum) and math.isfinite(info.maximum) and info.minimum < info.maximum
+        values = item.default if isinstance(item.default, tuple) else (item.default,)
+        assert all(info.minimum <= value <= info.maximum for value in values)
+
+
+@pytest.mark.parametrize("config_class", GUARDS)
+def test_what_guards_people_is_marked_with_its_reason(config_class: type[Config]) -> None:
+    marked = {i.name: i.setting.guards for i in settings_of(config_class) if i.setting.guards}
+    assert set(marked) == GUARDS[config_class]
+    assert all(len(reason.split()) >= 4 for reason in marked.values())
+
+
+def test_only_these_configurations_guard_people() -> None:
+    assert {c for c, item in ITEMS.values() if item.setting.guards} == set(GUARDS)
+
+
+@pytest.mark.parametrize(
+    ("config_class", "name", "most"),
+    [
+        (BridgeConfig, "keepalive_fresh_s", 1.0),
+        (BridgeConfig, "silence_stop_s", 2.0),
+        (BridgeConfig, "picture_stop_s", 2.0),
+        (BridgeConfig, "jog_hold_s", 1.0),
+        (BridgeConfig, "lease_timeout_s", 30.0),
+        (DriverConfig, "heartbeat_timeout_s", 2.0),
+        (ControllerConfig, "heartbeat_timeout_s", 2.0),
+    ],
+)
+@pytest.mark.parametrize("value", [1e9, 400.0])
+def test_time_in_which_nobody_guards_has_a_maximum_near_its_purpose(
+    config_class: type[Config], name: str, most: float, value: float
+) -> None:
+    with pytest.raises(ConfigError, match=f"{name} = .* is above its maximum {most:g} s"):
+        from_mapping(config_class, {name: value})
