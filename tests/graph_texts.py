@@ -35,6 +35,7 @@ ONLY_ELSEWHERE = {
             "compiling",
             "transport_profile",
             "unix_listener",
+            "trajectory_bytes",
             "jpeg_encoder",
             "hearing",
             "step_ledger",

@@ -21,6 +21,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Header, String
 from std_srvs.srv import SetBool, Trigger
@@ -31,6 +32,7 @@ from gantry_driver.adapters.stylus_record import StylusRecord
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, Position, StateChanged
+from gantry_driver.core.trajectory_bytes import max_bytes, read_head, refusal
 from gantry_driver.core.trajectory_gcode import Waypoint
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time, steady_s
 from icu_common.adapters.step_ledger import BYTES_READ, BYTES_WRITTEN
@@ -79,7 +81,7 @@ class SerialDriverNode(GraphLifecycleNode):
         self._publisher = threading.Thread(target=self._publish_all, name="publisher", daemon=True)
         self._publisher.start()
         self._link = self._make_link()
-        self.create_subscription(JointTrajectory, "trajectory", self._on_trajectory, COMMAND)
+        self.create_subscription(JointTrajectory, "trajectory", self._on_trajectory_bytes, COMMAND, raw=True)
         self.create_subscription(Empty, "stop_request", lambda _: self._link.stop("stop requested"), RESULTS)
         self.create_subscription(Header, "heartbeat", self._on_heartbeat, SENSOR)
         self.create_subscription(PointStamped, "stylus_seen_clear", self._on_seen_clear, RESULTS)
@@ -164,6 +166,22 @@ class SerialDriverNode(GraphLifecycleNode):
         return seconds_of(self) if runs_by_clock_topic(self) else steady_s
 
     # --- from the graph ------------------------------------------------------------------------------------------
+
+    def _on_trajectory_bytes(self, data: bytes) -> None:
+        """Unpack a trajectory, unless its size alone refuses it."""
+        most = self._live.config.max_points
+        try:
+            head = read_head(data)
+        except ValueError as error:
+            self.get_logger().warning(f"a trajectory that cannot be read: {error}", throttle_duration_sec=1.0)
+            return
+        if head.points > most or len(data) > max_bytes(most):
+            reason = f"the trajectory has {head.points} points, 1 to {most} are needed"
+            if head.points <= most:
+                reason = f"the trajectory has {len(data)} bytes (limit {max_bytes(most)})"
+            self._on_events([Answered(result=refusal(head, reason))])
+            return
+        self._on_trajectory(deserialize_message(data, JointTrajectory))
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         stamp = stamp_ns(message.header.stamp)

@@ -161,6 +161,7 @@ export const PHRASES_DE = [
   ["{} was refused: {}", "{} wurde verweigert: {}"],
   ["the stylus was not lifted in time", "der Stift wurde nicht rechtzeitig gehoben"],
   ["joint names {}: some of {}, each once, are needed", "Gelenknamen {}: nötig sind einige von {}, jeder einmal"],
+  ["the trajectory has {} bytes (limit {})", "die Bahn hat {} Bytes (Grenze {})"],
   ["the trajectory has {} points, 1 to {} are needed", "die Bahn hat {} Punkte, nötig sind 1 bis {}"],
   ["point {} has {} positions for {} joints", "Punkt {} hat {} Positionen für {} Gelenke"],
   ["point {}: velocities {} or time {} are not finite", "Punkt {}: Geschwindigkeiten {} oder Zeit {} sind nicht endlich"],
