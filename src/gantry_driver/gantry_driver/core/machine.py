@@ -25,13 +25,7 @@ from gantry_driver.core.grbl_messages import (
     error_text,
 )
 from gantry_driver.core.machine_states import Note, Phase, Position
-from gantry_driver.core.session import (
-    HOLD,
-    Acknowledged,
-    CountBroken,
-    Refused,
-    WasReset,
-)
+from gantry_driver.core.session import HOLD, Acknowledged, CountBroken, Refused, WasReset
 from gantry_driver.core.stopping import elsewhere
 from gantry_driver.core.streaming import Streaming
 from gantry_driver.core.stylus_state import Stylus
@@ -217,6 +211,7 @@ class Machine(Streaming):
             self._refuse(banner.dialect, now)
             return
         self._critical, self._has_g92, self._frame_mm = False, None, None
+        self._kept_place.was_reset(expected=event.expected)
         if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):
             # Also after an alarm: it may have come before the settings were known, or the board is another one.
             self.dialect, self.firmware = banner.dialect, banner.version
