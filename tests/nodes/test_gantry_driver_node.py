@@ -376,13 +376,13 @@ def test_a_dead_port_thread_is_said_and_ends_the_node_within_a_second(
     monkeypatch.setattr(driver._link, "_on_events", end)
     assert ended.wait(15.0)
     driver._link._thread.join(15.0)
-    with pytest.raises(RuntimeError, match="the thread of the port has ended"):
+    with pytest.raises(RuntimeError, match="the thread of the guard has ended"):
         op.until(lambda: False)
     # The first look after it, and they are less than a second apart, which is no matter of how busy the machine is.
     assert checks.count(False) == 1 and LINK_CHECK_S < 1.0
     assert round(LINK_CHECK_S * 1e9) in [timer.timer_period_ns for timer in driver.timers]
     ros.executor.remove_node(driver)
-    op.state("disconnected: the thread of the port has ended")
+    op.state("disconnected: the thread of the guard has ended")
 
 
 @pytest.mark.usefixtures("hang_up")

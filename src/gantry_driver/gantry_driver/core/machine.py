@@ -110,8 +110,7 @@ class Machine(Streaming):
         if (self._rests_extended() or paused) and rested > allowed:
             # Whoever lowered it has gone, though the operator has not.
             self._halt(f"the stylus was left extended for {rested:.1f} s, {allowed:g} s are allowed", now)
-        busy = self.phase in (Phase.MOVING, Phase.HOMING)
-        if (busy or self._rests_extended()) and (refusal := self._heartbeat_refusal(now)):
+        if self.moves_or_presses and (refusal := self._heartbeat_refusal(now)):
             self._halt(refusal, now)
         self._check_time(now)
         excused = self.phase in (Phase.CLOSED, Phase.HOMING) or self._critical or self.session.awaiting_banner
@@ -138,7 +137,7 @@ class Machine(Streaming):
         self._say_if_changed()
 
     def _stop_what_moves(self, reason: str, now: float) -> None:
-        if self.phase in (Phase.MOVING, Phase.HOMING) or self._rests_extended():
+        if self.moves_or_presses:
             self.stop(reason, now)
 
     def home(self, now: float) -> str:

@@ -140,6 +140,14 @@ class DriverConfig(Config):
     heartbeat_timeout_s: float = setting(
         0.6, "Motion stops when the operator's heartbeat is older", minimum=0.1, maximum=5.0, unit="s", clock=WALL_TIME
     )
+    node_silence_s: float = setting(
+        0.1,
+        "Motion stops when this node, or its thread, has been silent towards the guard for longer and could have run",
+        minimum=0.05,
+        maximum=0.5,
+        unit="s",
+        clock=WALL_TIME,
+    )
     status_rate_hz: float = setting(10.0, "Status reports while nothing moves", minimum=1.0, maximum=50.0, unit="Hz")
     moving_status_rate_hz: float = setting(25.0, "Status reports while moving", minimum=5.0, maximum=100.0, unit="Hz")
     touch_status_rate_hz: float = setting(

@@ -93,6 +93,11 @@ class Stopping(BoardSettings):
             return "the stop is not complete yet"
         return f"nothing to reset: the driver is {self.state_text}"
 
+    @property
+    def moves_or_presses(self) -> bool:
+        """Whether something goes on that only a stop ends."""
+        return self.phase in (Phase.MOVING, Phase.HOMING) or self._rests_extended()
+
     # --- the way down ------------------------------------------------------------------------------------------------
 
     def _halt(self, reason: str, now: float, *, hold_written: bool = False, lift_again: bool = False) -> None:

@@ -1,0 +1,81 @@
+"""When the guard stops the machine because the driver's node is silent; no I/O and no clock.
+
+The limit is short, and a busy computer must not reach it. So a node that could run, but waits for the processor, is
+late and not hung: for that time, up to a bound, it has an excuse. One that is stopped, that sleeps, or that runs
+without sending has none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+LATE_S = 0.5
+"""Silence in seconds that no excuse covers: less than the heartbeat of an operator may be old."""
+LOOK_S = 0.04
+"""Silence in seconds after which the node's threads are looked at."""
+TURN_S = 0.05
+"""Most of the time between two looks that counts: the guard itself may have been held up for longer."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThreadSample:
+    """A thread of the node: whether it could run, and the processor time that it has had."""
+
+    runnable: bool
+    cpu_ns: int
+
+
+class NodeWatch:
+    """Counts how long the node has been silent.
+
+    Parameters
+    ----------
+    limit_s
+        Silence without an excuse that is a stop.
+    now
+        Wall time, s.
+    """
+
+    def __init__(self, limit_s: float, now: float) -> None:
+        self.limit_s = limit_s
+        self._looked_at = now
+        self._silent_s = self._excused_s = 0.0
+        self._threads: dict[int, ThreadSample] = {}
+
+    def beat(self, now: float) -> None:
+        """Note a sign of life."""
+        self._looked_at, self._silent_s, self._excused_s = now, 0.0, 0.0
+        self._threads = {}
+
+    @property
+    def wants_sample(self) -> bool:
+        """Whether the next :meth:`look` needs the node's threads."""
+        return self._silent_s >= LOOK_S
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds of silence in which the guard itself ran."""
+        return self._silent_s
+
+    def look(self, now: float, threads: dict[int, ThreadSample] | None = None) -> bool:
+        """Return whether the node counts as hung.
+
+        Parameters
+        ----------
+        now
+            Wall time, s.
+        threads
+            The node's threads by number; None where they were not looked at, empty where the process has ended.
+        """
+        passed = min(now - self._looked_at, TURN_S)
+        self._looked_at = now
+        self._silent_s += passed
+        if threads is not None:
+            waits = any(
+                thread.runnable and number in self._threads and thread.cpu_ns == self._threads[number].cpu_ns
+                for number, thread in threads.items()
+            )
+            self._threads = threads
+            if waits:
+                self._excused_s += passed
+        return self._silent_s - self._excused_s > self.limit_s or self._silent_s > max(LATE_S, self.limit_s)
