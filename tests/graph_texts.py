@@ -36,6 +36,7 @@ ONLY_ELSEWHERE = {
             "transport_profile",
             "unix_listener",
             "trajectory_bytes",
+            "step_layout",
             "jpeg_encoder",
             "hearing",
             "step_ledger",

@@ -14,10 +14,22 @@ from nodes.grbl_board import GrblBoard
 from nodes.test_gantry_driver_node import HOMED, PATIENCE, Operator
 
 from gantry_driver.adapters.guard.places import guard_path
-from icu_common.core.frames import JOINTS
 
 DOWN_M = 0.02
 UP_MM = 0.05
+
+
+def guards_of(port: Path) -> list[int]:
+    """Return the process numbers of a port's guards."""
+    wanted, found = str(guard_path(str(port))), []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (process / "cmdline").read_bytes().decode().split("\0")
+        except OSError:
+            continue
+        if wanted in words:
+            found.append(int(process.name))
+    return found
 
 
 class GuardRig:
@@ -44,15 +56,7 @@ class GuardRig:
 
     def guards(self) -> list[int]:
         """Return the process numbers of the port's guards."""
-        wanted, found = str(guard_path(str(self.board.port))), []
-        for process in Path("/proc").glob("[0-9]*"):
-            try:
-                words = (process / "cmdline").read_bytes().decode().split("\0")
-            except OSError:
-                continue
-            if wanted in words:
-                found.append(int(process.name))
-        return found
+        return guards_of(self.board.port)
 
     def press(self) -> None:
         """Stand with the stylus extended."""
@@ -104,4 +108,4 @@ class GuardRig:
         self.board.close()
 
 
-__all__ = ["DOWN_M", "HOMED", "JOINTS", "GuardRig"]
+__all__ = ["DOWN_M", "HOMED", "GuardRig", "guards_of"]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import struct
+from pathlib import Path
 
 import pytest
 
 from gantry_driver.adapters.guard import clock as clock_module
-from gantry_driver.adapters.guard.clock import GuardClock
+from gantry_driver.adapters.guard.clock import GuardClock, counts_of_environment
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import (
     MAX_FRAME_BYTES,
@@ -22,11 +24,13 @@ from gantry_driver.core.guard.messages import (
     waypoint_values,
     waypoints_of,
 )
-from gantry_driver.core.guard.node_watch import LATE_S, NodeWatch, ThreadSample
+from gantry_driver.core.guard.silence import LATE_S, SilenceWatch, ThreadSample
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
 from gantry_driver.core.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
 from gantry_driver.core.trajectory_gcode import Waypoint
+from icu_common.adapters.step_layout import BYTES_READ, BYTES_WRITTEN, LEDGER_VARIABLE, StepCounts
+from icu_common.adapters.step_ledger import StepLedger
 from icu_common.core.frames import JOINTS
 from icu_common.core.results import GoalResult, Outcome
 
@@ -140,7 +144,7 @@ def test_the_commands_do_with_a_machine_what_their_names_say() -> None:
 # --- the judgement of a silent node -----------------------------------------------------------------------------------
 
 
-def look_for(watch: NodeWatch, seconds: float, thread: ThreadSample | None, step_s: float = 0.01) -> float | None:
+def look_for(watch: SilenceWatch, seconds: float, thread: ThreadSample | None, step_s: float = 0.01) -> float | None:
     """Look every 10 ms; return after how long the node counted as hung."""
     now, ran_ns = watch_start(watch), 0
     for count in range(1, int(seconds / step_s) + 1):
@@ -153,7 +157,7 @@ def look_for(watch: NodeWatch, seconds: float, thread: ThreadSample | None, step
     return None
 
 
-def watch_start(watch: NodeWatch) -> float:
+def watch_start(watch: SilenceWatch) -> float:
     watch.beat(100.0)
     return 100.0
 
@@ -167,25 +171,25 @@ WAITS = ThreadSample(runnable=True, cpu_ns=5)
 def test_only_a_node_that_waits_for_the_processor_is_excused_and_not_for_ever(
     thread: ThreadSample | None, at_s: float
 ) -> None:
-    found = look_for(NodeWatch(0.1, 0.0), 2.0, thread)
+    found = look_for(SilenceWatch(0.1, 0.0), 2.0, thread)
     assert found is not None and at_s <= found <= at_s + 0.0201
 
 
 def test_a_node_that_beats_is_never_hung() -> None:
-    watch = NodeWatch(0.1, 0.0)
+    watch = SilenceWatch(0.1, 0.0)
     for count in range(100):
         assert not watch.look(0.09 * count + 0.08)
         watch.beat(0.09 * (count + 1))
 
 
 def test_time_in_which_the_guard_itself_was_held_up_does_not_count() -> None:
-    watch = NodeWatch(0.1, 0.0)
+    watch = SilenceWatch(0.1, 0.0)
     watch.beat(0.0)
     assert not watch.look(60.0) and watch.silent_s == pytest.approx(0.05)
 
 
 def test_a_longer_limit_than_the_bound_of_excuses_holds() -> None:
-    found = look_for(NodeWatch(0.7, 0.0), 2.0, WAITS)
+    found = look_for(SilenceWatch(0.7, 0.0), 2.0, WAITS)
     assert found is not None and 0.7 <= found <= 0.73
 
 
@@ -229,3 +233,44 @@ def test_a_successor_finds_the_clock_where_it_is(monkeypatch: pytest.MonkeyPatch
     assert clock() == pytest.approx(1002.0)
     clock.tell(1001.5)
     assert clock() == pytest.approx(1003.0)
+
+
+def test_a_simulation_in_steps_goes_on_by_its_ledger(tmp_path: Path) -> None:
+    ledger = StepLedger(tmp_path / "ledger")
+    ledger.time_ns = 1_000_000_000_000
+    clock = GuardClock(StepCounts(tmp_path / "ledger"))
+    clock.begin(1000.0)
+    ledger.time_ns = 1_000_500_000_000
+    assert clock() == 1000.0 and not clock.wants_turns, "the node passes the steps on"
+    clock.leave()
+    assert clock() == 1000.5 and clock.wants_turns
+    clock.rejoin()
+    assert clock() == 1000.5
+    clock.tell(1000.4)
+    assert clock() == 1000.5, "never back"
+
+
+def test_bytes_without_a_node_are_counted_as_the_ledger_counts(tmp_path: Path) -> None:
+    ledger = StepLedger(tmp_path / "ledger")
+    ledger.register()
+    ledger.finish(BYTES_READ, 5)
+    clock = GuardClock(StepCounts(tmp_path / "ledger"))
+    clock.begin(1.0)
+    assert not clock.count_alone(1, 1)
+    clock.leave()
+    assert clock.count_alone(3, 2) and clock.count_alone(4, 0)
+    assert ledger.finished(BYTES_READ) == 12
+    assert ledger.finished(BYTES_WRITTEN) == 0, "a topic that nobody has counted is not made"
+    assert len(ledger.processes()) == 2 and set(ledger.processes().values()) == {os.getpid()}
+    ledger.finish(BYTES_WRITTEN, 1)
+    clock.count_alone(0, 2)
+    assert ledger.finished(BYTES_WRITTEN) == 3
+
+
+def test_a_file_that_is_no_ledger_is_not_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "short").write_bytes(b"short")
+    for name in ("short", "none"):
+        monkeypatch.setenv(LEDGER_VARIABLE, str(tmp_path / name))
+        assert counts_of_environment() is None
+    monkeypatch.delenv(LEDGER_VARIABLE)
+    assert counts_of_environment() is None

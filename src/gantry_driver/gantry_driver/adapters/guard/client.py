@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from gantry_driver.adapters.guard.places import guard_path, peer_process
+from gantry_driver.adapters.guard.places import guard_path, peer_process, sample_threads
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import (
     FrameError,
@@ -27,6 +27,7 @@ from gantry_driver.core.guard.messages import (
     frame,
     waypoint_values,
 )
+from gantry_driver.core.guard.silence import SilenceWatch
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, StateChanged
@@ -38,8 +39,9 @@ BEAT_S = 0.02
 """Interval of the signs of life: five of them are within the shortest silence that stops the machine by default."""
 ASK_S = 2.0
 """Seconds to wait for the guard's answer to a question."""
-HUNG_S = 2.0
-"""Seconds without a sign of life of the guard, after which it is killed and started again."""
+HUNG_S, LATE_S = 2.0, 10.0
+"""Seconds without a sign of life of the guard, after which it is killed and started again: without an excuse, and with
+the one that it waits for the processor."""
 RETRY_S, LAST_RETRY_S = 0.02, 0.5
 START_S = 5.0
 """Seconds in which a guard that was started must listen."""
@@ -94,7 +96,6 @@ class GuardLink:
         """Steps that the guard has not dealt with."""
         self._started: subprocess.Popen[bytes] | None = None
         self._started_at = -START_S
-        self._heard_at = 0.0
         self._closing = self._closed = False
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
@@ -200,7 +201,7 @@ class GuardLink:
         """Connect, and serve the connection until it ends; return why it has."""
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            connection.settimeout(ASK_S)
+            connection.settimeout(2.0 * LATE_S)  # a guard that hangs is killed before that
             try:
                 connection.connect(bytes(guard_path(self._config.port)))
             except (FileNotFoundError, ConnectionRefusedError):
@@ -225,11 +226,11 @@ class GuardLink:
                 "left_down": self._down,
             }
             connection.sendall(frame(hello))
-            self._heard_at = steady_s()
             self._socket = connection
 
     def _listen(self, connection: socket.socket) -> str:
-        reader, beat_at = FrameReader(), 0.0
+        reader, beat_at, guard = FrameReader(), 0.0, peer_process(connection)
+        watch = SilenceWatch(HUNG_S, steady_s(), LATE_S)
         poller = select.poll()
         poller.register(connection, select.POLLIN)
         poller.register(self._wake_read, select.POLLIN)
@@ -237,7 +238,7 @@ class GuardLink:
             now = steady_s()
             if not self._closing and now >= beat_at:
                 beat_at = now + BEAT_S
-                self._send({"do": "beat"})
+                self._beat()
             ready = dict(poller.poll(1000.0 * max(0.0, beat_at - now) if not self._closing else 100.0))
             if self._wake_read in ready:
                 self._woken()
@@ -245,13 +246,13 @@ class GuardLink:
                 data = connection.recv(1024 * 1024)
                 if not data:
                     return GUARD_ENDED
-                self._heard_at = steady_s()
+                watch.beat(steady_s())
                 for message in reader.feed(data):
                     if (reason := self._on_message(message)) is not None:
                         return reason
-            elif not self._closing and steady_s() - self._heard_at > HUNG_S:
+            elif watch.look(steady_s(), sample_threads(guard) if watch.wants_sample else None) and not self._closing:
                 with contextlib.suppress(OSError):
-                    os.kill(peer_process(connection), signal.SIGKILL)
+                    os.kill(guard, signal.SIGKILL)
                 return "the guard hangs, it is started again"
 
     def _on_message(self, message: dict[str, Any]) -> str | None:
@@ -346,6 +347,20 @@ class GuardLink:
             except OSError:  # also half a frame that the guard did not take in time
                 with contextlib.suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
+
+    def _beat(self) -> None:
+        """Send a sign of life, unless the guard reads nothing: whether it hangs is judged by what it sends."""
+        data = frame({"do": "beat"})
+        if not self._sending.acquire(blocking=False):
+            return  # something else is being sent, which is a sign of life as well
+        try:
+            # Python's own send waits for as long as the socket's time-out, although its descriptor blocks nobody.
+            if self._socket is not None and (count := os.write(self._socket.fileno(), data)) < len(data):
+                self._socket.sendall(data[count:])
+        except OSError:
+            pass
+        finally:
+            self._sending.release()
 
     def _say(self, events: list[Event]) -> None:
         if events:

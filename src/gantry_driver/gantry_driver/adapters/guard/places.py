@@ -7,7 +7,7 @@ import hashlib
 import socket
 from pathlib import Path
 
-from gantry_driver.core.guard.node_watch import ThreadSample
+from gantry_driver.core.guard.silence import ThreadSample
 from icu_common.adapters.direct_stop.line import guard_folder
 
 

@@ -10,13 +10,13 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from gantry_driver.adapters.guard.clock import GuardClock
+from gantry_driver.adapters.guard.clock import GuardClock, counts_of_environment
 from gantry_driver.adapters.guard.places import peer_process, sample_threads
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.adapters.stylus_record import StylusRecord
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import FrameError, FrameReader, config_of, event_values, frame
-from gantry_driver.core.guard.node_watch import NodeWatch
+from gantry_driver.core.guard.silence import SilenceWatch
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Event, Position, StateChanged
@@ -56,7 +56,7 @@ class Guard:
 
     def __init__(self, listener: socket.socket, wakeup_fd: int, *, stays: bool = False) -> None:
         self._listener, self._signals, self._stays = listener, wakeup_fd, stays
-        self._clock = GuardClock()
+        self._clock = GuardClock(counts_of_environment())
         self._link: SerialLink | None = None
         self._machine: Machine | None = None
         self._stops: socket.socket | None = None
@@ -67,7 +67,7 @@ class Guard:
         self._node: socket.socket | None = None
         self._node_process = 0
         self._reader = FrameReader()
-        self._watch = NodeWatch(1.0, steady_s())
+        self._watch = SilenceWatch(1.0, steady_s())
         self._hung = False
         self._steps_counted = 0
         self._window_s, self._frames, self._bytes = 0.0, 0, 0
@@ -77,16 +77,14 @@ class Guard:
 
     def run(self) -> None:
         """Serve until a node or a signal ends the guard, or no node has come for a while."""
-        poller = select.poll()
-        while not self._ends:
-            watched = self._descriptors()
-            for fd, what in watched.items():
-                poller.register(fd, what)
-            ready = dict(poller.poll(1000.0 * LOOK_INTERVAL_S))
-            for fd in watched:
-                poller.unregister(fd)
-            self._turn(ready)
-        self._close("the guard is ending")
+        try:
+            while not self._ends:
+                poller = select.poll()
+                for fd, what in self._descriptors().items():
+                    poller.register(fd, what)
+                self._turn(dict(poller.poll(1000.0 * LOOK_INTERVAL_S)))
+        finally:
+            self._close("the guard is ending")
 
     def _descriptors(self) -> dict[int, int]:
         watched = {self._listener.fileno(): select.POLLIN, self._signals: select.POLLIN}
@@ -142,7 +140,9 @@ class Guard:
             return
         now = steady_s()
         self._watch.beat(now)
-        self._hung = False
+        if self._hung:
+            self._hung = False
+            self._clock.rejoin()
         if now - self._window_s > FLOOD_S:
             self._window_s, self._frames, self._bytes = now, 0, 0
         self._bytes += len(data)
@@ -155,8 +155,9 @@ class Guard:
                 self._on_message(message)
                 if self._node is not node:
                     return
-        except (FrameError, KeyError, TypeError, ValueError) as error:
-            self._lose(f"the driver's node sent what cannot be read: {error}")
+        except Exception as error:
+            # Whatever a node sends, it must not end the guard.
+            self._lose(f"the driver's node sent what cannot be read: {error!r}")
 
     def _on_message(self, message: dict[str, Any]) -> None:
         name = message["do"]
@@ -173,8 +174,10 @@ class Guard:
             self._link.wake()
         elif name == "close":
             self._close(str(message["reason"]))
-            self._send(frame({"closed": True}))
             self._ends = not self._stays
+            if self._ends:
+                self._listener.close()  # a node that comes now finds no guard, and starts one
+            self._send(frame({"closed": True}))
         else:
             action = COMMANDS[name]
             value = self._link.call(lambda machine, now: action(machine, now, message))
@@ -183,7 +186,7 @@ class Guard:
 
     def _hello(self, message: dict[str, Any]) -> None:
         config = config_of(message["config"])
-        self._watch = NodeWatch(config.node_silence_s, steady_s())
+        self._watch = SilenceWatch(config.node_silence_s, steady_s())
         self._clock.begin(message["time_s"])
         self._bind_stops(message["stop_path"])
         link, machine = self._link, self._machine
@@ -229,10 +232,10 @@ class Guard:
 
     def _lose(self, reason: str) -> None:
         """Disconnect the node; what moves or presses is stopped."""
-        node, self._node = self._node, None
-        if node is not None:
-            node.close()
         with self._lock:
+            node, self._node = self._node, None
+            if node is not None:
+                node.close()
             self._unsent.clear()
         self._clock.leave()
         self._alone_since = steady_s()
@@ -246,6 +249,9 @@ class Guard:
         now = steady_s()
         if self._link is not None and not self._link.alive:
             self._ends = True  # the node starts another guard, which lifts first
+        if self._clock.wants_turns and self._link is not None:
+            self._link.wake()
+            self._steps_counted = self._link.wakes  # no node waits for these
         if self._node is None:
             late = now - self._alone_since > LINGER_S and not self._stays
             if late and (self._machine is None or self._machine.at_rest):
@@ -257,6 +263,7 @@ class Guard:
         threads = sample_threads(self._node_process) if self._watch.wants_sample and not self._hung else None
         if self._watch.look(now, threads) and not self._hung:
             self._hung = True
+            self._clock.leave()
             self._stop_if_restless(f"the driver's node has been silent for {self._watch.silent_s:.2f} s")
 
     # --- to the node, from any thread --------------------------------------------------------------------------------
@@ -274,7 +281,10 @@ class Guard:
         return frame({"events": [event_values(event) for event in events], "down": down})
 
     def _on_turn(self, wakes: int, read: int, written: int) -> None:
-        steps, self._steps_counted = wakes - self._steps_counted, wakes
+        steps = max(0, wakes - self._steps_counted)
+        self._steps_counted = max(self._steps_counted, wakes)
+        if self._clock.count_alone(read, written):
+            read = written = 0
         if self._node is not None and (steps or read or written):
             self._send(frame({"turn": [steps, read, written]}))
 
