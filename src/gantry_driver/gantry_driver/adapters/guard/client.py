@@ -243,7 +243,7 @@ class GuardLink:
             if self._wake_read in ready:
                 self._woken()
             if connection.fileno() in ready:
-                data = connection.recv(1024 * 1024)
+                data = _received(connection)
                 if not data:
                     return GUARD_ENDED
                 watch.beat(steady_s())
@@ -387,6 +387,14 @@ class GuardLink:
     def _wait(self, seconds: float) -> None:
         if not self._closing and select.select([self._wake_read], [], [], seconds)[0]:
             self._woken()
+
+
+def _received(connection: socket.socket) -> bytes:
+    """Return what has come, nothing where the other side has gone; a killed one leaves what it has not read."""
+    try:
+        return connection.recv(1024 * 1024)
+    except ConnectionResetError:
+        return b""
 
 
 def _result(goal_id: str, goal: str, outcome: Outcome, reason: str) -> GoalResult:
