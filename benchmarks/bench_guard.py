@@ -122,7 +122,7 @@ CAUSES: dict[str, Callable[[GuardRig], None]] = {
 def once(ros: Ros, cause: str, phase: str) -> Seen:
     """Return what one fault in one phase leads to, on a fresh board that is not reset by an opening of its port."""
     with tempfile.TemporaryDirectory() as folder:
-        rig = GuardRig(ros, Path(folder), "--keep-running")
+        rig = GuardRig(ros, Path(folder), "--keep-running", stylus_file=f"{folder}/stylus")
         try:
             rig.op.ready()
             PHASES[phase](rig)

@@ -93,6 +93,11 @@ class GuardRig:
         """Return the board's time of the first hold after an entry of its log."""
         return next(float(e["t"]) for e in self.board.log(since) if e["kind"] == "realtime" and e["byte"] == ord("!"))
 
+    def lift_s(self, since: int) -> float:
+        """Return the board's time at which it received the line that lifts the stylus."""
+        lines = (e for e in self.board.log(since) if e["kind"] == "line" and e["text"].endswith("Z-1G53G1"))
+        return next(float(e["t"]) for e in lines)
+
     def close(self) -> None:
         for node in self.nodes:
             if node.poll() is None:

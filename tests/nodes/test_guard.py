@@ -20,8 +20,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from icu_common.adapters.direct_stop.line import send_stop, stop_path
 from icu_common.core.frames import JOINTS
 
-HELD_S, LIFTED_S = 1.0, 4.0
-"""Of a computer whose two cores are busy; benchmarks/measure_guard.py has the bounds of a free one, 0.1 and 1.5 s."""
+HELD_S, LIFTS_S = 1.0, 2.0
+"""Bounds of a computer whose two cores are busy, by the board's own record; benchmarks/bench_guard.py has those of a
+free one. The test may be held up between the fault and its look at the board's clock, so that comes after it."""
 NOT_LIFTED = "the stylus was not lifted, it may still press"
 
 Start = Callable[..., GuardRig]
@@ -48,10 +49,11 @@ def test_a_node_that_ends_or_hangs_in_contact_is_held_and_lifted(
 ) -> None:
     rig = start()
     getattr(rig, during)()
-    since, begun_s = rig.entry(), rig.now_s()
+    since = rig.entry()
     rig.node.send_signal(number)
-    lifted_s = rig.until_lifted()
-    assert rig.held_s(since) - begun_s < HELD_S and lifted_s - begun_s < LIFTED_S
+    begun_s = rig.now_s()
+    rig.until_lifted()
+    assert rig.held_s(since) - begun_s < HELD_S and rig.lift_s(since) - begun_s < LIFTS_S
     x, y, z = rig.board.mpos()
     assert z == pytest.approx(HOMED[2], abs=0.06) and y == pytest.approx(HOMED[1] + 50, abs=0.02)
     assert x < HOMED[0] + 290, "it did not go to the end of its way"
@@ -166,9 +168,11 @@ for _ in range(40):
     with subprocess.Popen([sys.executable, "-c", source], env=environment, stdout=subprocess.PIPE) as foreign:
         try:
             assert foreign.stdout is not None and foreign.stdout.readline() == b"sent\n"
-            since, begun_s = rig.entry(), rig.now_s()
+            since = rig.entry()
             assert rig.op.call("stop").success
-            assert rig.until_lifted() - begun_s < LIFTED_S and rig.held_s(since) - begun_s < HELD_S
+            begun_s = rig.now_s()  # the service answers once the guard has the order
+            rig.until_lifted()
+            assert rig.held_s(since) - begun_s < HELD_S and rig.lift_s(since) - begun_s < LIFTS_S
         finally:
             foreign.kill()
     rig.op.state("stopped: stop requested")
