@@ -35,6 +35,7 @@ import serial
 from pygrbl_streamer import GrblStreamer
 from rows import Row, bound, row, write
 
+from gantry_driver.adapters.guard.places import guard_path
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.session import HOLD
 from gantry_driver.core.trajectory_gcode import Waypoint, write_motion
@@ -165,8 +166,24 @@ def camera_graph() -> Iterator[None]:
             process.wait(30.0)
 
 
-def run_node(port: str, holds: str) -> int:
-    """The driver's process: as in the graph, but a signal does not end it, and each hold it writes is noted."""
+def run_guard(port: str, holds: str) -> int:
+    """The guard's process: as the node starts it, but each hold that it writes is noted."""
+    from gantry_driver.cli import gantry_guard
+
+    def write_and_note(fd: int, data: bytes) -> int:
+        written = write_bytes(fd, data)
+        if data == HOLD:
+            write_bytes(notes, f"{time.monotonic()}\n".encode())
+        return written
+
+    notes, write_bytes = os.open(holds, os.O_WRONLY), os.write
+    os.write = write_and_note
+    sys.argv = ["gantry_guard", "--port", port]
+    return gantry_guard.main()
+
+
+def run_node(port: str) -> int:
+    """The driver's process: as in the graph, but a signal does not end it."""
     import rclpy
     from rclpy.experimental import EventsExecutor
     from rclpy.parameter import Parameter
@@ -181,15 +198,6 @@ def run_node(port: str, holds: str) -> int:
 
     def note(number: int, frame: FrameType | None) -> None:
         """The node's wake-up descriptor has it already."""
-
-    def write_and_note(fd: int, data: bytes) -> int:
-        written = write_bytes(fd, data)
-        if data == HOLD:
-            write_bytes(notes, f"{time.monotonic()}\n".encode())
-        return written
-
-    notes, write_bytes = os.open(holds, os.O_WRONLY), os.write
-    os.write = write_and_note
 
     signal.signal(signal.SIGTERM, note)
     values = {"port": port, "enabled_at_start": True, "trajectory_programs": "*"}
@@ -247,8 +255,9 @@ def stops(count: int) -> list[Row]:
     with camera_graph(), tempfile.NamedTemporaryFile("r") as holds, board(0) as mock:
         ask_for_real_time(DRIVER, mock.process.pid)
         until(lambda: len(seen) > 20, 60.0)
-        command = [sys.executable, __file__, "--node", str(mock.port), holds.name]
-        child = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        guard = subprocess.Popen([sys.executable, __file__, "--guard", str(mock.port), holds.name])
+        until(guard_path(str(mock.port)).exists)
+        child = subprocess.Popen([sys.executable, __file__, "--node", str(mock.port)], stderr=subprocess.DEVNULL)
         try:
             until(lambda: all(service.service_is_ready() for service in services.values()))
             until(lambda: topic.get_subscription_count() and trajectory.get_subscription_count())
@@ -287,8 +296,9 @@ def stops(count: int) -> list[Row]:
             written = [float(text) for text in holds]
             heard = [t + offset_s for t in mock.holds()]
         finally:
-            child.kill()
-            child.wait()
+            for process in (child, guard):
+                process.kill()
+                process.wait()
     node.destroy_node()
     rclpy.shutdown()
     if pictures < 1.0:
@@ -309,13 +319,16 @@ def stops(count: int) -> list[Row]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--node", nargs=2, metavar=("PORT", "FILE"), help="run only the driver's node, for the stops")
+    parser.add_argument("--node", metavar="PORT", help="run only the driver's node, for the stops")
+    parser.add_argument("--guard", nargs=2, metavar=("PORT", "FILE"), help="run only its guard, which notes its holds")
     parser.add_argument("--repeats", type=int, default=3, help="turns of each throughput, the best counts (3)")
     parser.add_argument("--stops", type=int, default=100, help="stops by each way (100)")
     parser.add_argument("--only", choices=("throughput", "stops"), help="half of it")
     given = parser.parse_args()
     if given.node:
-        return run_node(*given.node)
+        return run_node(given.node)
+    if given.guard:
+        return run_guard(*given.guard)
     rows = throughput(given.repeats) if given.only != "stops" else []
     rows += stops(given.stops) if given.only != "throughput" else []
     # Both need the processor within a millisecond or two: on a machine that is busy otherwise they measure its load.

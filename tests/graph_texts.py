@@ -37,6 +37,8 @@ ONLY_ELSEWHERE = {
             "compiling",
             "transport_profile",
             "unix_listener",
+            "trajectory_bytes",
+            "step_layout",
             "jpeg_encoder",
             "hearing",
             "step_ledger",
@@ -65,7 +67,7 @@ def templates() -> dict[str, str]:
     found: dict[str, str] = {}
     for package in PACKAGES:
         for path in sorted((SRC / package / package).rglob("*.py")):
-            if path.parent.name in ("core", "wire", "nodes", "adapters") and path.stem not in left_out:
+            if path.parent.name in ("core", "wire", "guard", "nodes", "adapters") and path.stem not in left_out:
                 for text in _texts(ast.parse(path.read_text())):
                     found.setdefault(text, str(path.relative_to(SRC)))
     return found

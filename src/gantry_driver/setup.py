@@ -23,6 +23,7 @@ setup(
     entry_points={
         "console_scripts": [
             "serial_driver = gantry_driver.nodes.serial_driver_node:main",
+            "gantry_guard = gantry_driver.cli.gantry_guard:main",
             "gantry_controller = gantry_driver.nodes.controller_node:main",
             "sequencer = gantry_driver.nodes.sequence_node:main",
             "mock_grbl = gantry_driver.mock.main:main",

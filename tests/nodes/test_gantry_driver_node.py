@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -20,6 +21,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from nodes.grbl_board import GrblBoard
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from ros_rig import keeping_all
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Header, String
@@ -27,6 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from gantry_driver.adapters import serial_link
+from gantry_driver.nodes import serial_driver_node
 from gantry_driver.nodes.serial_driver_node import LINK_CHECK_S, SerialDriverNode
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.frames import JOINTS
@@ -178,6 +181,39 @@ def test_bad_goals_are_refused_with_the_reason_and_nothing_moves(operator: Calla
     moves = [line["text"] for line in op.board.lines(since) if "G53" in line["text"]]
     assert moves == ["F9000X-349G53G1"], "the sentinel alone moved"
     assert op.results[-1].goal_id.isdigit() and len(op.results[-1].goal_id) > 15
+
+
+def test_a_trajectory_that_is_too_large_is_refused_before_it_is_unpacked(
+    operator: Callable[..., Operator], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unpacked: list[int] = []
+    unpack = serial_driver_node.deserialize_message
+
+    def note(data: bytes, kind: Any) -> Any:
+        unpacked.append(len(data))
+        return unpack(data, kind)
+
+    monkeypatch.setattr(serial_driver_node, "deserialize_message", note)
+    op = operator().ready()
+    point = JointTrajectoryPoint(positions=[0.1, 0.1, 0.0])
+    message = JointTrajectory(joint_names=list(JOINTS), header=Header(frame_id="many"), points=[point, point])
+    short = bytes(serialize_message(message))
+    head, size = short[: len(short) - 2 * 64], 64  # a point of three positions alone, with its padding
+    assert head[-4:] == struct.pack("<I", 2) and len(head) % 8 == 4, "points begin where doubles are aligned"
+    op.until(lambda: op.trajectory.get_subscription_count() == 1)
+    op.trajectory.publish(head[:-4] + struct.pack("<I", 200_000) + 200_000 * short[-size:])
+    op.until(lambda: op.results)
+    assert (op.results[-1].goal_id, op.results[-1].outcome.value) == ("many", "rejected")
+    assert op.results[-1].reason == "the trajectory has 200000 points, 1 to 2000 are needed"
+    message.joint_names[0] = 4000 * "j"
+    message.points = [JointTrajectoryPoint(positions=100 * [0.1])] * 500
+    op.trajectory.publish(message)
+    op.until(lambda: len(op.results) == 2)
+    assert "bytes (limit 388096)" in op.results[-1].reason and unpacked == []
+    op.trajectory.publish(b"\x00\x01\x00\x00\xff")  # nothing that could be answered
+    op.go((0.01, 0.0, 0.0), frame_id="sentinel")
+    op.until(lambda: op.results[-1].outcome.value == "reached")
+    assert [r.goal_id for r in op.results[2:]] == ["sentinel", "sentinel"] and len(unpacked) == 1
 
 
 def test_not_enabled_or_without_heartbeat_nothing_moves(operator: Callable[..., Operator]) -> None:
@@ -375,13 +411,13 @@ def test_a_dead_port_thread_is_said_and_ends_the_node_within_a_second(
     monkeypatch.setattr(driver._link, "_on_events", end)
     assert ended.wait(15.0)
     driver._link._thread.join(15.0)
-    with pytest.raises(RuntimeError, match="the thread of the port has ended"):
+    with pytest.raises(RuntimeError, match="the thread of the guard has ended"):
         op.until(lambda: False)
     # The first look after it, and they are less than a second apart, which is no matter of how busy the machine is.
     assert checks.count(False) == 1 and LINK_CHECK_S < 1.0
     assert round(LINK_CHECK_S * 1e9) in [timer.timer_period_ns for timer in driver.timers]
     ros.executor.remove_node(driver)
-    op.state("disconnected: the thread of the port has ended")
+    op.state("disconnected: the thread of the guard has ended")
 
 
 @pytest.mark.usefixtures("hang_up")

@@ -32,6 +32,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from icu_common.adapters.direct_stop.line import open_stop_socket, received_stop, stop_path
 from icu_common.adapters.real_time import BRIDGE
 from icu_common.core.config import ConfigError, settings_of
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
@@ -587,6 +588,18 @@ def test_stop_goes_out_as_message_and_as_service(ros: Any, bridge: Any) -> None:
     assert browser.ask(type="stop")["ok"], "without the lease"
     ros.spin_until(lambda: graph.stops and "gantry/stop" in graph.called, WITHIN_S)
     ros.spin_until(lambda: browser.latest("log")["entry"]["status"] == "done", WITHIN_S)
+
+
+def test_a_stop_reaches_the_guard_past_the_graph(ros: Any) -> None:
+    """Also where the driver's node is gone: its guard is still there to hold and lift."""
+    node = ros.node(BridgeNode, {"port": 0, "token_file": ""})
+    answers: list[tuple[bool, str]] = []
+    path = stop_path(ros.context.get_domain_id(), "/gantry/stop_request")
+    with open_stop_socket(path) as guard:
+        node.stop(lambda done, text: answers.append((done, text)))
+        assert received_stop(guard) == "stop requested" and received_stop(guard) is None
+        assert answers == [(True, "")]
+    path.unlink()
 
 
 def test_a_stop_without_a_driver_is_told_to_be_heard_by_nobody(ros: Any) -> None:

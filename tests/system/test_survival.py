@@ -135,8 +135,8 @@ class Scene:
                 line = Path(f"/proc/{child}/cmdline").read_text().replace("\0", " ")
             except OSError:
                 continue  # it has ended meanwhile
-            if "scope_bench.cli.fork_server" in line:
-                continue  # it starts them, and is none of the graph
+            if "scope_bench.cli.fork_server" in line or "gantry_driver.cli.gantry_guard" in line:
+                continue  # one starts them, the other belongs to the driver's node
             name = re.search(r"__node:=(\S+)", line)
             found[name[1] if name else "mock_grbl" if "mock_grbl" in line else line] = int(child)
         return found
@@ -238,13 +238,17 @@ class Scene:
         def unwell() -> list[str]:
             return [name for name in reporters if self.well.get(name, 0.0) < again]
 
-        if self.operator.driver_state.startswith("stopped"):
+        if self.operator.driver_state.startswith("stopped") and row.stays_homed:
             self.operator.reset()
         if row.stays_homed:
             self.until(lambda: not unwell(), 25.0, lambda: f"{unwell()} do not report that they are well")
         if "serial_driver" in row.killed:  # else its predecessor's services, which nobody serves, would be asked
             restart = self.operator.driver_states
-            self.until(lambda: any(s.data == "unhomed" for s in restart[states:]), 25.0, "the driver is there again")
+            # The guard keeps the port, and the position, for a successor that comes in time.
+            there = re.compile("unhomed|stopped: the driver's node has ended")
+            self.until(lambda: any(there.match(s.data) for s in restart[states:]), 25.0, "the driver is there again")
+            if self.operator.driver_state.startswith("stopped"):
+                self.operator.call("/gantry/reset")  # it is disabled then, as after each start
         if "ui_bridge" in row.killed:
             self.until(lambda: "Operator page:" in self.graph.output[log:], 25.0, "the page is there again")
         if row.stays_homed:

@@ -415,6 +415,7 @@ def test_a_cable_that_is_pulled_in_contact_is_told_after_the_reconnect() -> None
     rig.until(lambda: "reached" in rig.outcomes())
     rig.machine.closed("the device has gone", rig.now)
     assert rig.machine.may_be_down
+    rig.board.out.clear()
     rig.connect()
     assert rig.states[-1] == f"unhomed: {NOT_LIFTED}"
 

@@ -73,6 +73,7 @@ NEED_NO_ROS = {
     *(f"harris_perception.cli.{name}" for name in ("calibrate", "hand_eye", "harris", "panel_teach", "stereo")),
     *(
         "gantry_driver.cli.gantry_gcode",
+        "gantry_driver.cli.gantry_guard",
         "scope_bench.cli.bag_info",
         "scope_bench.cli.bring_up",
         "scope_bench.cli.render",

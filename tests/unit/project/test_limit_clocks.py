@@ -16,6 +16,7 @@ GUARDS = {
     "camera.retry_min_s",
     "gantry_controller.heartbeat_timeout_s",
     "serial_driver.heartbeat_timeout_s",
+    "serial_driver.node_silence_s",
     "ui_bridge.jog_hold_s",
     "ui_bridge.keepalive_fresh_s",
     "ui_bridge.lease_timeout_s",

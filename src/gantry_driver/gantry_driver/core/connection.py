@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from operator import attrgetter
 
+from gantry_driver.core.board_faults.kept_place import KeptPlace
 from gantry_driver.core.board_faults.reports import with_quote
 from gantry_driver.core.board_faults.resets import ResetLog
-from gantry_driver.core.grbl_messages import (
-    Dialect,
-    Firmware,
-    Report,
-)
+from gantry_driver.core.grbl_messages import Dialect, Firmware, Report
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import (
     OPEN_ENDS,
@@ -22,11 +19,7 @@ from gantry_driver.core.machine_states import (
     Phase,
     StateChanged,
 )
-from gantry_driver.core.session import (
-    HOLD,
-    Counts,
-    GrblSession,
-)
+from gantry_driver.core.session import HOLD, Counts, GrblSession
 from gantry_driver.core.stylus_state import CLAUSE, IS_RELEASED, MAY_PRESS, MAY_SINK, Stylus
 from gantry_driver.core.wire.goal import Goal, Reading
 from icu_common.core.results import GoalResult, Outcome
@@ -35,6 +28,8 @@ HOLD_REPEAT_S = 0.2
 """A hold that the reports do not show is sent again."""
 ASK_ALONE_S = 0.2
 """No `?` gets into the line of a question to a firmware that knows no real-time bytes."""
+LEFT_DOWN_WAIT_S = 0.05
+"""Seconds for a banner before a board is asked for its state whose stylus was left down."""
 TICK_S = 0.05
 REFUSED = {
     Dialect.MARLIN: "the firmware is Marlin, which has no feed hold; GRBL is needed",
@@ -80,7 +75,7 @@ class Connection:
         self._since = 0.0
         self._marker = 0
         self._marker_done = False
-        self._resets = ResetLog()
+        self._resets, self._kept_place = ResetLog(), KeptPlace()
         self._stylus = Stylus.LEFT_UNSEEN if left_down else Stylus.AS_READ
         self._released_at = math.inf
         """When a solenoid that an alarm has switched off will be up."""
@@ -187,7 +182,10 @@ class Connection:
         # An attempt takes far longer than the pause after it, in which alone the reason would be seen.
         self._synchronise(now, self._unanswered)
         self._heard_bytes = 0
-        self._probe_from = now + self.config.banner_wait_s
+        self._kept_place = KeptPlace()
+        # A stylus that may press does not wait for a banner that does not come.
+        wait_s = min(self.config.banner_wait_s, LEFT_DOWN_WAIT_S if self._left_down else math.inf)
+        self._probe_from = now + wait_s
         if self._latched:
             # Asked for while there was no port: a board that still runs what it had buffered is held at once.
             self.session.realtime(HOLD)
@@ -216,11 +214,13 @@ class Connection:
                 self._hold_sent = now
                 self.session.realtime(HOLD)
             return
+        self._kept_place.before_reset(report)
         self.session.polling = False
         self.session.soft_reset(now)
 
     def _report_connecting(self, report: Report, now: float) -> None:
         """Say what keeps the board from taking lines; until it is over none of them is answered."""
+        self._kept_place.after_reset(report)
         question = {"Door": "is its safety door open", "Hold": "is its hold button pressed"}.get(report.state)
         self._suspended = f"the board reports {report.state_text}, {question}?" if question else ""
         self._say_if_changed()
@@ -364,6 +364,11 @@ class Connection:
     def _extension_m(self) -> float | None:
         return None if self.reading_m is None else self.reading_m[2]
 
+    @property
+    def _left_down(self) -> bool:
+        """Whether the position was lost with a stylus that may be down."""
+        return self._stylus in (Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN)
+
     def _stylus_is_down(self) -> bool:
         return self._stylus.presses(self._extension_m)
 
@@ -379,8 +384,7 @@ class Connection:
         rests = phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED, Phase.MISMATCH)
         # After an alarm nothing was decided about the stylus, and nobody lifts it.
         tells = self.config.lift_on_stop if phase is Phase.STOPPED else phase in (Phase.ALARM, Phase.ALARM_RESET)
-        left = self._stylus in (Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN)
-        tells = tells or (left and (rests or phase is Phase.CLOSED))
+        tells = tells or (self._left_down and (rests or phase is Phase.CLOSED))
         if tells and self._stylus is not Stylus.LIMP and self._stylus_is_down():
             return MAY_PRESS
         if rests and self._stylus.may_be_limp(self.config.stylus.kind):

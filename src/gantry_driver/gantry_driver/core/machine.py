@@ -25,13 +25,7 @@ from gantry_driver.core.grbl_messages import (
     error_text,
 )
 from gantry_driver.core.machine_states import Note, Phase, Position
-from gantry_driver.core.session import (
-    HOLD,
-    Acknowledged,
-    CountBroken,
-    Refused,
-    WasReset,
-)
+from gantry_driver.core.session import HOLD, Acknowledged, CountBroken, Refused, WasReset
 from gantry_driver.core.stopping import elsewhere
 from gantry_driver.core.streaming import Streaming
 from gantry_driver.core.stylus_state import Stylus
@@ -116,8 +110,7 @@ class Machine(Streaming):
         if (self._rests_extended() or paused) and rested > allowed:
             # Whoever lowered it has gone, though the operator has not.
             self._halt(f"the stylus was left extended for {rested:.1f} s, {allowed:g} s are allowed", now)
-        busy = self.phase in (Phase.MOVING, Phase.HOMING)
-        if (busy or self._rests_extended()) and (refusal := self._heartbeat_refusal(now)):
+        if self.moves_or_presses and (refusal := self._heartbeat_refusal(now)):
             self._halt(refusal, now)
         self._check_time(now)
         excused = self.phase in (Phase.CLOSED, Phase.HOMING) or self._critical or self.session.awaiting_banner
@@ -144,7 +137,7 @@ class Machine(Streaming):
         self._say_if_changed()
 
     def _stop_what_moves(self, reason: str, now: float) -> None:
-        if self.phase in (Phase.MOVING, Phase.HOMING) or self._rests_extended():
+        if self.moves_or_presses:
             self.stop(reason, now)
 
     def home(self, now: float) -> str:
@@ -217,6 +210,7 @@ class Machine(Streaming):
             self._refuse(banner.dialect, now)
             return
         self._critical, self._has_g92, self._frame_mm = False, None, None
+        self._kept_place.was_reset(expected=event.expected)
         if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):
             # Also after an alarm: it may have come before the settings were known, or the board is another one.
             self.dialect, self.firmware = banner.dialect, banner.version

@@ -159,6 +159,14 @@ class DriverConfig(Config):
         clock=WALL_TIME,
         guards="the machine moves on after the operator has gone",
     )
+    node_silence_s: float = setting(
+        0.1,
+        "Motion stops when this node, or its thread, has been silent towards the guard for longer and could have run",
+        minimum=0.05,
+        maximum=0.5,
+        unit="s",
+        clock=WALL_TIME,
+    )
     status_rate_hz: float = setting(10.0, "Status reports while nothing moves", minimum=1.0, maximum=50.0, unit="Hz")
     moving_status_rate_hz: float = setting(
         25.0,

@@ -40,7 +40,7 @@ TRANSITIONS: dict[Phase, frozenset[Phase]] = {
     _P.CLOSED: frozenset({_P.SYNCHRONISE}),
     _P.SYNCHRONISE: frozenset(),
     _P.IDENTIFY: frozenset({_P.SETTINGS, _P.MISMATCH}),
-    _P.SETTINGS: frozenset({_P.MISMATCH, _P.UNHOMED, _P.STOPPED}),
+    _P.SETTINGS: frozenset({_P.MISMATCH, _P.UNHOMED, _P.STOPPED, _P.LIFTING}),
     _P.WRITING: frozenset({_P.SETTINGS}),
     _P.MISMATCH: frozenset({_P.UNHOMED, _P.HOMING, _P.HOLDING, _P.WRITING}),
     _P.UNHOMED: frozenset({_P.HOMING, _P.HOLDING, _P.WRITING}),

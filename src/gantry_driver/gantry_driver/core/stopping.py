@@ -13,7 +13,7 @@ from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Note, Phase
 from gantry_driver.core.session import HOLD, RESUME
 from gantry_driver.core.stylus_state import STYLUS_DOWN_M, Stylus
-from gantry_driver.core.trajectory_gcode import lift_lines
+from gantry_driver.core.trajectory_gcode import lift_lines, reading_m
 from gantry_driver.core.wire.board_settings import BoardSettings
 from gantry_driver.core.wire.watch import TUBE_MM
 from icu_common.core.results import Outcome
@@ -25,6 +25,7 @@ OLD_HOLDS = 2
 SAME_PLACE_MM = 0.05
 SWITCHED_OFF_BY = dict.fromkeys((Dialect.GRBL, Dialect.GRBLHAL), frozenset((1, 2, 3, 6, 7, 8, 9, 10)))
 """Alarms that switch coolant and spindle off at once; with others, and with FluidNC, only the reset after them does."""
+LEFT_DOWN = "the stylus was left down while no driver was connected"
 LOCKED = "the board is locked by an alarm whose number was not received"
 
 
@@ -92,6 +93,11 @@ class Stopping(BoardSettings):
             return "the stop is not complete yet"
         return f"nothing to reset: the driver is {self.state_text}"
 
+    @property
+    def moves_or_presses(self) -> bool:
+        """Whether something goes on that only a stop ends."""
+        return self.phase in (Phase.MOVING, Phase.HOMING) or self._rests_extended()
+
     # --- the way down ------------------------------------------------------------------------------------------------
 
     def _halt(self, reason: str, now: float, *, hold_written: bool = False, lift_again: bool = False) -> None:
@@ -155,9 +161,30 @@ class Stopping(BoardSettings):
         if not (self._lift and report.state == "Idle" and self.homed and self._stylus_is_down()):
             self._enter(Phase.STOPPED, now, self.reason)
             return
-        self._enter(Phase.LIFTING, now, self.reason)
+        self._begin_lift(report.mpos_mm, self.reason, now)
+
+    def _lift_left(self, now: float) -> bool:
+        kept, z_axis = self._kept_place, self.config.stylus.kind == "z_axis"
+        if not self._left_down or not self.config.lift_on_stop or not kept.unlocked:
+            return False
+        if z_axis:
+            if kept.mpos_mm is None:
+                return False
+            self._stylus, self.reading_m = Stylus.AS_READ, reading_m(kept.mpos_mm, False, self.config)
+            if not self._stylus_is_down():
+                self._forget_position()
+                return False
+        # Only for the way up: what a board has done without a driver is not known.
+        self.homed = self._distrusted = True
+        self._lift, self._lift_barred, self._lifts_left = True, False, LIFTS
+        self._latched = self._latched or LEFT_DOWN
+        self._begin_lift(kept.mpos_mm, self._latched, now)
+        return True
+
+    def _begin_lift(self, from_mm: tuple[float, ...] | None, reason: str, now: float) -> None:
+        self._enter(Phase.LIFTING, now, reason)
         self._marker_done = False
-        self._lift_from_mm = report.mpos_mm
+        self._lift_from_mm = from_mm
         config = self.config
         # The board moves no axis faster than its own limit, and what is under way does not know of later parameters.
         speed_m_s = min(config.stylus_feed_m_s, config.machine.max_rate_mm_min[2] / 60_000.0)

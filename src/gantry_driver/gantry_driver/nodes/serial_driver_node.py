@@ -1,7 +1,8 @@
-"""The serial driver's node: topics and services on one side, :class:`SerialLink` and :class:`Machine` on the other.
+"""The serial driver's node: topics and services on one side, the guard of the machine on the other.
 
-Callbacks convert and call, the link's thread does the protocol, and a third thread publishes what comes of it. So
-neither a busy executor nor a slow transport delays a status report, a stop, or the hold after a lost heartbeat.
+The guard is a process of its own with the serial port and the protocol; the node starts it, or finds one. Callbacks
+convert and ask, a thread listens to the guard, and a third one publishes. So neither a busy executor nor a slow
+transport delays a stop, and when this process ends or hangs, the guard holds and lifts by itself.
 
 A lifecycle node: configured, it has the port and watches the board; active, it moves what it is asked to. With the
 parameter ``autostart`` it takes both steps by itself. Its topics and services are there in every state and say why not.
@@ -15,25 +16,26 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Header, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from gantry_driver.adapters.serial_link import SerialLink
-from gantry_driver.adapters.stylus_record import StylusRecord
-from gantry_driver.core.machine import Machine
+from gantry_driver.adapters.guard.client import GuardLink
+from gantry_driver.core.guard.messages import config_values
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, Position, StateChanged
+from gantry_driver.core.trajectory_bytes import max_bytes, read_head, refusal
 from gantry_driver.core.trajectory_gcode import Waypoint
-from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time, steady_s
+from icu_common.adapters.direct_stop.line import stop_path
+from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time
 from icu_common.adapters.step_ledger import BYTES_READ, BYTES_WRITTEN
 from icu_common.core.admission.heartbeats import HeartbeatSources
 from icu_common.core.admission.sources import distrust_text
@@ -54,11 +56,11 @@ from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 
 STEPS = "driver:steps"
-"""Ledger entry in which the steps of simulated time are counted that the thread of the port has dealt with."""
+"""Ledger entry in which the steps of simulated time are counted that the guard has dealt with."""
 LINK_CHECK_S = 0.5
 PUBLISH_WITHIN_S = 2.0
 """For what is still to be published when the driver ends."""
-LINK_ENDED = "the thread of the port has ended"
+LINK_ENDED = "the thread of the guard has ended"
 LEVELS = {
     **dict.fromkeys(("idle", "moving", "homing"), "ok"),
     **dict.fromkeys(("disabled", "unhomed", "connecting", "stopped"), "warn"),
@@ -82,11 +84,12 @@ class SerialDriverNode(GraphLifecycleNode):
         self._outbox: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._publisher = threading.Thread(target=self._publish_all, name="publisher", daemon=True)
         self._publisher.start()
-        self._link = self._make_link()
+        stops = self.create_subscription(Empty, "stop_request", lambda _: self._link.stop("stop requested"), RESULTS)
+        self._stop_path = stop_path(self.context.get_domain_id(), stops.topic_name)
+        self._link: GuardLink = self._make_link()
         self._heartbeats = HeartbeatSources(config.heartbeat_programs)
         self._sources = SourceWatch(self, self._on_sources)
-        self._sources.subscribe(JointTrajectory, "trajectory", self._on_trajectory, COMMAND)
-        self.create_subscription(Empty, "stop_request", lambda _: self._link.stop("stop requested"), RESULTS)
+        self._sources.subscribe(JointTrajectory, "trajectory", self._on_trajectory_bytes, COMMAND, raw=True)
         self._sources.subscribe(PointStamped, "stylus_seen_clear", self._on_seen_clear, RESULTS)
         self._sources.subscribe(Header, "heartbeat", self._on_heartbeat, SENSOR, self._heartbeats.judge)
         self.create_service(Trigger, "home", self._on_home)
@@ -114,7 +117,6 @@ class SerialDriverNode(GraphLifecycleNode):
             self._old_wakeup_fd = None
         self._configured = False
         self._link.close("the driver is ending")
-        self._count_turn(self._link.wakes, 0, 0)
 
     # --- lifecycle -------------------------------------------------------------------------------------------------
 
@@ -128,12 +130,12 @@ class SerialDriverNode(GraphLifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let the machine move."""
-        self._link.call(lambda machine, now: machine.activate(True, now))
+        self._link.ask("activate", on=True)
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop what moves; go on watching the board."""
-        self._link.call(lambda machine, now: machine.activate(False, now))
+        self._link.ask("activate", on=False)
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -146,35 +148,42 @@ class SerialDriverNode(GraphLifecycleNode):
         """Do as for cleanup; there is no way back from here."""
         return self.on_cleanup(state)
 
-    def _make_link(self) -> SerialLink:
-        config = self._live.config
-        self._steps_finished = 0
-        record = StylusRecord(Path(config.stylus_file).expanduser() if config.stylus_file else None)
-        link = SerialLink(
-            Machine(config, active=False, left_down=record.may_be_down()),
-            config.port,
-            config.baud,
+    def _make_link(self) -> GuardLink:
+        return GuardLink(
+            self._live.config,
             self._on_events,
-            clock=self._link_clock(),
+            stop_path=self._stop_path,
+            time_s=self._link_time(),
             on_turn=None if this_process.ledger is None else self._count_turn,
-            record=record,
         )
-        link.call(lambda machine, now: None)  # says that there is no port
-        return link
 
-    def _link_clock(self) -> Callable[[], float]:
-        """Return the clock of the port's thread, which goes on while this node closes and serves no callback."""
+    def _link_time(self) -> Callable[[], float] | None:
+        """Return the machine's time where it is not the guard's own clock; the guard learns of it in steps."""
         ledger = this_process.ledger
         if ledger is not None and this_process.simulated:
             return lambda: ledger.time_ns / 1e9
-        return seconds_of(self) if runs_by_clock_topic(self) else steady_s
+        return seconds_of(self) if runs_by_clock_topic(self) else None
 
     # --- from the graph ------------------------------------------------------------------------------------------
 
     def _on_sources(self, topic: str, text: str) -> None:
-        if text:
-            self._link.stop(text)
-        self._link.call(lambda machine, now: machine.rivals(topic, text, now))
+        self._link.rivals(topic, text)
+
+    def _on_trajectory_bytes(self, data: bytes) -> None:
+        """Unpack a trajectory, unless its size alone refuses it."""
+        most = self._live.config.max_points
+        try:
+            head = read_head(data)
+        except ValueError as error:
+            self.get_logger().warning(f"a trajectory that cannot be read: {error}", throttle_duration_sec=1.0)
+            return
+        if head.points > most or len(data) > max_bytes(most):
+            reason = f"the trajectory has {head.points} points, 1 to {most} are needed"
+            if head.points <= most:
+                reason = f"the trajectory has {len(data)} bytes (limit {max_bytes(most)})"
+            self._on_events([Answered(result=refusal(head, reason))])
+            return
+        self._on_trajectory(deserialize_message(data, JointTrajectory))
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         stamp = stamp_ns(message.header.stamp)
@@ -183,9 +192,7 @@ class SerialDriverNode(GraphLifecycleNode):
         names, points = list(message.joint_names), [_waypoint(point) for point in message.points]
         self._sources.look("trajectory")  # its message may be here before the event of its publisher
         distrust = distrust_text(self._sources.names("trajectory"), self._live.config.trajectory_programs)
-        self._link.call(
-            lambda machine, now: machine.run(goal_id, names, points, age_s=age_s, now=now, distrust=distrust)
-        )
+        self._link.run(goal_id, names, points, age_s=age_s, distrust=distrust)
 
     def _on_heartbeat(self, message: Header) -> None:
         if self._heartbeats.heard(message.frame_id, time.monotonic()):
@@ -193,38 +200,38 @@ class SerialDriverNode(GraphLifecycleNode):
         stamp = stamp_ns(message.stamp)
         # One that was long under way must not count as fresh; one from the future counts as now.
         age_s = max(0.0, (self._now_ns() - stamp) / 1e9) if stamp else 0.0
-        self._link.call(lambda machine, now: machine.heartbeat((machine.wall_s or now) - age_s))
+        self._link.tell("heartbeat", age_s=age_s)
 
     def _on_seen_clear(self, message: PointStamped) -> None:
         age_s, height_m = (self._now_ns() - stamp_ns(message.header.stamp)) / 1e9, float(message.point.z)
-        self._link.call(lambda machine, now: machine.seen_clear(height_m, age_s))
+        self._link.ask("seen_clear", height_m=height_m, age_s=age_s)
 
     def _on_home(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return _fill(response, self._link.call(lambda machine, now: machine.home(now)), "accepted: homing")
+        return _fill(response, self._link.ask("home"), "accepted: homing")
 
     def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._link.stop("stop requested")
         return _fill(response, "", "stopping")
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return _fill(response, self._link.call(lambda machine, now: machine.reset(now)), "accepted: reset")
+        return _fill(response, self._link.ask("reset"), "accepted: reset")
 
     def _on_accept(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return _fill(response, self._link.call(lambda machine, now: machine.accept_settings(now)), "accepted")
+        return _fill(response, self._link.ask("accept_settings"), "accepted")
 
     def _on_write(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        refusal = self._link.call(lambda machine, now: machine.write_settings(now))
+        refusal = self._link.ask("write_settings")
         return _fill(response, refusal, "accepted: writing the configured settings; they are read back")
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         text = "enabled" if request.data else "disabled"
-        return _fill(response, self._link.call(lambda machine, now: machine.enable(request.data, now)), text)
+        return _fill(response, self._link.ask("enable", on=request.data), text)
 
     def _unrest(self) -> str:
-        return self._link.call(lambda machine, now: machine.unrest())
+        return str(self._link.ask("unrest"))
 
     def _on_config(self, config: DriverConfig) -> None:
-        self._link.call(lambda machine, now: machine.configure(config, now))
+        self._link.ask("configure", config=config_values(config))
 
     # --- to the graph ----------------------------------------------------------------------------------------------
 
@@ -232,17 +239,17 @@ class SerialDriverNode(GraphLifecycleNode):
         stamp = self._now_ns()
         self._outbox.put(lambda: self._publish_events(events, stamp))
 
-    def _on_step(self, _now_ns: int) -> None:
-        """Let the link act by the new time."""
-        if this_process.ledger is not None and self._link.alive:
-            this_process.ledger.expect(STEPS)
-            self._link.wake()
+    def _on_step(self, now_ns: int) -> None:
+        """Let the guard act by the new time."""
+        ledger = this_process.ledger
+        if ledger is not None:
+            ledger.expect(STEPS)
+        if not self._link.step(now_ns / 1e9) and ledger is not None:
+            ledger.finish(STEPS)
 
-    def _count_turn(self, wakes: int, read: int, written: int) -> None:
-        """Count what a turn of the link has dealt with, once what came of it has been published."""
-        steps, self._steps_finished = wakes - self._steps_finished, wakes
-        if steps or read or written:
-            self._outbox.put(lambda: self._count(steps, read, written))
+    def _count_turn(self, steps: int, read: int, written: int) -> None:
+        """Count what a turn of the guard has dealt with, once what came of it has been published."""
+        self._outbox.put(lambda: self._count(steps, read, written))
 
     def _count(self, steps: int, read: int, written: int) -> None:
         if (ledger := this_process.ledger) is not None:
@@ -269,9 +276,11 @@ class SerialDriverNode(GraphLifecycleNode):
                 self.get_logger().warning(event.text)
 
     def _publish_diagnostics(self) -> None:
-        state, values, settings = self._link.call(
-            lambda machine, now: (machine.state_text, machine.diagnostics(), machine.settings_text())
-        )
+        status = self._link.ask("status")
+        if not isinstance(status, dict):
+            return  # a guard that does not answer is started again, and the state says so
+        state, settings = str(status["state"]), str(status["settings"])
+        values = [(str(name), str(value)) for name, value in status["values"]]
         if settings and settings != self._settings_told:
             self._settings_told = settings
             self._outbox.put(lambda: self._settings.publish(String(data=settings)))
@@ -281,8 +290,8 @@ class SerialDriverNode(GraphLifecycleNode):
         ]
         values += [("real_time", str(is_real_time())), *sender_values(self)]
         level = LEVELS.get(state.partition(":")[0], "error")
-        status = diagnostic_status(f"{self.get_name()}: board", level, state, values)
-        message = DiagnosticArray(header=header(self._now_ns(), ""), status=[status])
+        report = diagnostic_status(f"{self.get_name()}: board", level, state, values)
+        message = DiagnosticArray(header=header(self._now_ns(), ""), status=[report])
         self._outbox.put(lambda: self._diagnostics.publish(message))
 
     def _check_link(self) -> None:

@@ -8,7 +8,6 @@ whether any message is still on its way or being processed; see docs/decisions/s
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import mmap
 import os
@@ -21,19 +20,31 @@ import numpy as np
 import numpy.typing as npt
 
 from icu_common.adapters.process_identity import is_alive
+from icu_common.adapters.step_layout import (
+    BUSY,
+    BYTES_READ,
+    BYTES_WRITTEN,
+    DELIVERIES,
+    FINISHED,
+    HEAD,
+    LEDGER_VARIABLE,
+    MATCHED,
+    MAX_PROCESSES,
+    MAX_TOPICS,
+    NAME_BYTES,
+    NAMES_BYTES,
+    ORIGIN,
+    PID,
+    SIZE,
+    SUBSCRIPTIONS,
+    TABLE,
+    TIME,
+    TOPICS,
+    locked,
+)
 
-LEDGER_VARIABLE = "ICU_STEP_LEDGER"
-"""Environment variable with the path of the ledger; without it a process runs by its own clock and counts nothing."""
+__all__ = ["BYTES_READ", "BYTES_WRITTEN", "LEDGER_VARIABLE", "Counts", "StepLedger", "ledger_path"]
 
-BYTES_READ, BYTES_WRITTEN = "serial:read", "serial:written"
-"""Entries in which a driver counts the bytes that it has processed and sent."""
-
-MAX_PROCESSES, MAX_TOPICS, NAME_BYTES = 64, 512, 160
-_HEAD, _DELIVERIES, _FINISHED, _SUBSCRIPTIONS, _MATCHED = range(5)
-_PID, _BUSY, _TIME, _TOPICS, _ORIGIN = range(5)
-_NAMES_BYTES = MAX_TOPICS * NAME_BYTES
-_TABLE = (5, MAX_PROCESSES, MAX_TOPICS)
-_SIZE = _NAMES_BYTES + 8 * int(np.prod(_TABLE))
 Counts = npt.NDArray[np.int64]
 
 
@@ -61,17 +72,17 @@ class StepLedger:
         self.path = path
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
-            with _locked(descriptor):
+            with locked(descriptor):
                 size = os.fstat(descriptor).st_size
-                if size not in (0, _SIZE):
-                    raise OSError(f"{path}: {size} bytes, a step ledger has {_SIZE}; delete it")
-                os.truncate(descriptor, _SIZE)
-            self._map = mmap.mmap(descriptor, _SIZE)
+                if size not in (0, SIZE):
+                    raise OSError(f"{path}: {size} bytes, a step ledger has {SIZE}; delete it")
+                os.truncate(descriptor, SIZE)
+            self._map = mmap.mmap(descriptor, SIZE)
         except OSError:
             os.close(descriptor)
             raise
         self._descriptor = descriptor
-        self._table: Counts = np.frombuffer(self._map, np.int64, offset=_NAMES_BYTES).reshape(_TABLE)
+        self._table: Counts = np.frombuffer(self._map, np.int64, offset=NAMES_BYTES).reshape(TABLE)
         self._columns: dict[str, int] = {}
         self._row = -1
         self._busy = 0
@@ -87,60 +98,60 @@ class StepLedger:
         OSError
             If there is none.
         """
-        with _locked(self._descriptor):
-            free = np.flatnonzero(self._table[_HEAD, :, _PID] == 0)
+        with locked(self._descriptor):
+            free = np.flatnonzero(self._table[HEAD, :, PID] == 0)
             if not free.size:
                 raise OSError(f"{self.path}: {MAX_PROCESSES} processes are registered, more cannot be")
             self._row = int(free[0])
             self.forget(self._row)
-            self._table[_HEAD, self._row, _PID] = os.getpid()
+            self._table[HEAD, self._row, PID] = os.getpid()
 
     def expect(self, topic: str, count: int = 1) -> None:
         """Count messages that have been published, each once for every subscription that gets it."""
-        self._add(_DELIVERIES, topic, count)
+        self._add(DELIVERIES, topic, count)
 
     def finish(self, topic: str, count: int = 1) -> None:
         """Count messages of which the callback has returned."""
-        self._add(_FINISHED, topic, count)
+        self._add(FINISHED, topic, count)
 
     def finish_all(self, topic: str) -> None:
         """Count as finished what this process was the only one to get, and has lost."""
         column = self._column(topic)
-        missing = self._table[_DELIVERIES, :, column].sum() - self._table[_FINISHED, :, column].sum()
-        self._add(_FINISHED, topic, int(missing))
+        missing = self._table[DELIVERIES, :, column].sum() - self._table[FINISHED, :, column].sum()
+        self._add(FINISHED, topic, int(missing))
 
     def subscribe(self, topic: str, change: int = 1) -> None:
         """Count a new subscription, or one that has been destroyed (-1)."""
-        self._add(_SUBSCRIPTIONS, topic, change)
+        self._add(SUBSCRIPTIONS, topic, change)
 
     def leave(self) -> None:
         """Take no more messages, as a process that is ending; what it still publishes counts."""
-        self._table[_SUBSCRIPTIONS, self._row] = 0
+        self._table[SUBSCRIPTIONS, self._row] = 0
 
     def match(self, topic: str, count: int) -> None:
         """Set how many subscriptions this process's publisher of a topic has found."""
-        self._table[_MATCHED, self._row, self._column(topic)] = count + 1  # 0 is for no publisher
+        self._table[MATCHED, self._row, self._column(topic)] = count + 1  # 0 is for no publisher
 
     def subscriptions(self, topic: str) -> int:
         """Return how many subscriptions of a topic all registered processes have."""
-        return int(self._table[_SUBSCRIPTIONS, :, self._column(topic)].sum())
+        return int(self._table[SUBSCRIPTIONS, :, self._column(topic)].sum())
 
     def finished(self, topic: str) -> int:
         """Return how many messages of a topic all registered processes have finished."""
-        return int(self._table[_FINISHED, :, self._column(topic)].sum())
+        return int(self._table[FINISHED, :, self._column(topic)].sum())
 
     @contextlib.contextmanager
     def busy(self) -> Iterator[None]:
         """Mark this process as being in a callback."""
         with self._lock:
             self._busy += 1
-            self._table[_HEAD, self._row, _BUSY] = self._busy
+            self._table[HEAD, self._row, BUSY] = self._busy
         try:
             yield
         finally:
             with self._lock:
                 self._busy -= 1
-                self._table[_HEAD, self._row, _BUSY] = self._busy
+                self._table[HEAD, self._row, BUSY] = self._busy
 
     def _add(self, kind: int, topic: str, change: int) -> None:
         column = self._column(topic)
@@ -157,7 +168,7 @@ class StepLedger:
         name = topic.encode()
         if len(name) >= NAME_BYTES:
             raise ValueError(f"topic {topic!r}: {len(name)} bytes, a ledger takes {NAME_BYTES - 1}")
-        with _locked(self._descriptor):
+        with locked(self._descriptor):
             names = self.topics()
             if topic in names:
                 return names.index(topic)
@@ -165,43 +176,43 @@ class StepLedger:
                 raise ValueError(f"topic {topic!r}: the ledger has {MAX_TOPICS} topics, more cannot be")
             begin = len(names) * NAME_BYTES
             self._map[begin : begin + len(name)] = name
-            self._table[_HEAD, 0, _TOPICS] = len(names) + 1
+            self._table[HEAD, 0, TOPICS] = len(names) + 1
             return len(names)
 
     # --- what an observer reads --------------------------------------------------------------------------------------
 
     def topics(self) -> list[str]:
         """Return the names of all topics, in the order of the columns."""
-        data = self._map[:_NAMES_BYTES]
+        data = self._map[:NAMES_BYTES]
         begins = range(0, self._topic_count() * NAME_BYTES, NAME_BYTES)
         return [data[begin : begin + NAME_BYTES].rstrip(b"\0").decode() for begin in begins]
 
     def processes(self) -> dict[int, int]:
         """Return row -> process number of all that are registered."""
-        return {int(row): int(self._table[_HEAD, row, _PID]) for row in np.flatnonzero(self._table[_HEAD, :, _PID])}
+        return {int(row): int(self._table[HEAD, row, PID]) for row in np.flatnonzero(self._table[HEAD, :, PID])}
 
     def is_busy(self, row: int) -> bool:
         """Return whether the process of a row is in a callback."""
-        return bool(self._table[_HEAD, row, _BUSY])
+        return bool(self._table[HEAD, row, BUSY])
 
     def suspend(self, row: int) -> Counts:
         """Expect nothing of a process any more; return its subscription counts for :meth:`resume`."""
-        counts: Counts = self._table[_SUBSCRIPTIONS, row].copy()
-        self._table[_SUBSCRIPTIONS, row] = 0
+        counts: Counts = self._table[SUBSCRIPTIONS, row].copy()
+        self._table[SUBSCRIPTIONS, row] = 0
         return counts
 
     def resume(self, row: int, counts: Counts) -> None:
         """Expect again what ``counts`` says of a process, and what it has subscribed to since."""
-        self._table[_SUBSCRIPTIONS, row] += counts
+        self._table[SUBSCRIPTIONS, row] += counts
 
     def progress(self, row: int) -> int:
         """Return how many messages a process has finished."""
-        return int(self._table[_FINISHED, row].sum())
+        return int(self._table[FINISHED, row].sum())
 
     def forget(self, row: int) -> None:
         """Free the row of a process that has ended."""
         self._table[1:, row] = 0
-        self._table[_HEAD, row, [_PID, _BUSY]] = 0
+        self._table[HEAD, row, [PID, BUSY]] = 0
 
     def forget_ended(self) -> None:
         """Free the rows of all processes that have ended."""
@@ -212,23 +223,23 @@ class StepLedger:
     def restart(self, time_ns: int = 0) -> None:
         """Begin another run: forget ended processes and the time of the run before; ``time_ns`` is 0 for none yet."""
         self.forget_ended()
-        self._table[_HEAD, 0, [_TIME, _ORIGIN]] = time_ns
+        self._table[HEAD, 0, [TIME, ORIGIN]] = time_ns
 
     @property
     def time_ns(self) -> int:
         """Newest time that was published on ``/clock``, in ns; 0 before the first."""
-        return int(self._table[_HEAD, 0, _TIME])
+        return int(self._table[HEAD, 0, TIME])
 
     @time_ns.setter
     def time_ns(self, value: int) -> None:
-        if not self._table[_HEAD, 0, _TIME]:
-            self._table[_HEAD, 0, _ORIGIN] = value
-        self._table[_HEAD, 0, _TIME] = value
+        if not self._table[HEAD, 0, TIME]:
+            self._table[HEAD, 0, ORIGIN] = value
+        self._table[HEAD, 0, TIME] = value
 
     @property
     def origin_ns(self) -> int:
         """First time that was set, in ns: what a restarted bench and the board, which goes on, both count from."""
-        return int(self._table[_HEAD, 0, _ORIGIN])
+        return int(self._table[HEAD, 0, ORIGIN])
 
     def totals(self) -> tuple[Counts, Counts, Counts]:
         """Return finished, expected and subscription counts of each topic, (topics,), of all processes together.
@@ -236,11 +247,11 @@ class StepLedger:
         Finished counts are read first: what is published meanwhile then counts as outstanding, never the reverse.
         """
         count = self._topic_count()
-        finished = self._table[_FINISHED, :, :count].sum(axis=0)
+        finished = self._table[FINISHED, :, :count].sum(axis=0)
         return (
             finished,
-            self._table[_DELIVERIES, :, :count].sum(axis=0),
-            self._table[_SUBSCRIPTIONS, :, :count].sum(axis=0),
+            self._table[DELIVERIES, :, :count].sum(axis=0),
+            self._table[SUBSCRIPTIONS, :, :count].sum(axis=0),
         )
 
     def by_process(self) -> tuple[Counts, Counts, Counts]:
@@ -248,12 +259,12 @@ class StepLedger:
         publisher, else the number of subscriptions found plus 1."""
         count = self._topic_count()
         finished, subscriptions, matched = (
-            self._table[kind, :, :count].copy() for kind in (_FINISHED, _SUBSCRIPTIONS, _MATCHED)
+            self._table[kind, :, :count].copy() for kind in (FINISHED, SUBSCRIPTIONS, MATCHED)
         )
         return finished, subscriptions, matched
 
     def _topic_count(self) -> int:
-        return int(self._table[_HEAD, 0, _TOPICS])
+        return int(self._table[HEAD, 0, TOPICS])
 
     def close(self) -> None:
         """Give the row back and close the file."""
@@ -261,12 +272,3 @@ class StepLedger:
             self.forget(self._row)
             self._row = -1
         os.close(self._descriptor)
-
-
-@contextlib.contextmanager
-def _locked(descriptor: int) -> Iterator[None]:
-    fcntl.flock(descriptor, fcntl.LOCK_EX)
-    try:
-        yield
-    finally:
-        fcntl.flock(descriptor, fcntl.LOCK_UN)

@@ -32,6 +32,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from icu_common.adapters.direct_stop.line import send_stop, stop_path
 from icu_common.adapters.hanging_programs import hanging_file, read_hanging
 from icu_common.adapters.process_identity import is_alive, process_number
 from icu_common.adapters.processor_load import LoadMeter
@@ -468,6 +469,7 @@ class BridgeNode(GraphNode):
         self._teach_request = self.create_publisher(String, "panel/teach/request", qos.RESULTS)
         self._sequence = self.create_publisher(String, "gantry/sequence", qos.COMMAND)
         self._stop_request = self.create_publisher(Empty, "gantry/stop_request", qos.RESULTS)
+        self._guard = stop_path(self.context.get_domain_id(), self._stop_request.topic_name)
         self._heartbeat = self.create_publisher(Header, "heartbeat", qos.RESULTS)
         self._stop_service = self.create_client(Trigger, "gantry/stop")
         self._enable_service = self.create_client(SetBool, "gantry/enable")
@@ -483,10 +485,13 @@ class BridgeNode(GraphNode):
         return int(self.get_clock().now().nanoseconds)
 
     def stop(self, answered: Callable[[bool, str], None]) -> None:
+        stopped = send_stop(self._guard, "stop requested")  # past the middleware, and first
         self._stop_request.publish(Empty())
         if self._stop_service.service_is_ready():
             asked = self._stop_service.call_async(Trigger.Request())
             asked.add_done_callback(lambda future: answered(True, ""))
+        elif stopped:
+            answered(True, "")
         elif self._stop_request.get_subscription_count() == 0:
             answered(False, "no driver listens")
         self.get_logger().warning("stop")

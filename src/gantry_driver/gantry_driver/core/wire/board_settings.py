@@ -112,6 +112,10 @@ class BoardSettings(Connection):
             )
         return found
 
+    def _lift_left(self, now: float) -> bool:
+        """Begin to lift a stylus that was left down; return whether the board can be trusted to lift it."""
+        return False
+
     def _check_settings(self, now: float) -> None:
         if not self._settings:
             self._close("the board told no settings", now)
@@ -128,6 +132,8 @@ class BoardSettings(Connection):
         profile, self._profile = self._profile, {}
         for text in differences(self._settings, profile, "what was written"):
             self._events.append(Note(level="error", text=f"the board did not keep a setting: {text}"))
+        if not self._blocked() and self._lift_left(now):
+            return
         if self._latched:
             # Neither a lost link nor a reset of the board lifts a stop.
             self._enter(Phase.STOPPED, now, self._latched)

@@ -1,0 +1,40 @@
+"""Where the guard's sockets are, and what the kernel tells of a process's threads."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import socket
+from pathlib import Path
+
+from gantry_driver.core.guard.silence import ThreadSample
+from icu_common.adapters.direct_stop.line import guard_folder
+
+
+def guard_path(port: str) -> Path:
+    """Return the socket of the guard of a port; links to one device lead to one socket."""
+    path = Path(port)
+    name = port if "://" in port else path.resolve() if _is_device(path.resolve()) else path.absolute()
+    return guard_folder() / hashlib.sha256(str(name).encode()).hexdigest()[:16]
+
+
+def _is_device(target: Path) -> bool:
+    """Whether links lead to a device that stays; a pseudo-terminal gets a new number each time."""
+    return Path("/dev") in target.parents and target.parent != Path("/dev/pts")
+
+
+def peer_process(connection: socket.socket) -> int:
+    """Return the process number at the other end of a Unix socket."""
+    return int.from_bytes(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)[:4], "little")
+
+
+def sample_threads(process: int) -> dict[int, ThreadSample]:
+    """Return a process's threads; empty when it has ended."""
+    found: dict[int, ThreadSample] = {}
+    with contextlib.suppress(OSError):
+        for thread in Path(f"/proc/{process}/task").iterdir():
+            with contextlib.suppress(OSError, ValueError, IndexError):
+                state = (thread / "stat").read_text(errors="replace").rpartition(")")[2].split()[0]
+                cpu_ns = int((thread / "schedstat").read_text().split()[0])
+                found[int(thread.name)] = ThreadSample(runnable=state == "R", cpu_ns=cpu_ns)
+    return found

@@ -1,0 +1,338 @@
+"""The guard: owns the serial port, serves one node, and stops the machine when that node is gone or silent."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from gantry_driver.adapters.guard.clock import GuardClock, counts_of_environment
+from gantry_driver.adapters.guard.places import peer_process, sample_threads
+from gantry_driver.adapters.serial_link import SerialLink
+from gantry_driver.adapters.stylus_record import StylusRecord
+from gantry_driver.core.guard.commands import COMMANDS
+from gantry_driver.core.guard.messages import FrameError, FrameReader, config_of, event_values, frame
+from gantry_driver.core.guard.silence import SilenceWatch
+from gantry_driver.core.machine import Machine
+from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine_states import Event, Position, StateChanged
+from icu_common.adapters.direct_stop.line import open_stop_socket, received_stop
+from icu_common.adapters.real_time import steady_s
+from icu_common.core.config import settings_of
+
+PULSE_S = 0.1
+"""Interval of the guard's own signs of life."""
+LOOK_INTERVAL_S = 0.02
+"""Interval at which the node's silence is judged."""
+LINGER_S = 10.0
+"""Seconds for which the guard keeps the port, and the state, for a successor of the node."""
+KEPT_EVENTS = 64
+"""Answers and notes that wait for a successor."""
+UNSENT_BYTES = 1024 * 1024
+"""Bytes that wait for a node that does not read; with more of them it is disconnected."""
+FLOOD_FRAMES, FLOOD_BYTES, FLOOD_S = 2000, 32 * 1024 * 1024, 0.5
+"""Frames and bytes within so many seconds that are a fault of the node."""
+IN_USE = "in use by another program, as while a driver runs"
+ENDED = "the driver's node has ended"
+FLOODS = "the driver's node sends too much"
+
+
+class Guard:
+    """One guard on its socket.
+
+    Parameters
+    ----------
+    listener
+        Where a node connects; it blocks nobody.
+    wakeup_fd
+        Read end of a pipe in which a signal's number is written; any of them ends the guard.
+    stays
+        Whether the guard goes on when no node has come for a while, or the last one has ended.
+    """
+
+    def __init__(self, listener: socket.socket, wakeup_fd: int, *, stays: bool = False) -> None:
+        self._listener, self._signals, self._stays = listener, wakeup_fd, stays
+        self._clock = GuardClock(counts_of_environment())
+        self._link: SerialLink | None = None
+        self._machine: Machine | None = None
+        self._stops: socket.socket | None = None
+        self._stop_path: Path | None = None
+        self._lock = threading.Lock()
+        self._unsent = bytearray()
+        self._kept: deque[Event] = deque(maxlen=KEPT_EVENTS)
+        self._node: socket.socket | None = None
+        self._node_process = 0
+        self._reader = FrameReader()
+        self._watch = SilenceWatch(1.0, steady_s())
+        self._hung = False
+        self._steps_counted = 0
+        self._window_s, self._frames, self._bytes = 0.0, 0, 0
+        self._alone_since = steady_s()
+        self._ends = False
+        self._pulse_at = 0.0
+
+    def run(self) -> None:
+        """Serve until a node or a signal ends the guard, or no node has come for a while."""
+        try:
+            while not self._ends:
+                poller = select.poll()
+                for fd, what in self._descriptors().items():
+                    poller.register(fd, what)
+                self._turn(dict(poller.poll(1000.0 * LOOK_INTERVAL_S)))
+        finally:
+            self._close("the guard is ending")
+
+    def _descriptors(self) -> dict[int, int]:
+        watched = {self._listener.fileno(): select.POLLIN, self._signals: select.POLLIN}
+        if self._stops is not None:
+            watched[self._stops.fileno()] = select.POLLIN
+        if self._node is not None:
+            watched[self._node.fileno()] = select.POLLIN | (select.POLLOUT if self._unsent else 0)
+        return watched
+
+    def _turn(self, ready: dict[int, int]) -> None:
+        if self._stops is not None and self._stops.fileno() in ready:  # first, whatever else waits
+            while (reason := received_stop(self._stops)) is not None:
+                if self._link is not None:
+                    self._link.stop(reason)
+        if self._signals in ready:
+            self._ends = True
+        if self._node is not None and self._node.fileno() in ready:
+            self._read()
+            self._send(b"")
+        if self._listener.fileno() in ready:
+            self._accept()
+        self._look()
+
+    # --- the node ----------------------------------------------------------------------------------------------------
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except BlockingIOError:
+            return
+        if self._node is not None and not self._hung:
+            with contextlib.suppress(OSError), connection:
+                connection.send(frame({"refused": IN_USE}))
+            return
+        if self._node is not None:
+            self._lose(ENDED)
+        connection.setblocking(False)
+        self._node, self._node_process = connection, peer_process(connection)
+        self._reader, self._hung = FrameReader(), False
+        self._watch.beat(steady_s())
+
+    def _read(self) -> None:
+        node = self._node
+        assert node is not None
+        try:
+            data = node.recv(1024 * 1024)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._lose(ENDED)
+            return
+        now = steady_s()
+        self._watch.beat(now)
+        if self._hung:
+            self._hung = False
+            self._clock.rejoin()
+        if now - self._window_s > FLOOD_S:
+            self._window_s, self._frames, self._bytes = now, 0, 0
+        self._bytes += len(data)
+        try:
+            for message in self._reader.feed(data):
+                self._frames += 1
+                if self._frames > FLOOD_FRAMES or self._bytes > FLOOD_BYTES:
+                    self._lose(FLOODS)
+                    return
+                self._on_message(message)
+                if self._node is not node:
+                    return
+        except Exception as error:
+            # Whatever a node sends, it must not end the guard.
+            self._lose(f"the driver's node sent what cannot be read: {error!r}")
+
+    def _on_message(self, message: dict[str, Any]) -> None:
+        name = message["do"]
+        if name == "beat":
+            return
+        if name == "hello":
+            self._hello(message)
+        elif self._link is None:
+            raise FrameError(f"{name!r} before hello")
+        elif name == "stop":
+            self._link.stop(str(message["reason"]))
+        elif name == "step":
+            self._clock.tell(message["time_s"])
+            self._link.wake()
+        elif name == "close":
+            self._close(str(message["reason"]))
+            self._ends = not self._stays
+            if self._ends:
+                self._listener.close()  # a node that comes now finds no guard, and starts one
+            self._send(frame({"closed": True}))
+        else:
+            action = COMMANDS[name]
+            value = self._link.call(lambda machine, now: action(machine, now, message))
+            if "id" in message:
+                self._send(frame({"id": message["id"], "value": value}))
+
+    def _hello(self, message: dict[str, Any]) -> None:
+        config = config_of(message["config"])
+        self._watch = SilenceWatch(config.node_silence_s, steady_s())
+        self._clock.begin(message["time_s"])
+        self._bind_stops(message["stop_path"])
+        link, machine = self._link, self._machine
+        if link is not None and machine is not None and _fixed(config) != _fixed(machine.config):
+            link.close("another configuration")
+            link = machine = None
+        if link is None or machine is None:
+            self._make_link(config, message)
+            return
+        with self._lock:
+            kept, self._kept = list(self._kept), deque(maxlen=KEPT_EVENTS)
+        link.call(lambda machine, now: machine.configure(config, now))
+        link.call(lambda machine, now: machine.enable(message["enabled"], now))
+        link.call(lambda machine, now: machine.activate(message["active"], now))
+        # Under the machine's lock, so that no older state follows.
+        link.call(lambda machine, now: self._send(self._frame_of(kept + _snapshot(machine))))
+
+    def _make_link(self, config: DriverConfig, message: dict[str, Any]) -> None:
+        record = StylusRecord(Path(config.stylus_file).expanduser() if config.stylus_file else None)
+        left_down = record.may_be_down() or bool(message["left_down"])
+        machine = Machine(config, active=message["active"], left_down=left_down)
+        machine.enabled = message["enabled"]
+        self._steps_counted = 0
+        link = SerialLink(
+            machine,
+            config.port,
+            config.baud,
+            self._on_events,
+            clock=self._clock,
+            on_turn=self._on_turn,
+            record=record,
+        )
+        self._machine, self._link = machine, link
+        link.start()
+
+    def _bind_stops(self, path: str) -> None:
+        if self._stops is not None and self._stop_path == Path(path):
+            return
+        if self._stops is not None:
+            self._stops.close()
+        self._stop_path = Path(path)
+        self._stops = open_stop_socket(self._stop_path)
+
+    def _lose(self, reason: str) -> None:
+        """Disconnect the node; what moves or presses is stopped."""
+        with self._lock:
+            node, self._node = self._node, None
+            if node is not None:
+                node.close()
+            self._unsent.clear()
+        self._clock.leave()
+        self._alone_since = steady_s()
+        self._stop_if_restless(reason)
+
+    def _stop_if_restless(self, reason: str) -> None:
+        if self._link is not None and self._machine is not None and self._machine.moves_or_presses:
+            self._link.stop(reason)
+
+    def _look(self) -> None:
+        now = steady_s()
+        if self._link is not None and not self._link.alive:
+            self._ends = True  # the node starts another guard, which lifts first
+        if self._clock.wants_turns and self._link is not None:
+            self._link.wake()
+            self._steps_counted = self._link.wakes  # no node waits for these
+        if self._node is None:
+            late = now - self._alone_since > LINGER_S and not self._stays
+            if late and (self._machine is None or self._machine.at_rest):
+                self._ends = True
+            return
+        if now - self._pulse_at >= PULSE_S:
+            self._pulse_at = now
+            self._send(self._frame_of([]))
+        threads = sample_threads(self._node_process) if self._watch.wants_sample and not self._hung else None
+        if self._watch.look(now, threads) and not self._hung:
+            self._hung = True
+            self._clock.leave()
+            self._stop_if_restless(f"the driver's node has been silent for {self._watch.silent_s:.2f} s")
+
+    # --- to the node, from any thread --------------------------------------------------------------------------------
+
+    def _on_events(self, events: list[Event]) -> None:
+        lasting = [event for event in events if not isinstance(event, (Position, StateChanged))]
+        if self._node is None:
+            with self._lock:
+                self._kept.extend(lasting)
+            return
+        self._send(self._frame_of(events))
+
+    def _frame_of(self, events: list[Event]) -> bytes:
+        down = self._machine is not None and self._machine.may_be_down
+        return frame({"events": [event_values(event) for event in events], "down": down})
+
+    def _on_turn(self, wakes: int, read: int, written: int) -> None:
+        steps = max(0, wakes - self._steps_counted)
+        self._steps_counted = max(self._steps_counted, wakes)
+        if self._clock.count_alone(read, written):
+            read = written = 0
+        if self._node is not None and (steps or read or written):
+            self._send(frame({"turn": [steps, read, written]}))
+
+    def _send(self, data: bytes) -> None:
+        """Send what the node can take now, and keep the rest; a node that does not read is disconnected."""
+        with self._lock:
+            node = self._node
+            if node is None:
+                return
+            self._unsent += data
+            try:
+                while self._unsent:
+                    del self._unsent[: node.send(self._unsent)]
+            except BlockingIOError:
+                pass
+            except OSError:
+                self._unsent.clear()  # the main loop reads the end of the connection
+            if len(self._unsent) > UNSENT_BYTES:
+                with contextlib.suppress(OSError):
+                    node.shutdown(socket.SHUT_RDWR)
+                self._unsent.clear()
+
+    def _close(self, reason: str) -> None:
+        link, self._link, self._machine = self._link, None, None
+        if link is not None:
+            link.close(reason)
+        if self._stops is not None and self._stop_path is not None:
+            self._stops.close()
+            self._stops = None
+            with contextlib.suppress(OSError):
+                self._stop_path.unlink()
+
+
+def _fixed(config: DriverConfig) -> list[object]:
+    """Return the values that cannot change while a link exists."""
+
+    def value(name: str) -> object:
+        found: object = config
+        for part in name.split("."):
+            found = getattr(found, part)
+        return found
+
+    return [value(item.name) for item in settings_of(DriverConfig) if item.setting.read_only]
+
+
+def _snapshot(machine: Machine) -> list[Event]:
+    """Return the events that tell a new node where the machine is."""
+    events: list[Event] = [StateChanged(text=machine.state_text)]
+    if machine.reading_m is not None:
+        events.append(Position(reading_m=machine.reading_m))
+    return events

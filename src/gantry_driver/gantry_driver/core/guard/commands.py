@@ -1,0 +1,43 @@
+"""What the node may ask of the machine, by name: the same table serves the guard, and a node without a guard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from gantry_driver.core.guard.messages import config_of, waypoints_of
+from gantry_driver.core.machine import Machine
+
+Values = Mapping[str, Any]
+
+
+def _run(machine: Machine, now: float, values: Values) -> None:
+    points = waypoints_of(values["points"])
+    age_s, distrust = values["age_s"], values["distrust"]
+    machine.run(values["goal_id"], values["names"], points, age_s=age_s, now=now, distrust=distrust)
+
+
+def _status(machine: Machine, now: float, values: Values) -> dict[str, Any]:
+    return {"state": machine.state_text, "values": machine.diagnostics(), "settings": machine.settings_text()}
+
+
+def _heartbeat(machine: Machine, now: float, values: Values) -> None:
+    machine.heartbeat((now if machine.wall_s is None else machine.wall_s) - values["age_s"])
+
+
+COMMANDS: dict[str, Callable[[Machine, float, Values], Any]] = {
+    "run": _run,
+    "heartbeat": _heartbeat,
+    "status": _status,
+    "home": lambda machine, now, values: machine.home(now),
+    "reset": lambda machine, now, values: machine.reset(now),
+    "accept_settings": lambda machine, now, values: machine.accept_settings(now),
+    "write_settings": lambda machine, now, values: machine.write_settings(now),
+    "seen_clear": lambda machine, now, values: machine.seen_clear(values["height_m"], values["age_s"]),
+    "rivals": lambda machine, now, values: machine.rivals(values["topic"], values["text"], now),
+    "unrest": lambda machine, now, values: machine.unrest(),
+    "enable": lambda machine, now, values: machine.enable(bool(values["on"]), now),
+    "activate": lambda machine, now, values: machine.activate(bool(values["on"]), now),
+    "configure": lambda machine, now, values: machine.configure(config_of(values["config"]), now),
+}
+"""Name -> what it does with the machine at a time; the value that it returns is JSON."""

@@ -1,0 +1,83 @@
+"""When a process counts as hung because it is silent; no I/O and no clock.
+
+The limit is short, and a busy computer must not reach it. So a process that could run, but waits for the processor,
+is late and not hung: for that time, up to a bound, it has an excuse. One that is stopped, that sleeps, or that runs
+without sending has none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+LATE_S = 0.5
+"""Silence in seconds that no excuse covers: less than the heartbeat of an operator may be old."""
+LOOK_S = 0.04
+"""Silence in seconds after which the threads of the process are looked at."""
+TURN_S = 0.05
+"""Most of the time between two looks that counts: who looks may have been held up for longer."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThreadSample:
+    """A thread: whether it could run, and the processor time that it has had."""
+
+    runnable: bool
+    cpu_ns: int
+
+
+class SilenceWatch:
+    """Counts how long another process has been silent.
+
+    Parameters
+    ----------
+    limit_s
+        Silence without an excuse, s.
+    now
+        Wall time, s.
+    late_s
+        Silence that no excuse covers, s.
+    """
+
+    def __init__(self, limit_s: float, now: float, late_s: float = LATE_S) -> None:
+        self._limit_s, self._late_s = limit_s, max(limit_s, late_s)
+        self._looked_at = now
+        self._silent_s = self._excused_s = 0.0
+        self._threads: dict[int, ThreadSample] = {}
+
+    def beat(self, now: float) -> None:
+        """Note a sign of life."""
+        self._looked_at, self._silent_s, self._excused_s = now, 0.0, 0.0
+        self._threads = {}
+
+    @property
+    def wants_sample(self) -> bool:
+        """Whether the next :meth:`look` needs the threads."""
+        return self._silent_s >= LOOK_S
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds of silence in which the caller itself ran."""
+        return self._silent_s
+
+    def look(self, now: float, threads: dict[int, ThreadSample] | None = None) -> bool:
+        """Return whether the process counts as hung.
+
+        Parameters
+        ----------
+        now
+            Wall time, s.
+        threads
+            Its threads by number; None where they were not looked at, empty where the process has ended.
+        """
+        passed = min(now - self._looked_at, TURN_S)
+        self._looked_at = now
+        self._silent_s += passed
+        if threads is not None:
+            waits = any(
+                thread.runnable and number in self._threads and thread.cpu_ns == self._threads[number].cpu_ns
+                for number, thread in threads.items()
+            )
+            self._threads = threads
+            if waits:
+                self._excused_s += passed
+        return self._silent_s - self._excused_s > self._limit_s or self._silent_s > self._late_s

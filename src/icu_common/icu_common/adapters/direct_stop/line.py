@@ -1,0 +1,74 @@
+"""The socket on which the guard of a machine takes a stop, whatever the graph does.
+
+Its name follows from the ROS domain and the resolved name of the machine's topic ``stop_request``: a program that
+publishes there finds it without a parameter.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import socket
+import stat
+import tempfile
+from pathlib import Path
+
+STOP_BYTES = 200
+"""Bytes of the longest reason."""
+
+
+def guard_folder() -> Path:
+    """Return this user's folder for the guard's sockets, made if need be; no other user can enter it.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made, or is open to others.
+    """
+    folder = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / f"icu_gantry_guard_{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode) or found.st_mode & 0o077:
+        raise PermissionError(f"{folder} is open to other users, or is no folder")
+    return folder
+
+
+def stop_path(domain: int, topic: str) -> Path:
+    """Return the socket of the machine that stops by a topic of a ROS domain."""
+    return guard_folder() / f"stop_{hashlib.sha256(f'{domain} {topic}'.encode()).hexdigest()[:16]}"
+
+
+def open_stop_socket(path: Path) -> socket.socket:
+    """Return a socket that takes stops and never blocks; one that a killed program has left is replaced.
+
+    Raises
+    ------
+    OSError
+        If there can be no socket.
+    """
+    path.unlink(missing_ok=True)
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    made.setblocking(False)
+    try:
+        made.bind(bytes(path))
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
+def received_stop(stops: socket.socket) -> str | None:
+    """Return the reason of the next stop that waits, None where there is none."""
+    with contextlib.suppress(BlockingIOError):
+        return stops.recv(STOP_BYTES).decode("ascii", "replace")
+    return None
+
+
+def send_stop(path: Path, reason: str) -> bool:
+    """Ask for a stop now; return whether a guard was there to take it. Never waits."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender, contextlib.suppress(OSError):
+        sender.setblocking(False)
+        sender.sendto(reason.encode("ascii", "replace")[:STOP_BYTES], bytes(path))
+        return True
+    return False

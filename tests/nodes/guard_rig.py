@@ -1,0 +1,116 @@
+"""A driver's node in a process of its own, its guard, and the board's own record of when it was held and lifted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from nodes.grbl_board import GrblBoard
+from nodes.test_gantry_driver_node import HOMED, PATIENCE, Operator
+
+from gantry_driver.adapters.guard.places import guard_path
+
+DOWN_M = 0.02
+UP_MM = 0.05
+
+
+def guards_of(port: Path) -> list[int]:
+    """Return the process numbers of a port's guards."""
+    wanted, found = str(guard_path(str(port))), []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (process / "cmdline").read_bytes().decode().split("\0")
+        except OSError:
+            continue
+        if wanted in words:
+            found.append(int(process.name))
+    return found
+
+
+class GuardRig:
+    """One board, one node, one guard."""
+
+    def __init__(self, ros: Any, folder: Path, *board: str, **parameters: Any) -> None:
+        self.ros, self.folder = ros, folder
+        self.board = GrblBoard(folder, *board)
+        self.parameters = {"port": self.board.port, **PATIENCE, **parameters}
+        self.nodes: list[subprocess.Popen[bytes]] = []
+        self.node = self.start()
+        self.op = Operator(ros, self.board)
+
+    def start(self) -> subprocess.Popen[bytes]:
+        """Start a node, and leave any that runs."""
+        command = [sys.executable, "-m", "gantry_driver.nodes.serial_driver_node", "--ros-args"]
+        for name, value in self.parameters.items():
+            command += ["-p", f"{name}:={value}"]
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(self.ros.context.get_domain_id())}
+        with (self.folder / f"node{len(self.nodes)}.log").open("wb") as log:
+            self.node = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+        self.nodes.append(self.node)
+        return self.node
+
+    def guards(self) -> list[int]:
+        """Return the process numbers of the port's guards."""
+        return guards_of(self.board.port)
+
+    def press(self) -> None:
+        """Stand with the stylus extended."""
+        self.op.go((0.1, 0.05, 0.0), (0.1, 0.05, DOWN_M), frame_id="press")
+        self.op.until(lambda: self.op.results and self.op.results[-1].outcome.value == "reached")
+        assert self.z_mm() < HOMED[2] - 1000.0 * DOWN_M + 0.1
+
+    def drag(self) -> None:
+        """Move sideways with the stylus extended, slowly enough to be under way for seconds."""
+        self.op.go((0.05, 0.05, 0.0), (0.05, 0.05, DOWN_M), (0.061, 0.05, DOWN_M), (0.3, 0.05, DOWN_M), last_m_s=0.03)
+        self.op.until(lambda: self.board.mpos()[0] > HOMED[0] + 65.0)
+
+    def z_mm(self) -> float:
+        return float(self.board.mpos()[2])
+
+    def now_s(self) -> float:
+        """Return the board's time."""
+        return float(self.board.ask("state")["t"])
+
+    def entry(self) -> int:
+        return int(self.board.log()[-1]["n"])
+
+    def until_lifted(self, within_s: float = 15.0) -> float:
+        """Return the board's time at which the stylus is seen to be up; the graph is served meanwhile."""
+        end = time.monotonic() + within_s
+        while True:
+            state = self.board.ask("state")
+            if self.z_mm() > HOMED[2] - UP_MM:
+                return float(state["t"])
+            assert time.monotonic() < end, f"z = {self.z_mm():.2f} mm, {self.op.states[-4:]}"
+            self.ros.executor.spin_once(timeout_sec=0.005)
+
+    def held_s(self, since: int) -> float:
+        """Return the board's time of the first hold after an entry of its log."""
+        return next(float(e["t"]) for e in self.board.log(since) if e["kind"] == "realtime" and e["byte"] == ord("!"))
+
+    def lift_s(self, since: int) -> float:
+        """Return the board's time at which it received the line that lifts the stylus."""
+        lines = (e for e in self.board.log(since) if e["kind"] == "line" and e["text"].endswith("Z-1G53G1"))
+        return next(float(e["t"]) for e in lines)
+
+    def close(self) -> None:
+        for node in self.nodes:
+            if node.poll() is None:
+                node.send_signal(signal.SIGCONT)
+                node.terminate()
+                try:
+                    node.wait(20.0)
+                except subprocess.TimeoutExpired:
+                    node.kill()
+                    node.wait(5.0)
+        for process in self.guards():
+            os.kill(process, signal.SIGTERM)
+        self.board.close()
+
+
+__all__ = ["DOWN_M", "HOMED", "GuardRig", "guards_of"]
