@@ -175,6 +175,19 @@ def test_only_a_node_that_waits_for_the_processor_is_excused_and_not_for_ever(
     assert found is not None and at_s <= found <= at_s + 0.0201
 
 
+def test_a_node_that_gets_a_share_of_the_processor_is_excused_for_the_rest() -> None:
+    """Of each 20 ms it runs for 5 and waits for 15: it counts as hung once it has run for 0.1 s, or at the bound."""
+    watch, found = SilenceWatch(0.1, 0.0, late_s=5.0), None
+    watch.beat(100.0)
+    for count in range(1, 200):
+        ran, waited = 5_000_000 * count, 15_000_000 * count
+        sample = {1: ThreadSample(runnable=True, cpu_ns=ran, waited_ns=waited)}
+        if watch.look(100.0 + 0.02 * count, sample if watch.wants_sample else None):
+            found = 0.02 * count
+            break
+    assert found == pytest.approx(0.26, abs=0.05), "0.06 s before the first look, then a quarter of the time"
+
+
 def test_a_node_that_beats_is_never_hung() -> None:
     watch = SilenceWatch(0.1, 0.0)
     for count in range(100):

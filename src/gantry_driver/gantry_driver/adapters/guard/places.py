@@ -35,6 +35,6 @@ def sample_threads(process: int) -> dict[int, ThreadSample]:
         for thread in Path(f"/proc/{process}/task").iterdir():
             with contextlib.suppress(OSError, ValueError, IndexError):
                 state = (thread / "stat").read_text(errors="replace").rpartition(")")[2].split()[0]
-                cpu_ns = int((thread / "schedstat").read_text().split()[0])
-                found[int(thread.name)] = ThreadSample(runnable=state == "R", cpu_ns=cpu_ns)
+                cpu_ns, waited_ns = map(int, (thread / "schedstat").read_text().split()[:2])
+                found[int(thread.name)] = ThreadSample(runnable=state in "RD", cpu_ns=cpu_ns, waited_ns=waited_ns)
     return found

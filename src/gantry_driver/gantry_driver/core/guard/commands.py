@@ -13,7 +13,7 @@ Values = Mapping[str, Any]
 
 def _run(machine: Machine, now: float, values: Values) -> None:
     points = waypoints_of(values["points"])
-    age_s, distrust = values["age_s"], values["distrust"]
+    age_s, distrust = values["age_s"], values.get("distrust", "")
     machine.run(values["goal_id"], values["names"], points, age_s=age_s, now=now, distrust=distrust)
 
 

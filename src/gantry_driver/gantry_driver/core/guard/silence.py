@@ -1,8 +1,8 @@
 """When a process counts as hung because it is silent; no I/O and no clock.
 
-The limit is short, and a busy computer must not reach it. So a process that could run, but waits for the processor,
-is late and not hung: for that time, up to a bound, it has an excuse. One that is stopped, that sleeps, or that runs
-without sending has none.
+The limit is short, and a busy computer must not reach it. So a process that could run, but waits for the processor or
+for a page of memory, is late and not hung: for that time, up to a bound, it has an excuse, also where it runs for a
+little in between. One that is stopped, that sleeps, or that runs without sending has none.
 """
 
 from __future__ import annotations
@@ -19,10 +19,16 @@ TURN_S = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThreadSample:
-    """A thread: whether it could run, and the processor time that it has had."""
+    """A thread: whether it could run, the processor time that it has had, and how long it has waited for more."""
 
     runnable: bool
     cpu_ns: int
+    waited_ns: int = 0
+
+    def waited_s(self, before: ThreadSample, passed_s: float) -> float:
+        """Return the part of the time since ``before`` in which it waited; the kernel adds a wait up at its end."""
+        waits_yet = self.runnable and self.cpu_ns == before.cpu_ns
+        return passed_s if waits_yet else min(passed_s, (self.waited_ns - before.waited_ns) / 1e9)
 
 
 class SilenceWatch:
@@ -73,11 +79,7 @@ class SilenceWatch:
         self._looked_at = now
         self._silent_s += passed
         if threads is not None:
-            waits = any(
-                thread.runnable and number in self._threads and thread.cpu_ns == self._threads[number].cpu_ns
-                for number, thread in threads.items()
-            )
+            known = [(thread, self._threads[n]) for n, thread in threads.items() if n in self._threads]
+            self._excused_s += max((thread.waited_s(before, passed) for thread, before in known), default=0.0)
             self._threads = threads
-            if waits:
-                self._excused_s += passed
         return self._silent_s - self._excused_s > self._limit_s or self._silent_s > self._late_s
