@@ -509,7 +509,7 @@ def test_the_program_is_scheduled_before_ordinary_ones_or_says_why_not(tmp_path:
 def test_texts_of_others_are_cut_and_escaped_for_audit_file_page_and_console(ros: Any, bridge: Any) -> None:
     graph, browser, _, folder = bridge
     shown(ros, graph, browser)
-    foul = "\x1b[2J\n" + 1_000_000 * "x"
+    foul = "\x1b[2J\n" + 100_000 * "x"  # more is dropped before it is unpacked
     result = GoalResult(goal_id="a", goal="press:\x1b[31m", outcome=Outcome.ACCEPTED)
     for answer in (result, replace(result, outcome=Outcome.ABORTED, reason=foul)):
         graph.publish("gantry/result", result_message(answer, graph.now()))
@@ -522,7 +522,7 @@ def test_texts_of_others_are_cut_and_escaped_for_audit_file_page_and_console(ros
         assert text.startswith("\\x1b[2J\\x0axxx") and text.isprintable() and len(text) < 500, text[:80]
     written = lambda: [x for x in (folder / "audit.jsonl").read_text().splitlines() if "aborted" in x]  # noqa: E731
     (line,) = ros.spin_until(written, WITHIN_S)
-    assert len(line) < 1500 and "(999605 more characters)" in line
+    assert len(line) < 1500 and "(99605 more characters)" in line
 
 
 def test_what_has_ended_is_in_no_state_any_more(ros: Any, bridge: Any) -> None:
@@ -688,7 +688,7 @@ def test_change_of_a_parameter_is_shown_on_the_page_and_in_the_audit_file(
     def lines() -> list[dict[str, Any]]:
         return [json.loads(line) for line in (tmp_path / "audit.jsonl").read_text().splitlines()]
 
-    ros.spin_until(lambda: lines()[-1]["target"] == text, WITHIN_S)
+    ros.spin_until(lambda: lines()[-1].get("target") == text, WITHIN_S)
     assert (lines()[-1]["who"], lines()[-1]["command"]) == ("/ui_bridge", "parameter")
 
 
