@@ -33,7 +33,7 @@ class Client:
         self.outcomes: list[str] = []
         self.stop_path = guard_folder() / f"stop_test_{os.getpid()}"
         config = DriverConfig(
-            port=str(self.board.port), enabled_at_start=True, heartbeat_timeout_s=5.0, status_timeout_s=10.0
+            port=str(self.board.port), enabled_at_start=True, heartbeat_timeout_s=2.0, status_timeout_s=10.0
         )
         self.link = GuardLink(config, self._collect, stop_path=self.stop_path)
         self.link.ask("activate", on=True)
