@@ -214,7 +214,7 @@ def main() -> int:
     low, high = np.quantile(asked, (0.5, 0.99))
     load = os.getloadavg()[0]
     text = "\n".join([*head, *lines]) + (
-        f"\n\n{options.repeats} runs of each pair, {os.cpu_count()} cores, load {load:.1f}. A question to the guard "
+        f"\n\nRuns of each pair: {options.repeats}; {os.cpu_count()} cores, load {load:.1f}. A question to the guard "
         f"and its answer over the socket: median {1000 * low:.2f} ms, slowest hundredth {1000 * high:.2f} ms.\n"
     )
     print(text)

@@ -38,7 +38,7 @@ class GuardRig:
     def __init__(self, ros: Any, folder: Path, *board: str, **parameters: Any) -> None:
         self.ros, self.folder = ros, folder
         self.board = GrblBoard(folder, *board)
-        self.parameters = {"port": self.board.port, **PATIENCE, **parameters}
+        self.parameters = {"port": self.board.port, "trajectory_programs": "operator", **PATIENCE, **parameters}
         self.nodes: list[subprocess.Popen[bytes]] = []
         self.node = self.start()
         self.op = Operator(ros, self.board)

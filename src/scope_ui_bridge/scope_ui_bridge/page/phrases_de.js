@@ -167,6 +167,7 @@ export const PHRASES_DE = [
   ["the stylus was not lifted: {}", "der Stift wurde nicht gehoben: {}"],
   ["the servo may be without pulses and sink, the stylus may press", "der Servo ist vielleicht ohne Impulse und sinkt, der Stift drückt dann vielleicht"],
   ["the solenoid is without power, the stylus is up", "der Hubmagnet ist stromlos, der Stift ist oben"],
+  ["the cameras show the stylus {} mm above the panel: it presses nothing", "die Kameras zeigen den Stift {} mm über der Front: er drückt nichts"],
   ["the stylus was left down while no driver was connected", "der Stift blieb unten, während kein Treiber verbunden war"],
   ["the stylus was not lifted, it may still press", "der Stift wurde nicht gehoben, er drückt vielleicht noch"],
   ["the board is in {} without a command from here", "die Platine ist ohne einen Befehl von hier in {}"],
