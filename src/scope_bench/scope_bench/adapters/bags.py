@@ -8,9 +8,7 @@ system within a second. What was cut off nevertheless is made whole by ``bag_rep
 from __future__ import annotations
 
 import contextlib
-import functools
 import importlib
-import os
 import shlex
 import shutil
 import sqlite3
@@ -18,21 +16,22 @@ import struct
 import sys
 import time
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
-from urllib.parse import quote
 
 import apsw
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, Writer, WriterError
-from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader, Sqlite3Writer
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
+
+from scope_bench.adapters.bag.definitions import describes, hash_of, with_definitions
+from scope_bench.adapters.bag.readers import BagFileReader, in_uri, joined
 
 STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 _CHECKPOINT_S = 1.0
@@ -66,25 +65,21 @@ class BagTopic:
     name, type
         As in ROS, the type as ``package/msg/Name``.
     count
-        Messages.
+        Messages in the files.
     qos
         The profiles that its publishers offered.
+    announced
+        Messages that metadata.yaml announces.
+    hash
+        That of the type's definition in the bag (RIHS01), "" if the bag has none.
     """
 
     name: str
     type: str
     count: int = 0
     qos: tuple[Qos, ...] = ()
-
-
-def is_known(kind: str) -> bool:
-    """Return whether a bag can describe messages of this type without being given its definition."""
-    return kind in _known_types().types
-
-
-@functools.cache
-def _known_types() -> Typestore:
-    return get_typestore(Stores.ROS2_JAZZY)
+    announced: int = 0
+    hash: str = ""
 
 
 class _McapWriter(McapWriter):
@@ -101,28 +96,10 @@ class _McapWriter(McapWriter):
         self.bio.seek(end)
 
 
-def _in_uri(path: Path) -> Path:
-    """Return a path as in the URI by which rosbags opens sqlite, where ``#``, ``?`` and ``%`` have a meaning."""
-    return Path(quote(os.fsencode(path)))
-
-
-class _Sqlite3Reader(Sqlite3Reader):
-    def __init__(self, path: Path) -> None:
-        super().__init__(_in_uri(path))
-
-
 class _Sqlite3Writer(Sqlite3Writer):
     def __init__(self, path: Path, compression: CompressionMode) -> None:
-        super().__init__(_in_uri(path), compression)
+        super().__init__(in_uri(path), compression)
         self.path = path / f"{path.name}.db3"
-
-
-class _DirectoryReader(DirectoryReader):
-    STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS, "sqlite3": _Sqlite3Reader}  # noqa: RUF012
-
-
-class _Reader(Reader):
-    STORAGE_PLUGINS = {**Reader.STORAGE_PLUGINS, "dir": _DirectoryReader, ".db3": _Sqlite3Reader}  # noqa: RUF012
 
 
 class _Writer(Writer):
@@ -296,7 +273,7 @@ class BagReader:
         storage_files(path)
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise BagError(f"{path} has no metadata.yaml: its recording was cut off; {_advice(path)}")
-        self._reader = self._explained(lambda: _Reader(path))
+        self._reader = self._explained(lambda: BagFileReader(path))
         self._explained(self._reader.open)
         self.types = _types_of(self._reader)
 
@@ -309,10 +286,19 @@ class BagReader:
     @property
     def topics(self) -> list[BagTopic]:
         """All topics, by name."""
+        announced = self._reader.announced
         found = [
-            BagTopic(name=c.topic, type=c.msgtype, count=c.msgcount, qos=_qos_of(c)) for c in self._reader.connections
+            BagTopic(
+                name=c.topic,
+                type=c.msgtype,
+                count=c.msgcount,
+                qos=_qos_of(c),
+                announced=announced.get(key, 0),
+                hash=c.digest or hash_of(c.msgtype, c.msgdef),
+            )
+            for key, c in joined(self._reader.connections).items()
         ]
-        return sorted(found, key=lambda topic: topic.name)
+        return sorted(found, key=lambda topic: (topic.name, topic.type))
 
     @property
     def start_ns(self) -> int:
@@ -329,18 +315,30 @@ class BagReader:
         """Messages."""
         return self._reader.message_count
 
-    def messages(self, topics: Sequence[str] | None = None, start_ns: int = 0) -> Iterator[tuple[str, int, bytes]]:
+    def messages(
+        self, topics: Collection[str | BagTopic] | None = None, start_ns: int = 0, stop_ns: int = 0
+    ) -> Iterator[tuple[str, int, bytes]]:
         """Yield (topic, time of reception in ns, CDR bytes) in the order of time, of all topics or the named ones.
+
+        Parameters
+        ----------
+        topics
+            Names, or topics where a name has several types; None: all.
+        start_ns, stop_ns
+            Only messages from, and before, these times; 0: no limit.
 
         Raises
         ------
         BagError
             Where the bag is broken, after the messages before that place.
         """
-        wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
+        kinds = {(t.name, t.type) for t in topics or () if isinstance(t, BagTopic)}
+        wanted = [
+            c for c in self._reader.connections if topics is None or c.topic in topics or (c.topic, c.msgtype) in kinds
+        ]
         if not wanted:
             return
-        rows = self._reader.messages(wanted, start=start_ns or None)
+        rows = self._reader.messages(wanted, start=start_ns or None, stop=stop_ns or None)
         done = 0
         while True:
             try:
@@ -362,9 +360,9 @@ class BagReader:
         BagError
             If the bag is broken, also where its index is so and does not lead to all messages.
         """
-        count = sum(1 for _ in self.messages())
-        if count != self.count:
-            raise BagError(f"{self.path} is broken: {count} of {self.count} messages are found; {_advice(self.path)}")
+        count, there = sum(1 for _ in self.messages()), sum(self._reader.announced.values()) or self.count
+        if count != there:
+            raise BagError(f"{self.path} is broken: {count} of {there} messages are found; {_advice(self.path)}")
         return count
 
     def decode(self, data: bytes, msgtype: str) -> Any:
@@ -411,27 +409,6 @@ def message_of(stored: bytes) -> bytes:
 def _types_of(reader: Reader) -> Typestore:
     texts = {c.msgtype: c.msgdef.data for c in reader.connections if c.msgdef.format is MessageDefinitionFormat.MSG}
     return with_definitions(texts)
-
-
-def with_definitions(definitions: dict[str, str]) -> Typestore:
-    types = get_typestore(Stores.ROS2_JAZZY)
-    for name, text in definitions.items():
-        if name not in types.types and text:
-            # One that cannot be understood makes only its own topics unknown.
-            with contextlib.suppress(TypesysError):
-                new = get_types_from_msg(text, name)
-                types.register({key: value for key, value in new.items() if key not in types.types})
-    return types
-
-
-def describes(types: Typestore, kind: str) -> bool:
-    """Return whether a type is known with all that it consists of, as a bag's metadata needs it."""
-    try:
-        types.generate_msgdef(kind, ros_version=2)
-        types.hash_rihs01(kind)
-    except (TypesysError, KeyError, RecursionError):  # a type may say that it contains itself
-        return False
-    return True
 
 
 def _qos_of(connection: Connection) -> tuple[Qos, ...]:

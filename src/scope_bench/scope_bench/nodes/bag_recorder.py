@@ -15,8 +15,9 @@ from rclpy.subscription import Subscription
 
 from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphNode, this_process
 from icu_common.nodes.timers import runs_by_clock_topic
+from scope_bench.adapters.bag.definitions import is_known
 from scope_bench.adapters.bag_sink import BagSink
-from scope_bench.adapters.bags import BagTopic, is_known
+from scope_bench.adapters.bags import BagTopic
 from scope_bench.nodes.bag_qos import is_large, listening_qos, message_class, recorded_qos
 
 _LOOK_S, _TAKE_S = 0.1, 0.02

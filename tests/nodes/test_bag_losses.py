@@ -1,0 +1,115 @@
+"""Player and recorder name each message that is missing, and end with a code of their own."""
+
+from __future__ import annotations
+
+import struct
+import time
+from pathlib import Path
+
+import pytest
+from foreign_bags import FORMS, STRING, TYPES, bag, text
+from nodes.bag_programs import Start
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from ros_rig import Ros
+from std_msgs.msg import String
+from visualization_msgs.msg import Marker
+
+from icu_common.nodes import qos
+from scope_bench.core.bag.account import INCOMPLETE
+from scope_bench.nodes.bag_types import installed_hash
+
+START_NS = 1_700_000_000_000_000_000
+ROWS = [("/talk", START_NS + i * 10_000_000, text(f"{i}")) for i in range(20)]
+forms = pytest.mark.parametrize("form", FORMS, ids="-".join)
+LATCHED = {"durability": 1, "depth": 1, "history": 1}
+MARKER = "visualization_msgs/msg/Marker"
+WORDS = QoSProfile(depth=1000)
+
+
+def foxy_marker() -> bytes:
+    """Return a Marker of Foxy, which has nothing about textures."""
+    data = serialize_message(Marker(ns="lab", text="a point"))
+    # Of Jazzy, behind the text: texture_resource, the texture's four fields, uv_coordinates.
+    at = data.index(b"a point\0") - 4
+    return data[:at] + struct.pack("<I", 8) + b"a point\0" + struct.pack("<I", 1) + b"\0\0\0\0" + b"\0" * 4
+
+
+@forms
+def test_all_messages_are_played_whatever_metadata_says(
+    ros: Ros, tmp_path: Path, command: Start, form: tuple[str, str]
+) -> None:
+    """Another QoS than that of the file, and a starting time behind the first message."""
+    edited = {"/talk": LATCHED}
+    folder = bag(tmp_path / "bag", form, ROWS, metadata_qos=edited, starting_ns=START_NS + 150_000_000)
+    heard = ros.collect(ros.plain("listener"), String, "/talk", WORDS)
+    assert command("bag_play", str(folder)).end().endswith("\n20 messages played\n")
+    ros.spin_until(lambda: len(heard) == 20, 40.0, lambda: len(heard))
+    assert [message.data for message in heard] == [f"{i}" for i in range(20)]
+
+
+@forms
+@pytest.mark.parametrize("allowed", [False, True], ids=["", "allowed"])
+def test_a_bag_of_unknown_types_is_not_played_in_silence(
+    tmp_path: Path, command: Start, form: tuple[str, str], allowed: bool
+) -> None:
+    folder = bag(tmp_path / "bag", form, ROWS, kinds={"/talk": "lab_msgs/msg/Note"})
+    arguments = ["--allow-missing", "/talk"] if allowed else []
+    output = command("bag_play", str(folder), "--wait", "0", *arguments).end(code=0 if allowed else INCOMPLETE)
+    loss = "missing: /talk: 20 of 20 messages: not played: lab_msgs/msg/Note is not installed here"
+    assert f"{loss}{' (allowed)' if allowed else ''}\n0 messages played\n" in output
+
+
+@forms
+def test_messages_of_an_older_definition_are_named(tmp_path: Path, command: Start, form: tuple[str, str]) -> None:
+    """No subscriber could read a Marker of Foxy as one of Jazzy."""
+    rows = [("/marker", START_NS + i, foxy_marker()) for i in range(3)] + ROWS
+    definition = {MARKER: "string ns\nstring text\nstring mesh_resource\nbool mesh_use_embedded_materials\n"}
+    folder = bag(tmp_path / "bag", form, rows, kinds={"/marker": MARKER}, definitions=definition)
+    output = command("bag_play", str(folder), "--wait", "0", "--rate", "100").end(code=INCOMPLETE)
+    assert f"missing: /marker: 3 of 3 messages: not played: {MARKER} has another definition here" in output
+    assert output.endswith("\n20 messages played\n")
+
+
+def test_messages_that_metadata_announces_and_no_file_has_are_named(tmp_path: Path, command: Start) -> None:
+    folder = bag(tmp_path / "bag", ("jazzy", "mcap"), ROWS)
+    described = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(described.replace("message_count: 20", "message_count: 25"))
+    output = command("bag_play", str(folder), "--wait", "0").end(code=INCOMPLETE)
+    assert "missing: /talk: 5 of 25 messages: metadata.yaml announces them, and no file has them\n" in output
+
+
+@forms
+def test_an_excerpt_begins_with_the_last_latched_messages(
+    ros: Ros, tmp_path: Path, command: Start, form: tuple[str, str]
+) -> None:
+    rows = [("/state", START_NS, text("old")), ("/state", START_NS + 1, text("state")), *ROWS]
+    rows += [("/calibration", START_NS + 2, text("calibration"))]
+    latched = {"/state": LATCHED, "/calibration": LATCHED}
+    folder = bag(tmp_path / "bag", form, rows, file_qos=latched)
+    listener = ros.plain("listener")
+    heard: list[str] = []
+    for name, profile in (("/state", qos.LATCHED), ("/calibration", qos.LATCHED), ("/talk", WORDS)):
+        listener.create_subscription(String, name, lambda message: heard.append(message.data), profile)
+    output = command("bag_play", str(folder), "--start-offset", "0.1").end()
+    assert output.endswith("\n12 messages played\n")
+    ros.spin_until(lambda: len(heard) == 12, 40.0, lambda: heard)
+    assert sorted(heard[:2]) == ["calibration", "state"] and heard[2:] == [f"{i}" for i in range(10, 20)]
+
+
+def test_playback_waits_until_a_slow_subscriber_is_matched(ros: Ros, tmp_path: Path, command: Start) -> None:
+    """It is found later than a second after the player's start, as on a busy computer."""
+    program = command("bag_play", str(bag(tmp_path / "bag", ("jazzy", "mcap"), ROWS[:5])))
+    watcher = ros.plain("watcher")
+    ros.spin_until(lambda: watcher.count_publishers("/talk"), 40.0)
+    until_s = time.monotonic() + 1.5
+    ros.spin_until(lambda: time.monotonic() > until_s, 40.0)
+    best_effort = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+    heard = ros.collect(ros.plain("listener"), String, "/talk", best_effort)
+    program.end()
+    ros.spin_until(lambda: len(heard) == 5, 40.0, lambda: len(heard))
+
+
+@pytest.mark.parametrize("kind", [STRING, MARKER, "sensor_msgs/msg/CameraInfo", "rcl_interfaces/msg/Log"])
+def test_the_installed_hash_is_that_of_jazzy(kind: str) -> None:
+    assert installed_hash(kind) == TYPES.hash_rihs01(kind)
