@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import struct
 import time
 from pathlib import Path
@@ -9,14 +10,18 @@ from pathlib import Path
 import pytest
 from foreign_bags import FORMS, STRING, TYPES, bag, text
 from nodes.bag_programs import Start
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from ros_rig import Ros
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker
 
 from icu_common.nodes import qos
-from scope_bench.core.bag.account import INCOMPLETE
+from scope_bench.adapters.bag_sink import BagSink
+from scope_bench.adapters.bags import BagReader, BagWriter
+from scope_bench.cli.bag_record import catch_up
+from scope_bench.core.bag.account import INCOMPLETE, Account
+from scope_bench.nodes.bag_recorder import BagRecorder
 from scope_bench.nodes.bag_types import installed_hash
 
 START_NS = 1_700_000_000_000_000_000
@@ -113,3 +118,97 @@ def test_playback_waits_until_a_slow_subscriber_is_matched(ros: Ros, tmp_path: P
 @pytest.mark.parametrize("kind", [STRING, MARKER, "sensor_msgs/msg/CameraInfo", "rcl_interfaces/msg/Log"])
 def test_the_installed_hash_is_that_of_jazzy(kind: str) -> None:
     assert installed_hash(kind) == TYPES.hash_rihs01(kind)
+
+
+BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+KEPT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def words(path: Path, topic: str = "/words") -> list[str]:
+    with BagReader(path) as found:
+        return [found.decode(data, STRING).data for _, _, data in found.messages([topic])]
+
+
+@pytest.mark.parametrize("first", [WORDS, KEPT], ids=["reliable", "latched"])
+@pytest.mark.parametrize("second", [WORDS, BEST_EFFORT], ids=["volatile", "best effort"])
+def test_a_second_publisher_of_another_qos_is_recorded(
+    ros: Ros, tmp_path: Path, first: QoSProfile, second: QoSProfile
+) -> None:
+    talker = ros.plain("talker")
+    one = talker.create_publisher(String, "words", first)
+    one.publish(String(data="kept"))
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
+    recorder = ros.node(lambda **options: BagRecorder(sink, ["words"], **options))
+    ros.spin_until(one.get_subscription_count, 40.0)
+    other = talker.create_publisher(String, "words", second)
+    ros.spin_until(other.get_subscription_count, 40.0)
+    ros.spin_until(lambda: recorder.listens, 40.0)
+    for i in range(20):
+        one.publish(String(data=f"one {i}"))
+        other.publish(String(data=f"other {i}"))
+        known = 2 * (i + 1) + (first is KEPT)
+        ros.spin_until(lambda known=known: sink.messages >= known, 40.0, lambda: sink.messages)
+    sink.close()
+    recorder.account_for_losses()
+    heard = words(tmp_path / "bag")
+    kept = ["kept"] if first is KEPT else []
+    assert sorted(heard) == sorted(kept + [f"{who} {i}" for who in ("one", "other") for i in range(20)])
+    with BagReader(tmp_path / "bag") as found:
+        offered = {(q.reliability.name, q.durability.name) for q in found.topics[0].qos}
+    assert offered == {(q.reliability.name, q.durability.name) for q in (first, second)}
+
+
+def test_a_publisher_that_returns_with_another_qos_is_recorded(ros: Ros, tmp_path: Path) -> None:
+    talker = ros.plain("talker")
+    sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
+    ros.node(lambda **options: BagRecorder(sink, ["words"], **options))
+    for number, profile in enumerate((KEPT, WORDS, BEST_EFFORT)):
+        output = talker.create_publisher(String, "words", profile)
+        ros.spin_until(output.get_subscription_count, 40.0)
+        output.publish(String(data=f"{number}"))
+        ros.spin_until(lambda number=number: sink.messages > number, 40.0, lambda: sink.messages)
+        talker.destroy_publisher(output)
+    sink.close()
+    assert words(tmp_path / "bag") == ["0", "1", "2"]
+
+
+def test_a_name_that_returns_with_another_type_is_named(ros: Ros, tmp_path: Path, command: Start) -> None:
+    talker = ros.plain("talker")
+    output = talker.create_publisher(String, "words", KEPT)
+    output.publish(String(data="word"))
+    program = command("bag_record", "/words", "-o", str(tmp_path / "bag"))
+    ros.spin_until(output.get_subscription_count, 40.0)
+    talker.destroy_publisher(output)
+    talker.create_publisher(Header, "words", KEPT)
+    assert program.process.stdout is not None
+    said = "/words is not recorded: as std_msgs/msg/Header, beside std_msgs/msg/String"
+    assert any(said in line for line in program.process.stdout)
+    loss = "missing: /words: all messages: not recorded: as std_msgs/msg/Header, beside std_msgs/msg/String"
+    assert loss in program.end(signal.SIGINT, code=INCOMPLETE)
+    assert words(tmp_path / "bag") == ["word"]
+
+
+def test_messages_that_the_middleware_loses_are_counted(ros: Ros, tmp_path: Path) -> None:
+    """A publisher of best effort that is faster than the queue of a recorder that is held up."""
+    output = ros.plain("talker").create_publisher(String, "words", BEST_EFFORT)
+    sink, account = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0)), Account()
+    recorder = BagRecorder(sink, ["words"], account=account, context=ros.context)
+
+    def heard() -> int:
+        recorder.look()
+        return int(output.get_subscription_count())
+
+    ros.spin_until(heard, 40.0)
+    output.publish(String(data="first"))
+    ros.spin_until(lambda: recorder.take() or sink.messages, 40.0)
+    for number in range(1500):  # the queue keeps 1000
+        output.publish(String(data=f"{number}"))
+    output.publish(String(data="last"))
+    catch_up(recorder)
+    recorder.account_for_losses()
+    recorder.destroy_node()
+    sink.close()
+    assert 0 < account.count == 1502 - sink.messages and not account.complete
+    assert account.lines() == [
+        f"missing: /words: {account.count} messages: sent, and lost before the recorder took them"
+    ]

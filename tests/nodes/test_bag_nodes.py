@@ -44,6 +44,7 @@ from scope_bench.core.bag.account import INCOMPLETE
 from scope_bench.nodes.bag_player import BagPlayer
 from scope_bench.nodes.bag_qos import playing_qos, recorded_qos
 from scope_bench.nodes.bag_recorder import BagRecorder
+from scope_bench.nodes.topic_ear import TopicEar
 
 ROOT = Path(__file__).resolve().parents[2]
 WHOLE = QoSProfile(depth=1000)
@@ -305,7 +306,8 @@ def test_where_the_middleware_does_not_tell_when_a_message_came_the_time_is_that
     recorder = ros.node(lambda **options: BagRecorder(sink, ["none"], **options))
     handle = SimpleNamespace(take_message=lambda kind, raw: waiting.pop() if waiting else None)
     taken = SimpleNamespace(handle=handle, msg_type=String, callback=lambda data: told.append((data, len(rows))))
-    recorder._heard["/words"] = taken, 5
+    recorder._heard["/words"] = TopicEar("std_msgs/msg/String", lambda profile: taken, 5)
+    recorder._heard["/words"].follow([qos.RESULTS])
     begun_ns = time.time_ns()
     assert recorder.take() == 1
     ((name, stamp_ns, data),) = rows

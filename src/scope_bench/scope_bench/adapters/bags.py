@@ -15,8 +15,7 @@ import sqlite3
 import struct
 import sys
 import time
-import zlib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -24,19 +23,19 @@ from typing import Any, TypeVar
 
 import apsw
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from scope_bench.adapters.bag.definitions import describes, hash_of, with_definitions
-from scope_bench.adapters.bag.readers import BagFileReader, in_uri, joined
+from scope_bench.adapters.bag.readers import BagFileReader, joined
+from scope_bench.adapters.bag.writers import PartWriter
 
 STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 _CHECKPOINT_S = 1.0
 _BETWEEN_DISK_CHECKS = 1 << 20
-_CHECKSUM_AT = 9 + 3 * 8  # in a chunk's record, after its kind and length, two times and a size
 ZSTD: Any = importlib.import_module(
     "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
 )  # as rosbags
@@ -82,33 +81,6 @@ class BagTopic:
     hash: str = ""
 
 
-class _McapWriter(McapWriter):
-    """Writes the checksum of each chunk, by which damage is seen later; rosbags leaves it out."""
-
-    def close_chunk(self) -> None:
-        if not self.chunk.msgs:
-            self.chunk.message_start_time = 0  # as the format wants it; rosbags leaves the end of all times there
-        start, checksum = self.bio.tell(), zlib.crc32(self.chunk.bio.getvalue())
-        super().close_chunk()
-        end = self.bio.tell()
-        self.bio.seek(start + _CHECKSUM_AT)
-        self.bio.write(checksum.to_bytes(4, "little"))
-        self.bio.seek(end)
-
-
-class _Sqlite3Writer(Sqlite3Writer):
-    def __init__(self, path: Path, compression: CompressionMode) -> None:
-        super().__init__(in_uri(path), compression)
-        self.path = path / f"{path.name}.db3"
-
-
-class _Writer(Writer):
-    STORAGE_PLUGINS = {  # noqa: RUF012
-        StoragePlugin.MCAP: _McapWriter,
-        StoragePlugin.SQLITE3: _Sqlite3Writer,
-    }
-
-
 class BagWriter:
     """Writes one bag; ``close`` makes it complete.
 
@@ -124,6 +96,10 @@ class BagWriter:
         Definitions of the message types; those of Jazzy's common interfaces are known.
     zstd
         Compress the whole file; what pictures have in common is then kept once.
+    zstd_chunks
+        Compress each chunk of an MCAP file, while it is written.
+    split_bytes, split_ns
+        Begin another file after so many bytes of messages, or after such a time; None: one file.
 
     Attributes
     ----------
@@ -145,7 +121,16 @@ class BagWriter:
         keep_free: int = 64 << 20,
         types: Typestore | None = None,
         zstd: bool = False,
+        zstd_chunks: bool = False,
+        split_bytes: int | None = None,
+        split_ns: int | None = None,
     ) -> None:
+        if zstd_chunks and (zstd or storage != "mcap"):
+            raise BagError(f"chunks are compressed in MCAP files that are not compressed as a whole, not in {storage}")
+        if zstd and (split_bytes or split_ns):
+            raise BagError("a bag that is compressed as a whole has one file")
+        self._split_bytes, self._split_ns = split_bytes or sys.maxsize, split_ns or sys.maxsize
+        self._part_bytes, self._part_begun_ns = 0, 0
         self.path, self._keep_free = path, keep_free
         self.types = types or get_typestore(Stores.ROS2_JAZZY)
         self._connections: dict[str, Connection] = {}
@@ -155,9 +140,10 @@ class BagWriter:
         self._check_disk(next(place for place in (path.absolute(), *path.absolute().parents) if place.is_dir()))
         try:
             # The version of metadata.yaml that Jazzy writes.
-            self._writer = _Writer(path, version=9, storage_plugin=STORAGES[storage])
-            if zstd:
-                self._writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+            self._writer = PartWriter(path, version=9, storage_plugin=STORAGES[storage])
+            if zstd or zstd_chunks:
+                mode = CompressionMode.FILE if zstd else CompressionMode.STORAGE
+                self._writer.set_compression(mode, CompressionFormat.ZSTD)
             self._writer.open()
         except (OSError, WriterError, sqlite3.Error) as error:
             raise BagError(f"{path} cannot be made: {error}") from error
@@ -179,6 +165,10 @@ class BagWriter:
             )
         self._note_change()
 
+    def change_qos(self, topic: str, qos: Sequence[Qos]) -> None:
+        """Replace the profiles of a topic; those in the file stay the first ones, metadata.yaml gets the last."""
+        self._connections[topic] = self._writer.change_qos(self._connections[topic], qos)
+
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Append a message that was received at ``stamp_ns``.
 
@@ -192,6 +182,14 @@ class BagWriter:
             self._check_disk(self.path)
             self._unchecked = 0
         with self._explaining():
+            if self._part_bytes and (
+                self._part_bytes + len(data) > self._split_bytes or stamp_ns - self._part_begun_ns >= self._split_ns
+            ):
+                self._writer.next_part()
+                self._part_bytes = 0
+            if not self._part_bytes:
+                self._part_begun_ns = stamp_ns
+            self._part_bytes += len(data)
             self._writer.write(self._connections[topic], stamp_ns, data)
         self._note_change()
         self.messages += 1

@@ -22,15 +22,19 @@ class SequenceGaps:
 
     def __init__(self) -> None:
         self._publishers: list[_Publisher] = []
+        self._newest_ns = 0
         self.lost = 0
 
-    def add(self, number: int, publishers: int) -> None:
-        """Add a received message's number; ``publishers`` is how many the topic has now."""
+    def add(self, number: int, publishers: int, sent_ns: int = 0) -> None:
+        """Add a received message's number and time; ``publishers`` is how many the topic has now."""
         for one in self._publishers:
             if number in one.open:  # it came out of order
                 one.open.remove(number)
                 self.lost -= 1
                 return
+        if sent_ns < self._newest_ns:
+            return  # kept for late subscribers: it says nothing about the messages behind it
+        self._newest_ns = sent_ns
         below = [one for one in self._publishers if one.last < number]
         nearest = max(below, key=lambda one: one.last, default=None)
         new = len(self._publishers) < publishers and (nearest is None or nearest.last + 1 != number)
