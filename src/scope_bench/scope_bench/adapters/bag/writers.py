@@ -2,35 +2,84 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import yaml
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, Qos
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from scope_bench.adapters.bag.readers import in_uri
 
-_CHECKSUM_AT = 9 + 3 * 8  # in a chunk's record, after its kind and length, two times and a size
+_CHUNK_BYTES = 1 << 20
+# Records of MCAP: https://mcap.dev/spec
+_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
+_MESSAGE = struct.Struct("<BQHIQQ")
+_CHUNK = struct.Struct("<QQQI")
+_INDEX = struct.Struct("<BQHI")
+_ENTRY = struct.Struct("<QQ")
+_OFFSET = struct.Struct("<HQ")
+_SPAN = struct.Struct("<QQQQ")
 
 
 class ChecksumMcapWriter(McapWriter):
-    """Writes the checksum of each chunk, by which damage is seen later; rosbags leaves it out."""
+    """Writes the checksum of each chunk, by which damage is seen later, and copies a message once.
+
+    rosbags leaves the checksum out, and copies each message five times.
+    """
+
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
+        """Append a message to the chunk."""
+        self.message_start_time = min(timestamp, self.message_start_time)
+        self.message_end_time = max(timestamp, self.message_end_time)
+        self.channel_stats[connection.id] += 1
+        chunk = self.chunk
+        chunk.message_start_time = min(timestamp, chunk.message_start_time)
+        chunk.message_end_time = max(timestamp, chunk.message_end_time)
+        chunk.msgs[connection.id].append((timestamp, chunk.bio.tell()))
+        chunk.bio.write(_MESSAGE.pack(0x05, _MESSAGE.size - 9 + len(data), connection.id, 0, timestamp, timestamp))
+        chunk.bio.write(data)
+        if chunk.bio.tell() > _CHUNK_BYTES:
+            self.close_chunk()
 
     def close_chunk(self) -> None:
-        """Write the chunk."""
-        if not self.chunk.msgs:
-            self.chunk.message_start_time = 0  # as the format wants it; rosbags leaves the end of all times there
-        start, checksum = self.bio.tell(), zlib.crc32(self.chunk.bio.getbuffer())
-        super().close_chunk()
-        end = self.bio.tell()
-        self.bio.seek(start + _CHECKSUM_AT)
-        self.bio.write(checksum.to_bytes(4, "little"))
-        self.bio.seek(end)
+        """Write the chunk and its indexes."""
+        chunk, size = self.chunk, self.chunk.bio.tell()
+        # A chunk without messages has times of 0, as the format wants it.
+        first = chunk.message_start_time if chunk.msgs else 0
+        last = chunk.message_end_time
+        content = chunk.bio.getbuffer()
+        packed = self.compressor(chunk.bio.getvalue()) if self.compression else content
+        name = _text(self.compression)
+        head = _CHUNK.pack(first, last, size, zlib.crc32(content)) + name + _U64.pack(len(packed))
+        start = self.bio.tell()
+        self.bio.write(b"\x06" + _U64.pack(len(head) + len(packed)) + head)
+        self.bio.write(packed)
+        indexes_at = end = start + 9 + len(head) + len(packed)
+        offsets = []
+        for number, messages in chunk.msgs.items():
+            offsets.append(_OFFSET.pack(number, end))
+            index = b"".join(_ENTRY.pack(*entry) for entry in messages)
+            record = _INDEX.pack(0x07, _INDEX.size - 9 + len(index), number, len(index)) + index
+            self.bio.write(record)
+            end += len(record)
+        summary = _SPAN.pack(first, last, start, indexes_at - start) + _U32.pack(len(offsets) * _OFFSET.size)
+        summary += b"".join(offsets) + _U64.pack(end - indexes_at) + name + _ENTRY.pack(len(packed), size)
+        record_of_chunk = BytesIO()
+        record_of_chunk.write(summary)
+        self.chunks.append(record_of_chunk)
+        self.chunk = PendingChunk(2**63 - 1, 0, BytesIO(), defaultdict(list))
+
+
+def _text(value: str) -> bytes:
+    return _U32.pack(len(value.encode())) + value.encode()
 
 
 class UriSqlite3Writer(Sqlite3Writer):
