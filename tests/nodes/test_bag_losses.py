@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from foreign_bags import FORMS, STRING, TYPES, bag, text
 from nodes.bag_programs import Start
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from ros_rig import Ros
@@ -178,6 +179,7 @@ def test_a_name_that_returns_with_another_type_is_named(ros: Ros, tmp_path: Path
     output.publish(String(data="word"))
     program = command("bag_record", "/words", "-o", str(tmp_path / "bag"))
     ros.spin_until(output.get_subscription_count, 40.0)
+    assert output.wait_for_all_acked(Duration(seconds=40))
     talker.destroy_publisher(output)
     talker.create_publisher(Header, "words", KEPT)
     assert program.process.stdout is not None
