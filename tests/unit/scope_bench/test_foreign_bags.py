@@ -10,6 +10,7 @@ from foreign_bags import FORMS, STRING, STRING_HASH, bag, text
 from rosbags.interfaces import QosDurability, QosReliability
 
 from scope_bench.adapters.bags import BagReader, BagTopic
+from scope_bench.cli.bag_info import description
 from scope_bench.core.bag.account import Account
 from scope_bench.core.bag.sequence_gaps import SequenceGaps
 
@@ -50,6 +51,7 @@ def test_a_topic_that_metadata_does_not_name_is_read(tmp_path: Path, form: tuple
     with BagReader(folder) as found:
         assert list(found.messages()) == ROWS
         assert [(t.name, t.count, t.announced) for t in found.topics] == [("/state", 10, 12), ("/talk", 20, 0)]
+        assert "metadata.yaml announces 12 messages, 10 are in the files" in description(found)
 
 
 @forms

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rclpy.serialization import deserialize_message, serialize_message
 
+from scope_bench.adapters.bag.definitions import written_hash
 from scope_bench.adapters.bags import BagReader, BagTopic
 from scope_bench.nodes.bag_qos import message_class
 
@@ -41,7 +42,8 @@ def type_problem(bag: BagReader, topic: BagTopic) -> str:
         return f"{topic.type} is not installed here"
     installed = installed_hash(topic.type)
     if topic.hash and installed:
-        return "" if topic.hash == installed else f"{topic.type} has another definition here than in the bag"
+        same = topic.hash in (installed, written_hash(topic.type))
+        return "" if same else f"{topic.type} has another definition here than in the bag"
     first = next((data for _, _, data in bag.messages([topic])), None)
     if first is None:
         return ""

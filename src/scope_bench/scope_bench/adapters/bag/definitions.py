@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import re
 
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+
+_CHAR = re.compile(r"^\s*char\b", re.MULTILINE)
 
 
 def is_known(kind: str) -> bool:
@@ -18,6 +21,11 @@ def is_known(kind: str) -> bool:
 @functools.cache
 def _known_types() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
+
+
+def written_hash(kind: str) -> str:
+    """Return the hash that a bag of this project has for a type of Jazzy, "" for any other type."""
+    return _known_types().hash_rihs01(kind) if is_known(kind) else ""
 
 
 def with_definitions(definitions: dict[str, str]) -> Typestore:
@@ -43,8 +51,11 @@ def describes(types: Typestore, kind: str) -> bool:
 
 
 def hash_of(kind: str, definition: MessageDefinition) -> str:
-    """Return the hash of a definition, "" if it is none or cannot be understood."""
-    if definition.format is not MessageDefinitionFormat.MSG:
+    """Return the hash of a definition, "" if it is none or cannot be understood.
+
+    rosbags reads ``char`` as ``uint8``, which has the same bytes and another hash.
+    """
+    if definition.format is not MessageDefinitionFormat.MSG or _CHAR.search(definition.data):
         return ""
     types = get_typestore(Stores.EMPTY)
     try:
