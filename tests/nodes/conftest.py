@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
+from nodes.bag_programs import Command, Start
 from rclpy.context import Context
 from rclpy.duration import Duration
 from ros_rig import Ros, domain_of_worker
@@ -45,3 +47,18 @@ def ros(domain: int, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator
     finally:
         rig.close()
         rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def command(ros: Ros, tmp_path: Path) -> Iterator[Start]:
+    """Start bag programs that do not outlive the test."""
+    started: list[Command] = []
+
+    def start(name: str, *arguments: str) -> Command:
+        started.append(Command(ros, tmp_path, name, arguments))
+        return started[-1]
+
+    yield start
+    for program in started:
+        with program.process:
+            program.process.kill()

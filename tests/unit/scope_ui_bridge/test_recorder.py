@@ -181,6 +181,17 @@ def test_why_nothing_can_be_recorded_is_told(
     assert capfd.readouterr().err == said, "the log has it, too"
 
 
+def test_a_recording_with_losses_is_a_bag_with_the_number_of_them(tmp_path: Path) -> None:
+    end = 'echo "$2: 7 messages, 0.1 MB, 2 dropped"\nexit 3\n'
+    program = made(tmp_path / "record", f"#!/bin/sh\necho recording\n{end}")
+    answers: queue.Queue[tuple[bool, str]] = queue.Queue()
+    recorder = Recorder(str(tmp_path / "sessions"), program, ended=lambda ok, text: answers.put((ok, text)))
+    recorder.start(lambda ok, text: answers.put((ok, text)))
+    bag = answers.get(timeout=WITHIN_S)[1].removeprefix("recording to ")
+    assert answers.get(timeout=WITHIN_S) == (True, f"recorded to {bag}: 7 messages, 0.1 MB, 2 dropped")
+    recorder.close()
+
+
 def test_a_recording_that_ends_by_itself_is_told(tmp_path: Path) -> None:
     end = "echo 'session: 7 messages'\necho 'error: the recording has ended: the disk is full' >&2\nexit 1\n"
     program = made(tmp_path / "record", f"#!/bin/sh\necho recording\n{end}")

@@ -16,6 +16,7 @@ from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 from rosbags.typesys.store import Typestore
 
 from icu_common.core.yaml_text import UNREADABLE
+from scope_bench.adapters.bag.definitions import describes, with_definitions
 from scope_bench.adapters.bags import (
     READ_ERRORS,
     ZIPPED,
@@ -23,12 +24,10 @@ from scope_bench.adapters.bags import (
     BagError,
     BagTopic,
     BagWriter,
-    describes,
     message_of,
     plain_name,
     reason_of,
     storage_files,
-    with_definitions,
 )
 from scope_bench.core.mcap_records import whole_messages
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
 
 from scope_bench.adapters.bag_pictures import BESIDE, COMPRESSED, IMAGE, SUFFIX, PictureCodec
 from scope_bench.adapters.bags import BagError, BagTopic, BagWriter
+from scope_bench.core.bag.image_gate import ImageGate
 
 _LARGE = 1 << 16
 """Bytes of a message from which on it counts as one of pictures or clouds."""
@@ -25,13 +26,19 @@ class BagSink:
         Compresses pictures; None: they are written as they are, and so are those that it cannot compress.
     limit_bytes
         The most that may wait. Pictures and clouds leave a part of it to what is small: that is said once.
+    rates_hz
+        Maximum rate of topics.
 
     Attributes
     ----------
     failure
         Why nothing is written any more, else empty.
     dropped
-        Messages for which there was no room.
+        Messages that are not in the bag though they came: for which there was no room, or after a failure.
+    dropped_by_topic
+        The same by topic.
+    thinned
+        Messages that are left out because of ``rates_hz``.
     messages, bytes
         What is in the bag.
 
@@ -42,11 +49,19 @@ class BagSink:
     """
 
     def __init__(
-        self, open_writer: Callable[[], BagWriter], codec: PictureCodec | None = None, *, limit_bytes: int = 256 << 20
+        self,
+        open_writer: Callable[[], BagWriter],
+        codec: PictureCodec | None = None,
+        *,
+        limit_bytes: int = 256 << 20,
+        rates_hz: Mapping[str, float] | None = None,
     ) -> None:
         self._open, self._codec, self._limit = open_writer, codec, limit_bytes
         self._waiting: deque[BagTopic | tuple[str, int, bytes]] = deque()
-        self._size = self.dropped = self.messages = self.bytes = 0
+        self._size = self.messages = self.bytes = self.thinned = 0
+        self.dropped_by_topic: Counter[str] = Counter()
+        self._gate = ImageGate(rates_hz)
+        self._topics: set[str] = set()
         self.failure = ""
         self._ending = self._opened = False
         self._pictures: dict[str, BagTopic] = {}
@@ -64,15 +79,29 @@ class BagSink:
     def add_topic(self, topic: BagTopic) -> None:
         """Announce a topic; an unknown type becomes the failure."""
         with self._change:
+            self._topics.add(topic.name)
             self._waiting.append(topic)
             self._change.notify()
+
+    @property
+    def dropped(self) -> int:
+        """Messages that came and are not in the bag."""
+        return self.dropped_by_topic.total()
 
     def put(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Hand over a message."""
         with self._change:
-            room = self._limit * 7 // 8 if len(data) >= _LARGE else self._limit
-            if self._size + len(data) > room or self.failure:
-                self.dropped += 1
+            if len(data) >= _LARGE and not self.failure:
+                reason = self._gate.decide(topic, data, self._size, self._limit * 7 // 8, self._topics)
+            elif self._size + len(data) > self._limit or self.failure:
+                reason = "room"
+            else:
+                reason = "rate" if self._gate.too_fast(topic, stamp_ns) else ""
+            if reason:
+                if reason == "rate":
+                    self.thinned += 1
+                else:
+                    self.dropped_by_topic[topic] += 1
                 return
             self._waiting.append((topic, stamp_ns, data))
             self._size += len(data)
@@ -125,6 +154,10 @@ class BagSink:
         if isinstance(item, BagTopic):
             if self._codec is not None and item.type == IMAGE:
                 self._pictures[item.name] = item  # its pictures tell whether they can be compressed
+                for name in {item.name, self._packed_names.get(item.name, item.name)} & self._announced:
+                    writer.change_qos(name, item.qos)
+            elif item.name in self._announced:
+                writer.change_qos(item.name, item.qos)
             else:
                 self._add(writer, item)
             return

@@ -8,36 +8,34 @@ system within a second. What was cut off nevertheless is made whole by ``bag_rep
 from __future__ import annotations
 
 import contextlib
-import functools
 import importlib
-import os
 import shlex
 import shutil
 import sqlite3
 import struct
 import sys
 import time
-import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
-from urllib.parse import quote
 
 import apsw
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, Writer, WriterError
-from rosbags.rosbag2.reader import DirectoryReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader, Sqlite3Writer
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
+
+from scope_bench.adapters.bag.definitions import describes, hash_of, with_definitions
+from scope_bench.adapters.bag.readers import BagFileReader, joined
+from scope_bench.adapters.bag.writers import PartWriter
 
 STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 _CHECKPOINT_S = 1.0
 _BETWEEN_DISK_CHECKS = 1 << 20
-_CHECKSUM_AT = 9 + 3 * 8  # in a chunk's record, after its kind and length, two times and a size
 ZSTD: Any = importlib.import_module(
     "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
 )  # as rosbags
@@ -66,70 +64,21 @@ class BagTopic:
     name, type
         As in ROS, the type as ``package/msg/Name``.
     count
-        Messages.
+        Messages in the files.
     qos
         The profiles that its publishers offered.
+    announced
+        Messages that metadata.yaml announces.
+    hash
+        That of the type's definition in the bag (RIHS01), "" if the bag has none.
     """
 
     name: str
     type: str
     count: int = 0
     qos: tuple[Qos, ...] = ()
-
-
-def is_known(kind: str) -> bool:
-    """Return whether a bag can describe messages of this type without being given its definition."""
-    return kind in _known_types().types
-
-
-@functools.cache
-def _known_types() -> Typestore:
-    return get_typestore(Stores.ROS2_JAZZY)
-
-
-class _McapWriter(McapWriter):
-    """Writes the checksum of each chunk, by which damage is seen later; rosbags leaves it out."""
-
-    def close_chunk(self) -> None:
-        if not self.chunk.msgs:
-            self.chunk.message_start_time = 0  # as the format wants it; rosbags leaves the end of all times there
-        start, checksum = self.bio.tell(), zlib.crc32(self.chunk.bio.getvalue())
-        super().close_chunk()
-        end = self.bio.tell()
-        self.bio.seek(start + _CHECKSUM_AT)
-        self.bio.write(checksum.to_bytes(4, "little"))
-        self.bio.seek(end)
-
-
-def _in_uri(path: Path) -> Path:
-    """Return a path as in the URI by which rosbags opens sqlite, where ``#``, ``?`` and ``%`` have a meaning."""
-    return Path(quote(os.fsencode(path)))
-
-
-class _Sqlite3Reader(Sqlite3Reader):
-    def __init__(self, path: Path) -> None:
-        super().__init__(_in_uri(path))
-
-
-class _Sqlite3Writer(Sqlite3Writer):
-    def __init__(self, path: Path, compression: CompressionMode) -> None:
-        super().__init__(_in_uri(path), compression)
-        self.path = path / f"{path.name}.db3"
-
-
-class _DirectoryReader(DirectoryReader):
-    STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS, "sqlite3": _Sqlite3Reader}  # noqa: RUF012
-
-
-class _Reader(Reader):
-    STORAGE_PLUGINS = {**Reader.STORAGE_PLUGINS, "dir": _DirectoryReader, ".db3": _Sqlite3Reader}  # noqa: RUF012
-
-
-class _Writer(Writer):
-    STORAGE_PLUGINS = {  # noqa: RUF012
-        StoragePlugin.MCAP: _McapWriter,
-        StoragePlugin.SQLITE3: _Sqlite3Writer,
-    }
+    announced: int = 0
+    hash: str = ""
 
 
 class BagWriter:
@@ -147,6 +96,10 @@ class BagWriter:
         Definitions of the message types; those of Jazzy's common interfaces are known.
     zstd
         Compress the whole file; what pictures have in common is then kept once.
+    zstd_chunks
+        Compress each chunk of an MCAP file, while it is written.
+    split_bytes, split_ns
+        Begin another file after so many bytes of messages, or after such a time; None: one file.
 
     Attributes
     ----------
@@ -168,7 +121,16 @@ class BagWriter:
         keep_free: int = 64 << 20,
         types: Typestore | None = None,
         zstd: bool = False,
+        zstd_chunks: bool = False,
+        split_bytes: int | None = None,
+        split_ns: int | None = None,
     ) -> None:
+        if zstd_chunks and (zstd or storage != "mcap"):
+            raise BagError(f"chunks are compressed in MCAP files that are not compressed as a whole, not in {storage}")
+        if zstd and (split_bytes or split_ns):
+            raise BagError("a bag that is compressed as a whole has one file")
+        self._split_bytes, self._split_ns = split_bytes or sys.maxsize, split_ns or sys.maxsize
+        self._part_bytes, self._part_begun_ns = 0, 0
         self.path, self._keep_free = path, keep_free
         self.types = types or get_typestore(Stores.ROS2_JAZZY)
         self._connections: dict[str, Connection] = {}
@@ -178,9 +140,10 @@ class BagWriter:
         self._check_disk(next(place for place in (path.absolute(), *path.absolute().parents) if place.is_dir()))
         try:
             # The version of metadata.yaml that Jazzy writes.
-            self._writer = _Writer(path, version=9, storage_plugin=STORAGES[storage])
-            if zstd:
-                self._writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+            self._writer = PartWriter(path, version=9, storage_plugin=STORAGES[storage])
+            if zstd or zstd_chunks:
+                mode = CompressionMode.FILE if zstd else CompressionMode.STORAGE
+                self._writer.set_compression(mode, CompressionFormat.ZSTD)
             self._writer.open()
         except (OSError, WriterError, sqlite3.Error) as error:
             raise BagError(f"{path} cannot be made: {error}") from error
@@ -202,6 +165,10 @@ class BagWriter:
             )
         self._note_change()
 
+    def change_qos(self, topic: str, qos: Sequence[Qos]) -> None:
+        """Replace the profiles of a topic; those in the file stay the first ones, metadata.yaml gets the last."""
+        self._connections[topic] = self._writer.change_qos(self._connections[topic], qos)
+
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Append a message that was received at ``stamp_ns``.
 
@@ -215,6 +182,14 @@ class BagWriter:
             self._check_disk(self.path)
             self._unchecked = 0
         with self._explaining():
+            if self._part_bytes and (
+                self._part_bytes + len(data) > self._split_bytes or stamp_ns - self._part_begun_ns >= self._split_ns
+            ):
+                self._writer.next_part()
+                self._part_bytes = 0
+            if not self._part_bytes:
+                self._part_begun_ns = stamp_ns
+            self._part_bytes += len(data)
             self._writer.write(self._connections[topic], stamp_ns, data)
         self._note_change()
         self.messages += 1
@@ -296,7 +271,7 @@ class BagReader:
         storage_files(path)
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise BagError(f"{path} has no metadata.yaml: its recording was cut off; {_advice(path)}")
-        self._reader = self._explained(lambda: _Reader(path))
+        self._reader = self._explained(lambda: BagFileReader(path))
         self._explained(self._reader.open)
         self.types = _types_of(self._reader)
 
@@ -309,10 +284,19 @@ class BagReader:
     @property
     def topics(self) -> list[BagTopic]:
         """All topics, by name."""
+        announced = self._reader.announced
         found = [
-            BagTopic(name=c.topic, type=c.msgtype, count=c.msgcount, qos=_qos_of(c)) for c in self._reader.connections
+            BagTopic(
+                name=c.topic,
+                type=c.msgtype,
+                count=c.msgcount,
+                qos=_qos_of(c),
+                announced=announced.get(key, 0),
+                hash=c.digest or hash_of(c.msgtype, c.msgdef),
+            )
+            for key, c in joined(self._reader.connections).items()
         ]
-        return sorted(found, key=lambda topic: topic.name)
+        return sorted(found, key=lambda topic: (topic.name, topic.type))
 
     @property
     def start_ns(self) -> int:
@@ -329,18 +313,30 @@ class BagReader:
         """Messages."""
         return self._reader.message_count
 
-    def messages(self, topics: Sequence[str] | None = None, start_ns: int = 0) -> Iterator[tuple[str, int, bytes]]:
+    def messages(
+        self, topics: Collection[str | BagTopic] | None = None, start_ns: int = 0, stop_ns: int = 0
+    ) -> Iterator[tuple[str, int, bytes]]:
         """Yield (topic, time of reception in ns, CDR bytes) in the order of time, of all topics or the named ones.
+
+        Parameters
+        ----------
+        topics
+            Names, or topics where a name has several types; None: all.
+        start_ns, stop_ns
+            Only messages from, and before, these times; 0: no limit.
 
         Raises
         ------
         BagError
             Where the bag is broken, after the messages before that place.
         """
-        wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
+        kinds = {(t.name, t.type) for t in topics or () if isinstance(t, BagTopic)}
+        wanted = [
+            c for c in self._reader.connections if topics is None or c.topic in topics or (c.topic, c.msgtype) in kinds
+        ]
         if not wanted:
             return
-        rows = self._reader.messages(wanted, start=start_ns or None)
+        rows = self._reader.messages(wanted, start=start_ns or None, stop=stop_ns or None)
         done = 0
         while True:
             try:
@@ -362,9 +358,9 @@ class BagReader:
         BagError
             If the bag is broken, also where its index is so and does not lead to all messages.
         """
-        count = sum(1 for _ in self.messages())
-        if count != self.count:
-            raise BagError(f"{self.path} is broken: {count} of {self.count} messages are found; {_advice(self.path)}")
+        count, there = sum(1 for _ in self.messages()), sum(self._reader.announced.values()) or self.count
+        if count != there:
+            raise BagError(f"{self.path} is broken: {count} of {there} messages are found; {_advice(self.path)}")
         return count
 
     def decode(self, data: bytes, msgtype: str) -> Any:
@@ -411,27 +407,6 @@ def message_of(stored: bytes) -> bytes:
 def _types_of(reader: Reader) -> Typestore:
     texts = {c.msgtype: c.msgdef.data for c in reader.connections if c.msgdef.format is MessageDefinitionFormat.MSG}
     return with_definitions(texts)
-
-
-def with_definitions(definitions: dict[str, str]) -> Typestore:
-    types = get_typestore(Stores.ROS2_JAZZY)
-    for name, text in definitions.items():
-        if name not in types.types and text:
-            # One that cannot be understood makes only its own topics unknown.
-            with contextlib.suppress(TypesysError):
-                new = get_types_from_msg(text, name)
-                types.register({key: value for key, value in new.items() if key not in types.types})
-    return types
-
-
-def describes(types: Typestore, kind: str) -> bool:
-    """Return whether a type is known with all that it consists of, as a bag's metadata needs it."""
-    try:
-        types.generate_msgdef(kind, ros_version=2)
-        types.hash_rihs01(kind)
-    except (TypesysError, KeyError, RecursionError):  # a type may say that it contains itself
-        return False
-    return True
 
 
 def _qos_of(connection: Connection) -> tuple[Qos, ...]:

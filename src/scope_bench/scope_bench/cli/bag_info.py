@@ -62,6 +62,10 @@ def description(bag: BagReader) -> str:
         rate = f"{topic.count / seconds:8.1f} Hz" if seconds else " " * 11
         kinds = {f"{qos.reliability.name.lower()}, {qos.durability.name.lower()}" for qos in topic.qos}
         lines.append(f"  {topic.name:<{width}} {topic.count:7d} {rate}  {topic.type}  {'; '.join(sorted(kinds))}")
+        if topic.announced > topic.count:
+            lines.append(
+                f"  {'':<{width}} metadata.yaml announces {topic.announced} messages, {topic.count} are in the files"
+            )
     return "\n".join(lines)
 
 

@@ -12,7 +12,10 @@ import math
 import os
 import sys
 import time
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Sequence
+
+from rclpy.qos import DurabilityPolicy
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.step_ledger import LEDGER_VARIABLE, ledger_path
@@ -22,9 +25,11 @@ from icu_common.nodes.runtime import Session, ros_session
 from scope_bench.adapters.bag_pictures import SUFFIX
 from scope_bench.adapters.bags import BagError, BagReader, BagTopic
 from scope_bench.cli.progress import ProgressLine
+from scope_bench.core.bag.account import INCOMPLETE, Account
 from scope_bench.core.play_clock import PlayClock, progress_bar
 from scope_bench.nodes.bag_player import ASIDE, MOVING, BagPlayer
-from scope_bench.nodes.bag_qos import message_class
+from scope_bench.nodes.bag_qos import playing_qos
+from scope_bench.nodes.bag_types import type_problem
 from scope_bench.nodes.step_player import StepPlayer
 
 
@@ -37,7 +42,9 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("-p", "--start-paused", action="store_true", help="wait for space, or ~/toggle_paused")
     result.add_argument("--topics", nargs="+", metavar="NAME", help="only these")
     result.add_argument("--exclude", nargs="+", default=[], metavar="NAME", help="all but these")
-    result.add_argument("--start-offset", type=float, default=0.0, metavar="S", help="leave out the beginning")
+    result.add_argument(
+        "--start-offset", type=float, default=0.0, metavar="S", help="begin later, with the last latched messages"
+    )
     result.add_argument("--clock", type=float, metavar="HZ", help="publish /clock so often (default: not at all)")
     result.add_argument("--keep-compressed", action="store_true", help="do not unpack compressed pictures")
     result.add_argument("--moving", action="store_true", help=f"play also {', '.join(MOVING)}")
@@ -47,7 +54,16 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help="wait for N processes of bring_up --in-step at each message (default: play by the clock)",
     )
-    result.add_argument("--wait", type=float, default=1.0, metavar="S", help="at most so long for subscribers")
+    result.add_argument(
+        "--wait",
+        type=float,
+        metavar="S",
+        help="longest wait for a subscriber of each topic (default: until all that are running are matched, "
+        f"at most {_FIRST_SUBSCRIBER_S:g} s for the first)",
+    )
+    result.add_argument(
+        "--allow-missing", nargs="+", default=[], metavar="NAME", help=f"topics whose loss is no exit code {INCOMPLETE}"
+    )
     result.add_argument(
         "--patience", type=float, default=60.0, metavar="S", help="at most so long for one message in step"
     )
@@ -55,8 +71,8 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def chosen(bag: BagReader, options: argparse.Namespace) -> list[BagTopic]:
-    """Return the topics that are to be played.
+def chosen(bag: BagReader, options: argparse.Namespace, account: Account) -> list[BagTopic]:
+    """Return the topics that are to be played; those that cannot be are missing in the account.
 
     Raises
     ------
@@ -65,7 +81,7 @@ def chosen(bag: BagReader, options: argparse.Namespace) -> list[BagTopic]:
     """
     names, in_step = {topic.name for topic in bag.topics}, bool(options.in_step)
     own = {"/clock"} if options.clock or in_step else set()  # what the player tells itself
-    unknown = {*(options.topics or ()), *options.exclude} - names
+    unknown = {*(options.topics or ()), *options.exclude, *options.allow_missing} - names
     if unknown:
         raise BagError(f"{bag.path} has no {', '.join(sorted(unknown))}; it has {', '.join(sorted(names))}")
     wanted = [
@@ -75,20 +91,22 @@ def chosen(bag: BagReader, options: argparse.Namespace) -> list[BagTopic]:
         and topic.name not in {*options.exclude, *own}
         and (options.moving or not topic.name.endswith(MOVING) or (topic.name.endswith(tuple(ASIDE)) and not in_step))
     ]
-    strange = [topic for topic in wanted if not _installed(topic.type)]
-    for topic in strange if options.topics is not None else ():
-        raise BagError(f"{topic.name}: {topic.type} is not installed here")
-    for kind in sorted({topic.type for topic in strange}):
-        print(f"not played, as {kind} is not installed here: {', '.join(t.name for t in strange if t.type == kind)}")
-    return [topic for topic in wanted if topic not in strange]
-
-
-def _installed(kind: str) -> bool:
-    try:
-        message_class(kind)
-    except (ImportError, AttributeError, ValueError):
-        return False
-    return True
+    playable: dict[str, BagTopic] = {}
+    for topic in wanted:
+        problem = type_problem(bag, topic)
+        if topic.name in playable:
+            problem = f"as {topic.type}, beside {playable[topic.name].type}: a topic is played as one type"
+        if not problem:
+            playable[topic.name] = topic
+            continue
+        if options.topics is not None and topic.name not in options.allow_missing:
+            raise BagError(f"{topic.name}: {problem}")
+        account.miss(topic.name, f"not played: {problem}", topic.count, topic.count)
+    for topic in wanted:
+        if topic.announced > topic.count:
+            reason = "metadata.yaml announces them, and no file has them"
+            account.miss(topic.name, reason, topic.announced - topic.count, topic.announced)
+    return list(playable.values())
 
 
 _STAMP_ENDS = 12
@@ -111,6 +129,8 @@ def recorded_twice(bag: BagReader, names: Collection[str]) -> set[str]:
 
 
 _DRIVER = "gantry/driver_state"
+_FIRST_SUBSCRIBER_S, _QUIET_S = 5.0, 0.5
+"""Longest wait for a first subscriber, and seconds without a new one before playback begins."""
 _DRIVER_FOUND_S, _LOOK_S = 1.0, 0.5
 """So long is looked for a driver at work before anything is played, and so often later: programs find each other only
 after a while."""
@@ -121,8 +141,10 @@ class Playing:
 
     def __init__(self, bag: BagReader, options: argparse.Namespace, session: Session, keys: Callable[[], str]) -> None:
         self._bag, self._options, self._session, self._keys = bag, options, session, keys
-        self._topics = chosen(bag, options)
+        self.account = Account(options.allow_missing)
+        self._topics = chosen(bag, options, self.account)
         self._names = [topic.name for topic in self._topics]
+        self._sent: Counter[str] = Counter()
         self._start_ns = bag.start_ns + round(options.start_offset * 1e9)
         self._begin(paused=options.start_paused)
         self._node = BagPlayer(
@@ -142,8 +164,8 @@ class Playing:
     def run(self) -> None:
         """Play until the end or a signal."""
         try:
-            left_out = sorted({t.name for t in self._bag.topics if _installed(t.type)} - set(self._names))
-            if left_out:
+            lost = {topic for topic, _ in self.account.missing}
+            if left_out := sorted({topic.name for topic in self._bag.topics} - {*self._names, *lost}):
                 print(f"not played: {', '.join(left_out)}")
             if self._step is not None:
                 self._step.begin(self._options.in_step)
@@ -153,7 +175,10 @@ class Playing:
             while self._session.goes_on:
                 self._begin(paused=self._clock.paused)  # as somebody may have wanted it meanwhile
                 before = self.played
-                self._play_once()
+                self._play_latched()
+                whole = self._play_once()
+                if before == 0 and whole:
+                    self._compare()
                 if not self._options.loop:
                     break
                 if self.played == before:
@@ -167,13 +192,28 @@ class Playing:
         self._clock = PlayClock(self._start_ns, self._options.rate, time.monotonic(), paused=paused)
 
     def _wait_for_subscribers(self) -> None:
-        begun_s = time.monotonic()
+        begun_s = changed_s = time.monotonic()
         least_s = begun_s + (0.0 if self._options.moving else _DRIVER_FOUND_S)
-        while self._session.goes_on and (
-            (self._node.unheard and time.monotonic() < begun_s + self._options.wait) or time.monotonic() < least_s
-        ):
+        matched: tuple[int, ...] = ()
+        while self._session.goes_on:
             self._session.spin(0.02)
             self._refuse_beside_a_machine()
+            now_s = time.monotonic()
+            if (now := self._node.matched) != matched:
+                matched, changed_s = now, now_s
+            if now_s < least_s:
+                continue
+            if self._options.wait is not None:
+                if not self._node.unheard or now_s >= begun_s + self._options.wait:
+                    return
+            elif (now_s >= begun_s + _FIRST_SUBSCRIBER_S and not any(matched)) or (
+                any(matched)
+                and (quiet_s := now_s - changed_s) >= max(_QUIET_S, changed_s - begun_s)
+                and (
+                    not self._node.unmatched or quiet_s >= _FIRST_SUBSCRIBER_S  # one of another QoS is never matched
+                )
+            ):
+                return
 
     def _refuse_beside_a_machine(self) -> None:
         """A controller would take recorded pictures, places and calibrations for those of the machine that it moves."""
@@ -188,18 +228,46 @@ class Playing:
                     "see: play it in another ROS_DOMAIN_ID, or with --moving"
                 )
 
-    def _play_once(self) -> None:
-        for topic, stamp_ns, data in self._bag.messages(self._names, self._start_ns):
+    def _play_latched(self) -> None:
+        """Send what a subscriber of a latched topic would have at the start offset."""
+        if not self._options.start_offset:
+            return
+        profiles = {topic.name: playing_qos(topic.qos) for topic in self._topics}
+        latched = {n: p.depth for n, p in profiles.items() if p.durability is DurabilityPolicy.TRANSIENT_LOCAL}
+        before: dict[str, deque[tuple[int, bytes]]] = {name: deque(maxlen=depth) for name, depth in latched.items()}
+        topics = [topic for topic in self._topics if topic.name in latched]
+        for topic, stamp_ns, data in self._bag.messages(topics, stop_ns=self._start_ns):
+            before[topic].append((stamp_ns, data))
+        rows = ((stamp_ns, name, data) for name, kept in before.items() for stamp_ns, data in kept)
+        for _, name, data in sorted(rows, key=lambda row: row[0]):
+            self._play(name, self._start_ns, data)
+
+    def _play(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        if self._step is not None:
+            self._step.play(topic, stamp_ns, data)
+        else:
+            self._node.play(topic, data)
+        self.played += 1
+        self._sent[topic] += 1
+
+    def _play_once(self) -> bool:
+        """Play from the start offset; return whether that was all, to the end."""
+        # Without an offset no time is a limit: no stamp may leave a message out.
+        start_ns = self._start_ns if self._options.start_offset else 0
+        for topic, stamp_ns, data in self._bag.messages(self._topics, start_ns):
             while self._session.goes_on and (wait_s := self._clock.wall_s_until(stamp_ns, time.monotonic())) > 0:
                 self._serve(min(wait_s, 0.05), stamp_ns)
             if not self._session.goes_on or stamp_ns > self._start_ns + self._options.duration * 1e9:
-                return
-            if self._step is not None:
-                self._step.play(topic, stamp_ns, data)
-            else:
-                self._node.play(topic, data)
-            self.played += 1
+                return False
+            self._play(topic, stamp_ns, data)
             self._serve(0.0, stamp_ns)
+        return not start_ns
+
+    def _compare(self) -> None:
+        """Compare what was sent with what the files say they have."""
+        for topic in self._topics:
+            if (short := topic.count - self._sent[topic.name]) > 0:
+                self.account.miss(topic.name, "the bag's index does not lead to them", short, topic.count)
 
     def _serve(self, timeout_s: float, newest_ns: int) -> None:
         self._session.spin(timeout_s)
@@ -230,7 +298,7 @@ def _namespace(arguments: Sequence[str]) -> str:
 
 @ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command."""
+    """Run the command; 1: an error, INCOMPLETE: messages are missing."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     split = given.index("--ros-args") if "--ros-args" in given else len(given)
     options = parser().parse_args(given[:split])
@@ -253,8 +321,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BagError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    for line in playing.account.lines():
+        print(line)
     print(f"{playing.played} messages played")
-    return 0
+    return 0 if playing.account.complete else INCOMPLETE
 
 
 if __name__ == "__main__":

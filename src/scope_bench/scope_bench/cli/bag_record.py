@@ -8,7 +8,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from scope_bench.adapters.bag_pictures import PictureCodec
 from scope_bench.adapters.bag_sink import BagSink
 from scope_bench.adapters.bags import STORAGES, BagError, BagWriter
 from scope_bench.cli.progress import ProgressLine
+from scope_bench.core.bag.account import INCOMPLETE, Account
 from scope_bench.nodes.bag_recorder import BagRecorder
 
 _BEHIND_S = 5.0
@@ -42,19 +43,42 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--quality", type=int, metavar="1..100", help=f"of JPEG (default: {_QUALITY})")
     result.add_argument("--duration", type=float, default=float("inf"), metavar="S", help="end after so long")
     result.add_argument("--child-of", type=int, metavar="PID", help="end when this parent process has ended")
+    result.add_argument("--zstd", action="store_true", help="compress the chunks of the MCAP file, without loss")
+    result.add_argument("--split-size", type=float, metavar="MB", help="begin another file after such a size")
+    result.add_argument("--split-time", type=float, metavar="S", help="begin another file after such a time")
+    result.add_argument(
+        "--max-rate",
+        nargs="+",
+        default=[],
+        type=_rate,
+        metavar="TOPIC=HZ",
+        help="maximum rate of a topic",
+    )
+    result.add_argument(
+        "--allow-missing", nargs="+", default=[], metavar="NAME", help=f"topics whose loss is no exit code {INCOMPLETE}"
+    )
     result.add_argument("--keep-free", type=float, default=64.0, metavar="MB", help="end when the disk has less")
     return result
 
 
+def _rate(text: str) -> tuple[str, float]:
+    """Return the topic and the rate of TOPIC=HZ."""
+    topic, _, rate = text.rpartition("=")
+    if not topic or not 0 < float(rate) < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not TOPIC=HZ with a rate above 0")
+    return topic, float(rate)
+
+
 @ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 1 if the recording ended by an error."""
+    """Run the command; 1: the recording ended by an error, INCOMPLETE: messages are missing."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     split = given.index("--ros-args") if "--ros-args" in given else len(given)
     options = parser().parse_args(given[:split])
     path = options.output or default_name(datetime.now())
     try:
         check_bounds(options, duration=(0.0, math.inf), keep_free=(0.0, 1e9))
+        check_bounds(options, split_size=(0.001, math.inf), split_time=(0.001, math.inf))
         check_names(options.topics)
         _check_pattern(options.exclude)
         keep_free = round(options.keep_free * 1e6)
@@ -62,19 +86,43 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if arguments is None:  # a program of its own, and all threads that it will have
             os.nice(_NICENESS)
         with ros_session(given[split:]) as session:
-            sink = BagSink(lambda: BagWriter(path, options.storage, keep_free=keep_free), codec)
+            sink = BagSink(lambda: _writer(path, options, keep_free), codec, rates_hz=_absolute(options.max_rate))
+            account = Account(_absolute((name, 0.0) for name in options.allow_missing))
             try:
-                _record(session, sink, path, options, given[split:])
+                _record(session, sink, path, options, given[split:], account)
             finally:
                 sink.close()
     except (BagError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     if not _orphaned(options):  # else nobody reads it
-        print(f"{path}: {sink.messages} messages, {sink.bytes / 1e6:.1f} MB, {sink.dropped} dropped")
+        for topic, count in sink.dropped_by_topic.items():
+            account.miss(topic, "received, and dropped because the disk or the processor was too slow", count)
+        for line in account.lines():
+            print(line, file=sys.stderr)
+        thinned = f", {sink.thinned} left out by --max-rate" if sink.thinned else ""
+        print(f"{path}: {sink.messages} messages, {sink.bytes / 1e6:.1f} MB, {account.count} dropped{thinned}")
     if sink.failure:
         print(f"error: the recording has ended: {sink.failure}", file=sys.stderr)
-    return 1 if sink.failure else 0
+    if sink.failure:
+        return 1
+    return 0 if account.complete else INCOMPLETE
+
+
+def _writer(path: Path, options: argparse.Namespace, keep_free: int) -> BagWriter:
+    return BagWriter(
+        path,
+        options.storage,
+        keep_free=keep_free,
+        zstd_chunks=options.zstd,
+        split_bytes=round(options.split_size * 1e6) if options.split_size else None,
+        split_ns=round(options.split_time * 1e9) if options.split_time else None,
+    )
+
+
+def _absolute(rates: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """Return rates by the topics' absolute names."""
+    return {f"/{name.lstrip('/')}": rate for name, rate in rates}
 
 
 def default_name(begun: datetime) -> Path:
@@ -100,9 +148,11 @@ def _check_pattern(exclude: str) -> None:
         raise ValueError(f"--exclude {exclude!r} is no regular expression: {error}") from error
 
 
-def _record(session: Session, sink: BagSink, path: Path, options: argparse.Namespace, arguments: Sequence[str]) -> None:
+def _record(
+    session: Session, sink: BagSink, path: Path, options: argparse.Namespace, arguments: Sequence[str], account: Account
+) -> None:
     line = ProgressLine()
-    node = BagRecorder(sink, options.topics, options.exclude, arguments=arguments)
+    node = BagRecorder(sink, options.topics, options.exclude, arguments=arguments, account=account)
     session.executor.add_node(node)
     start_s, said = time.monotonic(), False
     try:
@@ -124,6 +174,7 @@ def _record(session: Session, sink: BagSink, path: Path, options: argparse.Names
             print(f"recording to {path}", flush=True)
         if not sink.failure:
             catch_up(node)
+        node.account_for_losses()
     finally:
         line.end()
         session.end(node)

@@ -117,6 +117,19 @@ class BagPlayer(GraphNode):
         """Topics without a subscriber."""
         return [name for name, publisher in self._outputs.items() if publisher.get_subscription_count() == 0]
 
+    @property
+    def matched(self) -> tuple[int, ...]:
+        """Number of subscribers that each topic is matched with."""
+        return tuple(output.get_subscription_count() for output in self._outputs.values())
+
+    @property
+    def unmatched(self) -> bool:
+        """Whether the graph has a subscriber that is not matched yet, or never will be, as of another QoS."""
+        return any(
+            self.count_subscribers(output.topic_name) > output.get_subscription_count()
+            for output in self._outputs.values()
+        )
+
     def settle(self) -> None:
         """Wait until every reliable subscriber has the last messages, for at most two seconds."""
         for publisher in self._outputs.values():

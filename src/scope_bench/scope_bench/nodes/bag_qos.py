@@ -81,13 +81,15 @@ def listening_qos(kind: str, offers: Sequence[QoSProfile]) -> QoSProfile:
 def playing_qos(offers: Sequence[Qos]) -> QoSProfile:
     """Return what a player offers: what all of the recorded publishers offered, else reliable and volatile.
 
+    The player is one publisher in the place of all: for late subscribers it keeps as much as they kept together.
+
     Bags of Jazzy do not know the publishers' history; a depth of 50 takes its place. Volatile topics have no less:
     nobody can tell the difference, but what is played faster than it was recorded arrives whole.
     """
     same = offers[0] if len(set(offers)) == 1 else None
     if same is None:
         return QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
-    profile = QoSProfile(depth=same.depth or _DEPTH, history=HistoryPolicy.KEEP_LAST)
+    profile = QoSProfile(depth=(same.depth or _DEPTH) * len(offers), history=HistoryPolicy.KEEP_LAST)
     if same.reliability in (QosReliability.RELIABLE, QosReliability.BEST_EFFORT):
         profile.reliability = ReliabilityPolicy(same.reliability.value)
     if same.durability in (QosDurability.TRANSIENT_LOCAL, QosDurability.VOLATILE):

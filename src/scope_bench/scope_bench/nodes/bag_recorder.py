@@ -11,20 +11,24 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.context import Context
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphNode, this_process
 from icu_common.nodes.timers import runs_by_clock_topic
+from scope_bench.adapters.bag.definitions import is_known
 from scope_bench.adapters.bag_sink import BagSink
-from scope_bench.adapters.bags import BagTopic, is_known
-from scope_bench.nodes.bag_qos import is_large, listening_qos, message_class, recorded_qos
+from scope_bench.adapters.bags import BagTopic
+from scope_bench.core.bag.account import Account
+from scope_bench.nodes.bag_qos import is_large, message_class, recorded_qos
+from scope_bench.nodes.topic_ear import TopicEar
 
 _LOOK_S, _TAKE_S = 0.1, 0.02
 _TAKE_IN_STEP_S = 0.002
 """The time of a graph that runs in step stands still until its messages have been taken."""
 _LEAST_QUIET_S = 0.5
-_LARGE_AT_ONCE = 4
-"""Of each topic, before what is small has its turn again."""
+_LARGE_AT_ONCE, _SMALL_AT_ONCE = 4, 1000
+"""Of each topic, before the other topics have their turn again."""
 
 
 class BagRecorder(GraphNode):
@@ -34,14 +38,21 @@ class BagRecorder(GraphNode):
     so nobody serves their subscriptions, as an executor does not tell that time. Pictures and clouds come by sockets of
     their own: a recorder that is held up for a twentieth of a second has lost some of them, and with them, in the same
     buffer, orders and states that nobody sends a second time. Those sockets belong to a context of its own, which takes
-    ``arguments`` (``--ros-args --enclave ...``).
+    ``arguments`` (``--ros-args --enclave ...``). The ``account`` gets what is not recorded.
     """
 
     def __init__(
-        self, sink: BagSink, topics: Sequence[str], exclude: str = "", *, arguments: Sequence[str] = (), **options: Any
+        self,
+        sink: BagSink,
+        topics: Sequence[str],
+        exclude: str = "",
+        *,
+        arguments: Sequence[str] = (),
+        account: Account | None = None,
+        **options: Any,
     ) -> None:
         super().__init__("bag_recorder", **options)
-        self._sink = sink
+        self._sink, self._account = sink, account or Account()
         self._topics = [self.resolve_topic_name(name) for name in topics]
         self._exclude = re.compile(exclude) if exclude else None
         self.recorded: set[str] = set()
@@ -49,7 +60,8 @@ class BagRecorder(GraphNode):
         self._apart = Context()
         self._apart.init(args=list(arguments), domain_id=self.context.get_domain_id())
         self._small, self._large = self._ear("small", self.context), self._ear("large", self._apart)
-        self._heard: dict[str, tuple[Subscription, int]] = {}
+        self._heard: dict[str, TopicEar] = {}
+        self._other_types: set[tuple[str, str]] = set()
         self._begun_s = self._found_s = time.monotonic()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_S, self.look, clock=steady)
@@ -78,7 +90,7 @@ class BagRecorder(GraphNode):
 
         Of all there are, those that have been found, and no more will be, most likely.
         """
-        heard = all(subscription.handle.get_publisher_count() for subscription, _ in self._heard.values())
+        heard = all(ear.matched for ear in self._heard.values())
         if self._topics:
             return heard and not self.missing
         quiet_s = time.monotonic() - self._found_s
@@ -90,13 +102,10 @@ class BagRecorder(GraphNode):
         clock = self.get_clock()
         if clock.ros_time_is_active and not clock.now().nanoseconds:
             return 0  # what has come waits for the first time on /clock
-        for name, (subscription, most) in self._heard.items():
-            for _ in range(most):
-                if (taken := subscription.handle.take_message(subscription.msg_type, True)) is None:
-                    break
-                data, about = taken
-                came_ns = 0 if clock.ros_time_is_active else int(about["received_timestamp"])  # 0: CycloneDDS's
-                found.append((came_ns or clock.now().nanoseconds, name, data, subscription.callback))
+        for name, ear in self._heard.items():
+            for received_ns, data, done in ear.take():
+                came_ns = 0 if clock.ros_time_is_active else received_ns  # 0: CycloneDDS's
+                found.append((came_ns or clock.now().nanoseconds, name, data, done))
         for stamp_ns, name, data, done in sorted(found, key=lambda one: one[0]):
             self._sink.put(name, stamp_ns, data)
             done(data)  # by which a player in step knows
@@ -119,6 +128,32 @@ class BagRecorder(GraphNode):
             wanted = name in self._topics if self._topics else not (self._exclude and self._exclude.search(name))
             if wanted and name not in self.recorded and name not in self._ignored:
                 self._record(name, kinds)
+        for name, ear in self._heard.items():
+            count = self.count_publishers(name)
+            # Asking for the profiles takes half a millisecond for each topic.
+            if count != ear.publishers or count != ear.matched:
+                self._follow(name, ear)
+
+    def _follow(self, name: str, ear: TopicEar) -> None:
+        """Subscribe to publishers of another QoS, and name those of another type."""
+        publishers = self.get_publishers_info_by_topic(name)
+        for kind in {one.topic_type for one in publishers if one.topic_type != ear.kind}:
+            if (name, kind) not in self._other_types:
+                self._other_types.add((name, kind))
+                self._not_recorded(name, f"as {kind}, beside {ear.kind}: a topic is recorded as one type")
+        if ear.follow([one.qos_profile for one in publishers if one.topic_type == ear.kind]):
+            profiles = tuple(recorded_qos(offer) for offer in ear.offers)
+            self._sink.add_topic(BagTopic(name=name, type=ear.kind, qos=profiles))
+
+    def _not_recorded(self, name: str, why: str) -> None:
+        self._account.miss(name, f"not recorded: {why}", 0)
+        self.get_logger().error(f"{name} is not recorded: {why}")
+
+    def account_for_losses(self) -> None:
+        """Add what the middleware has lost to the account, once, at the end."""
+        for name, ear in self._heard.items():
+            if ear.lost:
+                self._account.miss(name, "sent, and lost before the recorder took them", ear.lost)
 
     def _record(self, name: str, kinds: list[str]) -> None:
         offers = [info.qos_profile for info in self.get_publishers_info_by_topic(name)]
@@ -132,11 +167,14 @@ class BagRecorder(GraphNode):
                 raise ValueError(f"the definition of {kinds[0]} is not known")
         except (ImportError, AttributeError, ValueError) as error:
             self._ignored.add(name)
-            self.get_logger().error(f"{name} is not recorded: {error}")
+            self._not_recorded(name, str(error))
             return
         self.recorded.add(name)
         self._found_s = time.monotonic()
-        self._sink.add_topic(BagTopic(name=name, type=kinds[0], qos=tuple(recorded_qos(offer) for offer in offers)))
-        profile = listening_qos(kinds[0], offers)
-        ear, most = (self._large, _LARGE_AT_ONCE) if is_large(kinds[0]) else (self._small, profile.depth)
-        self._heard[name] = ear.create_subscription(kind, name, lambda data: None, profile, raw=True), most
+        node, most = (self._large, _LARGE_AT_ONCE) if is_large(kinds[0]) else (self._small, _SMALL_AT_ONCE)
+
+        def subscribe(profile: QoSProfile) -> Subscription:
+            return node.create_subscription(kind, name, lambda data: None, profile, raw=True)
+
+        self._heard[name] = TopicEar(kinds[0], subscribe, most)
+        self._follow(name, self._heard[name])

@@ -21,6 +21,8 @@ from scope_ui_bridge.adapters.graph_port import GraphError
 
 _LOG = logging.getLogger(__name__)
 _ERROR = "error: "
+_INCOMPLETE = 3
+"""Exit code of bag_record for a whole bag in which messages are missing; its summary has their number."""
 _FOR_VIEWERS = "|".join(
     (
         r"/(disparity|dense_points|points2|panel_plane|panel_plane_estimate)$",
@@ -137,7 +139,7 @@ class Recorder:
             if records:
                 started(True, f"recording to {output}")
             summary = said.read().strip()
-        whole = process.wait() == 0
+        whole = process.wait() in (0, _INCOMPLETE)
         with self._change:
             if self._process is process:
                 self.recording = None

@@ -1,0 +1,1 @@
+"""Files of bags: reading them as they are, and writing them in parts."""
