@@ -716,6 +716,5 @@ export const PHRASES_DE = [
   ["unknown field {}", "unbekanntes Feld {}"],
   ["{} texts and {} numbers", "{} Texte und {} Zahlen"],
   ["{} numbers", "{} Zahlen"],
-  ["the cameras show the stylus {} mm above the panel: it presses nothing", "die Kameras zeigen den Stift {} mm über der Frontplatte: er drückt auf nichts"],
   ["either a control, a point or a line", "entweder ein Element, eine Stelle oder eine Linie"],
 ];
