@@ -21,6 +21,7 @@ from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamp
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Bool, Empty, Float32, Float64MultiArray, Header, String
+from stereo_msgs.msg import DisparityImage
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -41,6 +42,7 @@ MAX_BYTES: dict[Any, int] = {
     JointTrajectory: 1 * _MB,
     PointCloud2: 100 * _MB,
     Image: 100 * _MB,
+    DisparityImage: 100 * _MB,
 }
 """Limit of each type in bytes: several times the largest message of the graph.
 
