@@ -157,12 +157,14 @@ class FrontDoor:
             response.headers.update(HEADERS)
         return response
 
+    def _know(self, request: web.Request, user: str) -> None:
+        if self._listener is not None and request.transport is not None:
+            self._listener.know(request.transport.get_protocol(), user)
+
     async def _in_turn(self, request: web.Request) -> None:
         """Wait until a request may be handled; that of a signed-in user to stop waits for nothing."""
         session = self.session(request)
-        if self._listener is not None and request.transport is not None:
-            user = session.name if session is not None else NOBODY
-            self._listener.know(request.transport.get_protocol(), user)
+        self._know(request, session.name if session is not None else NOBODY)
         if session is None:
             await self._turnstile.wait()
         elif request.path != "/stop":
@@ -257,6 +259,7 @@ class FrontDoor:
             return response
         session = self._sign_in.session(secret, time.monotonic())
         assert session is not None
+        self._know(request, session.name)  # else it may be closed, to make room for a stranger, before the answer
         self._record_done(session, "sign-in")
         welcome.set_cookie(
             _cookie(request), secret, httponly=True, samesite="Strict", secure=self._config.tls, path="/"
