@@ -423,3 +423,17 @@ def test_a_line_that_must_go_alone_does_not_make_the_wire_the_limit() -> None:
         list(session.receive(b"ok\r\n", now))
         session.output(now)
     assert len(b"M3S800\nG4P0.25\n") + session.in_flight_bytes <= 128
+
+
+def test_a_late_report_counts_as_asked_for_by_the_first_question_though_later_ones_were_repeated() -> None:
+    """Else the board seems to have gone farther since then than it can."""
+    session = started()
+    session.poll_interval_s, session.sets_feed_back = 0.04, True
+    session.polling = True
+    session.poll_now()
+    session.output(10.0)
+    list(session.receive(b"<Run|MPos:0.000,0.000,0.000|FS:500,0>\r\n", 10.01))
+    asked = [session.output(at).count(b"?") for at in (10.05, 10.1, 10.15)]
+    assert asked == [1, 2, 2]
+    list(session.receive(b"<Run|MPos:1.000,0.000,0.000|FS:500,0>\r\n", 10.16))
+    assert session.report_asked_at == 10.05

@@ -75,8 +75,8 @@ again; a board that was only held up answers both, see docs/decisions/stopping.m
 REPORTS_APART_S = 1.0
 """A pause between two reports that is longer by so much is no time in which the board was idle: it may be homing."""
 
-QUESTIONS = 3
-"""Questions for a report that may be on their way; an older one was lost, or its report."""
+QUESTIONS = 6
+"""Questions for a report that may be on their way, of three polls of two each; an older one was lost, or its report."""
 MISSING_REPORTS = SURPLUS_REPORTS = 2
 """Reports in a row that must show an answer too few, or too many: one report may be damaged."""
 LOST_LINE = "the board has taken lines that it has not answered: a line or its answer was lost on the wire"
