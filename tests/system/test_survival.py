@@ -166,7 +166,8 @@ class Scene:
             return operator.start_long_move()
         if during == "homing":
             self.prepared(SetBool, "/gantry/enable", SetBool.Request(data=True))
-            assert operator.call("/gantry/home").success
+            # A driver that was started again hears the heartbeat a moment after its services are there.
+            self.until(lambda: operator.call("/gantry/home").success, 10.0, "homing is accepted")
             self.until(lambda: operator.driver_state == "homing", 10.0, "homing")
         if during in ("rest", "homing"):
             return ""
