@@ -19,7 +19,7 @@ from icu_common.nodes import qos
 from icu_common.nodes.conversions import stamp_ns
 
 pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(300)]
-BUSY_PROGRAMS = 6
+BUSY_PROGRAMS = 16
 WORSE_MM = 0.06
 """Difference of two touches of one place: each touch has images with noise of their own."""
 
@@ -72,4 +72,4 @@ def test_touches_on_a_busy_computer_are_as_precise(
     busy = {control: press(running_graph, operator, control) for control in controls}
     for control in controls:
         assert np.linalg.norm(busy[control] - free[control]) < WORSE_MM, (control, free, busy)
-    assert min(message.data for message in factors) < 0.97, "the computer was not busy"
+    assert min(message.data for message in factors) < 0.9, "the computer was not busy"
