@@ -181,11 +181,11 @@ class _Graph:
 
         def counted(message: Any) -> None:
             assert ledger is not None
+            ledger.begin_callback()
             try:
-                with ledger.busy():
-                    take(message)
+                take(message)
             finally:
-                ledger.finish(name)
+                ledger.end_callback(name)
 
         if ledger is None:
             made = super().create_subscription(msg_type, topic, take, qos_profile, **kwargs)  # type: ignore[misc]

@@ -83,8 +83,8 @@ def prepare_transport(shared_memory: bool = True) -> None:
     keep_large_blocks()
 
 
-_SHOW_MATCHES_S = 0.1
-"""Interval at which a process that counts writes what its publishers have found."""
+_CHECK_S = 0.1
+"""Minimum interval between two checks of a process: what its publishers have found, and whether it gets messages."""
 
 
 class Session:
@@ -93,7 +93,7 @@ class Session:
     def __init__(self) -> None:
         self.executor = EventsExecutor()
         self.stopping = False
-        self._matches_shown_s = 0.0
+        self._checked_s = 0.0
         for number in end_signals():
             signal.signal(number, self._stop)
 
@@ -105,12 +105,21 @@ class Session:
         """False once the process is to end."""
         return rclpy.ok() and not self.stopping
 
-    def spin(self, timeout_s: float = 0.1) -> None:
-        """Serve what is due; EventsExecutor.spin() does not see signals, short turns do."""
+    def spin(self, timeout_s: float = 0.1) -> bool:
+        """Serve what is due; EventsExecutor.spin() does not see signals, short turns do.
+
+        Returns
+        -------
+        bool
+            Whether a check that costs more than serving a callback is due: ten times a second.
+        """
         self.executor.spin_once(timeout_sec=timeout_s)
-        if (now_s := time.monotonic()) - self._matches_shown_s > _SHOW_MATCHES_S:
-            self._matches_shown_s = now_s
+        now_s = time.monotonic()
+        due = now_s - self._checked_s > _CHECK_S
+        if due:
+            self._checked_s = now_s
             this_process.show_matches()
+        return due
 
     def close(self, node: Node) -> None:
         """Close a node, if it can be closed; meanwhile no callback is served."""
@@ -307,9 +316,9 @@ def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
             hearing.listen(nodes[0])
         life = SignsOfLife()
         while session.goes_on:
-            session.spin()
+            looks = session.spin()
             life.turn()
-            if hearing is not None and (what := hearing.deaf(_seconds_heard_in(nodes[0]))):
+            if looks and hearing is not None and (what := hearing.deaf(_seconds_heard_in(nodes[0]))):
                 print(f"error: {what}: ending, to be started anew", file=sys.stderr)
                 for node in nodes:
                     session.close(node)
