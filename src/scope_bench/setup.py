@@ -27,6 +27,7 @@ setup(
             "bench_render = scope_bench.cli.render:main",
             "bag_record = scope_bench.cli.bag_record:main",
             "bag_play = scope_bench.cli.bag_play:main",
+            "bag_check = scope_bench.cli.bag_check:main",
             "bag_info = scope_bench.cli.bag_info:main",
             "beds = scope_bench.nodes.beds_node:main",
             "composed = scope_bench.cli.composed:main",

@@ -1,0 +1,1 @@
+"""A replay as processes, and the files of an expectation and of a report."""

@@ -1,0 +1,210 @@
+"""A replay in step as processes: bring-up with the profile ``replay``, a recorder of the results, and a player."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger, ledger_path
+from scope_bench.adapters.graph_names import hold
+from scope_bench.core.check.expectation import Run
+
+DOMAINS = range(40, 100)
+"""ROS domains of replays: above 101 their ports may be taken by outgoing connections."""
+PROFILE = "replay"
+_STARTED_S, _ENDED_S = 120.0, 60.0
+_LOOK_S = 0.05
+_LAST_LINES = 15
+_RATE = 1000.0
+"""As fast as the graph processes the messages."""
+
+
+class ReplayError(Exception):
+    """A replay could not run; the text says why."""
+
+
+def free_domain() -> int:
+    """Return a ROS domain that no other replay on this computer uses, until this process ends.
+
+    Raises
+    ------
+    ReplayError
+        If there is none.
+    """
+    for domain in DOMAINS:
+        if hold(f"replay/{domain}"):
+            return domain
+    raise ReplayError(f"replays run in ROS domains {DOMAINS[0]} to {DOMAINS[-1]}: end one of them")
+
+
+class Replay:
+    """The processes of one graph that replays bags.
+
+    Parameters
+    ----------
+    folder
+        For the logs and the recorded results.
+    domain
+        Its ROS domain.
+    run
+        Nodes and settings.
+    count, without
+        Number of programs that run, and the names of those that are left out.
+    config
+        Folder with graph.yaml.
+    """
+
+    def __init__(self, folder: Path, domain: int, run: Run, count: int, without: Sequence[str], config: Path) -> None:
+        self.folder, self._run, self._count = folder, run, count
+        self._ledger = ledger_path(str(domain), "")
+        self._environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_LOG_DIR": str(folder / "ros_log"),
+            "PYTHONUNBUFFERED": "1",
+        }
+        self._environment[LEDGER_VARIABLE] = str(self._ledger)
+        arguments = ["--profile", PROFILE, "--in-step", "--verbose"]
+        arguments += ["--state", str(folder / "state"), "--run-dir", str(folder / "run")]
+        arguments += ["--config", str(config)]
+        arguments += [f"--scope={run.scope}"] if run.scope else []
+        arguments += [part for name in without for part in ("--without", name)]
+        arguments += [part for text in run.settings for part in ("--set", text)]
+        folder.mkdir(parents=True, exist_ok=True)
+        self._log = folder / "bring_up.log"
+        self._graph = self._start("bring_up", arguments, self._log)
+
+    def _start(self, program: str, arguments: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
+        # Bring-up finds the programs of the other packages from where it is installed.
+        with log.open("wb") as output:
+            return subprocess.Popen(
+                [str(Path(sys.argv[0]).resolve().with_name(program)), *arguments],
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # Ctrl-C is for this program, which ends them in order
+            )
+
+    def wait_until_started(self, stopping: Callable[[], bool]) -> None:
+        """Wait until every program of the graph counts its messages.
+
+        Raises
+        ------
+        ReplayError
+            If one ends, or they are not there in time.
+        """
+        self._wait(lambda: self._registered() >= self._count, "programs have not started", stopping)
+
+    def play(self, bag: Path, topics: Sequence[str], record: Sequence[str], stopping: Callable[[], bool]) -> Path:
+        """Play topics of a bag, record the results, and return the bag with them.
+
+        Raises
+        ------
+        ReplayError
+            If a program ends with an error, or messages are lost.
+        """
+        out = self.folder / "results"
+        recorder = self._start("bag_record", [*record, "-o", str(out)], self.folder / "record.log")
+        try:
+            self._wait(
+                lambda: self._subscribed(recorder.pid, record), "the recorder has not subscribed", stopping, recorder
+            )
+            arguments = [str(bag), "--in-step", str(self._count + 1), "--rate", f"{_RATE:g}", "--topics", *topics]
+            arguments += ["--moving"] if self._run.moving else []
+            arguments += ["--duration", f"{self._run.duration_s:g}"] if self._run.duration_s else []
+            player = self._start("bag_play", arguments, self.folder / "play.log")
+            try:
+                while player.poll() is None:
+                    self._check(stopping)
+                    time.sleep(_LOOK_S)
+            finally:
+                _end(player)
+            if player.returncode:
+                raise ReplayError(f"bag_play ended with {player.returncode}: {last_line(self.folder / 'play.log')}")
+        finally:
+            code = _end(recorder)
+        if code:
+            raise ReplayError(f"bag_record ended with {code}: {last_line(self.folder / 'record.log')}")
+        return out
+
+    def _check(self, stopping: Callable[[], bool]) -> None:
+        if stopping():
+            raise ReplayError("interrupted")
+        if (code := self._graph.poll()) is not None:
+            raise ReplayError(f"the graph ended with {code}: {last_line(self._log)}")
+
+    def _wait(
+        self,
+        done: Callable[[], bool],
+        what: str,
+        stopping: Callable[[], bool],
+        process: subprocess.Popen[bytes] | None = None,
+    ) -> None:
+        end_s = time.monotonic() + _STARTED_S
+        while not done():
+            self._check(stopping)
+            if process is not None and process.poll() is not None:
+                raise ReplayError(f"{what}: {last_line(self.folder / 'record.log')}")
+            if time.monotonic() > end_s:
+                raise ReplayError(f"{what} within {_STARTED_S:g} s: {last_line(self._log)}")
+            time.sleep(_LOOK_S)
+
+    def _registered(self) -> int:
+        with self._counts() as ledger:
+            return len(ledger.processes()) if ledger is not None else 0
+
+    def _subscribed(self, pid: int, topics: Sequence[str]) -> bool:
+        with self._counts() as ledger:
+            if ledger is None:
+                return False
+            rows = [row for row, process in ledger.processes().items() if process == pid]
+            names = ledger.topics()
+            if not rows or not set(topics) <= set(names):
+                return False
+            counts = ledger.by_process()[1][rows[0]]
+            return bool(np.all([counts[names.index(topic)] > 0 for topic in topics]))
+
+    @contextlib.contextmanager
+    def _counts(self) -> Iterator[StepLedger | None]:
+        if not self._ledger.is_file():
+            yield None
+            return
+        with contextlib.closing(StepLedger(self._ledger)) as ledger:
+            yield ledger
+
+    def tail(self) -> str:
+        """Return the last lines of the graph's log."""
+        lines = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
+        return "\n".join(lines[-_LAST_LINES:])
+
+    def stop(self) -> int:
+        """End all programs and return bring-up's exit code."""
+        return _end(self._graph)
+
+
+def _end(process: subprocess.Popen[bytes]) -> int:
+    """End a program as Ctrl-C does, or kill it when that takes too long; return its exit code."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(_ENDED_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+    return process.returncode
+
+
+def last_line(log: Path) -> str:
+    """Return the last line of a log that is not empty, of error lines if there are any."""
+    lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    errors = [line for line in lines if "error" in line.lower() or line.startswith("missing:")]
+    return (errors or lines or ["no output"])[-1].strip()
