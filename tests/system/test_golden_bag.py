@@ -1,94 +1,127 @@
 """The golden bag through perception, hand-eye and controller: the same results as recorded, at any speed.
 
-`make golden` makes the bag and the recorded results anew; a difference is printed as a table, with a picture in
-artifacts/golden.
+`make golden` makes the bag and its expectation again; the report of a difference is in artifacts/golden.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
-from golden import replay
-from golden.replay import ReplayGraph, Results
-from ros_rig import domain_of_worker
+from golden.expectation import BAG, BAG_CHECK, EXPECTED, ROOT, bag_check
+from golden.make_bag import CONTROLLER, TIPS, TRACKER
 
 from scope_bench.adapters.bags import BagReader
+from scope_bench.adapters.check.messages import read_messages
+from scope_bench.adapters.check.prepared_bag import played_topics
+from scope_bench.adapters.check.replay import Replay, free_domain
+from scope_bench.core.check.comparison import TopicMessages, compare
+from scope_bench.core.check.expectation import from_yaml
+from scope_bench.core.check.report import table
 
-EXPECTED = json.loads(replay.EXPECTED.read_text(encoding="utf-8"))
+EXPECTATION = from_yaml(EXPECTED.read_text(encoding="utf-8"))
 BEGINNING_S = 3.0
-ARTIFACTS = Path(__file__).resolve().parents[2] / "artifacts" / "golden"
+ARTIFACTS = ROOT / "artifacts" / "golden"
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
 
 
-@pytest.fixture(scope="module")
-def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ReplayGraph]:
-    graph = ReplayGraph(tmp_path_factory.mktemp("replay"), domain=domain_of_worker())
+@pytest.fixture(scope="module", autouse=True)
+def installed() -> Iterator[None]:
+    """Let this process find the installed programs as bag_check does."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [str(BAG_CHECK)])
+        yield
+
+
+def replayed(folder: Path, *, rate: float = 1000.0, duration_s: float = 0.0) -> dict[str, TopicMessages]:
+    """Replay the bag, or its beginning."""
+    run = dataclasses.replace(EXPECTATION.run, duration_s=duration_s)
+    replay = Replay(folder, free_domain(), run, len(run.nodes), ["sequencer"], ROOT / "config")
     try:
-        yield graph
+        topics = replay.wait_until_started(lambda: False)
+        # A part is no calibration.
+        played = played_topics(BAG, {*topics.read, *([] if duration_s else ["/bag/cue"])}, topics.published, ())
+        out = replay.play(BAG, played, list(EXPECTATION.topics), lambda: False, rate=rate)
     finally:
-        assert graph.stop() == 0, graph.tail()
+        assert replay.stop() == 0, replay.tail()
+    return read_messages(out)
 
 
 @pytest.fixture(scope="module")
-def replayed(graph: ReplayGraph) -> Results:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, TopicMessages]:
     """The whole bag, as fast as it goes."""
-    return graph.play()
+    return replayed(tmp_path_factory.mktemp("replay") / "run")
 
 
-def difference(found: Results, name: str) -> str:
-    """Return the table of what differs, empty when nothing does; with it the picture."""
-    rows = replay.compare(EXPECTED, found)
-    if not any(row.off for row in rows):
-        return ""
-    return f"\n{replay.table(rows)}\npicture: {replay.draw(EXPECTED, found, rows, ARTIFACTS / name)}"
-
-
-def test_the_replay_gives_the_recorded_results(replayed: Results) -> None:
-    print("\n" + replay.table(replay.compare(EXPECTED, replayed), everything=True))
-    found = difference(replayed, "replay.png")
-    assert not found, found
+def test_the_replay_gives_the_recorded_results(whole: dict[str, TopicMessages]) -> None:
+    rows = compare(EXPECTATION, read_messages(EXPECTED.parent / EXPECTATION.messages), whole)
+    print("\n" + table(rows))
+    assert len(rows) > 50 and {row.topic for row in rows} == set(EXPECTATION.topics)
+    assert all(row.passed for row in rows), table([row for row in rows if not row.passed])
 
 
 def test_the_documentation_replays_it_with_the_same_settings() -> None:
-    text = (replay.ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
-    told = re.findall(r"--set ([\w.]+)=([\d.]+)", text)
-    assert {name: float(value) for name, value in told} == replay.settings()
-    with BagReader(replay.BAG) as bag:
-        assert f"`{bag.count - trajectories(bag)} messages played`" in text
+    text = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
+    documented = re.findall(r"--set ([\w.]+)=([\d.]+)", text)
+    expected = {"hand_eye.still.tips": TIPS}
+    for node, values in (("stylus_tracker", TRACKER), ("gantry_controller", CONTROLLER)):
+        expected |= {f"{node}.{name}": value for name, value in values.items()}
+    assert {name: float(value) for name, value in documented} == expected
+    assert {name: float(value) for name, value in (s.split("=") for s in EXPECTATION.run.settings)} == expected
+    with BagReader(BAG) as bag:
+        trajectories = next(topic.count for topic in bag.topics if topic.name == "/gantry/trajectory")
+        assert f"`{bag.count - trajectories} messages played`" in text
 
 
-def trajectories(bag: BagReader) -> int:
-    return next(topic.count for topic in bag.topics if topic.name == "/gantry/trajectory")
+def test_no_image_is_dropped_and_speed_changes_nothing(whole: dict[str, TopicMessages], tmp_path: Path) -> None:
+    slow = replayed(tmp_path / "run", rate=1.0, duration_s=BEGINNING_S)
+    for side in ("left", "right"):
+        corners = f"/stereo/{side}/corners"
+        assert [m.stamp_ns for m in slow[corners].messages] == image_stamps(side)
+        assert same(slow, whole, corners)
+    assert slow["/stylus/tip"].messages and slow["/stereo/panel_plane"].messages
+    for topic in ("/stylus/tip", "/stereo/panel_plane"):
+        last = max(image_stamps("left"))
+        expected = [m.stamp_ns for m in whole[topic].messages if m.stamp_ns <= last]
+        assert [m.stamp_ns for m in slow[topic].messages] == expected
+        assert same(slow, whole, topic)
 
 
-def test_no_picture_is_dropped_and_speed_changes_nothing(graph: ReplayGraph, replayed: Results) -> None:
-    slow = graph.play(rate=1.0, duration_s=BEGINNING_S)
-    pictures = replay.pictures(BEGINNING_S)
-    for side in replay.SIDES:
-        assert sorted(slow.corners[side]) == pictures[side]
-        assert set(pictures[side]) <= set(replayed.corners[side])
-        for stamp, corners in slow.corners[side].items():
-            assert np.array_equal(corners, replayed.corners[side][stamp])
-    assert slow.tips and slow.planes
-    for mine, whole in ((slow.tips, replayed.tips), (slow.planes, replayed.planes)):
-        last = max(pictures["left"])
-        assert sorted(mine) == sorted(stamp for stamp in whole if stamp <= last)
-        assert all(np.array_equal(value, whole[stamp]) for stamp, value in mine.items())
+def same(part: Mapping[str, TopicMessages], whole: Mapping[str, TopicMessages], topic: str) -> bool:
+    """Return whether each message of a part is in the whole, to the last bit."""
+    by_stamp = {m.stamp_ns: m for m in whole[topic].messages}
+    return all(
+        np.array_equal(value.data, by_stamp[m.stamp_ns].values[path].data)
+        for m in part[topic].messages
+        for path, value in m.values.items()
+    )
 
 
-def test_a_changed_parameter_shows(replayed: Results, graph: ReplayGraph) -> None:
-    graph.set_parameter("/stereo/left/corners_left", "k", 0.2)
-    changed = graph.play(duration_s=1.0)
-    mixed = replay.with_corners(replayed, changed)
-    text = difference(mixed, "changed_k.png")
-    print(text)
-    first = min(EXPECTED["corners"]["left"], key=int)
-    assert "corners, count, left picture 0" in text and str(EXPECTED["corners"]["left"][first]["count"]) in text
-    assert "right" not in text.partition("picture: ")[0] and "goal" not in text
-    assert (ARTIFACTS / "changed_k.png").stat().st_size > 10_000
+def image_stamps(side: str) -> list[int]:
+    """Return the stamps of the images that are played within the beginning."""
+    topic = f"/stereo/{side}/image_raw/compressed"
+    with BagReader(BAG) as bag:
+        kind = next(t.type for t in bag.topics if t.name == topic)
+        end_ns = bag.start_ns + round(BEGINNING_S * 1e9)
+        stamps = [
+            bag.decode(data, kind).header.stamp for _, time_ns, data in bag.messages([topic]) if time_ns <= end_ns
+        ]
+    return [stamp.sec * 1_000_000_000 + stamp.nanosec for stamp in stamps]
+
+
+def test_a_changed_parameter_is_different_and_the_report_shows_where() -> None:
+    done = bag_check("--set", "corners_left.k=0.2", "--out", ARTIFACTS)
+    assert done.returncode == 1, f"{done.stdout}{done.stderr}"
+    rows = json.loads((ARTIFACTS / "fields.json").read_text(encoding="utf-8"))
+    different = {(row["topic"], row["field"]) for row in rows if not row["passed"]}
+    assert ("/stereo/left/corners", "points") in different, done.stdout
+    assert {topic for topic, _ in different} <= {"/stereo/left/corners", "/stereo/panel_plane"}, done.stdout
+    assert "| /stereo/left/corners | points |" in (ARTIFACTS / "summary.md").read_text(encoding="utf-8")
+    assert (ARTIFACTS / "stereo_left_corners.points.png").stat().st_size > 10_000

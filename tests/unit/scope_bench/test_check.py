@@ -114,6 +114,14 @@ def test_values_of_diagnostics_have_their_keys_and_numbers_are_numbers() -> None
     assert not [path for path in values if path.endswith(("OK", "WARN"))], "constants are no fields"
 
 
+def test_the_points_of_a_marker_are_one_value_and_an_empty_texture_an_empty_image() -> None:
+    points = [message("geometry_msgs/msg/Point", x=float(n), y=0.5, z=0.0) for n in range(3)]
+    texture = message("sensor_msgs/msg/CompressedImage", header=header(), format="", data=np.zeros(0, np.uint8))
+    assert values_of(texture)["data"].data.size == 0
+    mesh = message("shape_msgs/msg/Mesh", triangles=[], vertices=points)
+    assert values_of(mesh)["vertices"].data.tolist() == [0.0, 0.5, 0.0, 1.0, 0.5, 0.0, 2.0, 0.5, 0.0]
+
+
 @pytest.mark.parametrize(("encoding", "shape"), [("mono8", (4, 6)), ("bgr8", (4, 6, 3))])
 def test_an_image_is_read_without_the_padding_of_its_rows(encoding: str, shape: tuple[int, ...]) -> None:
     pixels = np.arange(math.prod(shape), dtype=np.uint8).reshape(shape)
@@ -330,7 +338,7 @@ def test_a_report_names_what_differs_in_each_form() -> None:
     assert suite is not None and (suite.get("tests"), suite.get("failures")) == ("3", "2")
     assert [case.get("name") for case in suite if case.find("failure") is not None] == ["x", "z"]
     assert [r["amount"] for r in report.as_json(rows)] == [0.005, 0.0, None]
-    assert report.verdict("bag", rows[1:2]) == "bag: as expected (1 fields of 1 topics)"
+    assert report.verdict("bag", rows[1:2]) == "bag: as expected (1 fields, 1 topics)"
 
 
 def test_a_check_that_could_not_run_is_an_error_for_junit() -> None:

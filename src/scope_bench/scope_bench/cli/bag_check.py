@@ -33,18 +33,18 @@ from scope_bench.adapters.bags import BagError, BagReader
 from scope_bench.adapters.check.messages import read_messages, write_expected
 from scope_bench.adapters.check.pictures import draw
 from scope_bench.adapters.check.prepared_bag import converted, is_ros1, played_topics, prepared
-from scope_bench.adapters.check.replay import PROFILE, Replay, ReplayError, free_domain
+from scope_bench.adapters.check.replay import PROFILE, Replay, ReplayError, Topics, free_domain
 from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.core.check.comparison import Row, TopicMessages, compare, new_topic, unknown_fields
 from scope_bench.core.check.expectation import Expectation, Run, from_yaml, to_yaml
 from scope_bench.core.check.report import as_json, junit, junit_error, markdown, table, verdict
-from scope_bench.core.graph_description import GraphError, Program, load_graph
-from scope_bench.nodes.graph_topics import GraphTopics, topics_of
+from scope_bench.core.graph_description import GraphError, load_graph
+from scope_bench.nodes.graph_topics import types_of
 
 AS_EXPECTED, DIFFERENT, COULD_NOT_RUN = 0, 1, 2
 EXPECTATION = ".expect.yaml"
-_CUE, _ANSWER = "/bag/cue", "/gantry/trajectory_result"
-"""Topics that the player itself reads: services to call, and the recorded driver's answers."""
+_CUE = "/bag/cue"
+"""Services that the player calls."""
 _MOST_ROWS = 30
 
 
@@ -157,7 +157,7 @@ class Check:
         options = self.options
         old = _read_expectation(job.expect) if job.expect.exists() else None
         run = old.run if old is not None else Run()
-        run = dataclasses.replace(run, **_given(options), settings=(*run.settings, *options.set))
+        run = dataclasses.replace(run, **_given(options), settings=_merged(run.settings, options.set))
         compared = options.topics or (list(old.topics) if old is not None else [])
         results = [self._replay(job, run, temporary / str(n), compared) for n in range(options.runs)]
         runs = [read_messages(result) for result in results]
@@ -188,7 +188,7 @@ class Check:
         expected = read_messages(job.expect.parent / expectation.messages, expectation.topics)
         if strange := unknown_fields(expectation, expected):
             raise CheckError(f"{job.expect}: no expected message has {', '.join(strange)}")
-        run = dataclasses.replace(expectation.run, settings=(*expectation.run.settings, *self.options.set))
+        run = dataclasses.replace(expectation.run, settings=_merged(expectation.run.settings, self.options.set))
         results = self._replay(job, run, temporary / "run", list(expectation.topics))
         found = read_messages(results, expectation.topics)
         rows = compare(expectation, expected, found)
@@ -233,15 +233,14 @@ class Check:
         with BagReader(bag) as reader:  # before anything is started
             if not reader.count:
                 raise CheckError("the bag has no messages")
-        programs, left_out = self._programs(run, folder)
+        count, left_out = self._programs(run, folder)
         domain = free_domain()
-        replay = Replay(folder, domain, run, len(programs), left_out, self._config)
+        replay = Replay(folder, domain, run, count, left_out, self._config)
         try:
-            replay.wait_until_started(self._stop.is_set)
-            graph = topics_of([(p.name, p.namespace) for p in programs], domain, self._stop.is_set)
-            played = played_topics(bag, [*graph.read, _CUE, _ANSWER], graph.published, run.exclude)
-            record = _recorded(graph, compared)
-            print(f"{job.name}: playing {len(played)} topics to {len(programs)} nodes", flush=True)
+            graph = replay.wait_until_started(self._stop.is_set)
+            played = played_topics(bag, {*graph.read, _CUE}, graph.published, run.exclude)
+            record = self._recorded(graph, compared, domain)
+            print(f"{job.name}: playing {len(played)} topics to {count} nodes", flush=True)
             return replay.play(bag, played, record, self._stop.is_set)
         except ReplayError:
             shutil.copytree(
@@ -251,21 +250,23 @@ class Check:
         finally:
             replay.stop()
 
-    def _programs(self, run: Run, folder: Path) -> tuple[list[Program], list[str]]:
+    def _recorded(self, graph: Topics, compared: Sequence[str], domain: int) -> list[str]:
+        if unknown := set(compared) - graph.published:
+            there = ", ".join(sorted(graph.published)) or "nothing"
+            raise CheckError(f"no node publishes {', '.join(sorted(unknown))}; they publish {there}")
+        if compared:
+            return list(compared)
+        types = types_of(graph.published, domain, self._stop.is_set)
+        return sorted(name for name, kind in types.items() if kind != IMAGE)
+
+    def _programs(self, run: Run, folder: Path) -> tuple[int, list[str]]:
+        """Return how many programs run, and the names of those that are left out."""
         every = load_graph(self._config, PROFILE, run=folder / "run", state=folder / "state", scope=run.scope)
         names = [program.name for program in every]
         if unknown := set(run.nodes) - set(names):
             raise CheckError(f"no node {', '.join(sorted(unknown))}; there are {', '.join(names)}")
-        chosen = [program for program in every if not run.nodes or program.name in run.nodes]
-        return chosen, [name for name in names if name not in {program.name for program in chosen}]
-
-
-def _recorded(graph: GraphTopics, compared: Sequence[str]) -> list[str]:
-    if unknown := set(compared) - set(graph.published):
-        raise CheckError(
-            f"no node publishes {', '.join(sorted(unknown))}; they publish {', '.join(graph.published) or 'nothing'}"
-        )
-    return list(compared or (name for name, kind in graph.published.items() if kind != IMAGE))
+        left_out = [name for name in names if run.nodes and name not in run.nodes]
+        return len(names) - len(left_out), left_out
 
 
 def _read_expectation(file: Path) -> Expectation:
@@ -275,6 +276,11 @@ def _read_expectation(file: Path) -> Expectation:
         raise CheckError(f"{file} does not exist; make it with: bag_check BAG --make") from error
     except (ValueError, UnicodeDecodeError) as error:
         raise CheckError(f"{file}: {error}") from error
+
+
+def _merged(settings: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
+    """Return settings with those of the command line; of one parameter the last value counts."""
+    return tuple({text.partition("=")[0]: text for text in (*settings, *given)}.values())
 
 
 def _given(options: argparse.Namespace) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,20 @@ PROFILE = "replay"
 _STARTED_S, _ENDED_S = 120.0, 60.0
 _LOOK_S = 0.05
 _LAST_LINES = 15
-_RATE = 1000.0
-"""As fast as the graph processes the messages."""
+FASTEST = 1000.0
+"""Speed of a replay that is limited by the graph alone."""
+
+
+NOT_COMPARED = ("/rosout", "/parameter_events", "/diagnostics", "/clock")
+"""Topics of every node, whose contents depend on the computer or come from the player."""
+
+
+@dataclass(frozen=True, slots=True)
+class Topics:
+    """Absolute names of the topics that a graph's programs read and publish."""
+
+    read: frozenset[str]
+    published: frozenset[str]
 
 
 class ReplayError(Exception):
@@ -94,18 +107,43 @@ class Replay:
                 start_new_session=True,  # Ctrl-C is for this program, which ends them in order
             )
 
-    def wait_until_started(self, stopping: Callable[[], bool]) -> None:
-        """Wait until every program of the graph counts its messages.
+    def wait_until_started(self, stopping: Callable[[], bool]) -> Topics:
+        """Wait until every program of the graph serves its callbacks, and return what they read and publish.
 
         Raises
         ------
         ReplayError
             If one ends, or they are not there in time.
         """
-        self._wait(lambda: self._registered() >= self._count, "programs have not started", stopping)
+        found: list[Topics] = []
 
-    def play(self, bag: Path, topics: Sequence[str], record: Sequence[str], stopping: Callable[[], bool]) -> Path:
+        def started() -> bool:
+            if (topics := self._topics()) is not None:
+                found.append(topics)
+            return bool(found)
+
+        self._wait(started, "programs have not started", stopping)
+        return found[0]
+
+    def play(
+        self,
+        bag: Path,
+        topics: Sequence[str],
+        record: Sequence[str],
+        stopping: Callable[[], bool],
+        *,
+        rate: float = FASTEST,
+    ) -> Path:
         """Play topics of a bag, record the results, and return the bag with them.
+
+        Parameters
+        ----------
+        bag, topics, record
+            Bag, its topics that are played, and the topics that are recorded.
+        stopping
+            Ends the replay.
+        rate
+            Speed; messages that are still being processed are waited for at any speed.
 
         Raises
         ------
@@ -118,7 +156,7 @@ class Replay:
             self._wait(
                 lambda: self._subscribed(recorder.pid, record), "the recorder has not subscribed", stopping, recorder
             )
-            arguments = [str(bag), "--in-step", str(self._count + 1), "--rate", f"{_RATE:g}", "--topics", *topics]
+            arguments = [str(bag), "--in-step", str(self._count + 1), "--rate", f"{rate:g}", "--topics", *topics]
             arguments += ["--moving"] if self._run.moving else []
             arguments += ["--duration", f"{self._run.duration_s:g}"] if self._run.duration_s else []
             player = self._start("bag_play", arguments, self.folder / "play.log")
@@ -158,9 +196,18 @@ class Replay:
                 raise ReplayError(f"{what} within {_STARTED_S:g} s: {last_line(self._log)}")
             time.sleep(_LOOK_S)
 
-    def _registered(self) -> int:
+    def _topics(self) -> Topics | None:
+        """Return the topics of the programs; None while one of them does not serve its callbacks yet."""
         with self._counts() as ledger:
-            return len(ledger.processes()) if ledger is not None else 0
+            if ledger is None:
+                return None
+            rows, names = list(ledger.processes()), np.array(ledger.topics())
+            _, subscriptions, matched = ledger.by_process()
+        # A program writes what its publishers have found once it serves callbacks, and then of all of them.
+        if len(rows) < self._count or not matched[rows].any(axis=1).all():
+            return None
+        read, published = (names[table[rows].any(axis=0)].tolist() for table in (subscriptions, matched))
+        return Topics(read=frozenset(read), published=frozenset(published) - {*NOT_COMPARED})
 
     def _subscribed(self, pid: int, topics: Sequence[str]) -> bool:
         with self._counts() as ledger:

@@ -34,7 +34,7 @@ def verdict(bag: str, rows: Sequence[Row]) -> str:
     bad = [row for row in rows if not row.passed]
     topics = len({row.topic for row in rows})
     if not bad:
-        return f"{bag}: as expected ({len(rows)} fields of {topics} topics)"
+        return f"{bag}: as expected ({len(rows)} fields, {topics} topics)"
     where = ", ".join(dict.fromkeys(row.topic for row in bad))
     return f"{bag}: {len(bad)} of {len(rows)} fields differ ({where})"
 

@@ -28,6 +28,11 @@ _TYPES = {
     "64FC1": np.float64,
 }
 _CHANNELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "8UC3": 3, "8UC4": 4, "8UC2": 2}
+_POINTS = {
+    **dict.fromkeys([f"geometry_msgs/msg/{name}" for name in ("Point", "Point32", "Vector3")], "xyz"),
+    "std_msgs/msg/ColorRGBA": "rgba",
+}
+"""Fields of messages of which an array is one value: a marker may have thousands of points."""
 _POINT_TYPES = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 """numpy's name of each datatype of sensor_msgs/PointField."""
 
@@ -106,8 +111,7 @@ def _walk(value: Any, path: str) -> Iterator[tuple[str, Value]]:
         if path not in (STAMP, "stamp"):
             yield path, _numbers([value.sec + value.nanosec * 1e-9])
     elif kind in ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"):
-        pixels = _pixels(value) if kind.endswith("/Image") else cv2.imdecode(value.data, cv2.IMREAD_UNCHANGED)
-        yield _joined(path, "data"), Value(Kind.IMAGE, np.zeros((0, 0)) if pixels is None else np.asarray(pixels))
+        yield _joined(path, "data"), Value(Kind.IMAGE, _pixels(value) if kind.endswith("/Image") else _unpacked(value))
         yield _joined(path, "header.frame_id"), Value(Kind.TEXT, np.zeros(0), value.header.frame_id)
     elif kind == "sensor_msgs/msg/PointCloud2":
         yield _joined(path, "points"), _cloud(value)
@@ -130,6 +134,8 @@ def _elements(values: list[Any] | tuple[Any, ...], path: str) -> Iterator[tuple[
     if values and all(_type(v) == "diagnostic_msgs/msg/KeyValue" for v in values):
         for pair in values:
             yield f"{path}.{pair.key}", _text(pair.value)
+    elif values and all(_type(v) in _POINTS for v in values):
+        yield path, _numbers([[getattr(v, name) for name in _POINTS[_type(v)]] for v in values])
     elif all(isinstance(v, str) for v in values):
         yield path, Value(Kind.TEXT, np.zeros(0), " ".join(values))
     elif values and not any(_type(v) for v in values):
@@ -155,6 +161,12 @@ def _text(text: str) -> Value:
     except ValueError:
         numbers = []
     return _numbers(numbers) if numbers else Value(Kind.TEXT, np.zeros(0), text)
+
+
+def _unpacked(image: Any) -> Array:
+    """Return the pixels of a compressed image, none of an empty or broken one."""
+    pixels = cv2.imdecode(np.asarray(image.data, np.uint8), cv2.IMREAD_UNCHANGED) if len(image.data) else None
+    return np.zeros((0, 0)) if pixels is None else np.asarray(pixels)
 
 
 def _pixels(image: Any) -> Array:
