@@ -62,7 +62,7 @@ def parser() -> argparse.ArgumentParser:
         type=named_path,
         nargs="+",
         metavar="BAG",
-        help="folder with metadata.yaml, or a .mcap, .db3 or .bag file",
+        help=f"folder with metadata.yaml, or a .mcap, .db3 or .bag file; or its {EXPECTATION}",
     )
     result.add_argument(
         "--expect", type=named_path, metavar="FILE", help=f"expectation (default: BAG{EXPECTATION} next to the bag)"
@@ -311,7 +311,8 @@ def _jobs(options: argparse.Namespace) -> list[Job]:
     out = options.out or Path("bag_check")
     jobs = []
     for bag in options.bags:
-        bag = bag.resolve()
+        # Its expectation stands for a bag: bags/*.expect.yaml are all that can be checked.
+        bag = bag.with_name(bag.name.removesuffix(EXPECTATION)).resolve()
         expect = options.expect or bag.with_name(bag.name + EXPECTATION)
         jobs.append(Job(bag=bag, expect=expect.resolve(), out=(out if len(options.bags) == 1 else out / bag.name)))
     return jobs
