@@ -326,6 +326,25 @@ def test_time_for_which_a_person_has_stopped_a_program_does_not_count_as_silence
     watch.group.stop()
 
 
+def test_a_program_that_a_signal_has_stopped_for_long_is_started_again(tmp_path: Path, clock: Clock) -> None:
+    """Its last state would stay on its latched topics, as if it were true."""
+    watch, pid = with_a_stopped_program(tmp_path)
+    for _ in range(14):
+        clock.now += 1.1
+        watch.group.watch(0.0)
+    assert not watch.events
+    for _ in range(3):
+        clock.now += 1.1
+        watch.group.watch(0.0)
+    assert watch.events[0] == ("a", "has been stopped by a signal for 15 s: aborted")
+    clock.now += 5.0
+    watch.until(lambda: len(watch.events) == 2)
+    assert watch.events[1] == ("a", "ended with signal SIGKILL, restarted in 0.5 s")
+    clock.now += 1.0
+    watch.until(lambda: watch.group.running().get("a", pid) != pid)
+    watch.group.stop()
+
+
 def test_silence_while_bring_up_itself_stood_still_does_not_count(tmp_path: Path, clock: Clock) -> None:
     watch = Watch(silent_s=2.5)
     watch.group.start("a", [*PYTHON, FALLS_SILENT, str(tmp_path / "been")], tells_ready=True)

@@ -51,6 +51,7 @@ class Watched:
     life_pipe: int | None = None
     ready: bool = False
     silence_s: float = 0.0
+    stopped_s: float = 0.0
     waited: dict[str, float] = field(default_factory=dict)
     """Seconds for which each thread had waited for a core when the silence began to count; empty before."""
     waited_since_s: float = 0.0
@@ -63,11 +64,17 @@ class Watched:
         return self.life_pipe is not None and not self.ready
 
 
-def _is_stopped(pid: int) -> bool:
-    """Whether a signal, or a debugger, has stopped a process (proc(5))."""
+_SIGNAL, _DEBUGGER = "T", "t"
+_STOPPED_S = 15.0
+"""Longest time for which a signal may stop a program; its last state would stay on its topics as if it were true."""
+
+
+def _stopped_by(pid: int) -> str:
+    """Return what has stopped a process, _SIGNAL or _DEBUGGER (proc(5)), "" for nothing."""
     with contextlib.suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0] in "tT"
-    return False
+        state = Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0]
+        return state if state in (_SIGNAL, _DEBUGGER) else ""
+    return ""
 
 
 def _waits_for_core(pid: int) -> dict[str, float]:
@@ -97,7 +104,8 @@ class ProcessGroup:
         memory that its predecessor held when it was killed can hang it. A first start may take as long as it needs.
     silent_s
         A program that was ready and gives no sign of life for this time is aborted, so that it tells where it is, and
-        killed if that does not end it; time for which a signal has stopped it does not count.
+        killed if that does not end it; time for which a signal or a debugger has stopped it does not count, but a
+        signal may stop it for _STOPPED_S only.
     forks
         Server that starts the programs that report when they are ready; without it they are executed.
     """
@@ -172,7 +180,7 @@ class ProcessGroup:
             os.close(ready[1])
             os.set_blocking(ready[0], False)
             watched.life_pipe = ready[0]
-        watched.ready, watched.silence_s, watched.aborted_at = False, 0.0, None
+        watched.ready, watched.silence_s, watched.stopped_s, watched.aborted_at = False, 0.0, 0.0, None
         watched.waited, watched.reported_late = {}, False
         watched.starts.append(time.monotonic())
         watched.restart_at = None
@@ -245,15 +253,18 @@ class ProcessGroup:
         with contextlib.suppress(BlockingIOError):
             if not os.read(pipe, 4096):  # it has closed the pipe, or ended
                 self._close_pipe(watched)
-            watched.ready, watched.silence_s = True, 0.0
+            watched.ready, watched.silence_s, watched.stopped_s = True, 0.0, 0.0
             watched.waited, watched.reported_late = {}, False
             return
         watched.silence_s += turn_s
-        if watched.silence_s > SIGN_OF_LIFE_S and _is_stopped(process.pid):
-            watched.silence_s = 0.0  # what is let go on needs a moment for its next sign
+        if watched.silence_s > SIGN_OF_LIFE_S and (stopped_by := _stopped_by(process.pid)):
+            watched.stopped_s += watched.silence_s if stopped_by == _SIGNAL else 0.0
+            watched.silence_s = 0.0  # a program that continues needs a moment for its next sign
         if watched.ready and watched.silence_s > SIGN_OF_LIFE_S and not watched.waited:
             watched.waited, watched.waited_since_s = _waits_for_core(process.pid), watched.silence_s
-        if watched.ready and watched.silence_s > self._silent_s:
+        if watched.stopped_s > _STOPPED_S:
+            why = f"has been stopped by a signal for {_STOPPED_S:g} s"
+        elif watched.ready and watched.silence_s > self._silent_s:
             if watched.silence_s <= _STARVED_FACTOR * self._silent_s and self._is_starved(watched, process.pid):
                 if not watched.reported_late:
                     watched.reported_late = True
