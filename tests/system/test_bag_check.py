@@ -82,6 +82,7 @@ def test_a_bag_with_other_names_and_without_camera_info(tmp_path: Path) -> None:
     made = from_yaml((tmp_path / "theirs.expect.yaml").read_text(encoding="utf-8"))
     assert made.topics["/stereo/left/corners"].messages == len(STAMPS)
     assert made.run.left == "/cam/image" and made.run.nodes == ("corners_left",)
+    assert made.run.camera_info == ("left.yaml",), "relative: the folder may be cloned elsewhere"
     check(tmp_path, theirs)
     rows = json.loads((tmp_path / "report" / "fields.json").read_text(encoding="utf-8"))
     points = next(row for row in rows if row["field"] == "points")

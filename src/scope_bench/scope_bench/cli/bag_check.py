@@ -12,6 +12,7 @@ import argparse
 import dataclasses
 import json
 import math
+import os
 import shutil
 import signal
 import sys
@@ -157,7 +158,8 @@ class Check:
         options = self.options
         old = _read_expectation(job.expect) if job.expect.exists() else None
         run = old.run if old is not None else Run()
-        run = dataclasses.replace(run, **_given(options), settings=_merged(run.settings, options.set))
+        given = _given(options, job.expect.parent)
+        run = dataclasses.replace(run, **given, settings=_merged(run.settings, options.set))
         compared = options.topics or (list(old.topics) if old is not None else [])
         results = [self._replay(job, run, temporary / str(n), compared) for n in range(options.runs)]
         runs = [read_messages(result) for result in results]
@@ -225,7 +227,7 @@ class Check:
         bag = job.bag
         if is_ros1(bag):
             bag = next(iter(temporary.glob("*_ros2")), None) or converted(bag, temporary)
-        return next(iter(temporary.glob("*_renamed")), None) or prepared(bag, run, temporary)
+        return next(iter(temporary.glob("*_renamed")), None) or prepared(bag, run, temporary, job.expect.parent)
 
     def _replay(self, job: Job, run: Run, folder: Path, compared: Sequence[str]) -> Path:
         """Replay the bag with a new graph; return the bag with the results."""
@@ -283,8 +285,8 @@ def _merged(settings: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
     return tuple({text.partition("=")[0]: text for text in (*settings, *given)}.values())
 
 
-def _given(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the values of a Run that were given on the command line."""
+def _given(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """Return the values of a Run that were given on the command line; files are relative to ``folder``."""
     values = {
         "nodes": tuple(options.nodes),
         "scope": options.scope,
@@ -292,7 +294,7 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
         "exclude": tuple(options.exclude),
         "left": options.left,
         "right": options.right,
-        "camera_info": tuple(str(Path(file).resolve()) for file in options.camera_info),
+        "camera_info": tuple(os.path.relpath(Path(file).resolve(), folder) for file in options.camera_info),
         "duration_s": options.duration,
     }
     return {name: value for name, value in values.items() if value}

@@ -42,8 +42,17 @@ def converted(bag: Path, folder: Path) -> Path:
     return target
 
 
-def prepared(bag: Path, run: Run, folder: Path) -> Path:
+def prepared(bag: Path, run: Run, folder: Path, calibrations: Path) -> Path:
     """Return a bag with the names of this graph: the bag itself, if it has them, or a new one in ``folder``.
+
+    Parameters
+    ----------
+    bag, run
+        The bag, and how it is replayed.
+    folder
+        For the new bag.
+    calibrations
+        Folder to which the files of ``run.camera_info`` are relative.
 
     Raises
     ------
@@ -56,7 +65,7 @@ def prepared(bag: Path, run: Run, folder: Path) -> Path:
     for side, topic in zip(SIDES, (run.left, run.right)):
         if topic:
             names |= _names(topic, side)
-    infos = dict(zip(SIDES, (_camera_info(Path(file)) for file in run.camera_info)))
+    infos = dict(zip(SIDES, (_camera_info(calibrations / file) for file in run.camera_info)))
     with BagReader(bag) as reader:
         topics = {topic.name: topic for topic in reader.topics}
         for topic in (t for t in (run.left, run.right) if t and t not in topics):

@@ -45,7 +45,8 @@ class Run:
         Topics of the bag that are played as images of the left and the right camera, "" for /stereo/left/image_raw and
         /stereo/right/image_raw.
     camera_info
-        Files of camera_calibration (left, right), whose camera_info is played with each image.
+        Files of camera_calibration (left, right), relative to the expectation, whose camera_info is played with each
+        image.
     duration_s
         Length of the part that is played, from the start; 0 for all.
     """
