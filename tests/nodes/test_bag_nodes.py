@@ -279,9 +279,10 @@ def test_recording_of_a_simulation_has_the_times_of_its_clock(ros: Ros, tmp_path
         talker.create_publisher(Clock, "/clock", qos.RESULTS),
     )
     sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
-    recorder = BagRecorder(sink, ["words"], context=ros.context)
+    recorder = BagRecorder(sink, ["words", "/clock"], context=ros.context)
     ros.executor.add_node(recorder)
-    ros.spin_until(lambda: words.get_subscription_count() and clock.get_subscription_count(), 40.0)
+    # Its own time, and its recording of it.
+    ros.spin_until(lambda: words.get_subscription_count() and clock.get_subscription_count() == 2, 40.0)
     words.publish(String(data="before the first time"))
     assert words.wait_for_all_acked(Duration(seconds=10))
     assert recorder.take() == 0, "it waits for the time"
@@ -290,13 +291,15 @@ def test_recording_of_a_simulation_has_the_times_of_its_clock(ros: Ros, tmp_path
         ros.spin_until(lambda s=second: recorder.get_clock().now().nanoseconds == s * 10**9, 10.0)
         words.publish(String(data=f"{second}"))
         assert words.wait_for_all_acked(Duration(seconds=10))
-        ros.spin_until(lambda s=second: sink.messages >= (2 if s == 100 else 3), 10.0)
+        ros.spin_until(lambda s=second: sink.messages >= (3 if s == 100 else 5), 10.0)
     ros.executor.remove_node(recorder)
     recorder.destroy_node()
     sink.close()
     with BagReader(tmp_path / "bag") as bag:
-        found = [(ns / 1e9, bag.decode(data, "std_msgs/msg/String").data) for _, ns, data in bag.messages()]
+        found = [(ns / 1e9, bag.decode(data, "std_msgs/msg/String").data) for _, ns, data in bag.messages(["/words"])]
+        times = [bag.decode(data, "rosgraph_msgs/msg/Clock").clock.sec for _, _, data in bag.messages(["/clock"])]
     assert found == [(100.0, "before the first time"), (100.0, "100"), (130.0, "130")]
+    assert times == [100, 130]
 
 
 def test_where_the_middleware_does_not_tell_when_a_message_came_the_time_is_that_of_taking_it(ros: Ros) -> None:

@@ -171,12 +171,13 @@ class _Graph:
             kwargs["raw"] = True
         ledger, observer = this_process.ledger, this_process.observer if observed else None
         name, before = "", None
+        runs_timers = topic == CLOCK_TOPIC and not raw  # rclpy's own subscription; a recorder takes the bytes
 
         def take(message: Any) -> None:
             if before is not None:
                 before()
             callback(message)
-            if topic == CLOCK_TOPIC:
+            if runs_timers:
                 self._run_clock_timers(message.clock.sec * 1_000_000_000 + message.clock.nanosec)
 
         def counted(message: Any) -> None:
