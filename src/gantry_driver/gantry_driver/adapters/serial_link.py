@@ -146,8 +146,8 @@ class SerialLink:
                 late.append(
                     Note(
                         level="error",
-                        text=f"closed {within_s:g} s after the stop, while {self._machine.phase.name.lower()}: what "
-                        "the machine does is not known, the stylus may be down",
+                        text=f"closed {within_s:g} s after the stop, while {self._machine.phase.name.lower()}: the "
+                        "machine's state is unknown, the stylus may be down",
                     )
                 )
         self._closing = True
