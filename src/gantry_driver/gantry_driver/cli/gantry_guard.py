@@ -18,6 +18,7 @@ from pathlib import Path
 
 from gantry_driver.adapters.guard.places import guard_path
 from gantry_driver.adapters.guard.server import Guard
+from gantry_driver.adapters.wake_pipe import STOP_SIGNALS, WakePipe
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time
 from icu_common.adapters.unix_listener import listen_at
@@ -43,13 +44,11 @@ def main() -> int:
     path = options.socket or guard_path(options.port)
     ask_for_real_time(DRIVER)
     sys.setswitchinterval(SWITCH_S)
-    read, write = os.pipe()
-    for end in (read, write):
-        os.set_blocking(end, False)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    signals = WakePipe()
+    for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: None)
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # A suspended guard (Ctrl-Z) could not hold.
-    signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    signal.set_wakeup_fd(signals.write_fd, warn_on_full_buffer=False)
     with _locked(path.with_name(f"{path.name}.lock")) as alone:
         if not alone:
             print(f"error: another guard listens at {path}", file=sys.stderr)
@@ -58,7 +57,7 @@ def main() -> int:
             gc.collect()
             gc.freeze()
             try:
-                Guard(listener, read, stays=options.stay).run()
+                Guard(listener, signals.read_fd, stays=options.stay).run()
             finally:
                 path.unlink(missing_ok=True)
     path.with_name(f"{path.name}.log").unlink(missing_ok=True)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from gantry_driver.adapters.guard.places import guard_path, peer_process, sample_threads
+from gantry_driver.adapters.wake_pipe import WakePipe
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import (
     FrameError,
@@ -49,7 +50,6 @@ WAY_OUT_S = 8.0
 """Maximum seconds after ``hold_timeout_s`` for a closed guard to lift the stylus and end."""
 GUARD_ENDED = "the guard has ended"
 NO_ANSWER = "the guard does not answer"
-_SIGNALS = {int(number): number.name for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
 
 
 class GuardLink:
@@ -98,9 +98,7 @@ class GuardLink:
         self._started: subprocess.Popen[bytes] | None = None
         self._started_at = -START_S
         self._closing = self._closed = False
-        self._wake_read, self._wake_write = os.pipe()
-        os.set_blocking(self._wake_read, False)
-        os.set_blocking(self._wake_write, False)
+        self._wake_pipe = WakePipe()
         self._thread = threading.Thread(target=self._run, name="guard-link", daemon=True)
         self._say(self._machine.take_events())
 
@@ -118,7 +116,7 @@ class GuardLink:
     @property
     def wakeup_fd(self) -> int:
         """Descriptor for ``signal.set_wakeup_fd``: SIGINT, SIGTERM and SIGHUP then stop the machine at once."""
-        return self._wake_write
+        return self._wake_pipe.write_fd
 
     def ask(self, name: str, **values: Any) -> Any:
         """Return the answer to a command of ``core.guard.commands``; a refusal is a text."""
@@ -173,7 +171,7 @@ class GuardLink:
         self._closed = True
         self._send({"do": "close", "reason": reason})
         self._closing = True
-        self._wake()
+        self._wake_pipe.wake()
         if self._thread.ident is not None:
             within_s = self._config.hold_timeout_s + WAY_OUT_S
             self._thread.join(within_s)
@@ -185,10 +183,8 @@ class GuardLink:
         if self._started is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._started.wait(ASK_S)
-        write, self._wake_write = self._wake_write, -1
         if not self.alive:
-            os.close(write)
-            os.close(self._wake_read)
+            self._wake_pipe.close()
 
     # --- the thread --------------------------------------------------------------------------------------------------
 
@@ -242,15 +238,15 @@ class GuardLink:
         watch = SilenceWatch(HUNG_S, steady_s(), LATE_S)
         poller = select.poll()
         poller.register(connection, select.POLLIN)
-        poller.register(self._wake_read, select.POLLIN)
+        poller.register(self._wake_pipe.read_fd, select.POLLIN)
         while True:
             now = steady_s()
             if not self._closing and now >= beat_at:
                 beat_at = now + BEAT_S
                 self._beat()
             ready = dict(poller.poll(1000.0 * max(0.0, beat_at - now) if not self._closing else 100.0))
-            if self._wake_read in ready:
-                self._woken()
+            if self._wake_pipe.read_fd in ready:
+                self._stop_by_signals()
             if connection.fileno() in ready:
                 data = _received(connection)
                 if not data:
@@ -385,17 +381,13 @@ class GuardLink:
         with self._sending:
             self._socket = None
 
-    def _wake(self) -> None:
-        with contextlib.suppress(BlockingIOError, OSError):
-            os.write(self._wake_write, b"\0")
-
-    def _woken(self) -> None:
-        for number in set(os.read(self._wake_read, 4096)) & _SIGNALS.keys():
-            self.stop(_SIGNALS[number])
+    def _stop_by_signals(self) -> None:
+        for name in self._wake_pipe.drain():
+            self.stop(name)
 
     def _wait(self, seconds: float) -> None:
-        if not self._closing and select.select([self._wake_read], [], [], seconds)[0]:
-            self._woken()
+        if not self._closing and select.select([self._wake_pipe.read_fd], [], [], seconds)[0]:
+            self._stop_by_signals()
 
 
 def _received(connection: socket.socket) -> bytes:
